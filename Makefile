@@ -20,7 +20,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 demo: $(PRODUCT)
 	$(BIN)/invid demo --out invid-demo
 
-# What guards behaviour, before every commit; meant for five minutes on two quiet cores (not measured yet).
+# What guards behaviour, before every commit: five and a half minutes on two cores beside other work.
 test: $(COMPILED) system-packages
 	$(PYTEST) -m "not campaign"
 

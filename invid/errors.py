@@ -5,6 +5,7 @@ matching builtin, so that library users may catch what they know::
 
     InvidError
     +-- InputError        (ValueError)       exit 2: usage, config, file or data that cannot be used
+    |   +-- ChoiceNeeded                     exit 2: a file that can be read in several ways
     |   +-- RecordingError                   exit 2: an HDF5 recording that breaks the contract
     |   +-- ConfigError                      exit 2: a config that cannot be used
     |   +-- ModelError                       exit 2: masses, springs, couplings that are no model
@@ -57,6 +58,17 @@ class InputError(InvidError, ValueError):
     """Usage or input that cannot be used: says what, where, the value found and the way out."""
 
     exit_code = 2
+
+
+class ChoiceNeeded(InputError):
+    """A file that can be read in several ways: the key of a map's ``source`` that says which, and a value."""
+
+    def __init__(self, reason: str, key: str, value: str | int) -> None:
+        super().__init__(reason)
+        self.key, self.value = key, value
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.reason, self.key, self.value)
 
 
 class RecordingError(InputError):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ import can
 import numpy as np
 
 from invid.errors import InputError
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Bool, Float64
 from invid.recording.import_map import Pdo, Signal, Source
 from invid.recording.tables import BrokenRow, Table
 from invid_drivers.can_log_guess import SMOOTH, Guess, guess_pdos, roughness
@@ -28,6 +29,8 @@ from invid_drivers.eds import load_dictionary
 MAX_FRAMES = 50_000_000
 ROUGH = 0.5
 """Mean square of a step over the variance from which a signal leaps: twice what counts as smooth."""
+BOTH_DIFFER = 0.5
+"""Share of pairs of rows with different numbers from which they are no frame and its echo."""
 _TEXT = (".log", ".asc")
 _FORMATS = {
     "int8": ("b", 1), "uint8": ("B", 1), "int16": ("h", 2), "uint16": ("H", 2), "int32": ("i", 4),
@@ -80,12 +83,27 @@ class _Cycles:
     clock: int
     file: str
     broken: list[BrokenRow] = field(default_factory=list)
-    instants: list[float] = field(default_factory=list)
-    elapsed: list[float] = field(default_factory=list)
-    """Stamps of all frames so far, added up."""
-    numbers: list[int] = field(default_factory=list)
+    stamps: array[float] = field(default_factory=lambda: array("d"))
+    """Of each SYNC its stamp and the stamps of all frames so far, added up."""
+    numbers: array[int] = field(default_factory=lambda: array("q"))
     """Line of each SYNC; in a binary log the count of the frame."""
-    rows: list[Float64] = field(default_factory=list)
+    values: array[float] = field(default_factory=lambda: array("d"))
+    """Of all rows, one after the other: a row of objects is ten times its numbers."""
+
+    @property
+    def instants(self) -> Float64:
+        """(n,) stamp of each row."""
+        return np.array(self.stamps[::2], dtype=np.float64)
+
+    @property
+    def elapsed(self) -> Float64:
+        """(n,) stamps of all frames up to each row, added up."""
+        return np.array(self.stamps[1::2], dtype=np.float64)
+
+    @property
+    def rows(self) -> Float64:
+        """(n, signals)."""
+        return np.array(self.values, dtype=np.float64).reshape(len(self.numbers), len(self.names))
 
     def read(self, path: Path, choice: Choice | None, *, once: float | None) -> Traffic:
         """Fill the rows from the frames that ``choice`` takes (None: all) and return what was there.
@@ -95,8 +113,7 @@ class _Cycles:
         traffic, total = Traffic(), 0.0
         watched = {self.clock, *self.layouts}
         column = {name: i for i, name in enumerate(self.names)}
-        held = np.full(len(self.names), math.nan)
-        row: Float64 | None = None
+        held = array("d", [math.nan] * len(self.names))
         last: dict[int, tuple[float, bytes]] = {}
         for number, frame in _frames(path, self.broken):
             total += frame.timestamp
@@ -112,28 +129,25 @@ class _Cycles:
                 if frame.timestamp - before < once and data == frame.data:
                     continue
             if identifier == self.clock:
-                row = held.copy()
-                self.instants.append(frame.timestamp)
-                self.elapsed.append(total)
+                self.stamps.extend((frame.timestamp, total))
                 self.numbers.append(number)
-                self.rows.append(row)
+                self.values.extend(held)
             if identifier in self.layouts:
-                self._take(frame, number, held, row, column)
+                self._take(frame, number, held, column)
         return traffic
 
-    def _take(
-        self, frame: Any, number: int, held: Float64, row: Float64 | None, column: dict[str, int]
-    ) -> None:
+    def _take(self, frame: Any, number: int, held: array[float], column: dict[str, int]) -> None:
         """Values of a PDO: what the master sends is held for the next row, a drive's are this row's."""
         pdo, layout = self.layouts[frame.arbitration_id]
-        target = held if pdo.direction == "to_drive" else row
+        target = held if pdo.direction == "to_drive" else self.values
+        row = 0 if target is held else len(self.values) - len(held)
         for name, code, offset in layout:
             if offset + struct.calcsize(code) > len(frame.data):
                 reason = f"frame 0x{frame.arbitration_id:X} has {len(frame.data)} bytes only"
                 self.broken.append(BrokenRow(self.file, number, reason))
                 return
-            if target is not None:
-                target[column[name]] = float(struct.unpack_from(code, frame.data, offset)[0])
+            if row >= 0:
+                target[row + column[name]] = float(struct.unpack_from(code, frame.data, offset)[0])
 
 
 def _read_cycles(path: Path, source: Source, cycles: _Cycles) -> _Cycles:
@@ -149,7 +163,7 @@ def _read_cycles(path: Path, source: Source, cycles: _Cycles) -> _Cycles:
     elif source.echo == "first":
         cycles = empty
         cycles.read(path, choice, once=CLOSE * mean)
-    elif d.size > 8 and _in_pairs(d, mean):
+    elif d.size > 8 and _in_pairs(d, mean) and not _pairs_differ(cycles.rows, d < CLOSE * mean):
         apart = 1e3 * float(np.median(np.sort(d)[: d.size // 2]))
         raise InputError(
             f"{path}: SYNC (0x{cycles.clock:X}) comes in pairs, {apart:.3g} ms apart: frames are logged "
@@ -157,6 +171,13 @@ def _read_cycles(path: Path, source: Source, cycles: _Cycles) -> _Cycles:
             "sent and as heard; say 'echo: first' in the map's 'source' to read the first of each pair"
         )
     return cycles
+
+
+def _pairs_differ(rows: Float64, close: Bool) -> bool:
+    """Whether rows that are next to nothing apart hold numbers of their own: stamps are coarse, no echo."""
+    first, second = rows[:-1][close], rows[1:][close]
+    known = np.isfinite(first) & np.isfinite(second)
+    return bool(np.mean((known & (first != second)).any(axis=1)) > BOTH_DIFFER)
 
 
 def _in_pairs(apart: Float64, mean: float) -> bool:
@@ -174,14 +195,14 @@ def _rows(
 ) -> Table:
     clock = source.sync_id if source.sync_id is not None else next(iter(layouts))
     cycles = _read_cycles(path, source, _Cycles(names, layouts, clock, path.name))
-    if len(cycles.instants) < 3:
+    if len(cycles.numbers) < 3:
         what = f"SYNC (0x{clock:X})" if source.sync_id is not None else f"frame 0x{clock:X}"
         raise InputError(
-            f"{path}: {what} comes {len(cycles.instants)} times in the log; the map's 'sync_id' may be wrong "
+            f"{path}: {what} comes {len(cycles.numbers)} times in the log; the map's 'sync_id' may be wrong "
             f"(the log has identifiers {_identifiers(path)}; null takes a sample at each frame of the first "
             f"PDO)"
         )
-    data = np.array(cycles.rows)
+    data = cycles.rows
     # The log starts and stops in the middle of things: cycles that no drive has answered yet are no fault.
     whole = np.flatnonzero(np.isfinite(data).all(axis=1))
     if whole.size == 0:
@@ -192,7 +213,7 @@ def _rows(
         )
     first, last = int(whole[0]), int(whole[-1]) + 1
     # Epoch stamps keep 0.2 µs in a float64: counted from the first SYNC they keep all the log has.
-    instants = np.array(cycles.instants)
+    instants = cycles.instants
     columns = {"time": (instants - instants[first])[first:last]}
     columns |= {n: data[first:last, i].copy() for i, n in enumerate(names)}
     _refuse_wrong_bytes(columns, layouts, path)
@@ -204,7 +225,7 @@ def _rows(
         notes={"sync_id": clock},
         broken=tuple(cycles.broken),
         units={"time": "s"},
-        sums={"time": np.array(cycles.elapsed[first:last])},
+        sums={"time": cycles.elapsed[first:last]},
     )
 
 

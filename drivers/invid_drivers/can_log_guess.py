@@ -82,7 +82,9 @@ def _is_long(four: np.ndarray) -> bool:
     low = four[:, :2].copy().view("<i2")[:, 0].astype(float)
     high = four[:, 2:].copy().view("<i2")[:, 0]
     sign = bool(np.all(high == np.where(low < 0, -1, 0)))
-    return roughness(whole) < SMOOTH and (sign or roughness(whole) < roughness(low))
+    # Where the upper half moves of itself, the lower one has passed through all its values.
+    carried = np.ptp(low) > 2**15 and roughness(whole) < roughness(low)
+    return roughness(whole) < SMOOTH and (sign or carried)
 
 
 def roughness(values: Float64) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from invid.errors import InputError
+from invid.errors import ChoiceNeeded, InputError
 from invid.recording.import_map import Source
 
 BOTH_WAYS = 0.1
@@ -89,11 +89,13 @@ def choose(traffic: Traffic, source: Source, pdos: Collection[int], clock: int, 
         if len(ways) < 2 or min(ways.values()) < BOTH_WAYS * sum(ways.values()):
             continue
         if source.echo is None:
-            raise InputError(
+            raise ChoiceNeeded(
                 f"{path}: 0x{identifier:X} is logged as received ({ways[True]} frames) and as sent "
                 f"({ways[False]}): one of the two is the echo of the other; say 'echo: received' or 'echo: "
                 f"sent' in "
-                f"the map's 'source', which of them is to be read"
+                f"the map's 'source', which of them is to be read",
+                "echo",
+                "received",
             )
         received[identifier] = source.echo == "received"
     return Choice(channel, received)
@@ -110,10 +112,13 @@ def _channel(traffic: Traffic, identifier: int, said: str | int | None, path: Pa
             )
         return {identifier: str(said)}
     if len(there) > 1:
-        raise InputError(
+        first = next(iter(there))
+        raise ChoiceNeeded(
             f"{path}: 0x{identifier:X} comes on several channels: {_listed(there)}; say which robot's is "
             f"meant: "
-            f"'channel: {next(iter(there))}' in the map's 'source' (or in one of its 'pdos')"
+            f"'channel: {first}' in the map's 'source' (or in one of its 'pdos')",
+            "channel",
+            first,
         )
     return dict.fromkeys([identifier], next(iter(there))) if there else {}
 

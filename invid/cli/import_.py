@@ -33,7 +33,7 @@ def register(app: typer.Typer) -> None:
         propose: bool = typer.Option(False, "--suggest", help="Print a first map, with reasons, and stop."),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> None:
-        """Measured data from elsewhere (CSV, MAT, Parquet, HDF5, MDF, MCAP, CAN logs) to a recording."""
+        """Measured data from elsewhere (CSV, MAT, Parquet, HDF5, MDF, MCAP, TDMS, CAN) to a recording."""
         from invid.recording.hdf5 import write_recording
         from invid.recording.import_map import load_map
         from invid.recording.import_source import import_source

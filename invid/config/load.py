@@ -172,7 +172,7 @@ def explain_errors(error: ValidationError, source: str, lines: dict[Where, int],
     sentences = []
     for item in error.errors():
         where = _in_file(item["loc"], lines)
-        message = str(item["msg"]).removeprefix("Value error, ")
+        message = str(item["msg"]).removeprefix("Value error, ").replace("Input should be", "it must be")
         place = _at(source, lines, where)
         if item["type"] == "extra_forbidden":
             sentences.append(

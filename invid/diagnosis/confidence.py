@@ -215,8 +215,8 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     alternatives += _stribeck_alternative(step, recording, alternatives)
     axis = term.place.axis
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
-    total = sum(s.before.cost - s.chosen.cost for s in selection.steps)
-    fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
+    total = sum(s.gain for s in selection.steps)
+    fraction = float(np.clip(step.gain / max(total, 1e-300), 0, 1)) * explained
     doubts = (
         (SPRING_DOUBT,)
         if _is_like_spring(final.fit, at)

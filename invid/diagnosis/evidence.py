@@ -116,6 +116,13 @@ class Step:
     chosen: CandidateEvidence
     ranked: tuple[tuple[CandidateEvidence, float], ...]
     """Candidates with −2 ln(likelihood)/dispersion + penalty, best first."""
+    share: float = 1.0
+    """Of what is gained between the two fits, where several causes were added at once."""
+
+    @property
+    def gain(self) -> float:
+        """Decrease of χ² that is this cause's own."""
+        return self.share * (self.before.cost - self.chosen.cost)
 
     def with_rivals(self, rivals: Sequence[tuple[CandidateEvidence, float]]) -> Step:
         """The step with further competitors; the chosen candidate stays first."""

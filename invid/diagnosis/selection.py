@@ -50,7 +50,7 @@ class Selection:
         shift = np.zeros(fit.covariance.shape[0])
         at = fit.layout.count + sum(t.size for t in fit.candidate.terms[:known])
         for step, term, x in zip(self.steps, found, fit.candidate.x[known:], strict=False):
-            took = max(step.before.cost - step.chosen.cost, 1e-300)
+            took = max(step.gain, 1e-300)
             share = float(np.sqrt(min(self.final.beyond_noise / took, 1.0) / ERROR_KINDS))
             size = _size_change(term, x)
             shift[at : at + size.size] = share * size

@@ -35,6 +35,7 @@ from invid.modes.pole_search import search_modes
 from invid.modes.settle import settled_frf
 from invid.numerics import budget
 from invid.recording.model import Recording, Role
+from invid.recording.plausibility import without_repeats
 from invid.recording.still_axes import masses_of_moving, moving_part
 from invid.signals.drive_torque import replace_by_acting_torque
 from invid.signals.encoder_glitches import remove_glitches
@@ -86,7 +87,9 @@ def identify(
     NotIdentifiableError
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
+    recording, repeats = without_repeats(recording)
     recording, warnings = remove_glitches(recording)
+    warnings = [*repeats, *warnings]
     whole = recording
     recording, still = moving_part(recording)
     masses, warnings = masses_of_moving(masses, whole, recording), [*warnings, *still]

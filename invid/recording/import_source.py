@@ -10,15 +10,22 @@ from typing import Any
 import h5py
 import numpy as np
 
-from invid.errors import InputError
+from invid.errors import ChoiceNeeded, InputError
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.clock import count_slots
 from invid.recording.hdf5 import FORMAT, read_recording
 from invid.recording.import_map import ImportMap, Source
-from invid.recording.importer import Import, assign, import_files, named_files, read_table
+from invid.recording.importer import (
+    Import,
+    assign,
+    files_inside,
+    import_files,
+    named_files,
+    read_table,
+)
 from invid.recording.model import Experiment, Recording
 from invid.recording.spool import is_spool
-from invid.recording.suggest import Suggestion, suggest
+from invid.recording.suggest import Found, Suggestion, suggest_for_all
 
 
 def import_source(
@@ -82,15 +89,38 @@ def guess_map(sources: Sequence[Path]) -> tuple[ImportMap, tuple[str, ...]]:
     return proposal.as_map(), tuple(f"no map was given: {u}" for u in proposal.unsure)
 
 
+MOST_FILES = 50
+"""Files that a suggestion looks at; the others are said to be unread."""
+
+
 def suggest_map(sources: Sequence[Path], chart: ImportMap | None) -> tuple[Path, Suggestion]:
-    """A first map for the first file, with the reason for every guess; ``chart`` says how to read it."""
-    path = sources[0]
-    if path.is_dir():
-        files = sorted(p for p in path.rglob("*") if p.is_file())
-        if not files:
-            raise InputError(f"{path}: the folder is empty")
-        path = files[0]
-    return path, suggest(read_table(path, chart.source if chart else Source()), path)
+    """A first map for all the files, with the reason for every guess; ``chart`` says how to read them."""
+    files = [f for s in sources for f in (files_inside(s) if s.is_dir() else [s])]
+    if not files:
+        raise InputError(f"{sources[0]}: the folder is empty")
+    source = chart.source if chart else Source()
+    path, proposal = suggest_for_all([_found(f, source) for f in files[:MOST_FILES]])
+    if len(files) > MOST_FILES:
+        rest = f"{len(files) - MOST_FILES} of {len(files)} files were not looked at"
+        proposal = replace(proposal, unsure=(rest, *proposal.unsure))
+    return path, proposal
+
+
+def _found(path: Path, source: Source) -> Found:
+    """The file's table; where it can be read in several ways the first of them, with the doubt."""
+    chosen: dict[str, str | int] = {}
+    doubts: list[str] = []
+    while True:
+        try:
+            return Found(path, read_table(path, source.model_copy(update=chosen)), chosen, tuple(doubts))
+        except ChoiceNeeded as choice:
+            if choice.key in chosen:
+                return Found(path, None, error=str(choice))
+            chosen[choice.key] = choice.value
+            reason = str(choice).removeprefix(f"{path}: ")
+            doubts.append(f"{choice.key} {choice.value!r} is taken, which may be another robot's: {reason}")
+        except InputError as error:
+            return Found(path, None, error=str(error))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,16 +16,17 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, frozen, frozen_float
-from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
 from invid.recording.check import check_recording
 from invid.recording.clock import StampsRead, read_stamps
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
-from invid.recording.mcap_table import read_mcap_table
-from invid.recording.mdf_table import read_mdf_table
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs, held_rows, with_sign
-from invid.recording.tables import BrokenRow, Table, good_rows, on_clock
-from invid.recording.text_table import read_text_table
+from invid.recording.readers.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
+from invid.recording.readers.mcap_table import read_mcap_table
+from invid.recording.readers.mdf_table import read_mdf_table
+from invid.recording.readers.tdms_table import read_tdms_table
+from invid.recording.readers.text_table import read_text_table
+from invid.recording.tables import BrokenRow, SparseRows, Table, good_rows, on_clock, slowest_rows
 from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
 
 READERS = "invid.readers"
@@ -34,18 +35,24 @@ _KINDS = {
     ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv",
     ".mat": "mat", ".parquet": "parquet", ".pq": "parquet",
     ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5",
-    ".mf4": "mdf", ".mdf": "mdf", ".mcap": "mcap",
+    ".mf4": "mdf", ".mdf": "mdf", ".mcap": "mcap", ".tdms": "tdms",
     ".log": "can_log", ".asc": "can_log", ".blf": "can_log", ".trc": "can_log",
 }  # fmt: skip
 
-_STARTS = {b"\x89HDF\r\n\x1a\n": "hdf5", b"PAR1": "parquet", b"\x89MCAP0\r\n": "mcap", b"MDF     ": "mdf"}
+_STARTS = {
+    b"\x89HDF\r\n\x1a\n": "hdf5",
+    b"PAR1": "parquet",
+    b"\x89MCAP0\r\n": "mcap",
+    b"MDF     ": "mdf",
+    b"TDSm": "tdms",
+}
 """First bytes of files whose name does not tell."""
 _CAN_TEXT = (b"Time Stamp,ID,Extended", b"***BUSMASTER", b";$FILEVERSION")
 """First bytes of text logs of CAN frames, whatever their name: SavvyCAN, BUSMASTER, PEAK."""
 
 _READERS: dict[str, Callable[[Path], Table]] = {
     "mat": read_mat_table, "hdf5": read_hdf5_table, "parquet": read_parquet_table,
-    "mdf": read_mdf_table, "mcap": read_mcap_table,
+    "mdf": read_mdf_table, "mcap": read_mcap_table, "tdms": read_tdms_table,
 }  # fmt: skip
 """Kinds whose files say everything themselves."""
 
@@ -239,7 +246,7 @@ def named_files(
             raise InputError(f"{source}: no such file or folder")
     if not chart.skip:
         return found, ()
-    every = [f for s in found for f in (_inside(s) if s.is_dir() else [s])]
+    every = [f for s in found for f in (files_inside(s) if s.is_dir() else [s])]
     reasons = {f: r for p, r in chart.skip.items() for f in every if _matches(f.as_posix(), p)}
     unused = [p for p in chart.skip if not any(_matches(f.as_posix(), p) for f in every)]
     if unused:
@@ -249,7 +256,8 @@ def named_files(
     )
 
 
-def _inside(folder: Path) -> list[Path]:
+def files_inside(folder: Path) -> list[Path]:
+    """Every file below a folder, numbers in names in their order."""
     return sorted((p for p in folder.rglob("*") if p.is_file()), key=_natural)
 
 
@@ -264,7 +272,7 @@ def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tu
         found = False
         for source in sources:
             if source.is_dir():
-                names = [(p, p.relative_to(source).as_posix()) for p in _inside(source)]
+                names = [(p, p.relative_to(source).as_posix()) for p in files_inside(source)]
             else:
                 names = [(source, source.as_posix())]
             taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
@@ -296,15 +304,31 @@ def _on_one_clock(table: Table, chart: ImportMap) -> tuple[Table, tuple[str, ...
 class _Rows:
     """The rows of a table that one or more experiments take.
 
-    ``good`` is a mask of all rows, ``use`` their numbers; ``instants`` [s] of all rows count from ``origin``.
+    ``good`` is a mask of all rows, ``use`` their numbers, ``each`` the rows of the file that one stands for;
+    ``instants`` [s] of all rows count from ``origin``.
     """
 
     table: Table
     good: Bool
     use: np.typing.NDArray[np.intp]
     asked: int
+    each: float
     instants: Float64 | None
     origin: float
+    sparse: SparseRows | None
+
+    def values(self, channel: Channel, axis: AxisMap, quantity: Quantity, where: str) -> Float64:
+        """(rows used,) SI values of a channel."""
+        values = _values(self.table, channel, axis, quantity, where)
+        return (values if self.sparse is None else self.sparse.bring(channel.column, values))[self.use]
+
+    def words(self, column: str | int) -> Float64:
+        """(rows used,) numbers that mean their bits: the last one known, never one between."""
+        words = self.table.column(column)
+        if self.sparse is not None:
+            known = np.where(np.isfinite(words), np.arange(words.size), 0)
+            words = words[np.maximum.accumulate(known)]
+        return np.asarray(np.mod(np.round(words[self.use]), 65536), dtype=np.float64)
 
 
 def _span(table: Table, entry: ExperimentMap, chart: ImportMap, where: str) -> tuple[int, int, int]:
@@ -334,9 +358,16 @@ def _usable_rows(
     needed = [n for n in chart.columns() if n not in _feedforward(chart) or n in table.columns]
     inside = np.zeros(table.column(needed[0]).size, dtype=np.bool_)
     inside[slice(*span)] = True
+    each, told = float(span[2]), list[str]()
+    sparse = slowest_rows(table, chart.time.column, needed)
+    if sparse is not None:
+        inside &= sparse.rows
+        each, told = each * sparse.each, [sparse.remark]
     instants, origin, remarks = _instants(table, inside, chart, str(path))
-    good, skipped = good_rows(table, needed, instants, inside, path)
-    return _Rows(table, good, np.flatnonzero(good), int(inside.sum()), instants, origin), skipped, remarks
+    filled = {n: table.column(n) if sparse is None else sparse.bring(n, table.column(n)) for n in needed}
+    good, skipped = good_rows(table, filled, instants, inside, path)
+    rows = _Rows(table, good, np.flatnonzero(good), int(inside.sum()), each, instants, origin, sparse)
+    return rows, skipped, (*told, *remarks)
 
 
 def _doubts_of_columns(rows: _Rows, chart: ImportMap) -> list[str]:
@@ -360,7 +391,12 @@ def _experiment(
 ) -> tuple[Experiment, list[str]]:
     where = f"{path}: experiment {key}"
     table, use = rows.table, rows.use
-    period = entry.period_samples // entry.every
+    period = round(entry.period_samples / rows.each)
+    if abs(period * rows.each - entry.period_samples) > 0.01 * rows.each:
+        raise InputError(
+            f"{where}: 'period_samples' is {entry.period_samples} rows of the file, no whole number of the "
+            f"{rows.each:.4g} rows that each value stands for; leave 'period_samples' out"
+        )
     if period and use.size < period:
         raise InputError(
             f"{where}: 'period_samples' is {entry.period_samples}, but its rows leave {use.size} samples; a "
@@ -378,7 +414,7 @@ def _experiment(
     def columns(pick: Callable[[AxisMap], Channel | None], quantity: Quantity) -> list[Float64 | None]:
         """One channel of every axis, in SI units; ``None`` where an axis has none."""
         picked = [(axis, pick(axis)) for axis in chart.axes]
-        return [None if c is None else _values(table, c, a, quantity, where)[use] for a, c in picked]
+        return [None if c is None else rows.values(c, a, quantity, where) for a, c in picked]
 
     velocity = columns(lambda a: a.velocity, "velocity")
     position = [
@@ -391,9 +427,7 @@ def _experiment(
     # A feedforward may be logged in some of the files only: zero in the others.
     added = columns(lambda a: a.torque_feedforward if _has(table, a.torque_feedforward) else None, "torque")
     feedforward = [np.zeros(use.size) if f is None else f for f in added]
-    status = [
-        None if a.status is None else np.mod(np.round(table.column(a.status)[use]), 65536) for a in chart.axes
-    ]
+    status = [None if a.status is None else rows.words(a.status) for a in chart.axes]
     words = _every(status)
     meanings = sorted({a.torque.meaning for a in chart.axes})
     attributes: dict[str, Any] = {
@@ -421,7 +455,7 @@ def _experiment(
         hold_gain=frozen_float(np.zeros(len(chart.axes)) if entry.hold_gain is None else entry.hold_gain),
         period_samples=period,
         frequencies_hz=frozen_float(np.asarray(entry.frequencies_hz, dtype=float)),
-        sample_rate_hz=chart.time.sample_rate_hz or _rate(time),
+        sample_rate_hz=(chart.time.sample_rate_hz or 0.0) / rows.each or _rate(time),
         time=time,
         position=_matrix(position),  # type: ignore[arg-type]
         torque=_matrix(columns(lambda a: a.torque, "torque")),  # type: ignore[arg-type]

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from invid.numerics.arrays import Bool, Float64, Int64
-from invid.recording.model import Experiment, Recording
+from invid.numerics.arrays import Bool, Float64, Int64, frozen
+from invid.recording.check import COLUMNS
+from invid.recording.clock import count_slots
+from invid.recording.model import Experiment, Kind, Recording
+from invid.recording.roll_off import roll_off
 
 PEAK_OVER_RATED = 10.0
 """Peak torque over rated torque from which the unit is wrong: servo motors give three to five."""
@@ -22,6 +26,8 @@ FASTEST = {"rad": 2000.0, "m": 20.0}
 COHERENT = 0.7
 """Mean phasor of the rows at which a value changes, about a period of p rows, from which it changes every p
 rows; n changes at random have 1/√n. Rounding to whole rows leaves 0.83 at two and a half rows, more above."""
+LEAST_ROWS = 1.5
+"""Rows from which a value stands for several: below, some are only equal by chance."""
 FEW_CHANGES = 30
 """Changes from which that is more than chance: 0.7 has then a probability of 4e-7."""
 SMALLER = 0.25
@@ -34,36 +40,56 @@ _SIDES = {
 
 @dataclass(frozen=True)
 class Hold:
-    """A value that stands for several rows: on the mean ``rows``, new at rows ``first`` + k · rows."""
+    """A value that stands for ``rows`` rows on the mean, new at the first from ``start`` + k · rows on."""
 
     rows: float
-    first: int
+    start: float
 
     @property
     def whole(self) -> int | None:
         """The rows, where they are a whole number."""
         return round(self.rows) if abs(self.rows - round(self.rows)) < 0.02 else None
 
+    @property
+    def first(self) -> int:
+        """The first row with a new value."""
+        return int(np.ceil(np.mod(self.start, self.rows)))
+
+    def is_new(self, index: Int64) -> Bool:
+        """(n,) which of the rows with these numbers are the first of their value."""
+        value = np.floor((np.stack((index, index - 1)) - self.start) / self.rows)
+        new: Bool = value[0] > value[1]
+        return new
+
 
 def held_rows(values: Float64) -> Hold | None:
-    """For how many rows each of (n, C) values stands; ``None`` where they change at any row.
+    """For how many rows each of (n, C) values, or of the slowest channel's, stands; ``None`` where none does.
 
     A slow signal of coarse steps repeats too, but at no period: what is asked is whether the changes keep
-    one.
+    one. Alone a channel counts only where it changes by more than its smallest step: counts at a constant
+    speed keep a period as well.
     """
-    changed: Int64 = np.flatnonzero((np.diff(values, axis=0) != 0).any(axis=1)) + 1
-    if changed.size < FEW_CHANGES:
+    together = _hold((np.diff(values, axis=0) != 0).any(axis=1))
+    alone = [_hold(d != 0) for d in np.diff(values, axis=0).T if _is_coarse(d)] if values.shape[1] > 1 else []
+    return max((h for h in (together, *alone) if h is not None), key=lambda h: h.rows, default=None)
+
+
+def _is_coarse(changes: Float64) -> bool:
+    sizes = np.abs(changes[changes != 0])
+    return sizes.size > 0 and bool(np.median(sizes) > 1.5 * sizes.min())
+
+
+def _hold(new: Bool) -> Hold | None:
+    changed: Int64 = np.flatnonzero(new) + 1
+    if changed.size < FEW_CHANGES or changed.size * LEAST_ROWS > new.size:
         return None
-    runs = np.diff(changed)
-    usual = runs[runs <= 1.5 * np.median(runs)]
-    rows = float(usual.mean())
-    if rows < 1.5:
+    clock = count_slots(changed.astype(np.float64))
+    if clock.step < LEAST_ROWS or not clock.even or abs(np.exp(2j * np.pi * clock.late).mean()) < COHERENT:
         return None
-    # A period known from four hundred runs holds for as many.
-    turning = np.exp(2j * np.pi * changed[:400] / rows)
-    if abs(turning.mean()) < COHERENT:
-        return None
-    return Hold(rows, int(np.bincount(changed % round(rows)).argmax()))
+    whole = abs(clock.step - round(clock.step)) < 1e-3
+    # The first row after an instant has its value: up to a row late. A few stray changes do not count.
+    early, late = np.quantile(changed - clock.index * clock.step, (0.01, 0.99))
+    return Hold(float(round(clock.step)) if whole else clock.step, float(early + late) / 2 - 0.5)
 
 
 def _hold_of(e: Experiment) -> Hold | None:
@@ -76,7 +102,42 @@ def held_sentence(experiment: Experiment) -> str | None:
     if hold is None:
         return None
     rate = experiment.sample_rate_hz / hold.rows
-    return f"every value stands for {hold.rows:.3g} rows: it was taken at {rate:.4g} Hz"
+    changed = np.diff(np.concatenate((experiment.position, experiment.torque), axis=1), axis=0) != 0
+    every = bool(changed.any(axis=1).mean() < 1.5 / hold.rows)
+    who = "every value stands" if every else "the values of a channel stand"
+    return f"{who} for {hold.rows:.3g} rows: {'it was' if every else 'they were'} taken at {rate:.4g} Hz"
+
+
+def without_repeats(recording: Recording) -> tuple[Recording, list[str]]:
+    """The recording with one row of each value that stands for several, and a sentence for each record.
+
+    Held values are a motion that stands still between leaps: masses come out a thousand times too small.
+    """
+    experiments, said = [], []
+    for e in recording.experiments:
+        hold = _hold_of(e)
+        if hold is None or e.kind is Kind.CONSTANT_VELOCITY:
+            experiments.append(e)
+            continue
+        slots = count_slots(e.time)
+        keep = hold.is_new(slots.index if slots.even else np.arange(e.samples, dtype=np.int64))
+        rate = e.sample_rate_hz / hold.rows
+        period = e.period_samples / hold.rows
+        experiments.append(
+            replace(
+                e,
+                **{n: _frozen_rows(getattr(e, n), keep) for n in ("time", *COLUMNS, "status")},
+                sample_rate_hz=rate,
+                period_samples=round(period) if abs(period - round(period)) < 1e-6 else 0,
+                frequencies_hz=e.frequencies_hz[e.frequencies_hz < 0.5 * rate],
+            )
+        )
+        said.append(f"experiment {e.key}: {held_sentence(e)}; one row of each is used")
+    return replace(recording, experiments=tuple(experiments)), said
+
+
+def _frozen_rows(values: Any, keep: Bool) -> Any:
+    return None if values is None else frozen(values[keep], values.dtype)
 
 
 def missing_sign(raw: Float64) -> str | None:
@@ -134,11 +195,26 @@ def doubts(recording: Recording) -> list[str]:
     for e in recording.experiments:
         hold = _hold_of(e)
         if hold is not None:
-            cure = "log at the drive's own rate" if hold.whole is None else f"write 'every: {hold.whole}'"
-            said.append(
-                f"{held_sentence(e)}; {cure} in the experiment: the repeats would be taken for motion that "
-                "stands still between leaps, and masses come out far too small"
+            cure = (
+                "log at the rate at which it is taken"
+                if hold.whole is None
+                else f"write 'every: {hold.whole}' in the experiment"
             )
+            said.append(
+                f"{held_sentence(e)}; {cure}: the repeats would be taken for motion that stands still "
+                "between leaps, and masses come out far too small (identify uses one row of each)"
+            )
+        for i, axis in enumerate(recording.axes):
+            filtered = roll_off(e, e.torque[:, i])
+            if filtered is not None:
+                late = 1e3 * filtered.order / (2 * np.pi * filtered.corner_hz)
+                said.append(
+                    f"experiment {e.key}: the torque of {axis} went through a low-pass: its noise is level "
+                    f"up to {filtered.corner_hz:.3g} Hz and falls by {filtered.fall_db:.0f} dB above; name "
+                    f"the 'column' of the unfiltered torque where the file has one: this one is {late:.2g} "
+                    f"ms late, which counts as damping where identify does not take it out, and too small "
+                    f"above the corner"
+                )
     return said
 
 

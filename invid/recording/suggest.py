@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from invid.errors import InputError
 from invid.numerics.arrays import Float64
+from invid.recording.clock import StampsRead, best_clock, read_stamps
 from invid.recording.drive_tools import named_by, tool_of
 from invid.recording.import_map import FORMAT, ImportMap
+from invid.recording.plausibility import doubt_of_sides
 from invid.recording.record_names import further_experiments, only_first, records_by_name
-from invid.recording.tables import Table, on_clock
+from invid.recording.tables import Table, on_clock, shorten
 from invid.recording.units import (
     BY_MACHINE,
     BY_RATED_TORQUE,
@@ -31,6 +37,7 @@ _WORDS = {
     "torque": r"(tau|torque|trq|moment|drehmoment|force|iq|current|strom|effort|vir)",
     "position": r"(pos|position|theta|angle|phi|winkel|enc|encoder|q|qm|joint)",
 }
+_VOLTS = {"voltage", "volt", "volts", "spannung", "pwm", "duty"}
 _SECOND = r"(^|[^a-z])(se|load|link|second|secondary|abtrieb|out)([^a-z]|$)|y$"
 
 
@@ -94,8 +101,87 @@ def _yaml(value: Any, depth: int) -> str:
     return text
 
 
-def suggest(table: Table, path: Path) -> Suggestion:
-    """A first map for the columns of ``table``."""
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A file to suggest a map for: its table and the keys of ``source`` chosen for it, or why it has none."""
+
+    path: Path
+    table: Table | None
+    source: Mapping[str, str | int] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
+    error: str = ""
+
+
+def suggest_for_all(found: Sequence[Found]) -> tuple[Path, Suggestion]:
+    """A first map for the files whose columns most have, naming what it leaves out and why.
+
+    Raises
+    ------
+    InputError
+        None of them can be read.
+    """
+    read = [f for f in found if f.table is not None]
+    if not read:
+        raise InputError(found[0].error)
+    kinds: dict[tuple[str, ...], list[Found]] = {}
+    for f in read:
+        kinds.setdefault(tuple(f.table.columns) if f.table else (), []).append(f)
+    own = max(kinds.values(), key=len)
+    first = own[0]
+    proposal = suggest(first.table or Table(str(first.path), {}), first.path, first.source)
+    if len(found) == 1:
+        return first.path, replace(proposal, unsure=(*first.doubts, *proposal.unsure))
+    reasons, skip = [], {}
+    for f in found:
+        if f in own and f.table is not None:
+            rows = max(c.size for c in f.table.columns.values())
+            reasons.append(f"{f.path.name}: {rows} rows of {len(f.table.columns)} columns")
+        elif f.table is not None:
+            skip[f.path.name] = (
+                f"other columns: {shorten(list(f.table.columns), 8)}; it needs a map of its own"
+            )
+        else:
+            skip[f.path.name] = f"cannot be read: {f.error.removeprefix(f'{f.path}: ')}"
+    document = dict(proposal.document)
+    experiments = document.pop("experiments")
+    # One file's period need not be another's; that the first repeats is said in the reasons.
+    entries = [
+        {"file": f.path.name, **e} for f in own for e in (experiments if f is first else experiments[:1])
+    ]
+    for entry in entries:
+        if entry["file"] != first.path.name:
+            for key in ("period_samples", "drop_periods", "kind"):
+                entry.pop(key, None)
+    pattern = _pattern([f.path.name for f in own])
+    if "period_samples" not in experiments[0] and len(experiments) == 1:
+        entries = [{"file": pattern, **experiments[0]}]
+    document = {**document, **({"skip": skip} if skip else {}), "experiments": entries}
+    unsure = [f"{name} is left out: {why}" for name, why in skip.items()]
+    doubts = tuple(dict.fromkeys(d for f in own for d in f.doubts))
+    return first.path, replace(
+        proposal,
+        document=document,
+        reasons=(*reasons, f"the columns below are those of {first.path.name}", *proposal.reasons),
+        unsure=(*unsure, *doubts, *proposal.unsure),
+    )
+
+
+def _pattern(names: Sequence[str]) -> str:
+    """What file names have in common, with a star for the rest."""
+    if len(set(names)) == 1:
+        return names[0]
+    start = _alike(names)
+    return f"{names[0][:start]}*{names[0][len(names[0]) - _alike([n[start:][::-1] for n in names]) :]}"
+
+
+def _alike(names: Sequence[str]) -> int:
+    """How many letters names have in common from their first on."""
+    unlike = (i for i, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1)
+    return next(unlike, min(map(len, names)))
+
+
+def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingProxyType({})) -> Suggestion:
+    """A first map for the columns of ``table``; ``source``: keys that were chosen to read it."""
     notes = _Notes(list(table.reasons), [], {})
     reasons, unsure, asked = notes.reasons, notes.unsure, notes.asked
     tool = tool_of(table.columns)
@@ -118,6 +204,8 @@ def suggest(table: Table, path: Path) -> Suggestion:
         reasons.append("the file is delimited text: " + ", ".join(f"{k} {v!r}" for k, v in kept.items()))
         if table.units:
             document["source"]["names"] = list(table.columns)
+    if source:
+        document["source"] = {**document.get("source", {}), **source}
     document["time"], time_column = _time(table, reasons, unsure, asked)
     axes = _axes(table, time_column, tool, reasons, unsure)
     document["axes"] = [_axis(name, a, table, tool, notes) for name, a in axes.items()]
@@ -186,30 +274,42 @@ def _time(
     table: Table, reasons: list[str], unsure: list[str], asked: dict[str, str]
 ) -> tuple[dict[str, Any], str | None]:
     length = max(c.size for c in table.columns.values())
-    rising = [
-        n
-        for n, c in table.columns.items()
-        if c.size == length and c.size > 2 and np.mean(np.diff(c[np.isfinite(c)]) > 0) > 0.98
-    ]
-    named = [n for n in rising if re.match(_WORDS["time"], _words(n)[-1] if _words(n) else "")]
-    candidates = named or [n for n in rising if _guess_quantity(n) is None]
-    chosen = next(iter(table.clocks.values()), candidates[0] if candidates else None)
+    whole = {n: c for n, c in table.columns.items() if c.size == length and c.size > 2}
+    named = [n for n in whole if re.match(_WORDS["time"], _words(n)[-1] if _words(n) else "")]
+    free = [n for n in whole if n in named or _guess_quantity(n) is None]
+    # Of columns called time the best clock; a number of the row is a clock too, but one without a unit.
+    candidates = [n for n in named if best_clock([whole[n]]) is not None] or named or free
+    best = best_clock(whole[n] for n in candidates)
+    chosen = next(iter(table.clocks.values()), None)
+    if chosen is None and (best is not None or named):
+        chosen = candidates[best or 0]
     if chosen is None:
         asked["time.sample_rate_hz"] = "no column rises like time; samples a second"
         return {"sample_rate_hz": None}, None
+    column = table.columns[chosen]
+    step = np.diff(column[np.isfinite(column)])
+    rise = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     stated = table.units.get(chosen) or _unit_in_name(chosen)
     if stated and normal_unit(stated) in FACTORS["time"]:
-        reasons.append(f"time is {chosen!r} in {stated}, as the file says")
-        return {"column": chosen, "unit": normal_unit(stated)}, chosen
-    column = table.columns[chosen]
-    step = float(np.median(np.diff(column[np.isfinite(column)])))
-    # Logs of drives run between 10 Hz and 100 kHz: of the units that put the step there, the largest.
-    unit = next((u for u in ("s", "ms", "us", "ns") if 1e-5 <= step * FACTORS["time"][u] <= 0.1), "s")
-    reasons.append(f"time is {chosen!r}: it rises throughout")
-    if unit == "s":
-        reasons.append(f"its unit is taken as s from its median step {step:g}")
+        unit = normal_unit(stated)
+        reasons.append(f"time is {chosen!r} in {unit}, as the file says")
     else:
-        unsure.append(f"the unit of {chosen!r} is guessed as {unit} from its median step {step:g}")
+        # Logs of drives run between 10 Hz and 100 kHz: of the units that put the step there, the largest.
+        unit = next((u for u in ("s", "ms", "us", "ns") if 1e-5 <= rise * FACTORS["time"][u] <= 0.1), "s")
+        reasons.append(
+            f"time is {chosen!r}: " + ("by its name" if chosen in named else "it rises throughout")
+        )
+        if unit == "s":
+            reasons.append(f"its unit is taken as s from its median step {rise:g}")
+        else:
+            unsure.append(f"the unit of {chosen!r} is guessed as {unit} from its median step {rise:g}")
+    factor = FACTORS["time"][unit]
+    try:
+        stamps = read_stamps((column - column[0]) * factor, StampsRead(chosen, factor), table.name)
+    except InputError as error:
+        asked["time.sample_rate_hz"] = str(error).removeprefix(f"{table.name}: ")
+        return {"sample_rate_hz": None}, chosen
+    reasons.append(f"its stamps: {stamps.said}")
     return {"column": chosen, "unit": unit}, chosen
 
 
@@ -227,6 +327,13 @@ def _rank(name: str) -> int:
     return -1 if words & {"err", "error", "ref", "qg", "rel", "ff", "calc", "model"} else 0
 
 
+def _worth(name: str, table: Table, tool: str | None) -> tuple[bool, int]:
+    """What decides between columns of one kind: a torque beats a current or a voltage, then the words."""
+    known = named_by(tool, name)
+    unit = normal_unit(table.units.get(name) or _unit_in_name(name) or (known.unit if known else ""))
+    return unit not in BY_TORQUE_CONSTANT, _rank(name)
+
+
 def _family(name: str) -> str:
     return re.sub(r"\[\d+\]$", "[…]", name)
 
@@ -235,7 +342,9 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
     known = named_by(tool, name)
     if known is not None:
         return known.quantity
+    # The q-axis of a motor is its current, not a joint's coordinate.
     words = _words(name)
+    words = [w for w, after in zip_longest(words, words[1:]) if (w, after) != ("q", "axis")]
     for quantity in ("velocity", "torque", "position"):
         if any(re.match(_WORDS[quantity], w) for w in words if len(w) > 1 or w == "q"):
             return quantity
@@ -281,10 +390,11 @@ def _axes(
             axis.others.append(name)
             continue
         held = getattr(axis, slot)
-        if held is None or _rank(name) > _rank(held):
+        better = held is not None and _worth(name, table, tool) > _worth(held, table, tool)
+        if held is None or better:
             setattr(axis, slot, name)
         if held is not None:
-            taken, left = (name, held) if _rank(name) > _rank(held) else (held, name)
+            taken, left = (name, held) if better else (held, name)
             doubt = f"both {_family(taken)!r} and {_family(left)!r} look like {slot}: the former was taken"
             if doubt not in unsure:
                 unsure.append(doubt)
@@ -292,12 +402,48 @@ def _axes(
     named: dict[str, _Axis] = {}
     for key in sorted(groups, key=lambda k: int(k) if k else -1):
         axis = groups[key]
-        if axis.others:
-            reasons.append(f"{axis.others[0]!r} looks like a second encoder: kept out of the recording")
+        _complete(axis, key, table, time_column, unsure)
+        for other in axis.others[:1]:
+            reasons.append(f"{other!r} looks like a second encoder: kept out of the recording")
+            if axis.position is not None and _moves_as_far(table, axis.position, other):
+                unsure.append(
+                    f"{axis.position!r} moves as far as the second encoder {other!r}: it is in the link's "
+                    f"angle, and the torque must be the link's too ('scale' with the gear ratio where it is "
+                    f"the motor's)"
+                )
         name = f"A{int(key) + 1 - base}" if key else "A1"
-        if name not in named:
+        # Columns without a number are the only axis, or none: a sensor beside the axes.
+        if name not in named or not _is_whole(named[name]):
             named[name] = axis
     return named
+
+
+def _is_whole(axis: _Axis) -> bool:
+    return bool((axis.torque or axis.torque_demand) and (axis.position or axis.velocity))
+
+
+def _complete(axis: _Axis, key: str, table: Table, time_column: str | None, unsure: list[str]) -> None:
+    """Give an axis what stands for its torque or its motion where nothing is called so."""
+    if axis.position is None and axis.velocity is None and axis.others:
+        axis.position = axis.others.pop(0)
+    if axis.torque is None and axis.torque_demand is None and (axis.position or axis.velocity):
+        for name, column in table.columns.items():
+            unit = normal_unit(table.units.get(name) or _unit_in_name(name) or "")
+            own = (re.findall(r"(\d+)\D*$", name) or [""])[0] == key
+            known = column[np.isfinite(column)]
+            # A supply's voltage hardly moves about its mean; a motor's goes both ways.
+            driving = known.size > 2 and float(known.min()) < 0 < float(known.max())
+            volts = unit in BY_TORQUE_CONSTANT or bool(_VOLTS & set(_words(name)))
+            volts = volts or _words(name) == ["u"]  # as control calls its input
+            if name != time_column and own and driving and volts and _guess_quantity(name) is None:
+                axis.torque, axis.torque_demand = (name, None) if unit == "A" else (None, name)
+                unsure.append(f"nothing is called torque: {name!r} is taken for it, as what drives the motor")
+                return
+
+
+def _moves_as_far(table: Table, one: str, other: str) -> bool:
+    spans = [float(np.ptp(c[np.isfinite(c)])) for c in (table.columns[one], table.columns[other])]
+    return min(spans) > 0.9 * max(spans) > 0
 
 
 def _input_output(table: Table, unsure: list[str]) -> list[dict[str, Any]]:
@@ -338,12 +484,12 @@ def _axis(
         )
     reasons.append(f"{name}: {quantity} is {motion!r} by its name, in {unit}")
     if not sure:
-        unsure.append(f"unit of {motion!r} is not stated; {unit} is assumed")
+        unsure.append(f"unit of {motion!r} is not {_said(motion, table)}; {unit} is assumed")
     torque_unit, sure = _unit(torque, "torque", table, tool)
     if not sure:
         current = bool({"iq", "current", "strom"} & set(_words(torque)))
         torque_unit = "A" if current else "N" if linear else "N·m"
-        unsure.append(f"unit of {torque!r} is not stated; {torque_unit} is assumed")
+        unsure.append(f"unit of {torque!r} is not {_said(torque, table)}; {torque_unit} is assumed")
     channel: dict[str, Any] = {"column": torque, "unit": torque_unit}
     channel["meaning"] = "measured" if axis.torque else "demanded"
     if torque_unit in BY_TORQUE_CONSTANT:
@@ -355,11 +501,18 @@ def _axis(
         entry["rated_torque"] = None
         asked[f"axes {name} rated_torque"] = f"{torque!r} is in {torque_unit} of it; N·m (or N)"
     entry["torque"] = channel
+    doubt = doubt_of_sides(name, torque, motion)
+    unsure.extend([doubt] if doubt else [])
     reasons.append(f"{name}: torque is {torque!r} by its name, taken as {channel['meaning']}")
     if axis.torque and axis.torque_demand:
         demand = {k: v for k, v in channel.items() if k != "meaning"}
         entry["torque_demand"] = {**demand, "column": axis.torque_demand}
     return entry
+
+
+def _said(name: str, table: Table) -> str:
+    stated = table.units.get(name) or _unit_in_name(name)
+    return f"known ({stated!r})" if stated else "stated"
 
 
 def _unit(name: str, quantity: str, table: Table, tool: str | None) -> tuple[str, bool]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, Int64, frozen_float
@@ -84,15 +85,19 @@ def shorten(names: list[str], most: int = 24) -> str:
 BROKEN_LIMIT = 0.01
 """More broken rows than this stop an import: it is then more likely a wrong map than a bad log (issue 7)."""
 
+SPARSE = 0.75
+"""Share of rows with a number up to which a column has a rate of its own."""
+LONGEST_BLANK = 20.0
+"""Rows between two numbers, over the usual, up to which a column is taken for one of a slower rate."""
+
 
 def good_rows(
-    table: Table, needed: Sequence[str | int], instants: Float64 | None, inside: Bool, path: Path
+    table: Table, columns: Mapping[str | int, Float64], instants: Float64 | None, inside: Bool, path: Path
 ) -> tuple[Bool, list[BrokenRow]]:
-    """Mask of usable rows among those ``inside`` and the others with their reason.
+    """Mask of usable rows of ``columns`` among those ``inside`` and the others with their reason.
 
     ``instants`` [s] are those of all rows, None where rows are counted. InputError beyond one per cent.
     """
-    columns = {name: table.column(name) for name in needed}
     sizes = {c.size for c in columns.values()}
     if len(sizes) != 1:
         found = ", ".join(f"{n!r} {c.size}" for n, c in columns.items())
@@ -116,7 +121,7 @@ def good_rows(
     ]
     # Broken lines of a bus log are no rows of their own: a lost frame shows as a row without a value, and
     # what belongs to no mapped signal is missed by nobody; both are reported, each once.
-    own = {int(n) for n in numbers}
+    own = set(np.intersect1d(numbers, [b.line for b in table.broken]).tolist())
     holed = {int(numbers[row]) for row in reasons}
     behind = [int(numbers[max(int(np.searchsorted(numbers, b.line)) - 1, 0)]) for b in table.broken]
     lines = [b for b, row in zip(table.broken, behind, strict=True) if b.line not in own and row not in holed]
@@ -129,6 +134,70 @@ def good_rows(
             f"{'; …' if len(skipped) > 5 else ''}); check the map's {_keys(table)}, or repair the file"
         )
     return good, skipped
+
+
+@dataclass(frozen=True, eq=False)
+class SparseRows:
+    """The rows of the slowest of several columns of one table, which have numbers at rates of their own.
+
+    ``rows`` (n,) marks them; each stands for ``each`` rows of the file, on the mean.
+    """
+
+    rows: Bool
+    each: float
+    remark: str
+    order: Float64
+    moved: frozenset[str | int]
+
+    def bring(self, name: str | int, values: Float64) -> Float64:
+        """(n,) values with those of a column that has its own rows interpolated to these."""
+        if name not in self.moved:
+            return values
+        own = np.isfinite(values)
+        filled = values.copy()
+        # Straight lines take 3 % of what moves at a 25th of the rate; a cubic spline 0.01 %.
+        degree = min(3, int(own.sum()) - 1)
+        filled[self.rows] = make_interp_spline(self.order[own], values[own], k=degree)(self.order[self.rows])
+        return frozen_float(filled)
+
+
+def slowest_rows(table: Table, time: str | int | None, needed: Sequence[str | int]) -> SparseRows | None:
+    """The rows of the slowest of the columns ``needed``; ``None`` where each has a number in most rows.
+
+    Columns with numbers in other rows are interpolated to these: the other way round a slow position would
+    move in straight lines, with all its acceleration at the corners.
+    """
+    columns = {n: table.column(n) for n in needed if n != time}
+    if len({c.size for c in columns.values()}) != 1:
+        return None
+    known = {n: np.flatnonzero(np.isfinite(c)) for n, c in columns.items()}
+    slow = min(known, key=lambda n: known[n].size)
+    at, size = known[slow], columns[slow].size
+    # Blanks that come at no rate are broken rows, not a second rate.
+    if not 16 <= at.size <= SPARSE * size or _longest(at, size) > LONGEST_BLANK:
+        return None
+    rows: Bool = np.zeros(size, dtype=np.bool_)
+    rows[at] = True
+    moved = [n for n, c in columns.items() if np.isfinite(c[at]).mean() <= 1.0 - BROKEN_LIMIT]
+    for own in (known[n] for n in moved):
+        if own.size < 2 or _longest(own, size) > LONGEST_BLANK:
+            return None
+        rows[: own[0]] = rows[own[-1] + 1 :] = False
+    instants = np.arange(size, dtype=np.float64) if time is None else table.column(time)
+    order = instants if bool((np.diff(instants) > 0).all()) else np.arange(size, dtype=np.float64)
+    apart = np.diff(at)
+    usual, mean = float(np.median(apart)), float(apart.mean())
+    each = usual if abs(mean / usual - 1.0) < 0.02 else mean
+    remark = f"{slow!r} has a number in every {each:.3g} rows only: the rows between are left out"
+    if moved:
+        remark += f", and {', '.join(map(repr, moved))} interpolated to its rows"
+    return SparseRows(rows, each, remark, order, frozenset(moved))
+
+
+def _longest(rows: np.typing.NDArray[np.intp], size: int) -> float:
+    """Largest step between row numbers and to the ends of ``size`` rows, over the usual one."""
+    apart = np.diff(rows, prepend=-1, append=size)
+    return float(apart.max() / np.median(apart))
 
 
 def _keys(table: Table) -> str:

@@ -19,6 +19,9 @@ _MARKS = {
     codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16",
 }  # fmt: skip
 """Longer marks first where one begins like another."""
+SMOOTHER = 2.0
+"""How much less numbers must leap with thousands before these are thought of: 998 and 1.002 leap by
+a thousand."""
 _SAMPLE = 200_000
 _CANDIDATES = ["cp1252", "cp1250", "cp1251", "shift_jis", "gb18030", "utf_16_le", "utf_16_be"]
 _SPACES = " \u00a0\u2009\u202f"
@@ -121,7 +124,8 @@ def _doubtful(column: Sequence[str], sign: str) -> str | None:
         return None
     as_decimals = np.array([NumberFormat(sign).number(c) for c in numerals])
     as_thousands = np.array([float(c.replace(sign, "")) if sign in c else float(c) for c in numerals])
-    return having[0] if _roughness(as_decimals) > _roughness(as_thousands) else None
+    # Where all have the sign the one is a thousand times the other, and as smooth.
+    return having[0] if _roughness(as_decimals) > SMOOTHER * _roughness(as_thousands) else None
 
 
 def _roughness(values: Float64) -> float:

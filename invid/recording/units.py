@@ -28,6 +28,7 @@ FACTORS: dict[str, dict[str, float]] = {
         "deg/s": math.pi / 180,
         "rpm": _TURN / 60,
         "rev/s": _TURN,
+        "Hz": _TURN,
         "m/s": 1.0,
         "mm/s": 1e-3,
         "mm/min": 1e-3 / 60,

@@ -199,7 +199,7 @@ FASTER, SPEED_SHARE = 1.2, 0.05
 """Speed over that at which the limit was reached, beyond this share of the speed limit: what brakes with all
 its torque slows down. A spring may pull as hard for a moment, but it does not hold out (empirical)."""
 AWAY = 0.002
-"""Of the window: so far goes an axis that its drive is to hold at rest and cannot."""
+"""Of the window: so far an axis goes, and no slower, that its drive is to hold at rest and cannot."""
 
 
 class Yielding:
@@ -247,7 +247,8 @@ class Yielding:
                 self._since[i] = sample.time, abs(speed), position
                 continue
             fast = FASTER * since[1] + SPEED_SHARE * self._velocity[i]
-            gives_way = i in resting and abs(position - since[2]) > self._away[i]
+            # What its drive has just taken over is braked, and gets slower.
+            gives_way = i in resting and abs(position - since[2]) > self._away[i] and abs(speed) >= since[1]
             if sample.time - since[0] >= YIELD_S and (gives_way or abs(speed) > fast):
                 raise SafetyStop(
                     f"axis {self._names[i]}: gets faster against the torque limit: {abs(speed):.3g} "

@@ -8,6 +8,7 @@ of the product; the array is a file that all processes share, so that subprocess
 from __future__ import annotations
 
 import ast
+import builtins
 import importlib.machinery
 import importlib.util
 import marshal
@@ -88,10 +89,6 @@ class Loader(importlib.machinery.SourceFileLoader):
         part.replace(kept)
         return code
 
-    def exec_module(self, module: ModuleType) -> None:
-        module.__dict__["__ran__"] = self.ran
-        super().exec_module(module)
-
 
 class Finder(MetaPathFinder):
     """Hands modules of the product to ``Loader``."""
@@ -119,6 +116,7 @@ def install(array: Path) -> mmap.mmap:
         array.write_bytes(bytes(lines[""]))
     with array.open("r+b") as file:
         Loader.ran = mmap.mmap(file.fileno(), lines[""])
+    vars(builtins)["__ran__"] = Loader.ran  # seen by a module that is run as a program, too
     Loader.lines, Loader.kept = lines, array.parent / "marked"
     Loader.kept.mkdir(exist_ok=True)
     sys.meta_path.insert(0, Finder())

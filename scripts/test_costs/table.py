@@ -3,6 +3,7 @@
     TEST_COSTS=build/costs python -m pytest -p scripts.test_costs.plugin -n 2 --dist loadgroup   # once
     python -m scripts.test_costs.table build/costs                 # each line of tests/campaign.csv
     python -m scripts.test_costs.table build/costs --dearest 60    # any test, and what it alone runs
+    python -m scripts.test_costs.table build/costs --choose 500    # what to move, until so much is left
     python -m scripts.test_costs.table build/costs --write         # the figures into tests/campaign.csv
 
 "Alone" are blocks (branches of the code) that none of the tests which stay runs. A module's fixture counts
@@ -15,7 +16,7 @@ import argparse
 import csv
 import json
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +24,8 @@ from pathlib import Path
 from scripts.test_costs.blocks import ROOT, product_lines
 
 CAMPAIGN = ROOT / "tests" / "campaign.csv"
+CHEAP_S = 0.7
+"""Processor time up to which a test stays whatever it runs: what it asserts is worth that."""
 
 
 @dataclass
@@ -82,11 +85,44 @@ def places(blocks: set[int]) -> str:
     return ", ".join(f"{Path(path).name} {n}" for path, n in most)
 
 
+def choose(tests: dict[str, Test], moved: set[str], seconds: float) -> set[str]:
+    """Return what to move beside ``moved`` until the tests that stay cost so much processor time.
+
+    The dearest first; what alone runs more blocks than it costs seconds stays, and one test of each file.
+    """
+    stay = {name: t for name, t in tests.items() if name not in moved}
+    runs = Counter(block for t in stay.values() for block in t.ran)
+    left = Counter(name.partition("::")[0] for name in stay)
+    total, found = sum(t.cpu for t in stay.values()), set[str]()
+    for name in sorted(stay, key=lambda n: -stay[n].cpu):
+        test, file = stay[name], name.partition("::")[0]
+        alone = sum(runs[block] == 1 for block in test.ran)
+        if total <= seconds or test.cpu < CHEAP_S:
+            break
+        if left[file] == 1 or alone > test.cpu:
+            continue
+        found.add(name)
+        total -= test.cpu
+        left[file] -= 1
+        runs.subtract(test.ran)
+    return found
+
+
+def entries_for(moved: set[str], tests: Iterable[str]) -> list[str]:
+    """Return the fewest entries of the table for these tests: whole functions where all their cases go."""
+    cases: dict[str, set[str]] = defaultdict(set)
+    for name in tests:
+        cases[name.partition("[")[0]].add(name)
+    whole = {function for function, all_ in cases.items() if all_ <= moved}
+    return sorted({n.partition("[")[0] if n.partition("[")[0] in whole else n for n in moved})
+
+
 def main(arguments: list[str]) -> None:
     """Print the table asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="+")
     parser.add_argument("--dearest", type=int, default=0)
+    parser.add_argument("--choose", type=float, default=0.0)
     parser.add_argument("--write", action="store_true")
     chosen = parser.parse_args(arguments)
     tests: dict[str, Test] = {}
@@ -98,6 +134,10 @@ def main(arguments: list[str]) -> None:
             set_up[name] |= blocks
     entries = listed()
     moved = {t for e in entries for t in under(e, tests)}
+    if chosen.choose:
+        unknown = [e for e in entries if not under(e, tests)]
+        moved |= choose(tests, moved, chosen.choose)
+        entries = [*unknown, *entries_for(moved, tests)]
     stay = ran_by(tests.keys() - moved, tests, set_up)
     total, gone = sum(t.cpu for t in tests.values()), sum(tests[t].cpu for t in moved)
     lost = ran_by(moved, tests, set_up) - stay

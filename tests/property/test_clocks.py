@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+import struct
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from functools import cache
 from pathlib import Path
@@ -20,6 +21,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from invid.cli.app import run
+from invid.recording.clock import count_slots
 from invid.recording.hdf5 import read_recording
 from invid.recording.model import Experiment
 from invid.signals.timebase import resample_uniformly
@@ -71,6 +73,8 @@ class Log:
     gap: bool
     late: int
     seed: int
+    bus: bool = False
+    """A candump log in place of a table, for the kinds of stamps that one has."""
 
 
 KINDS = {
@@ -78,6 +82,10 @@ KINDS = {
     "days": "s",
     "constant": "s", "two a tick": "s", "differences": "s",
 }  # fmt: skip
+
+
+FACTORS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+ON_A_BUS = ("seconds", "2^32 µs", "a minute", "2^16 ms", "constant", "two a tick", "differences")
 
 
 def stamps(log: Log, count: int) -> tuple[list[str], np.ndarray]:
@@ -122,25 +130,42 @@ def imported(folder: Path, log: Log, periods: int, capsys) -> tuple[Experiment, 
     """The experiment, the rows of the motion that it was made of, and the sentence that was followed."""
     text, rows = stamps(log, periods * PERIOD)
     position, torque = motion(periods)
-    lines = [f"{s},{position[r]:.9f},{torque[r]:.4f}" for s, r in zip(text, rows, strict=True)]
-    (folder / "log.csv").write_text("\n".join(["stamp,position,torque", *lines]) + "\n", encoding="utf-8")
+    name = "log.log" if log.bus else "log.csv"
     axis = {
         "name": "A1",
         "masses": 2,
         "position": {"column": "position", "unit": "rad"},
         "torque": {"column": "torque", "unit": "Nm", "meaning": "applied"},
     }
+    if log.bus:
+        text = [f"{float(s) * FACTORS[KINDS[log.kind]]:.6f}" for s in text]
+        data = [
+            struct.pack("<hi", round(torque[r] / 0.05), round(position[r] / COUNT)).hex().upper()
+            for r in rows
+        ]
+        lines = [f"({s}) can0 181#{d}" for s, d in zip(text, data, strict=True)]
+        axis["position"] |= {"unit": "counts", "per_count": COUNT}
+        axis["torque"] |= {"unit": "permille"}
+        axis["rated_torque"] = 50
+    else:
+        lines = [f"{s},{position[r]:.9f},{torque[r]:.4f}" for s, r in zip(text, rows, strict=True)]
+        lines.insert(0, "stamp,position,torque")
+    (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
     entry = {"kind": "multisine", "excited_axis": 0, "period_samples": PERIOD}
     chart = {
         "format": "invid-import-map",
         "time": {"column": "stamp", "unit": KINDS[log.kind]},
         "axes": [axis],
     }
+    if log.bus:
+        signals = [{"name": "torque", "type": "int16"}, {"name": "position", "type": "int32"}]
+        chart |= {"motion": "rotary", "time": {"column": "time"}}
+        chart["source"] = {"sync_id": None, "pdos": [{"id": 0x181, "signals": signals}]}
     followed = ""
     for _ in range(2):
         (folder / "map.yaml").write_text(yaml.safe_dump({**chart, "experiments": [entry]}), encoding="utf-8")
         status = run(
-            ["import", str(folder / "log.csv"), "--map", str(folder / "map.yaml"), "-o", str(folder / "r.h5")]
+            ["import", str(folder / name), "--map", str(folder / "map.yaml"), "-o", str(folder / "r.h5")]
         )
         said = capsys.readouterr().err
         if status == 0:
@@ -221,6 +246,17 @@ def test_the_motion_on_the_grid_is_the_one_that_was(tmp_path_factory, capsys, lo
         assert wrong < row * (0.25 if coarse and (log.loss or log.gap) else 0.05), wrong / row
 
 
+@pytest.mark.parametrize(("work", "seldom"), [(0.04, 0.0), (0.02, 0.25), (0.3, 0.1)])
+def test_a_loop_that_sleeps_after_its_work_keeps_no_clock_and_misses_no_row(
+    work: float, seldom: float
+) -> None:
+    rng = np.random.default_rng(4)
+    turns = 1.0 + rng.exponential(work, 8000) + 1.4 * (rng.random(8000) < seldom)
+    slots = count_slots(np.cumsum(turns) * 5e-3)
+    assert not slots.even
+    assert slots.lost == 0
+
+
 @pytest.mark.parametrize(
     "log",
     [
@@ -239,9 +275,52 @@ def test_the_model_is_the_clean_one_within_three_standard_deviations(tmp_path, c
         assert std <= 10 * clean[name][1], (name, std, clean[name][1])
 
 
-def model_of(folder: Path, log: Log, capsys) -> dict[str, tuple[float, float]]:
+def gives_the_clean_model(folder: Path, log: Log, capsys) -> None:
+    if log.kind == "constant" and (log.loss or log.gap):
+        return  # nothing in the file tells of rows that are missing
+    # Stamps of two rows a tick do not tell which row is missing: taken as even they may give no model.
+    unsure = log.kind == "two a tick" and log.loss > 0
+    found = model_of(folder, log, capsys, statuses=(0, 3) if unsure else (0,))
+    for name, truth in (("m1", TRUTH["m1"]), ("m2", TRUTH["m2"]), ("k", TRUTH["k"])):
+        if not found:
+            break
+        value, std = found[name]
+        # Of three sizes in forty logs one is off by 3.3 standard deviations with a probability of a tenth.
+        assert abs(value - truth) <= 3.3 * std, (name, value, std)
+        assert std <= 0.1 * truth, (name, std)
+
+
+ANY = st.one_of(LOGS, LOGS.filter(lambda log: log.kind in ON_A_BUS).map(lambda log: replace(log, bus=True)))
+QUIET = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.filter_too_much]
+
+
+@settings(
+    max_examples=4, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=QUIET
+)
+@given(log=ANY)
+def test_any_log_gives_the_clean_model_or_the_sentence_that_does(tmp_path_factory, capsys, log: Log) -> None:
+    gives_the_clean_model(tmp_path_factory.mktemp("model"), log, capsys)
+
+
+@settings(
+    max_examples=40, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=QUIET
+)
+@given(log=ANY)
+def test_forty_logs_give_the_clean_model_or_the_sentence_that_does(
+    tmp_path_factory, capsys, log: Log
+) -> None:
+    gives_the_clean_model(tmp_path_factory.mktemp("model"), log, capsys)
+
+
+def model_of(
+    folder: Path, log: Log, capsys, statuses: tuple[int, ...] = (0,)
+) -> dict[str, tuple[float, float]]:
+    """Masses and spring with their deviations; empty where they are said not to be trustworthy."""
     imported(folder, log, 6, capsys)
-    assert run(["identify", str(folder / "r.h5"), "-o", str(folder / "m.json")]) == 0, capsys.readouterr().err
+    status = run(["identify", str(folder / "r.h5"), "-o", str(folder / "m.json")])
+    assert status in statuses, capsys.readouterr().err
+    if status:
+        return {}
     branch = json.loads((folder / "m.json").read_text(encoding="utf-8"))["branches"][0]
     values = {"m1": branch["masses"][0], "m2": branch["masses"][1], "k": branch["springs"][0]}
     return {n: (v["value"], v["std"]) for n, v in values.items()}

@@ -68,7 +68,7 @@ def _is_motor_friction(step: Step) -> bool:
 
 def _is_contested(step: Step) -> bool:
     """Whether a cause of another kind or place explains a large share of what this one does."""
-    chosen, gain = step.chosen, step.before.cost - step.chosen.cost
+    chosen, gain = step.chosen, step.gain
     return any(
         t.cost - chosen.cost < (1.0 - OWN_RIVAL) * gain
         for t, _ in step.ranked[1:]

@@ -293,6 +293,7 @@ def _name_friction(
     whole = _finished(run, held)
     if whole is None:
         return Selection(base, base)
+    whole = _without_needless_rounding(whole, train, held)
     all_steps = [*[Step(base, null, ((null, null.cost),)) for _ in friction], *steps]
     needed: list[Step] = []
     while not budget.is_spent():
@@ -312,10 +313,12 @@ def _name_friction(
             continue
         whole, all_steps = other, [all_steps[n] for n in kept]
     out, cut = [], False
+    together = sum(_wald_ratio(whole.fit, known + n) for n, s in enumerate(all_steps) if s.chosen is null)
     for n, step in enumerate(all_steps):
         if step.chosen is null:
+            share = _wald_ratio(whole.fit, known + n) / together  # what is lost without it, beside the others
             own = _move_to_end(whole, known + n)
-            out.append(Step(base, own, ((own, own.cost),)))
+            out.append(Step(base, own, ((own, own.cost),), share))
         elif step.chosen.term.effect.family == "position" and step.chosen.term.place.kind == "mass":
             out.append(step)  # a weight or a ripple is read from its own motor's motion
         else:
@@ -339,6 +342,41 @@ def _weak_causes(found: JointFit, known: int, sure: Sequence[int]) -> list[int]:
     if len(weak) < 2 or _wald_ratio(found, *(known + n for n in weak)) <= 1.0:
         return weak
     return [min(weak, key=lambda n: ratios[n])]
+
+
+def _without_needless_rounding(
+    whole: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> CandidateEvidence:
+    """The fit with laws that change their sign at once, but for motors where a rounding gains something.
+
+    A sharp law takes the noise of the velocity into account by itself, and a rounding fitted to that would be
+    none of the machine's: simulated, it rounds a second time.
+    """
+    layout, terms = whole.fit.layout, whole.fit.candidate.terms
+    rounded = [k for k, t in enumerate(terms) if isinstance(t.effect, DryLaw) and t.effect.rounding > 0]
+    penalty = np.log(max(whole.fit.dof, 2)) * whole.fit.dispersion
+
+    def with_roundings(start: JointFit, kept: Sequence[int]) -> CandidateEvidence | None:
+        laws = [
+            PlacedEffect(t.effect.rounded(0.0), t.place)
+            if k in rounded and k not in kept and isinstance(t.effect, DryLaw)
+            else t
+            for k, t in enumerate(terms)
+        ]
+        candidate = Candidate(tuple(laws), start.candidate.x)
+        return _finished(partial(fit, layout, train, start.p, candidate, iterations=10, quick=True), held)
+
+    sharp = with_roundings(whole.fit, ()) if rounded else None
+    if sharp is None:
+        return whole
+    kept: list[int] = []
+    for k in rounded:
+        if budget.is_spent():
+            break
+        other = with_roundings(sharp.fit, [*kept, k])
+        if other is not None and other.fit.cost + penalty < sharp.fit.cost:
+            sharp, kept = other, [*kept, k]
+    return sharp if sharp.fit.cost < whole.fit.cost + len(rounded) * penalty else whole
 
 
 def _finished(run: Callable[[], JointFit], held: Sequence[SpectralRecord]) -> CandidateEvidence | None:

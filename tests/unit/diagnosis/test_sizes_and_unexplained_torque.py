@@ -35,7 +35,7 @@ def _widened(cause: str, x: list[float], left: float, took: float) -> np.ndarray
     final = _Trial(
         _Fit(SimpleNamespace(terms=(term,), x=(np.array(x),)), 1e-6 * np.eye(2 + len(x)), layout), left
     )
-    step = SimpleNamespace(before=SimpleNamespace(cost=took), chosen=SimpleNamespace(cost=0.0))
+    step = SimpleNamespace(gain=took)
     selection: Any = Selection(none, final, (step,))  # type: ignore[arg-type]
     wider: np.ndarray = selection.widen_by_remainder().final.fit.covariance
     return np.sqrt(np.diag(wider) - 1e-6)

@@ -10,6 +10,7 @@ import json
 import lzma
 import re
 import struct
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -17,9 +18,14 @@ import can
 import numpy as np
 import pytest
 import yaml
+from scipy.linalg import expm
+from scipy.signal import butter, lfilter
 
+import invid
 from invid.cli.app import run
 from invid.recording.hdf5 import read_recording
+from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.recording.plausibility import doubts
 from invid_drivers.eds import parse_eds
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -70,6 +76,50 @@ CSV_MAP = {
         }
     ],
 }
+
+
+LONG = 2048
+
+
+def driven(periods: int) -> Experiment:
+    """Two masses driven by a multisine: 0.7, 2.0 kg·m², 1000 N·m/rad; exact over held torque, then noise."""
+    rng = np.random.default_rng(5)
+    m1, m2, k, c, d = 0.7, 2.0, 1000.0, 0.6, 0.5
+    speeds = [
+        [-k / m1, k / m1, -(c + d) / m1, c / m1, 1 / m1],
+        [k / m2, -k / m2, c / m2, -(c + d) / m2, 0],
+    ]
+    whole = expm(np.array([[0, 0, 1, 0, 0], [0, 0, 0, 1, 0], *speeds, [0] * 5]) * 1e-3)
+    phase = rng.uniform(0, 2 * np.pi, 79)
+    wave = np.cos(2 * np.pi * np.outer(np.arange(LONG) / LONG, np.arange(1, 80)) + phase).sum(axis=1)
+    torque = np.tile(np.round(wave / 0.05) * 0.05, periods)
+    state, position = np.zeros(5), np.zeros(torque.size)
+    for n, u in enumerate(torque):
+        state[4], position[n] = u, state[0]
+        state = whole @ state
+    position = np.round((position + rng.normal(0, 0.3 * COUNT, torque.size)) / COUNT) * COUNT
+    return Experiment(
+        key="000", kind=Kind.MULTISINE, role=Role.IDENTIFY, excited_axis=0, hold_gain=np.zeros(1),
+        period_samples=LONG, frequencies_hz=np.zeros(0), sample_rate_hz=1000.0,
+        time=np.arange(torque.size) * 1e-3, position=position[:, None], torque=torque[:, None],
+    )  # fmt: skip
+
+
+def recorded(e: Experiment) -> Recording:
+    return Recording(
+        robot="bench", axes=("A1",), position_unit="rad", torque_unit="N·m", created="2026-01-01T00:00:00Z",
+        experiments=(e,), masses_per_axis=(2,),
+    )  # fmt: skip
+
+
+def near_truth(model) -> None:
+    """Masses and spring within three standard deviations, which are small."""
+    chain, std = model.chains, model.std
+    found = [*zip(chain.masses[0], std.masses[0], (0.7, 2.0), strict=True)]
+    found += [(chain.springs[0][0], std.springs[0][0], 1000.0)]
+    for value, one, truth in found:
+        assert abs(value - truth) <= 3 * one, (value, one, truth)
+        assert one < 0.01 * truth
 
 
 def field_file(name: str, folder: Path) -> Path:
@@ -482,6 +532,25 @@ def test_a_sign_that_may_be_either_is_asked_for(tmp_path, capsys):
     whole(e)
 
 
+@pytest.mark.parametrize("sign", [".", ","])
+def test_three_decimals_everywhere_are_decimals(tmp_path, capsys, sign):
+    # Never below one, where a zero would tell; several, for rounding decides which of two equals is more.
+    for offset in (16.0, 20.0, 33.3, 47.11, 80.5, 123.4, 250.25, 500.7):
+        three_decimals(tmp_path, capsys, sign, offset)
+
+
+def three_decimals(tmp_path, capsys, sign, offset):
+    rows = [
+        f"{k:d};{p:.6f};{0.05 * m + offset:.3f}"
+        for k, p, m in zip(ROW, POSITION * COUNT, TORQUE, strict=True)
+    ]
+    path = tmp_path / "n.csv"
+    path.write_text("\n".join(["t_ms;x;m", *rows]).replace(".", sign) + "\n", encoding="utf-8")
+    axis = {**CSV_MAP["axes"][0], "torque": {**CSV_MAP["axes"][0]["torque"], "offset": offset}}
+    e, _ = taken(tmp_path, path, {**CSV_MAP, "time": {"column": 0, "unit": "ms"}, "axes": [axis]}, capsys)
+    np.testing.assert_allclose(e.torque[:, 0], TORQUE * 0.05, atol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["thousands_de.csv", "thousands_us.csv"])
 def test_the_thousands_of_the_field_are_read(tmp_path, capsys, name):
     e, _ = taken(tmp_path, field_file(name, tmp_path), field_map("v6.yaml"), capsys)
@@ -602,6 +671,22 @@ def test_values_that_stand_for_several_rows_are_told_with_their_rate(tmp_path, c
         np.testing.assert_allclose(e.position[:, 0], POSITION[:: int(held)] * COUNT, atol=1e-8)
 
 
+@pytest.mark.parametrize(("held", "channel"), [(2.5, None), (3, None), (4, "torque"), (4, "position")])
+def test_identification_uses_one_row_of_each_value_that_stands_for_several(held, channel):
+    e = driven(periods=6)
+    fresh = np.ceil(np.floor(np.arange(e.samples) / held) * held).astype(int)
+    stale = {n: getattr(e, n)[fresh] for n in ("position", "torque") if channel in (None, n)}
+    model = invid.identify(recorded(replace(e, **stale)))
+    assert any(f"{1000 / held:.4g} Hz" in w and "one row of each is used" in w for w in model.warnings)
+    near_truth(model)
+
+
+def test_the_held_values_of_the_field_give_the_model_of_every_fourth_row(tmp_path, capsys):
+    chart = yaml.safe_load((FIELD / "v10.yaml").read_text(encoding="utf-8")) if FIELD.is_dir() else {}
+    taken(tmp_path, field_file("stale4ms.csv.xz", tmp_path), chart, capsys)
+    near_truth(invid.identify(read_recording(tmp_path / "r.h5")))
+
+
 def test_a_slow_motion_of_coarse_counts_is_not_called_held(tmp_path, capsys):
     rng = np.random.default_rng(3)
     path = tmp_path / "slow.csv"
@@ -611,6 +696,59 @@ def test_a_slow_motion_of_coarse_counts_is_not_called_held(tmp_path, capsys):
     path.write_text("\n".join(["time,position_rad,torque_Nm", *rows]) + "\n", encoding="utf-8")
     _, said = taken(tmp_path, path, CSV_MAP, capsys)
     assert "stands for" not in said
+
+
+@pytest.mark.parametrize("kind", ["every fourth torque", "every third position", "in turn"])
+def test_columns_of_two_rates_in_one_table_are_read_at_the_slower(tmp_path, capsys, kind):
+    e = driven(periods=6)
+    rows = ["time,torque,position" if kind == "every third position" else "time,position,torque"]
+    for k in range(e.samples):
+        p, m = f"{e.position[k, 0]:.9f}", f"{e.torque[k, 0]:.4f}"
+        if kind == "every fourth torque":
+            rows.append(f"{k * 1e-3:.3f},{p},{m if k % 4 == 0 else ''}")
+        elif kind == "every third position":
+            rows.append(f"{k * 1e-3:.3f},{m},{p if k % 3 == 1 else ''}")
+        else:
+            rows.append(f"{k * 1e-3:.3f},{p if k % 2 else ''},{'' if k % 2 else m}")
+    path = tmp_path / "two.csv"
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    axis = {"name": "A1", "position": {"column": "position", "unit": "rad"}, "masses": 2}
+    axis["torque"] = {"column": "torque", "unit": "Nm", "meaning": "measured"}
+    period = 0 if kind == "every third position" else LONG
+    chart = {**CSV_MAP, "time": {"column": "time"}, "axes": [axis]}
+    chart["experiments"] = [{"kind": "multisine", "period_samples": period, "excited_axis": 0}]
+    _, said = taken(tmp_path, path, chart, capsys)
+    assert f"every {4 if 'fourth' in kind else 3 if 'third' in kind else 2} rows only" in said
+    near_truth(invid.identify(read_recording(tmp_path / "r.h5")))
+
+
+def test_blanks_at_no_rate_are_broken_rows(tmp_path, capsys):
+    path = csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW])
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[400:] = [line.rpartition(",")[0] + "," for line in lines[400:]]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert "holds no number" in taken(tmp_path, path, CSV_MAP, capsys, 2)
+
+
+@pytest.mark.parametrize(("order", "corner"), [(1, 60.0), (1, 120.0), (2, 150.0), (4, 110.0)])
+def test_a_filter_is_told_with_its_corner(order, corner):
+    e = driven(periods=8)
+    noise = np.random.default_rng(order).normal(0, 0.1, e.samples)
+    passed = lfilter(*butter(order, corner, fs=1000.0), e.torque[:, 0] + noise)
+    rounded = np.round(passed / 0.05) * 0.05
+    told = [s for s in doubts(recorded(replace(e, torque=rounded[:, None]))) if "low-pass" in s]
+    assert len(told) == 1
+    said = re.search(r"level up to ([\d.]+) Hz", told[0])
+    assert said is not None
+    assert float(said[1]) == pytest.approx(corner, rel=0.35)
+    assert not [s for s in doubts(recorded(replace(e, torque=e.torque + noise[:, None]))) if "low-pass" in s]
+
+
+def test_noise_that_falls_from_the_first_line_on_is_no_filter():
+    e = driven(periods=8)
+    rng = np.random.default_rng(9)
+    walk = lfilter([1.0], [1.0, -0.999], rng.normal(0, 0.05, e.samples)) + rng.normal(0, 0.05, e.samples)
+    assert not [s for s in doubts(recorded(replace(e, torque=e.torque + walk[:, None]))) if "low-pass" in s]
 
 
 @pytest.mark.parametrize("kind", ["int16", "sign16", "int32"])
@@ -687,6 +825,7 @@ def test_torque_of_one_side_with_motion_of_the_other_is_doubted(tmp_path, capsys
         ({"skip": {"t.csv": " "}}, "say why 't.csv'"),
         ({"time": {"colum": 0}}, "time.colum is no key of a map"),
         ({"axes": []}, "axes"),
+        ({"source": {"kind": "cvs"}}, "source.kind is 'cvs': it must be 'csv', "),
     ],
 )
 def test_a_map_that_is_wrong_is_told_with_its_line_and_no_words_of_a_library(tmp_path, capsys, change, said):

@@ -20,7 +20,19 @@ from invid.recording import read_recording
 
 TIME = np.arange(400) * 0.002
 ANGLE, TORQUE = 0.1 * np.sin(19 * TIME), 2 * np.sin(19 * TIME + 0.3)
-KINDS = ["a.csv", "a.mat", "v73.mat", "a.h5", "a.parquet", "a.log", "a.asc", "a.blf", "a.mf4", "a.mcap"]
+KINDS = [
+    "a.csv",
+    "a.mat",
+    "v73.mat",
+    "a.h5",
+    "a.parquet",
+    "a.log",
+    "a.asc",
+    "a.blf",
+    "a.mf4",
+    "a.mcap",
+    "a.tdms",
+]
 MUTATIONS = 12
 
 
@@ -40,6 +52,10 @@ def sound(path: Path) -> dict[str, object]:
             file.append([asammdf.Signal(v, TIME, name=n) for n, v in columns.items() if n != "t"])
             file.save(path)
         return {"time": {"column": "time", "unit": "s"}}
+    elif path.suffix == ".tdms":
+        tdms = pytest.importorskip("nptdms", reason="npTDMS is missing: pip install 'invid[tdms]'")
+        with tdms.TdmsWriter(path) as file:
+            file.write_segment([tdms.ChannelObject("log", n, v) for n, v in columns.items()])
     elif path.suffix == ".mcap":
         writers = pytest.importorskip("mcap.writer", reason="mcap is missing: pip install 'invid[mcap]'")
         with path.open("wb") as stream:

@@ -16,7 +16,7 @@ import yaml
 from invid.cli.app import run
 from invid.recording import read_recording
 from invid.recording.importer import integrated
-from invid.recording.text_table import seconds_of
+from invid.recording.readers.text_table import seconds_of
 from invid.recording.units import MachineConstants, factor
 
 COUNT = 60
@@ -167,7 +167,8 @@ UNITS = [
     ("position", "mm", 0.001), ("position", "µm", 1e-6), ("position", "in", 0.0254),
     ("position", "counts", 0.001),
     ("velocity", "rpm", 0.1047197551), ("velocity", "U/min", 0.1047197551), ("velocity", "°/s", 0.0174532925),
-    ("velocity", "rev/s", 6.2831853072), ("velocity", "mm/s", 0.001), ("velocity", "mm/min", 1.6666667e-5),
+    ("velocity", "rev/s", 6.2831853072), ("velocity", "Hz", 6.2831853072),
+    ("velocity", "mm/s", 0.001), ("velocity", "mm/min", 1.6666667e-5),
     ("velocity", "um/s", 1e-6),
     ("torque", "mNm", 0.001), ("torque", "Ncm", 0.01), ("torque", "Nmm", 0.001), ("torque", "kNm", 1000.0),
     ("torque", "mN", 0.001), ("torque", "kN", 1000.0), ("torque", "A", 2.0), ("torque", "V", 2.0),

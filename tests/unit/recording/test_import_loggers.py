@@ -13,8 +13,9 @@ from scipy.io import savemat
 
 from invid.cli.app import run
 from invid.recording import Recording, read_recording
-from invid.recording.import_map import parse_map
-from invid.recording.mcap_table import read_mcap_table
+from invid.recording.import_map import Source, parse_map
+from invid.recording.importer import read_table
+from invid.recording.readers.mcap_table import read_mcap_table
 
 RATE, COUNT = 500.0, 240
 TIME = np.arange(COUNT) / RATE
@@ -151,6 +152,46 @@ def test_an_mdf_file_is_read_also_where_its_groups_have_clocks_of_their_own(tmp_
     assert ("interpolated" in capsys.readouterr().err) == separate
 
 
+@pytest.mark.parametrize("kind", ["waveforms", "dates", "a column of seconds", "two rates"])
+def test_a_tdms_file_is_read_whatever_keeps_its_time(tmp_path, capsys, kind):
+    tdms = pytest.importorskip("nptdms", reason="npTDMS is missing: pip install 'invid[tdms]'")
+    path = tmp_path / "log.tdms"
+    wave = {"wf_increment": 1 / RATE, "wf_start_offset": 0.25} if kind in ("waveforms", "two rates") else {}
+    angle, fine = ANGLE, {}
+    if kind == "two rates":
+        angle = 0.1 * np.sin(23 * (np.arange(4 * COUNT) / (4 * RATE)))
+        fine = {"wf_increment": 0.25 / RATE}
+    channels = [
+        tdms.ChannelObject("drive", "Motor torque", TORQUE, properties={"unit_string": "N·m", **wave}),
+        tdms.ChannelObject(
+            "drive", "Motor position", angle, properties={"unit_string": "rad", **wave, **fine}
+        ),
+    ]
+    if kind == "dates":
+        stamps = np.datetime64("2026-03-01T10:00:00", "us") + np.round(1e6 * TIME).astype("timedelta64[us]")
+        channels.append(tdms.ChannelObject("drive", "Timestamp", stamps))
+    if kind == "a column of seconds":
+        channels.append(tdms.ChannelObject("drive", "Time", TIME, properties={"unit_string": "s"}))
+    with tdms.TdmsWriter(path) as file:
+        file.write_segment(channels)
+    chart, asked = suggested(path, capsys)
+    assert not asked
+    holds(imported(path, chart))
+
+
+def test_channels_of_one_name_in_two_groups_of_a_tdms_file_are_two_columns(tmp_path):
+    tdms = pytest.importorskip("nptdms", reason="npTDMS is missing: pip install 'invid[tdms]'")
+    path = tmp_path / "log.tdms"
+    with tdms.TdmsWriter(path) as file:
+        for group, scale in (("A1", 1.0), ("A2", 2.0)):
+            file.write_segment(
+                [tdms.ChannelObject(group, n, scale * v) for n, v in (("pos", ANGLE), ("torque", TORQUE))]
+            )
+    columns = read_table(path, Source()).columns
+    assert set(columns) == {"A1/pos", "A1/torque", "A2/pos", "A2/torque"}
+    np.testing.assert_array_equal(columns["A2/pos"], 2.0 * ANGLE)
+
+
 @pytest.mark.parametrize("encoding", ["cdr", "json"])
 def test_joint_states_of_a_bag_are_read_by_their_own_stamps(tmp_path, capsys, encoding):
     pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is missing: pip install 'invid[mcap]'")
@@ -204,7 +245,11 @@ def bag(path: Path, encoding: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "module", "line"),
-    [("a.mf4", "asammdf", "invid[mdf]"), ("a.mcap", "mcap_ros2.decoder", "invid[mcap]")],
+    [
+        ("a.mf4", "asammdf", "invid[mdf]"),
+        ("a.mcap", "mcap_ros2.decoder", "invid[mcap]"),
+        ("a.tdms", "nptdms", "invid[tdms]"),
+    ],
 )
 def test_a_missing_package_is_told_with_the_line_that_installs_it(
     tmp_path, capsys, monkeypatch, name, module, line

@@ -157,6 +157,7 @@ $("start-card").addEventListener("submit", guarded(async (event) => {
   await begin({ mode: form.get("mode"), axes, ...(form.get("amplitude") === "gentler" ? { amplitude: "gentler" } : {}) }, $("prepare"));
 }));
 $("separate").addEventListener("click", guarded(() => begin({ mode: state.run.mode === "simulate" ? "simulate" : "full", separate: state.run.id }, $("separate"))));
+$("analyse").addEventListener("click", guarded(() => pressing($("analyse"), async () => opens(await post(state.run.links.analysis, undefined, unique())))));
 const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));
 
 // --- the run that is seen -----------------------------------------------------------------------------
@@ -191,6 +192,7 @@ function show(run) {
   $("arm").hidden = run.state !== "awaiting_arm";
   $("cancel").hidden = ENDED.includes(run.state) || run.state === "awaiting_accept";
   $("retry").hidden = !ENDED.includes(run.state);
+  $("analyse").hidden = run.mode === "upload" || !["failed", "stopped", "interrupted"].includes(run.state);
   $("again").hidden = !ENDED.includes(run.state) && run.state !== "awaiting_accept";
   $("plan").hidden = !(run.plan && ["awaiting_arm", "running"].includes(run.state));
   // To be read before arming; while the robot moves it must not push the progress off a tablet.

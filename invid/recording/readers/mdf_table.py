@@ -25,7 +25,7 @@ def read_mdf_table(path: Path) -> Table:
         raise InputError(f"{path}: MDF needs the package asammdf; install it with pip install 'invid[mdf]'")
     with tempfile.TemporaryDirectory(prefix="invid-mdf-") as folder:
         out = Path(folder) / "columns.npz"
-        command = [sys.executable, "-m", "invid.recording.mdf_process", str(path.resolve()), str(out)]
+        command = [sys.executable, "-m", "invid.recording.readers.mdf_process", str(path.resolve()), str(out)]
         try:
             subprocess.run(
                 command, check=True, timeout=TIME_LIMIT, capture_output=True, stdin=subprocess.DEVNULL

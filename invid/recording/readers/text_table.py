@@ -6,6 +6,7 @@ import csv
 import math
 import re
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,15 +14,18 @@ from pathlib import Path
 import numpy as np
 
 from invid.errors import InputError
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Float64, Int64
+from invid.recording.clock import best_clock
 from invid.recording.import_map import Source
-from invid.recording.scope_export import is_scope_export, read_scope_export
+from invid.recording.readers.scope_export import is_scope_export, read_scope_export
 from invid.recording.tables import BrokenRow, Table
 from invid.recording.text_format import NUMBER, NumberFormat, decode_text, find_number_format, is_numeral
 from invid.recording.units import BY_MACHINE, FACTORS, normal_unit
 
 MAX_BYTES = 2_000_000_000
 _DELIMITERS = (";", "\t", ",", "|", " ")
+SELDOM = 0.01
+"""Share of rows with one cell more from which the others have left it blank: as many may be broken."""
 _FAILED = 1000
 """Cells that could not be read and are kept to find out why."""
 _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
@@ -33,15 +37,18 @@ def read_text_table(path: Path, source: Source) -> Table:
     lines = text.splitlines()
     if source.header_lines is None and source.names is None and is_scope_export(lines):
         return read_scope_export(str(path), lines, _split, _scope_number)
-    numbered = [(i + 1, line) for i, line in enumerate(lines) if line.strip()]
-    if source.header_lines is not None:
-        numbered = [(n, line) for n, line in numbered if n > source.header_lines]
-    else:
-        numbered = [(n, line) for n, line in numbered if not line.lstrip().startswith(("#", "%", "//"))]
-    if not numbered:
+    del text
+    aside = () if source.header_lines is not None else ("#", "%", "//")
+    first = source.header_lines or 0
+    kept = (i for i in range(first, len(lines)) if (s := lines[i].lstrip()) and not s.startswith(aside))
+    numbered = _Numbered(lines, np.fromiter(kept, np.int64))
+    if not len(numbered):
         raise InputError(f"{path}: holds no row of data; is it the right file?")
-    delimiter = source.delimiter or _find_delimiter([line for _, line in numbered], source.decimal)
-    width = Counter(len(_cells(line, delimiter)) for _, line in numbered[-5000:]).most_common(1)[0][0]
+    delimiter = source.delimiter or _find_delimiter(numbered, source.decimal)
+    widths = Counter(len(_cells(line, delimiter)) for _, line in numbered[-5000:])
+    width = widths.most_common(1)[0][0]
+    # The last column may be blank in most rows: a value that is logged at a slower rate.
+    width += delimiter != " " and widths[width + 1] > SELDOM * sum(widths.values())
     sample = [_cells(line, delimiter) for _, line in (*numbered[:400], *_middle(numbered))]
     form = find_number_format(
         zip(*(row for row in sample if len(row) == width), strict=True),
@@ -51,19 +58,19 @@ def read_text_table(path: Path, source: Source) -> Table:
         header, start = lines[: source.header_lines], 0
     else:
         start = _first_data_row(numbered, delimiter, width, form, path)
-        header = lines[: numbered[start][0] - 1]
-    names, units = _names(header, delimiter, width, source.names, path)
+        header = lines[: int(numbered.at[start])]
     body = _Body(numbered[start:], delimiter, width)
     data, broken, form = body.parse(form, source, path)
+    names, units = _names(header, delimiter, data, source.names, path)
     stamped = _timestamps(data, [_cells(line, delimiter) for _, line in body.lines[:5]])
     units |= {names[i]: "s" for i in stamped}
-    said = {"delimiter": delimiter, "decimal": form.decimal, "header_lines": numbered[start][0] - 1}
+    said = {"delimiter": delimiter, "decimal": form.decimal, "header_lines": int(numbered.at[start])}
     said |= {"thousands": form.thousands} if form.thousands else {}
     said |= {"encoding": encoding} if encoding != "utf-8" else {}
     return Table(
         name=str(path),
         columns={name: np.ascontiguousarray(data[:, i]) for i, name in enumerate(names)},
-        lines=np.array([n for n, _ in body.lines], dtype=np.int64),
+        lines=body.lines.at + 1,
         line_word="line",
         notes=said,
         broken=broken,
@@ -72,7 +79,24 @@ def read_text_table(path: Path, source: Source) -> Table:
     )
 
 
-def _middle(numbered: list[tuple[int, str]]) -> list[tuple[int, str]]:
+@dataclass(frozen=True, eq=False)
+class _Numbered:
+    """Lines ``at`` these places of a file with their numbers, from 1; pairs kept would double the memory."""
+
+    file: list[str]
+    at: Int64
+
+    def __len__(self) -> int:
+        return int(self.at.size)
+
+    def __getitem__(self, part: slice) -> _Numbered:
+        return _Numbered(self.file, self.at[part])
+
+    def __iter__(self) -> Iterator[tuple[int, str]]:
+        return ((int(i) + 1, self.file[i]) for i in self.at)
+
+
+def _middle(numbered: _Numbered) -> _Numbered:
     return numbered[400:][len(numbered) // 2 :][:400]
 
 
@@ -135,9 +159,9 @@ def _is_value(cell: str) -> bool:
     return is_numeral(cell) or not math.isnan(seconds_of(cell))
 
 
-def _find_delimiter(lines: list[str], decimal: str | None) -> str:
+def _find_delimiter(numbered: _Numbered, decimal: str | None) -> str:
     """The separator that splits the body into the most columns of numbers, evenly."""
-    body = lines[len(lines) // 2 :][:400]
+    body = [line for _, line in numbered[len(numbered) // 2 :][:400]]
     best, best_score = ",", -1.0
     for delimiter in _DELIMITERS:
         rows = [_cells(line, delimiter) for line in body]
@@ -153,9 +177,7 @@ def _find_delimiter(lines: list[str], decimal: str | None) -> str:
     return best
 
 
-def _first_data_row(
-    numbered: list[tuple[int, str]], delimiter: str, width: int, form: NumberFormat, path: Path
-) -> int:
+def _first_data_row(numbered: _Numbered, delimiter: str, width: int, form: NumberFormat, path: Path) -> int:
     for i, (_, line) in enumerate(numbered):
         cells = _cells(line, delimiter)
         if len(cells) != width:
@@ -163,7 +185,7 @@ def _first_data_row(
         values = [not math.isnan(_value(c, form)) for c in cells]
         if any(values) and all(v or c.lower() in _NOT_A_NUMBER for v, c in zip(values, cells, strict=True)):
             # Rows above it that are half numbers are broken rows of data, not header.
-            while i > 0 and _half_numbers(_cells(numbered[i - 1][1], delimiter), width, form):
+            while i > 0 and _half_numbers(_cells(numbered.file[numbered.at[i - 1]], delimiter), width, form):
                 i -= 1
             return i
     raise InputError(
@@ -178,8 +200,9 @@ def _half_numbers(cells: list[str], width: int, form: NumberFormat) -> bool:
 
 
 def _names(
-    header: list[str], delimiter: str, width: int, given: list[str] | None, path: Path
+    header: list[str], delimiter: str, data: Float64, given: list[str] | None, path: Path
 ) -> tuple[list[str], dict[str, str]]:
+    width = data.shape[1]
     if given is not None:
         if len(given) != width:
             raise InputError(f"{path}: the map names {len(given)} columns, the file has {width}")
@@ -196,15 +219,9 @@ def _names(
     if len(candidates) >= 2 and _all_units(candidates[-1]):
         units = candidates.pop()
     names = candidates[-1] if candidates else [""] * width
-    names = [
-        n
-        or (
-            "time"
-            if i == 0 and not (units and normal_unit(units[0]) not in FACTORS["time"])
-            else f"column{i}"
-        )
-        for i, n in enumerate(names)
-    ]
+    # An unnamed first column is common, and then it is the time, unless its numbers or its unit say no.
+    is_time = not (units and normal_unit(units[0]) not in FACTORS["time"]) and best_clock(data.T) == 0
+    names = [n or ("time" if i == 0 and is_time else f"column{i}") for i, n in enumerate(names)]
     unique: list[str] = []
     for n in names:
         unique.append(n if n not in unique else f"{n}.{sum(u.split('.')[0] == n for u in unique)}")
@@ -220,7 +237,7 @@ def _all_units(cells: list[str]) -> bool:
 class _Body:
     """The lines of data, with their numbers."""
 
-    lines: list[tuple[int, str]]
+    lines: _Numbered
     delimiter: str
     width: int
 

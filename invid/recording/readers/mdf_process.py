@@ -1,4 +1,4 @@
-"""Reads one MDF file in a process of its own: ``python -m invid.recording.mdf_process FILE OUT.npz``.
+"""Reads one MDF file in a process of its own: ``python -m invid.recording.readers.mdf_process FILE OUT.npz``.
 
 asammdf reads in C. A damaged file makes it print, and one in a few hundred corrupts memory ("malloc():
 invalid size"), so it works where nothing else can be lost.
