@@ -102,6 +102,19 @@ def test_a_drive_is_seen_to_hold_its_load_once_and_remembered_by_its_serial_numb
     assert to_support(bench.config, bench.memory) == ()
 
 
+def test_a_soft_loop_that_has_sagged_goes_on_from_where_it_is_after_a_gentle_quick_stop(
+    tmp_path: Path,
+) -> None:
+    """The ramp of the stop is over when the drive is given its present place as target."""
+    drive = {"position_loop_Hz": 5.0, "quick_stop_deceleration_rad_per_s2": 5.0}
+    bench = Bench(tmp_path, drive)
+    master = enabled(bench)
+    before = bench.place
+    assert master.secure([True, False])
+    assert abs(bench.place - before) < 4 * 1.0 / (2 * 3.1416 * 5.0) ** 2  # a sag for each of three holds
+    master.close()
+
+
 def test_check_leaves_a_held_axis_as_it_is_and_does_not_call_the_cell_ready(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     left_held(bench)

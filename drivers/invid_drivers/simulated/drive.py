@@ -347,6 +347,7 @@ class Drive:
             steps = max(1.0, round(self._behaviour.cycle_s / self._plant.h))
             command[kernel.VELOCITY] = (goal - command[kernel.POSITION]) / (steps * self._plant.h)
             command[kernel.INTERPOLATE] = steps
+            command[kernel.DECELERATION] = 0.0  # a ramp of an earlier stop is over
         self._e_demand_position.value = target
         error = target - int(self._e_position.value)
         self._e_following.value = max(-0x80000000, min(0x7FFFFFFF, error))
