@@ -11,8 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.ndimage import median_filter, uniform_filter1d
+import scipy
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, Int64
@@ -97,7 +96,7 @@ def count_slots(time: Float64) -> Slots:
     run = min(_RUN, time.size // 2) if rough else 1
     step = _clock_step(time, run)
     u = (time - time[0]) / step - rows
-    wander = _wander(uniform_filter1d(u, run))
+    wander = _wander(scipy.ndimage.uniform_filter1d(u, run))
     level = _level(u - wander)
     # Who was late gives it back: a row is counted lost only where the clock stays ahead for good.
     count = np.minimum.accumulate(np.rint(level)[::-1])[::-1]
@@ -137,7 +136,7 @@ def _clock_step(time: Float64, run: int) -> float:
         step = float(np.median(time[far:] - time[:-far])) / far
     if step <= 0:
         step = float(time[-1] - time[0]) / (time.size - 1)
-    time, lag = uniform_filter1d(time, run), max(run, 2)
+    time, lag = scipy.ndimage.uniform_filter1d(time, run), max(run, 2)
     while lag <= min(max(time.size // 16, 2), _BLOCK) and lag < time.size:
         apart = time[lag:] - time[:-lag]
         steps = np.maximum(np.rint(apart / step), 1.0)
@@ -157,7 +156,7 @@ def _wander(u: Float64) -> Float64:
     if blocks == 1:
         return np.full(u.size, phase[0])
     middles = [float(p.mean()) for p in parts]
-    line = make_interp_spline(middles, phase, k=1)
+    line = scipy.interpolate.make_interp_spline(middles, phase, k=1)
     found: Float64 = line(np.arange(u.size))
     return found
 
@@ -169,7 +168,7 @@ def _level(u: Float64) -> Float64:
     """
     spread = _spread(np.diff(u)) / np.sqrt(2.0)
     half = int(np.clip(np.ceil((1.25 * spread / 0.08) ** 2 / 2), 1, max((u.size - 1) // 4, 1)))
-    level: Float64 = median_filter(u, size=2 * half + 1, mode="mirror")
+    level: Float64 = scipy.ndimage.median_filter(u, size=2 * half + 1, mode="mirror")
     return level
 
 
@@ -349,7 +348,7 @@ def _refuse_no_instants(stamps: Float64, how: StampsRead, where: str) -> None:
 def _coarse(stamps: Float64, same: float) -> str:
     """What is said of stamps that repeat: they are coarser than the rows."""
     # Means over the rows of one tick are as even as the rows.
-    slots = count_slots(uniform_filter1d(stamps, max(round(1.0 / (1.0 - same)), 1)))
+    slots = count_slots(scipy.ndimage.uniform_filter1d(stamps, max(round(1.0 / (1.0 - same)), 1)))
     d = np.diff(stamps)
     tick = float(np.min(d[d > 0]))
     gaps = np.flatnonzero(np.diff(slots.index) > 1)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, Int64, frozen_float
@@ -157,7 +157,9 @@ class SparseRows:
         filled = values.copy()
         # Straight lines take 3 % of what moves at a 25th of the rate; a cubic spline 0.01 %.
         degree = min(3, int(own.sum()) - 1)
-        filled[self.rows] = make_interp_spline(self.order[own], values[own], k=degree)(self.order[self.rows])
+        filled[self.rows] = scipy.interpolate.make_interp_spline(self.order[own], values[own], k=degree)(
+            self.order[self.rows]
+        )
         return frozen_float(filled)
 
 
