@@ -10,7 +10,7 @@ import numpy as np
 
 from invid.diagnosis.confidence import effect_term, is_at_floor, judge
 from invid.diagnosis.context import apply_rule
-from invid.diagnosis.known_effects import effects_in_model, fitted_friction
+from invid.diagnosis.known_effects import effects_in_model
 from invid.diagnosis.outcome import assemble_diagnosis, explained_share
 from invid.diagnosis.residual_character import describe_unexplained
 from invid.diagnosis.selection import Selection
@@ -94,12 +94,8 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
     inside = effects_of_plant(effects_in_model(model))
     effects += [e for e in effects_in_model(model) if e not in inside]
     extended = extended_model(model, shown.fit, tuple(effects))
-    if (
-        not named
-        and model.provenance.get("recorded") == recording.created
-        and fitted_friction(model, shown.fit.layout.structure).terms
-    ):
-        extended = model  # nothing better is known than what the identification found beside friction
+    if not named and model.provenance.get("recorded") == recording.created:
+        extended = model  # nothing better is known than what the identification found
     extended = replace(
         extended,
         fit={
