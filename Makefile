@@ -20,7 +20,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 demo: $(PRODUCT)
 	$(BIN)/invid demo --out invid-demo
 
-# What guards behaviour, before every commit: five and a half minutes on two quiet cores.
+# What guards behaviour, before every commit: six minutes on two quiet cores.
 test: $(COMPILED) system-packages
 	$(PYTEST) -m "not campaign"
 
