@@ -11,7 +11,9 @@ from typing import Any
 import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, serving
+from test_service_next_step import progress_of
 
+TEXTS = Path(__file__).parents[2] / "service/invid_service/web/static/texts/en.json"
 pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
 STIFF = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 1.0}}}\n"
 # Members that the service gives in other situations than a small healthy cell can be brought into.
@@ -355,7 +357,7 @@ def test_the_analysis_says_what_it_does_and_that_it_still_looks(tmp_path: Path) 
             " new MutationObserver(() => said.add(box.textContent)).observe("
             "box, { childList: true, characterData: true, subtree: true })"
         )
-        service.start()
+        location = service.start()
         page.wait_text("run-title", "Analysing")
         deadline = time.monotonic() + 90
         while driver.find_element("id", "progress").is_displayed() and time.monotonic() < deadline:
@@ -363,7 +365,11 @@ def test_the_analysis_says_what_it_does_and_that_it_still_looks(tmp_path: Path) 
         seen = driver.execute_script("return [...said].filter((text) => text)")
         said = " ".join(seen)
         assert "identifying" not in said, "words for a person"
-        # How long each stage lasts is the machine's: one that is over before the page looks is not seen.
-        stages = ("finding masses, springs and dampers", "looking for what the model lacks", "weighing")
-        assert any(stage in said for stage in stages), said
+        # A stage that is over before the page looks is not seen: how long it lasts is the machine's. Each is
+        # told, and has words of its own.
+        told = [event["phase"] for event in progress_of(service, location)]
+        assert any(phase.startswith("identifying") for phase in told), told
+        words = json.loads(TEXTS.read_text(encoding="utf-8"))
+        assert words["phase.identifying"] == "finding masses, springs and dampers"
+        assert "looking for what the model lacks" in said or "weighing" in said
         assert len(seen) > 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import pickle
 import subprocess
@@ -188,9 +189,11 @@ def test_the_commands_take_a_file_and_the_table_of_results_holds_its_cause(
     assert run(sim) == 2
     assert "--effects FILE.py" in capsys.readouterr().err
     assert run([*sim, "--effects", str(DRAG)]) == 0
-    # Whether a linear model of a machine with drag is to be trusted (3: not) is near the edge on this record.
-    assert run(["identify", rec, "--effects", str(DRAG), "-o", str(tmp_path / "m.json")]) in (0, 3)
-    assert (tmp_path / "m.json").exists()
+    # Whether a linear model of a machine with drag is to be trusted is near the edge here, and differs
+    # by processor; the status is what the model says of itself.
+    status = run(["identify", rec, "--effects", str(DRAG), "-o", str(tmp_path / "m.json")])
+    trusted = json.loads((tmp_path / "m.json").read_text(encoding="utf-8"))["fit"]["trustworthy"]
+    assert status == (0 if trusted else 3)
 
 
 BAD = {
