@@ -83,22 +83,14 @@ class _Cycles:
     clock: int
     file: str
     broken: list[BrokenRow] = field(default_factory=list)
-    stamps: array[float] = field(default_factory=lambda: array("d"))
-    """Of each SYNC its stamp and the stamps of all frames so far, added up."""
+    instants: array[float] = field(default_factory=lambda: array("d"))
+    """Stamp of each SYNC."""
+    elapsed: array[float] = field(default_factory=lambda: array("d"))
+    """Stamps of all frames up to each SYNC, added up."""
     numbers: array[int] = field(default_factory=lambda: array("q"))
     """Line of each SYNC; in a binary log the count of the frame."""
     values: array[float] = field(default_factory=lambda: array("d"))
     """Of all rows, one after the other: a row of objects is ten times its numbers."""
-
-    @property
-    def instants(self) -> Float64:
-        """(n,) stamp of each row."""
-        return np.array(self.stamps[::2], dtype=np.float64)
-
-    @property
-    def elapsed(self) -> Float64:
-        """(n,) stamps of all frames up to each row, added up."""
-        return np.array(self.stamps[1::2], dtype=np.float64)
 
     @property
     def rows(self) -> Float64:
@@ -129,7 +121,8 @@ class _Cycles:
                 if frame.timestamp - before < once and data == frame.data:
                     continue
             if identifier == self.clock:
-                self.stamps.extend((frame.timestamp, total))
+                self.instants.append(frame.timestamp)
+                self.elapsed.append(total)
                 self.numbers.append(number)
                 self.values.extend(held)
             if identifier in self.layouts:
@@ -213,7 +206,7 @@ def _rows(
         )
     first, last = int(whole[0]), int(whole[-1]) + 1
     # Epoch stamps keep 0.2 µs in a float64: counted from the first SYNC they keep all the log has.
-    instants = cycles.instants
+    instants = np.array(cycles.instants, dtype=np.float64)
     columns = {"time": (instants - instants[first])[first:last]}
     columns |= {n: data[first:last, i].copy() for i, n in enumerate(names)}
     _refuse_wrong_bytes(columns, layouts, path)
@@ -225,7 +218,7 @@ def _rows(
         notes={"sync_id": clock},
         broken=tuple(cycles.broken),
         units={"time": "s"},
-        sums={"time": cycles.elapsed[first:last]},
+        sums={"time": np.array(cycles.elapsed[first:last], dtype=np.float64)},
     )
 
 

@@ -186,11 +186,6 @@ def effect_term(trial: CandidateEvidence, number: int, recording: Recording) -> 
     )
 
 
-def _total_rms(trial: CandidateEvidence) -> float:
-    motors = trial.fit.layout.structure.motors
-    return float(np.sqrt(sum(rms_torque(trial.held, i)[0] ** 2 for i in range(motors))))
-
-
 def _axis_rms(trial: CandidateEvidence, axis: int) -> float:
     return rms_torque(trial.held, axis)[0]
 

@@ -120,24 +120,27 @@ def jump_columns(
     view: View, candidate: Candidate, motion: Complex128, jumps: Float64, columns: Complex128, at: int
 ) -> None:
     """Adds to the effects' columns their change at the ``jumps`` (2ΣN,) of a record that does not close."""
-    plant, first = motion.shape[-1], motion.shape[-1]
+    plant = motion.shape[-1]
+    first = plant
+
+    def at_jumps(term: PlacedEffect, x: Float64) -> tuple[Complex128, bool]:
+        """Missing torque (F, M) at the plant's jumps and at the mass' own, and whether it has one."""
+        torque: Complex128 = jump_response(view, Candidate((term,), (x,)), motion)[0] @ jumps[:plant]
+        own = own_jump_response(view, term, x)
+        return (torque, False) if own is None else (torque + own[0] @ jumps[first : first + 2], True)
+
     for term, x in zip(candidate.terms, candidate.x, strict=True):
-        ringing = np.zeros(0)
-        if own_jump_response(view, term, x) is not None:
-            ringing, first = jumps[first : first + 2], first + 2
-
-        def moved(own: Float64, term: PlacedEffect = term, ringing: Float64 = ringing) -> Complex128:
-            out: Complex128 = jump_response(view, Candidate((term,), (own,)), motion)[0] @ jumps[:plant]
-            response = own_jump_response(view, term, own) if ringing.size else None
-            return out if response is None else out + response[0] @ ringing
-
+        if not isinstance(term.effect, ImpedanceEffect):
+            at += x.size
+            continue
+        here, has_mass = at_jumps(term, x)
         for k in range(x.size):
-            if isinstance(term.effect, ImpedanceEffect):
-                h = _difference_step(view, term, x, k)
-                more = x.copy()
-                more[k] += h
-                columns[..., at] += (moved(more) - moved(x)) / h
+            h = _difference_step(view, term, x, k)
+            more = x.copy()
+            more[k] += h
+            columns[..., at] += (at_jumps(term, more)[0] - here) / h
             at += 1
+        first += 2 * has_mass
 
 
 def impedance_columns(

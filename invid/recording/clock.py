@@ -88,9 +88,9 @@ def count_slots(time: Float64) -> Slots:
     """The slot of each of n ≥ 3 rows whose stamps ``time`` [s] may be late, but not in the long run."""
     rows = np.arange(time.size)
     even = float(time[-1] - time[0]) / (time.size - 1)
-    late = (time - time[0]) / even - rows if even > 0 else np.full(time.size, np.inf)
-    if np.abs(late).max() < EVEN:
-        return Slots(even, rows, late, even=True)
+    straight = (time - time[0]) / even - rows if even > 0 else np.full(time.size, np.inf)
+    if np.abs(straight).max() < EVEN:
+        return Slots(even, rows, straight, even=True)
     # Stamps spread over a whole step have no phase; their means over some rows have.
     rough = _spread(np.diff(time)) > INCOHERENT * np.median(np.diff(time))
     run = min(_RUN, time.size // 2) if rough else 1
@@ -115,8 +115,7 @@ def count_slots(time: Float64) -> Slots:
     lost = index[-1] + 1 > time.size
     walks = lost and _spread(late) > WALKS and _spread(np.diff(late)) < 0.5 * _spread(late)
     if _spread(late) > EVENTS_SPREAD or walks or index[-1] <= 0:
-        mean = float(time[-1] - time[0]) / max(time.size - 1, 1)
-        return Slots(mean, rows, (time - time[0]) / mean - rows, even=False)
+        return Slots(even, rows, straight, even=False)
     return Slots(step, index, late, even=True)
 
 

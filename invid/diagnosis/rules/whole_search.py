@@ -313,12 +313,12 @@ def _name_friction(
             continue
         whole, all_steps = other, [all_steps[n] for n in kept]
     out, cut = [], False
-    together = sum(_wald_ratio(whole.fit, known + n) for n, s in enumerate(all_steps) if s.chosen is null)
+    # What is lost without each, beside the others.
+    losses = [_wald_ratio(whole.fit, known + n) for n, s in enumerate(all_steps) if s.chosen is null]
     for n, step in enumerate(all_steps):
         if step.chosen is null:
-            share = _wald_ratio(whole.fit, known + n) / together  # what is lost without it, beside the others
             own = _move_to_end(whole, known + n)
-            out.append(Step(base, own, ((own, own.cost),), share))
+            out.append(Step(base, own, ((own, own.cost),), losses[n] / max(sum(losses), 1e-300)))
         elif step.chosen.term.effect.family == "position" and step.chosen.term.place.kind == "mass":
             out.append(step)  # a weight or a ripple is read from its own motor's motion
         else:
@@ -352,31 +352,31 @@ def _without_needless_rounding(
     A sharp law takes the noise of the velocity into account by itself, and a rounding fitted to that would be
     none of the machine's: simulated, it rounds a second time.
     """
-    layout, terms = whole.fit.layout, whole.fit.candidate.terms
-    rounded = [k for k, t in enumerate(terms) if isinstance(t.effect, DryLaw) and t.effect.rounding > 0]
+    terms = whole.fit.candidate.terms
+    sharp = {
+        k: PlacedEffect(t.effect.rounded(0.0), t.place)
+        for k, t in enumerate(terms)
+        if isinstance(t.effect, DryLaw) and t.effect.rounding > 0
+    }
     penalty = np.log(max(whole.fit.dof, 2)) * whole.fit.dispersion
 
     def with_roundings(start: JointFit, kept: Sequence[int]) -> CandidateEvidence | None:
-        laws = [
-            PlacedEffect(t.effect.rounded(0.0), t.place)
-            if k in rounded and k not in kept and isinstance(t.effect, DryLaw)
-            else t
-            for k, t in enumerate(terms)
-        ]
-        candidate = Candidate(tuple(laws), start.candidate.x)
-        return _finished(partial(fit, layout, train, start.p, candidate, iterations=10, quick=True), held)
+        laws = tuple(t if k in kept else sharp.get(k, t) for k, t in enumerate(terms))
+        candidate = Candidate(laws, start.candidate.x)
+        run = partial(fit, start.layout, train, start.p, candidate, iterations=NAMING_ITERATIONS, quick=True)
+        return _finished(run, held)
 
-    sharp = with_roundings(whole.fit, ()) if rounded else None
-    if sharp is None:
+    best = with_roundings(whole.fit, ()) if sharp else None
+    if best is None:
         return whole
     kept: list[int] = []
-    for k in rounded:
+    for k in sharp:
         if budget.is_spent():
             break
-        other = with_roundings(sharp.fit, [*kept, k])
-        if other is not None and other.fit.cost + penalty < sharp.fit.cost:
-            sharp, kept = other, [*kept, k]
-    return sharp if sharp.fit.cost < whole.fit.cost + len(rounded) * penalty else whole
+        other = with_roundings(best.fit, [*kept, k])
+        if other is not None and other.fit.cost + penalty < best.fit.cost:
+            best, kept = other, [*kept, k]
+    return best if best.fit.cost < whole.fit.cost + len(sharp) * penalty else whole
 
 
 def _finished(run: Callable[[], JointFit], held: Sequence[SpectralRecord]) -> CandidateEvidence | None:
