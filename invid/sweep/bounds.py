@@ -92,6 +92,8 @@ class Bounds:
         self.resting: set[int] = set()
         """Axes that their drives hold while nothing is shaken."""
         self._all = set(range(count))
+        self.tried: dict[int, tuple[float, float]] = {}
+        """Where axes stood whose signs are tried, and how far from there they may go: what was announced."""
         self.weighed: set[int] = set()
         """Resting axes of which the cell finds out why they yield."""
         self.speeds = [0.0] * count
@@ -147,6 +149,8 @@ class Bounds:
                 continue
             self._missed[i] = 0
             self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
+            if i in self.tried:
+                self._check_trial(limit, sample.position[i], *self.tried[i])
             self.speeds[i] = self._check_speed(i, limit, sample.time, sample.position[i])
             self._check_torque(i, limit, abs(sample.torque[i]))
         self._yielding.check(sample, self.led, self._all - self.led - self.weighed)
@@ -186,6 +190,19 @@ class Bounds:
                 way_out="somebody moves it, its load is beyond the drive's torque limit, or a sign "
                 "is wrong in the drive",
                 code="not_held",
+                axis=limit.name,
+            )
+
+    @staticmethod
+    def _check_trial(limit: AxisLimits, position: float, home: float, most: float) -> None:
+        if abs(position - home) > most:
+            raise SafetyStop(
+                f"axis {limit.name}: moved by {abs(position - home):.3g} {limit.unit} while its signs are "
+                f"tried, {most:.3g} was announced",
+                way_out="where it carries a load, 0x6077 did not show what held it at rest: compare 0x6076 "
+                "and 0x6075 with the motor's plate; else somebody moves it, or its inertia is less than "
+                "stated",
+                code="position_window",
                 axis=limit.name,
             )
 

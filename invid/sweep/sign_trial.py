@@ -18,6 +18,7 @@ from invid.planning.phases import (
     SIGN_FIRST_S,
     SIGN_LAST_S,
     SIGN_MOST,
+    SIGN_TRAVEL,
     SLOW_SHARE,
     SLOW_WINDOW,
     sign_amplitude,
@@ -104,6 +105,8 @@ class SignTrial:
         motion, axis = self._motion, self._axis
         motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
         self._home = motion.place[axis]
+        announced = {axis: (self._home, SIGN_TRAVEL * self._settings.limits.position)}
+        motion.watching.bounds.tried = announced
         motion.change(self._modes, self._others)
         motion.watching.held = set(range(motion.count)) - {axis}
         amplitude, length, last = self._grow()
@@ -119,6 +122,7 @@ class SignTrial:
         self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
+        motion.watching.bounds.tried = {}
 
     # --- doublets ------------------------------------------------------------------------------
     def _play(self, amplitude: float, length: float) -> Trial:
