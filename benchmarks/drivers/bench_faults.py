@@ -284,7 +284,8 @@ def _judge(
         if drive.state.name in SAFE_STATES:
             continue
         complaints.append(f"{axis.name} ended in {drive.state.name}")
-    if kind == "ignore_controlword" and status and not (cell.not_off and cell.not_off[0] in said):
+    told = "not enabled" in said or (cell.not_off and cell.not_off[0] in said)
+    if kind == "ignore_controlword" and status and not told:
         complaints.append(f"nobody was told that a drive did not obey ({said[:80]})")
     return complaints
 

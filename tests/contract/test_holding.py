@@ -316,6 +316,16 @@ def test_a_torque_limit_in_a_wrong_scale_does_not_drop_a_load_where_the_inertia_
     assert bench.drive.state is State.QUICK_STOP_ACTIVE
 
 
+def test_a_load_that_nobody_states_never_gets_more_than_the_written_limit(tmp_path: Path) -> None:
+    bench = wrongly_scaled(tmp_path, inertia=1.0, gravity_loaded=None)
+    master = bench.connect()
+    master.check()
+    with pytest.raises((DriveError, SafetyStop), match="A1"):
+        enabled_and_settled(master)
+    assert 25 <= bench.drive.node.od.number(0x6072) <= 50
+    master.close()
+
+
 def test_a_load_beyond_the_torque_limit_ends_the_run_and_the_limit_is_not_raised(tmp_path: Path) -> None:
     bench = wrongly_scaled(tmp_path)
     master = bench.connect()

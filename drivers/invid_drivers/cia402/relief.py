@@ -2,7 +2,8 @@
 
 A drive that yields at its limit has a load beyond it, or a sign is wrong and it drives what it is to hold.
 With half the torque a load falls faster, and by how much says, with the stated inertia, what the limit truly
-is; what a wrong sign drives gets slower. Only a load is given more, up to the config's limit by that scale.
+is; what a wrong sign drives gets slower. A load that the config states is given more, up to the config's
+limit by that scale; another gets back what was written.
 """
 
 from __future__ import annotations
@@ -129,9 +130,11 @@ class WeightRelief:
                 axis=name,
             )
         if faster > DECISIVE * noise:
-            # what the config allows, by the scale of its motion; never less than was written by its own
-            allowed = max(axis.wrote, math.floor(axis.wrote * limit / (2 * faster * inertia)))
-            axis.held, axis.since = min(axis.found, allowed), sample.time
+            # Written is what the config allows by its own scale, which does not hold this. Only a load that it
+            # states gets more: what it allows by the scale of the motion.
+            stated = self._config.axes[i].gravity_loaded is True
+            by_motion = math.floor(axis.wrote * limit / (2 * faster * inertia)) if stated else 0
+            axis.held, axis.since = min(axis.found, max(axis.wrote, by_motion)), sample.time
             self._write(i, axis.wrote // 2, axis.held)
 
     def _write(self, i: int, before: int, value: int) -> None:
