@@ -130,7 +130,7 @@ class WeightRelief:
                 axis=name,
             )
         if faster > DECISIVE * noise:
-            # Written is what the config allows by its own scale, which does not hold this. Only a load that it
+            # Written is what the config allows by its own scale, which does not hold this. Only a load it
             # states gets more: what it allows by the scale of the motion.
             stated = self._config.axes[i].gravity_loaded is True
             by_motion = math.floor(axis.wrote * limit / (2 * faster * inertia)) if stated else 0
