@@ -153,10 +153,10 @@ class Bounds:
                 continue
             self._missed[i] = 0
             self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
-            if i in self.near:
-                self._check_announced(limit, sample.position[i], *self.near[i])
             self.speeds[i] = self._check_speed(i, limit, sample.time, sample.position[i])
             self._check_torque(i, limit, abs(sample.torque[i]))
+            if i in self.near:
+                self._check_announced(limit, sample.position[i], *self.near[i])
         self._yielding.check(sample, self.led, self._all - self.led - self.weighed)
         if asked is not None:
             self._signs.check(sample, asked)

@@ -32,7 +32,7 @@ ROWS = 5 * (WAYS + TORQUES + 1)
 """Fewer blocks do not tell thirteen coefficients."""
 SURE = 60.0
 """Log of the likelihood ratio at which the run ends: once in e⁶⁰ blocks, were the rest of the motion white.
-In 100 healthy cells (``bench_ordinary.py``, empirical) it came to half of that."""
+In twelve healthy cells (``tests/machines/ordinary.py``, empirical) it came to half of that at most."""
 TIMES = 3.0
 """And so many times the largest that came and went by itself: friction makes the rest far from white."""
 MOST = 20.0
