@@ -9,7 +9,6 @@ from fastapi import FastAPI
 
 from invid import __version__
 from invid_service import health, problems
-from invid_service.cells.departures import departures_router
 from invid_service.cells.router import router as cells
 from invid_service.cells.series import router as series
 from invid_service.cells.state import router as state
@@ -68,7 +67,6 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
     for router in (cells, state, series, identifications, drawing, recordings, health.router):
         app.include_router(router, prefix=API)
     app.include_router(export_router(), prefix=API)
-    app.include_router(departures_router(), prefix=API)
     # The usual addresses of supervision, beside those under the version.
     app.include_router(health.router, include_in_schema=False)
     app.include_router(pages, include_in_schema=False)

@@ -357,11 +357,6 @@ class Store:
             rows = session.scalars(query.order_by(RunRow.number.desc(), RunRow.id.desc()).limit(limit))
             return [_model(row) for row in rows]
 
-    def cells_with_models(self) -> list[str]:
-        """Every cell that a model was identified on, of this service or another one on the same database."""
-        with Session(self.engine) as session:
-            return sorted(session.scalars(select(ModelRow.cell).distinct()))
-
     def approve(self, cell: str, model_id: str, *, by: str, how: str, now: datetime) -> Approval:
         """Take a model into force."""
         with Session(self.engine) as session, session.begin():
