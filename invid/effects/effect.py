@@ -28,6 +28,14 @@ from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Complex128, Float64
 
+FAMILIES = (
+    "friction", "position", "spring", "constant", "time", "structure", "linear", "sensor", "sampling",
+    "scale", "saturation", "actuator_dynamics", "other",
+)  # fmt: skip
+"""Kinds of cause. Two laws of friction sit at one place only where their ``parts`` differ."""
+HOMES = ("motor", "end", "spring", "axis")
+OVER = ("", "velocity", "position", "deflection", "deflection rate", "torque", "torque rate")
+"""Quantities over which missing torque can be drawn."""
 KNOWN_LINES = 60
 """Laws at motors whose lines a record keeps: a few shapes of each motor's friction and ripples."""
 
@@ -39,9 +47,15 @@ class Experiment:
     ``by_hand``: what a person has to do where no motion of the drives shows it.
     """
 
+    KINDS: ClassVar = ("speeds", "positions", "amplitudes", "band", "lines", "time", "hand")
     kind: Literal["speeds", "positions", "amplitudes", "band", "lines", "time", "hand"]
-    text: str
+    text: str = ""
     by_hand: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in self.KINDS:
+            known = ", ".join(repr(k) for k in self.KINDS)
+            raise InputError(f"Experiment: kind is {self.kind!r}; it is one of {known}")
 
 
 @dataclass(frozen=True, eq=False)

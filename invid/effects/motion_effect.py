@@ -18,10 +18,13 @@ from invid.effects.effect import ForceEffect, PlaceMotion
 from invid.effects.elements import Element, ModelPlace, StaticLaw
 from invid.effects.motion import View, rms
 from invid.effects.units import unit_of
-from invid.errors import ModelError
+from invid.errors import InputError
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.signals.standstill import sign_threshold
+
+OF_MOTION = ("velocity", "position", "deflection", "deflection rate")
+"""Quantities over which a law can be simulated from a table."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,20 @@ class Parameter:
     of_motion: bool = True
     logarithmic: bool = True
 
+    def __post_init__(self) -> None:
+        what = ""
+        if not (isinstance(self.name, str) and self.name.isidentifier()):
+            what = "its name is one word as 'coefficient'"
+        elif not self.low < self.high:
+            what = f"low is {self.low}, high is {self.high}; low is below high"
+        elif not self.linear and not self.starts:
+            what = "linear=False asks for starts, values to begin from"
+        elif not self.linear and self.logarithmic and min(self.starts) <= 0:
+            what = "starts are above zero, or logarithmic=False"
+        if what:
+            raise InputError(f"Parameter {self.name!r}: {what}")
+        unit_of(self.unit, linear=False)
+
 
 class MotionEffect(ForceEffect):
     """A resistance that follows from position, velocity and time at its place.
@@ -69,6 +86,8 @@ class MotionEffect(ForceEffect):
         super().__init_subclass__(**options)
         if "numbers" not in cls.__dict__:
             return
+        if not (isinstance(cls.numbers, tuple) and all(isinstance(p, Parameter) for p in cls.numbers)):
+            raise InputError("numbers is a tuple of parameters: numbers = (Parameter(name, unit),)")
         linear = [p for p in cls.numbers if p.linear]
         shapes = [p for p in cls.numbers if not p.linear]
         cls.parameters = {p.name: p.unit for p in cls.numbers}
@@ -132,11 +151,6 @@ class MotionEffect(ForceEffect):
         return self._static_resistance(p, x)
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
-        if self.over not in ("velocity", "position", "deflection", "deflection rate"):
-            raise ModelError(
-                f"effect {self.cause} on {at.term.axis}: its file has to say how it is simulated "
-                f"(simulation), for a law over {self.over!r} is no table"
-            )
         p = {name: at.value(name) for name in self.parameters}
         over = "velocity" if self.over in ("velocity", "deflection rate") else "position"
         a, b = at.coordinates(self.home)
