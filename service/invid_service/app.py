@@ -1,4 +1,4 @@
-"""``create_app``: the whole service from its settings; nothing is global."""
+"""Build the whole service from its settings; nothing is global."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ a safety function.
 
 
 def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock: Clock = utc_now) -> FastAPI:
-    """The application.
+    """Return the application with its routers, middleware and OpenAPI document.
 
     Raises
     ------
