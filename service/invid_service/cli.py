@@ -1,4 +1,5 @@
-"""Commands ``invid serve`` (the REST service and the technician's page) and ``invid keys`` (who may use it).
+"""Commands ``invid serve`` (the REST service and the technician's page) and ``invid keys`` (who may
+use it).
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ def register(app: typer.Typer) -> None:
 
 
 def register_keys(app: typer.Typer) -> None:
-    """Add the commands ``invid keys …``, which change a key file; a running service follows within a second.
+    """Add the commands ``invid keys …``, which change a key file; a running service follows within a
+    second.
     """
     keys = typer.Typer(help="List, add and revoke the keys of the service.", no_args_is_help=True)
     file = typer.Option(..., "--key-file", help="File with the hashed keys.")

@@ -87,7 +87,8 @@ class Connection(H11Protocol):
 
 
 def allow_many_connections() -> None:
-    """Raise the limit of open files as far as the system lets it: clients that hang do not crowd out a stop.
+    """Raise the limit of open files as far as the system lets it: clients that hang do not crowd out a
+    stop.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _FILES if hard == resource.RLIM_INFINITY else min(hard, _FILES)

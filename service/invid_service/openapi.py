@@ -118,7 +118,8 @@ EXAMPLES: dict[str, Any] = {
 
 
 def operation_id(route: APIRoute) -> str:
-    """Return the name of the function that answers, a verb and its object: a generated client's method, too.
+    """Return the name of the function that answers, a verb and its object: a generated client's
+    method, too.
     """
     return _OPERATION_IDS.get(route.name, route.name)
 

@@ -104,7 +104,8 @@ def signature(secret: bytes, identity: str, stamp: str, body: bytes) -> str:
 
 
 def open_webhook(settings: Settings, clock: Callable[[], datetime]) -> Webhook | None:
-    """Return the webhook of the settings, ``None`` where none is set; ConfigError where it cannot be signed.
+    """Return the webhook of the settings, ``None`` where none is set; ConfigError where it cannot be
+    signed.
     """
     if settings.webhook_url is None:
         return None

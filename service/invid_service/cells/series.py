@@ -132,7 +132,8 @@ def _points(
 
 
 def _csv(parameter: str, unit: str | None, points: list[Point]) -> str:
-    """Return the history as CSV: a header with the unit, one row a model; a missing number is an empty field.
+    """Return the history as CSV: a header with the unit, one row a model; a missing number is an empty
+    field.
     """
     out = io.StringIO()
     rows: Any = csv.writer(out)

@@ -82,7 +82,8 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
 
 
 def separating(diagnosis: Diagnosis, job: Job) -> dict[str, Any] | None:
-    """Return what would tell the alternatives apart on this cell; ``None`` where nothing is to be, or can be.
+    """Return what would tell the alternatives apart on this cell; ``None`` where nothing is to be, or
+    can be.
     """
     if job.config is None or not diagnosis.findings:
         return None

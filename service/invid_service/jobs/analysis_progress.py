@@ -1,4 +1,5 @@
-"""Estimate how far an analysis is and how long it will take: by what it reports, and by what it took before.
+"""Estimate how far an analysis is and how long it will take: by what it reports, and by what it took
+before.
 """
 
 from __future__ import annotations

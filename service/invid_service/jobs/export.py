@@ -1,4 +1,5 @@
-"""Export the identified model for another tool: ``invid export`` in a process of its own, its file handed on.
+"""Export the identified model for another tool: ``invid export`` in a process of its own, its file
+handed on.
 """
 
 from __future__ import annotations

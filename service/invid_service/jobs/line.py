@@ -1,4 +1,5 @@
-"""Talk over the pipe between the service and the runner of a job; ``jobs.protocol`` says what goes over it.
+"""Talk over the pipe between the service and the runner of a job; ``jobs.protocol`` says what goes
+over it.
 """
 
 from __future__ import annotations

@@ -400,7 +400,8 @@ class JobManager:
             await self._persist(run, event)
 
     async def _persist(self, run: LiveRun, event: StoredEvent) -> None:
-        """Store the state of a run; a store that does not answer is asked again later, motion does not wait.
+        """Store the state of a run; a store that does not answer is asked again later, motion does not
+        wait.
         """
         try:
             await asyncio.to_thread(self._store.save_state, run.record, event)

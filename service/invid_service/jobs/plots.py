@@ -16,7 +16,8 @@ _DIGITS = 5
 
 
 def plot_data(recording: Recording, model: Model, diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return ``figure_data`` and ``cause_views`` with five significant digits (a screen shows four), no NaN.
+    """Return ``figure_data`` and ``cause_views`` with five significant digits (a screen shows four),
+    no NaN.
     """
     recording, _ = moving_part(recording, diagnosis.model.axes)
     document: dict[str, Any] = _rounded(figure_data(recording, model, diagnosis))

@@ -42,7 +42,8 @@ class Results:
         self._auto, self._unchanged = auto_accept, unchanged_percent
 
     def keep(self, run: RunRecord, now: datetime) -> set[str]:
-        """Move what the runner wrote into the store; return the kinds that are safe there. Twice is no error.
+        """Move what the runner wrote into the store; return the kinds that are safe there. Twice is no
+        error.
         """
         folder = self._blobs.work / run.id
         blobs = {}
@@ -143,7 +144,8 @@ class Results:
         return {**summary, "headline": told.headline, "headlines": dict(told.headlines), "grade": grade}
 
     def _against_accepted(self, run: RunRecord) -> tuple[tuple[NamedChange, ...], dict[str, Any]] | None:
-        """Return what changed since the model in force, and how the interface shows it; ``None`` without one.
+        """Return what changed since the model in force, and how the interface shows it; ``None``
+        without one.
         """
         if run.cell is None:
             return None

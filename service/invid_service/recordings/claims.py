@@ -25,7 +25,8 @@ empty."""
 
 
 class Claim(BaseModel):
-    """Answer of the process: ``problem`` says why the file is no recording, or ``unpacked`` its size [bytes].
+    """Answer of the process: ``problem`` says why the file is no recording, or ``unpacked`` its size
+    [bytes].
     """
 
     problem: str | None = None

@@ -71,7 +71,8 @@ def _members(group: Any) -> Iterator[Any]:
 
 
 def _unpacked(data: Any) -> int:
-    """Return the bytes that reading takes: whole chunks, which may be larger than what they are said to hold.
+    """Return the bytes that reading takes: whole chunks, which may be larger than what they are said
+    to hold.
     """
     shape, chunks = data.shape or (), data.chunks
     whole = [-(-n // c) * c for n, c in zip(shape, chunks, strict=True)] if chunks else shape
