@@ -128,7 +128,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> list[Path]:
-    """Writes pictures and their data; the paths, pictures of what is missing first."""
+    """Write pictures and their data; return the paths, pictures of what is missing first."""
     from invid.report.plots import plot_files
 
     files = plot_files(recording, diagnosis)
@@ -190,7 +190,7 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
 
 
 def _replay_lines(diagnosis: Diagnosis) -> list[str]:
-    """What the simulation over time says, where it was run."""
+    """Return the lines about the simulation over time, where it was run."""
     answer = diagnosis.details.get("replay")
     if not answer:
         return []

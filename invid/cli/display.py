@@ -26,7 +26,9 @@ EVERY_S = 5.0
 
 @contextmanager
 def ends_on_interrupt() -> Iterator[None]:
-    """Inside, the first Ctrl-C ends a search with the best answer so far; the second ends the command."""
+    """Context manager in which the first Ctrl-C ends a search with the best answer so far, the second
+    the command.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -19,7 +19,7 @@ Effects = Annotated[
 
 
 def use_effects(context: typer.Context, files: Sequence[Path] | None) -> None:
-    """Makes the effects of the files known until the running command ends; InputError says what is wrong."""
+    """Make the effects of the files known until the running command ends; InputError says what is wrong."""
     if not files:
         return
     from invid.effects.registry import registered_effects

@@ -236,7 +236,8 @@ class Effect:
         return f" of {size}"
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        """Whether it is larger than what it acts on, or than the motion in the records, and so is none.
+        """Return whether it is larger than what it acts on, or than the motion in the records, and so
+        is none.
 
         A spring that drifts by more than itself stands for another spring, a gap that the deflection never
         crosses for none.

@@ -61,7 +61,7 @@ class MotorLaw(Protocol):
 
     @property
     def axis(self) -> int:
-        """Of the motor."""
+        """Return the number of the motor's axis."""
         ...
 
     def over_time(self, view: View) -> Float64:

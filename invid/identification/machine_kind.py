@@ -1,4 +1,4 @@
-"""Elastic or rigid machine: where the motion does not decide it, both are fitted and held-out rows decide.
+"""Decide whether a machine is elastic or rigid: where the motion does not, held-out rows of both fits do.
 
 Periods and sweeps are made for chains; constant velocities and declared masses leave no choice. Any other
 record (production moves, noise, a velocity alone) may be of either kind.

@@ -114,8 +114,8 @@ class Keys:
         return bool(self._keys)
 
     def reload(self) -> bool:
-        """Read the file again where it has changed; whether it had. One that cannot be read changes
-        nothing.
+        """Read the file again where it has changed; return whether it had. One that cannot be read
+        changes nothing.
         """
         if self._path is None or (stamp := _stamp(self._path)) == self._seen:
             return False

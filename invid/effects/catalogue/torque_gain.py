@@ -47,7 +47,9 @@ class TorqueGain(Effect):
         return out
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        """Whether the gain is next to zero: such a torque fits anything that is missing on its axis."""
+        """Return whether the gain is next to zero: such a torque fits anything that is missing on its
+        axis.
+        """
         return bool(x[0] <= self.lower[0] + 1e-9)
 
     def noise_power(

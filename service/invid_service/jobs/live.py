@@ -31,7 +31,7 @@ class Progress:
 
     @classmethod
     def of(cls, record: RunRecord) -> Progress:
-        """Return the progress of a run that has ended."""
+        """Return the progress of a stored run, in which nothing goes on any more."""
         done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
         return cls(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
 

@@ -213,7 +213,7 @@ class JobManager:
             self._retire(run)
 
     async def _watch(self, run: LiveRun, job: Job) -> bool:
-        """Follow a run to its end; whether all that it left is in the store."""
+        """Follow a run to its end; return whether all that it left is in the store."""
         if run.wish is not None:
             await self._finish_early(run)
             return True
