@@ -13,6 +13,8 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from typing import Any
 
+from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
+
 from invid_service.store.store import StoredEvent
 
 KEPT = 5000
@@ -72,6 +74,6 @@ class EventLog:
 def sse(event: StoredEvent | None) -> bytes:
     """Return one event as bytes of a stream; without one a comment that keeps the connection alive."""
     if event is None:
-        return b": keep-alive\n\n"
+        return KEEPALIVE_COMMENT
     data = json.dumps(event.data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    return f"id: {event.id}\nevent: {event.type}\ndata: {data}\n\n".encode()
+    return format_sse_event(data_str=data, event=event.type, id=str(event.id))

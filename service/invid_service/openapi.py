@@ -96,6 +96,16 @@ EXAMPLES: dict[str, Any] = {
             "recording": f"/api/v1/identifications/{_RUN}/recording",
         },
     },
+    "StartBody": {"mode": "full", "axes": ["A1", "A2"], "arm": True},
+    "ActionBody": {"type": "accept"},
+    "StopAnswer": {
+        "cell": "robot",
+        "stopping": True,
+        "moved": True,
+        "identification": _RUN,
+        "simulated": False,
+        "note": "this stops motion through the drives' protocol; it is not a safety function",
+    },
     "Version": {
         "name": "invid",
         "version": "0.1.0",

@@ -11,6 +11,7 @@ from urllib.parse import urlencode
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import FileResponse, StreamingResponse
+from fastapi.sse import format_sse_event
 
 from invid_service.auth import Reader, Require
 from invid_service.context import Context
@@ -268,7 +269,7 @@ async def follow_identification(
         log.close()
 
     async def stream() -> AsyncIterator[bytes]:
-        yield b"retry: 1000\n\n"
+        yield format_sse_event(retry=1000)
         if not follow:
             for known in log.behind(after):
                 yield sse(known)
