@@ -14,13 +14,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from invid.effects.elements import Element, ModelPlace
 from invid.effects.laws.beyond_band import beyond_band, solve_beyond_band
 from invid.effects.motion import View, along
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import Size
 from invid.errors import InputError, ModelError
 from invid.model.document import EffectTerm
@@ -85,9 +86,13 @@ class PlaceMotion:
 class Effect:
     """One cause of the catalogue. Subclasses are stateless; the catalogue holds one of each.
 
-    ``parameters`` maps the contract's names to kinds of unit. ``coefficients`` are linear (bounds in
-    ``lower``/``upper``), ``shapes`` are not; ``logarithmic`` says which of them move as logarithms.
+    ``numbers`` are its parameters. From them follow, where a class does not say otherwise, ``parameters``
+    (the contract's names with their kinds of unit), ``coefficients``, which are linear (bounds in
+    ``lower``/``upper``), ``shapes``, which are not (``logarithmic``: which of them move as logarithms), and
+    ``main``, the first.
     """
+
+    numbers: ClassVar[tuple[Parameter, ...]] = ()
 
     cause: str = ""
     title: str = ""
@@ -126,6 +131,27 @@ class Effect:
     main: str = ""
     along_pattern: bool = True
     """Whether its force lies along the pattern of its place and can be estimated from the missing torque."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "numbers" not in cls.__dict__:
+            return
+        if not (isinstance(cls.numbers, tuple) and all(isinstance(p, Parameter) for p in cls.numbers)):
+            raise InputError("numbers is a tuple of parameters: numbers = (Parameter(name, unit),)")
+        linear = [p for p in cls.numbers if p.linear]
+        shapes = [p for p in cls.numbers if not p.linear]
+        follows: dict[str, Any] = {
+            "parameters": {p.name: p.unit for p in cls.numbers},
+            "coefficients": tuple(p.name for p in linear),
+            "lower": tuple(p.low for p in linear),
+            "upper": tuple(p.high for p in linear),
+            "shapes": tuple(p.name for p in shapes),
+            "logarithmic": tuple(p.logarithmic for p in shapes),
+            "main": next((p.name for p in cls.numbers), ""),
+        }
+        for name, value in follows.items():
+            if name not in cls.__dict__:
+                setattr(cls, name, value)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         """All places where it may sit."""

@@ -173,11 +173,14 @@ def _listed(allowed: Sequence[str]) -> str:
 
 def _check_parameters(effect: Effect, refuse: Refuse) -> None:
     """Refuse parameters that are none, stand twice, or have no unit."""
-    numbers = effect.numbers if isinstance(effect, MotionEffect) else ()
+    numbers = effect.numbers
     if isinstance(effect, MotionEffect) and not numbers:
         refuse("numbers", "it has no parameters; give numbers = (Parameter(name, unit),)")
     if not effect.parameters:
         refuse("parameters", "it has no parameters; give parameters = {name: unit}")
+    for p in numbers if type(effect).grid is MotionEffect.grid else ():
+        if not p.linear and not p.starts:
+            refuse("numbers", f"parameter {p.name!r}: linear=False asks for starts, values to begin from")
     names = [p.name for p in numbers]
     if len(set(names)) < len(names):
         refuse("numbers", f"two parameters have one name: {_listed(names)}")

@@ -7,68 +7,23 @@ The law alone is fitted, named, simulated, saved, reloaded and drawn, on elastic
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import Any, ClassVar
 
 import numpy as np
 
 from invid.effects.effect import ForceEffect, PlaceMotion
 from invid.effects.elements import Element, ModelPlace, StaticLaw
 from invid.effects.motion import View, rms
+from invid.effects.parameter import Parameter
 from invid.effects.units import unit_of
-from invid.errors import InputError
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.signals.standstill import sign_threshold
 
 OF_MOTION = ("velocity", "position", "deflection", "deflection rate")
 """Quantities over which a law can be simulated from a table."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number of a law.
-
-    Attributes
-    ----------
-    name
-        As in model.json.
-    unit
-        Kind of quantity: "torque", "velocity", "torque/velocity^2", "ratio", … (``invid.effects.units``).
-    linear
-        Whether the force is proportional to it; else it is a shape, searched from ``starts`` on.
-    low, high
-        Bounds; a linear parameter with ``low`` 0 is positive.
-    starts
-        Values of a shape to start from, in its unit; with ``of_motion`` over the rms velocity or position.
-    logarithmic
-        Whether a shape moves as its logarithm (it is then above zero).
-    """
-
-    name: str
-    unit: str
-    linear: bool = True
-    low: float = -np.inf
-    high: float = np.inf
-    starts: tuple[float, ...] = ()
-    of_motion: bool = True
-    logarithmic: bool = True
-
-    def __post_init__(self) -> None:
-        what = ""
-        if not (isinstance(self.name, str) and self.name.isidentifier()):
-            what = "its name is one word as 'coefficient'"
-        elif not self.low < self.high:
-            what = f"low is {self.low}, high is {self.high}; low is below high"
-        elif not self.linear and not self.starts:
-            what = "linear=False asks for starts, values to begin from"
-        elif not self.linear and self.logarithmic and min(self.starts) <= 0:
-            what = "starts are above zero, or logarithmic=False"
-        if what:
-            raise InputError(f"Parameter {self.name!r}: {what}")
-        unit_of(self.unit, linear=False)
 
 
 class MotionEffect(ForceEffect):
@@ -78,24 +33,7 @@ class MotionEffect(ForceEffect):
     ``places`` and ``resistance``.
     """
 
-    numbers: ClassVar[tuple[Parameter, ...]] = ()
-    """Its parameters."""
     over = "velocity"
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        if "numbers" not in cls.__dict__:
-            return
-        if not (isinstance(cls.numbers, tuple) and all(isinstance(p, Parameter) for p in cls.numbers)):
-            raise InputError("numbers is a tuple of parameters: numbers = (Parameter(name, unit),)")
-        linear = [p for p in cls.numbers if p.linear]
-        shapes = [p for p in cls.numbers if not p.linear]
-        cls.parameters = {p.name: p.unit for p in cls.numbers}
-        cls.coefficients = tuple(p.name for p in linear)
-        cls.lower, cls.upper = tuple(p.low for p in linear), tuple(p.high for p in linear)
-        cls.shapes = tuple(p.name for p in shapes)
-        cls.logarithmic = tuple(p.logarithmic for p in shapes)
-        cls.main = cls.main or next(iter(cls.parameters), "")
 
     def resistance(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
         """(n, k) resistance for each linear parameter at one [N·m or N]; ``shape`` the others, in their
@@ -169,6 +107,3 @@ class MotionEffect(ForceEffect):
         size = np.array([p[name] for name in self.coefficients])
         out: Float64 = self.resistance(motion, [p[name] for name in self.shapes]) @ size
         return out
-
-
-__all__ = ["MotionEffect", "Parameter"]

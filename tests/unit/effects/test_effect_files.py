@@ -262,7 +262,10 @@ BAD = {
         instead("low=0.0", "low=1.0, high=0.0"),
         "line 7: Parameter 'coefficient': low is 1.0, high is 0.0",
     ),
-    "starts": (instead(NUMBERS, SHAPE.format("")), "line 7: Parameter 'begin': linear=False asks for starts"),
+    "starts": (
+        instead(NUMBERS, SHAPE.format("")),
+        "line 7: Plain: parameter 'begin': linear=False asks",
+    ),
     "logarithm": (
         instead(NUMBERS, SHAPE.format(", starts=(0.0,)")),
         "starts are above zero, or logarithmic=False",
