@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from invid.api import diagnose, load_model, read_recording
-from invid.cli.display import BUDGET, ends_on_interrupt, shown_progress
-from invid.cli.effects_option import Effects, use_effects
+from invid.cli.display import ends_on_interrupt, shown_progress
 from invid.cli.identify import parse_masses
-from invid.cli.language_option import SpokenLanguage
+from invid.cli.options import BUDGET, Budget, Effects, SpokenLanguage, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, ModelError
 
@@ -59,13 +58,7 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option("--plots", metavar="DIR", help="Folder for pictures (SVG) and their data."),
         ] = None,
-        budget: Annotated[
-            float,
-            typer.Option(
-                min=1.0,
-                help="Seconds of processor time after which the best answer so far is given; inf: no end.",
-            ),
-        ] = BUDGET,
+        budget: Budget = BUDGET,
         effects: Effects = None,
         without_rule: Annotated[
             list[str] | None,

@@ -17,9 +17,6 @@ from invid.numerics import budget
 if TYPE_CHECKING:
     from invid.numerics.budget import Progress
 
-BUDGET = 60.0
-"""Processor seconds that a command may take where nothing else is asked for: what a technician waits beside a
-robot."""
 EVERY_S = 5.0
 """Seconds between two plain lines."""
 

@@ -89,6 +89,18 @@ def model_of(chains: CoupledChains, *effects: EffectTerm) -> Model:
     return Model("cell", "refined", chains, ChainStd.unknown(chains), effects=effects)
 
 
+def linear_fit(excited):
+    """Records, structure, layout and parameters of the true plant."""
+    recording, chains = excited
+    train, _, _ = split_records(recording, all_spectra(recording))
+    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
+    layout = layout_of(structure, train, 0.0)
+    p = np.full(layout.count, 0.5)
+    p[: structure.count] = structure.vector(chains)
+    p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
+    return train, structure, layout, p
+
+
 def ids(effect) -> str:
     return effect.cause
 
@@ -103,14 +115,8 @@ def test_its_derivatives_are_those_of_its_contribution(effect, excited) -> None:
     """Gradient of χ² by the effect's own parameters against differences of χ²."""
     if effect.cause in NOT_FITTED:
         return
-    recording, chains = excited
-    train, _, _ = split_records(recording, all_spectra(recording))
-    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
-    layout = layout_of(structure, train, 0.0)
-    p = np.full(layout.count, 0.5)
-    p[: structure.count] = structure.vector(chains)
-    p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
-    one = term_of(effect, chains.axes)
+    train, structure, layout, p = linear_fit(excited)
+    one = term_of(effect, excited[1].axes)
     place, x = effect_place(one, structure), effect_vector(one)
     assert place in effect.places(structure)
     here = evaluate(layout, train, p, Candidate((PlacedEffect(effect, place),), (x,)), thorough=True)
@@ -154,13 +160,7 @@ def test_it_keeps_the_promises_of_the_interface_at_each_of_its_places(effect, ex
     """Numbers of one length everywhere, a vector that is its parameters, no force where there is none."""
     if effect.cause in NOT_FITTED:
         return
-    recording, chains = excited
-    train, _, _ = split_records(recording, all_spectra(recording))
-    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
-    layout = layout_of(structure, train, 0.0)
-    p = np.full(layout.count, 0.5)
-    p[: structure.count] = structure.vector(chains)
-    p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
+    train, structure, layout, p = linear_fit(excited)
     views = evaluate(layout, train, p, Candidate((), ()), jacobian=False).views
     count, shapes = len(effect.coefficients), len(effect.shapes)
     assert len(effect.lower) == len(effect.upper) == count
