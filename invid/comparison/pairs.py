@@ -170,5 +170,5 @@ def effects(old: Model, new: Model, common: Sequence[str], repeatability: float)
 
 
 def _is_chosen(was: Estimate, now: Estimate) -> bool:
-    """Whether a number is the same choice in both models, and no measurement (which spring drifts)."""
+    """Return whether a number is the same choice in both models, and no measurement (which spring drifts)."""
     return was.std == now.std == 0.0 and was.value == now.value

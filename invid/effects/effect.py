@@ -183,15 +183,19 @@ class Effect:
         return out, None
 
     def stands(self, view: View, place: Place) -> bool:
-        """Whether its force at a motor depends on inner motion, as friction does while the motor stands."""
+        """Return whether its force at a motor depends on inner motion, as friction does while the motor
+        stands.
+        """
         return False
 
     def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
-        """Whether its force in a record depends on its initial state (``view.starts``)."""
+        """Return whether its force in a record depends on its initial state (``view.starts``)."""
         return False
 
     def follows_motor(self, place: Place) -> bool:
-        """Whether its force at a place of inner motion follows from the motor's measured motion alone."""
+        """Return whether its force at a place of inner motion follows from the motor's measured motion
+        alone.
+        """
         return False
 
     def rarity(self, place: Place, structure: ChainStructure) -> float:
@@ -224,7 +228,9 @@ class Effect:
         return [float(np.log(p[n])) if logs.get(n) else float(p[n]) for n in names]
 
     def stands_beside(self, other: Effect) -> bool:
-        """Whether both may sit at one place; of two laws of friction, whether they have no part in common."""
+        """Return whether both may sit at one place; of two laws of friction, whether they have no part
+        in common.
+        """
         if self.cause == other.cause:
             return False
         if self.family == other.family == "friction":
@@ -271,7 +277,7 @@ class Effect:
         return False
 
     def is_null(self, x: Sequence[float]) -> bool:
-        """Whether it is at a bound where it has no force."""
+        """Return whether it is at a bound where it has no force."""
         count = len(self.coefficients)
         return bool(count) and all(abs(c) < 1e-300 for c in x[:count])
 

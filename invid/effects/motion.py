@@ -149,7 +149,7 @@ class View:
         self._cache.clear()
 
     def is_measured(self, pattern: Pattern) -> bool:
-        """Whether the motion along a pattern is that of one motor."""
+        """Return whether the motion along a pattern is that of one motor."""
         return len(pattern) == 1 and pattern[0][0] in self.structure.motor_dofs
 
     @property

@@ -104,7 +104,7 @@ def machine_kind(
 
 
 def is_of_rigid_axes(model: Model, recording: Recording) -> bool:
-    """Whether a recording is to be diagnosed as one of rigid axes with the given model."""
+    """Return whether a recording is to be diagnosed as one of rigid axes with the given model."""
     if max(model.chains.masses_per_branch) > 1:
         return False
     periodic = any(e.period_samples and e.periods >= 2 for e in recording.experiments)

@@ -114,7 +114,7 @@ def use_share(share: float, low: float = 0.0, high: float = 1.0) -> Iterator[Non
 
 
 def is_spent() -> bool:
-    """Whether the budget in force, or that of the present part, is used up."""
+    """Return whether the budget in force, or that of the present part, is used up."""
     budget = _IN_FORCE.get()
     return budget is not None and (
         budget.is_stopped or (budget.seconds is not None and budget.clock() >= budget.end)

@@ -37,7 +37,7 @@ class BusBudget:
 
     @property
     def fits(self) -> bool:
-        """Whether the load is allowed."""
+        """Return whether the load is allowed."""
         return self.load <= self.max_load
 
 

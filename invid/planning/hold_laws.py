@@ -32,7 +32,7 @@ class Gains:
 
 
 def require_stable_p(axis: str, stiffness: float, friction: float, cycle_s: float) -> None:
-    """ConfigError where a P hold would be unstable; says by how much."""
+    """Raise ConfigError where a P hold would be unstable; says by how much."""
     needed = stiffness * (DELAY_CYCLES + 0.5) * cycle_s
     if needed >= friction:
         raise ConfigError(

@@ -80,7 +80,7 @@ def to_separate(document: Mapping[str, Any], config: CellConfig) -> Separation:
 
 
 def is_measurable(cause: str) -> bool:
-    """Whether an experiment of the drives can tell a cause from others; else a person has to act."""
+    """Return whether an experiment of the drives can tell a cause from others; else a person has to act."""
     effect = effect_of(cause)
     return effect is not None and effect.separating.kind != "hand"
 

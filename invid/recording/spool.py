@@ -139,7 +139,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def is_spool(path: Path) -> bool:
-    """Whether a file holds the rows of a measurement."""
+    """Return whether a file holds the rows of a measurement."""
     try:
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC
@@ -161,7 +161,7 @@ def finished_experiments(path: Path) -> int:
 
 
 def has_rows(path: Path) -> bool:
-    """Whether any row reached the disk."""
+    """Return whether any row reached the disk."""
     return any(kind == _ROWS for kind, _ in _frames(path))
 
 

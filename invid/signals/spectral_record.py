@@ -141,7 +141,7 @@ class SpectralRecord(SpectralLines):
 
     @cached_property
     def standing(self) -> tuple[bool, ...]:
-        """Whether each motor stands at times; not where noise hides it."""
+        """Return whether each motor stands at times; not where noise hides it."""
         noise = self.velocity_noise
         return tuple(is_seen_standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
 

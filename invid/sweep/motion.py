@@ -138,7 +138,8 @@ class Motion:
         return self._watch
 
     def by_offset(self, axis: int) -> bool:
-        """Whether torque is added to a loop that the axis's drive keeps closed, also in ``Mode.TORQUE``.
+        """Return whether torque is added to a loop that the axis's drive keeps closed, also in
+        ``Mode.TORQUE``.
 
         A cell whose drives all have a torque mode need not say so.
         """

@@ -78,7 +78,7 @@ class Cell(Protocol):
 
     @property
     def can_hold(self) -> tuple[bool, ...]:
-        """Whether each drive can hold its place by itself."""
+        """Return whether each drive can hold its place by itself."""
 
     @property
     def resolution(self) -> tuple[float, ...]:
@@ -103,8 +103,9 @@ class Cell(Protocol):
 
     @property
     def changing(self) -> bool:
-        """Whether an axis has not taken the mode that was asked for; ``exchange`` must go on, with torque for
-        it, whichever mode it is in."""
+        """Return whether an axis has not taken the mode that was asked for; ``exchange`` must go on,
+        with torque for it, whichever mode it is in.
+        """
 
     def exchange(self, torque: Sequence[float]) -> Sample:
         """Make one cycle: targets out, SYNC at its slot, samples in. BusError where the bus fails."""

@@ -62,12 +62,12 @@ class Response:
 
     @property
     def opposed(self) -> bool:
-        """Whether the measured torque has the opposite sign of the commanded one."""
+        """Return whether the measured torque has the opposite sign of the commanded one."""
         return self.torque_slope < OPPOSITE
 
     @property
     def late(self) -> bool:
-        """Whether the computer or the answers were too late for a verdict on this doublet."""
+        """Return whether the computer or the answers were too late for a verdict on this doublet."""
         return self.late_edges > 0 and self.edges < LEAST_EDGES
 
 
