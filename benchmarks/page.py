@@ -68,14 +68,7 @@ SECTIONS = (
         "identification/bench_peer_models.py",
         ("--seeds", "5", "--seed0", "300"),
         ("--seeds", "2", "--seed0", "300", "--peers",
-         "refined", "paper", "vector", "EMA", "subspace", "OE rough", "raw"),
-    ),
-    Section(
-        "Forward model and simulation beside other simulators",
-        "Processor seconds of the same task, as ratios within one run.",
-        "simulation/bench_forward.py",
-        (),
-        (),
+         "refined", "paper", "vector", "EMA", "subspace", "raw"),
     ),
     Section(
         "Processor time of a diagnosis",

@@ -156,7 +156,9 @@ def _without_eccentricity(reading: Float64, laws: Laws) -> Float64:
 
 
 def _derivative(motion: Float64, interval: float, high: float) -> Float64:
-    """Smoothed over an eighth of the shortest excited cycle: quantisation is not a velocity."""
+    """Return the derivative smoothed over an eighth of the shortest excited cycle: quantisation is no
+    velocity.
+    """
     window = 2 * round(1.0 / (16 * high * interval)) + 1
     window = int(np.clip(window, 5, max(5, (motion.shape[0] - 1) // 2 * 2 - 1)))
     if motion.shape[0] <= window:
