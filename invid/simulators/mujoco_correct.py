@@ -33,6 +33,7 @@ from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.simulation.laws import elements_of
 from invid.simulators.mujoco_plant import (
+    HIDDEN,
     Handle,
     MjcfPlant,
     damping_of,
@@ -361,7 +362,7 @@ def _hidden_mass(copy: _Copy, element: AddedMass) -> None:
     kind = int(m.jnt_type[at])
     gravity = np.array(spec.option.gravity, dtype=float)
     across = np.eye(3)[int(np.argmin(np.abs(gravity)))]
-    name = f"hidden mass {len(spec.bodies)}"
+    name = f"{HIDDEN} {len(spec.bodies)}"
     inertia = element.mass if kind == int(mujoco.mjtJoint.mjJNT_HINGE) else 1e-3 * element.mass
     body = spec.worldbody.add_body(
         name=name, mass=element.mass, inertia=[inertia] * 3, ipos=[0.0] * 3, explicitinertial=True

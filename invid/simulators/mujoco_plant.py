@@ -21,6 +21,8 @@ from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.numerics.arrays import Float64
 
 SMALL = 1e-9
+HIDDEN = "hidden mass"
+"""What the joint of a mass on a spring beside a chain is called in a corrected copy."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,9 @@ class MjcfPlant:
         x = np.zeros((2, self.positions.shape[0]))
         for i, chain in enumerate(self.order):
             x[0, chain], x[1, chain] = position[i], velocity[i]
+            for h in self.handles:  # and what hangs on them
+                if h.b >= 0 and (h.a in chain) != (h.b in chain):
+                    x[:, h.a if h.b in chain else h.b] = position[i], velocity[i]
         behind = [k for chain in self.order for k in chain[1:]]
         if inner is not None and inner.shape[1] == len(behind):
             x[:, behind] += inner
@@ -241,12 +246,16 @@ def _chains(m: Any, handles: list[Handle], motors: list[int]) -> list[list[int]]
     for motor in motors:
         chain = [motor]
         while True:
-            further = [k for k in beside.get(chain[-1], ()) if k not in chain and k not in motors]
+            further = [k for k in beside.get(chain[-1], ()) if k not in {*chain, *motors, *_hidden(m)}]
             if len(further) != 1:
                 break
             chain.append(further[0])
         out.append(chain)
     return out
+
+
+def _hidden(m: Any) -> list[int]:
+    return [k for k in range(m.njnt) if m.joint(k).name.startswith(HIDDEN)]
 
 
 def stiffness_of(m: Any, h: Handle) -> float:
@@ -266,7 +275,7 @@ def damping_of(m: Any, h: Handle) -> float:
 
 def _model(plant: MjcfPlant, source: str) -> Model | None:
     """Chains and effects, or None."""
-    used = [k for chain in plant.order for k in chain]
+    used = [*(k for chain in plant.order for k in chain), *_hidden(plant.compiled)]
     if sorted(used) != list(range(plant.mass.shape[0])):
         return None
     ends = [chain[-1] for chain in plant.order]
@@ -349,6 +358,16 @@ def _effects(plant: MjcfPlant) -> Iterator[EffectTerm]:
         if not is_joint and np.ptp(m.tendon_lengthspring[at]) > 0.0:
             gap = float(np.ptp(m.tendon_lengthspring[at])) / size
             yield term("backlash", place, gap=(gap, length))
+    for k in _hidden(m):
+        h = next(h for h in plant.handles if k in (h.a, h.b) and h.b >= 0)
+        place = place_of(plant, h.a if h.b == k else h.b, -1)
+        if place is not None:
+            mass, spring = float(plant.mass[k, k]), stiffness_of(m, h)
+            ratio = damping_of(m, h) / (2.0 * np.sqrt(mass * spring))
+            unit = "kg" if plant.linear_axes else "kg·m²"
+            yield term(
+                "extra_mode", place, mass=(mass, unit), stiffness=(spring, stiff), damping_ratio=(ratio, "1")
+            )
     for i, motor in enumerate(plant.motors):
         yield from _channel(plant, i, motor, term)
 
