@@ -124,7 +124,7 @@ def read_plant(spec: Any, axes: tuple[str, ...], source: str) -> MjcfPlant:
         raise InputError(f"{source}: hinges and slides are driven; one recording has one unit")
     linear = kinds == {int(mujoco.mjtJoint.mjJNT_SLIDE)}
     positions = _positions(compiled, {m.joint for m in motors})
-    back: Float64 = np.linalg.inv(positions)
+    back = np.asarray(np.linalg.inv(positions), dtype=np.float64)
     mass = back.T @ mass_matrix(compiled) @ back
     handles = list(_handles(compiled, back))
     order = _chains(compiled, handles, [compiled.joint(m.joint).id for m in motors])

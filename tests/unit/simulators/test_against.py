@@ -1,4 +1,4 @@
-"""A user's simulator against a recording whose machine MuJoCo simulated: what is wrong in it, and its copy."""
+"""A user's simulator against a recording of a machine that MuJoCo simulated: what is wrong, and its copy."""
 
 import json
 from dataclasses import replace
@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from machines.mujoco_cells import Cell, drawn, measured, users, write
 
 import invid
 from invid.cli.app import run
 from invid.simulators.judge import judge
 from invid.simulators.open import open_simulator
-from machines.mujoco_cells import Cell, drawn, measured, users, write
 
 
 def wrong(cell: Cell, share: float) -> Cell:
@@ -30,7 +30,7 @@ def wrong(cell: Cell, share: float) -> Cell:
 @pytest.fixture(scope="module")
 def linear(tmp_path_factory: pytest.TempPathFactory) -> tuple[Cell, Path, invid.Recording, Any]:
     folder = tmp_path_factory.mktemp("linear")
-    cell = drawn(5, kinds=(), motion="multisine", sizes=(2, 2))
+    cell = drawn(3, kinds=(), motion="multisine", sizes=(2, 2))
     write(cell, measured(cell), folder / "rec.h5")
     recording = invid.read_recording(folder / "rec.h5")
     return cell, folder, recording, invid.diagnose(recording, budget=60)

@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from machines.mujoco_cells import drawn, measured, write
 
 import invid
 from invid.simulators.judge import judge
 from invid.simulators.open import open_simulator
-from machines.mujoco_cells import drawn, measured, write
 
 
 def test_an_fmu_with_wrong_numbers_is_set_right_by_its_parameters(tmp_path: Path) -> None:
