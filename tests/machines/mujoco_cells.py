@@ -44,8 +44,8 @@ SIZES = {
     ),  # of the spring, where the torque alone would bend it; resonance bends it ten times as far
     "plastic": (0.01, 0.2),  # of the spring
     "play": (0.02, 1.0),  # of the rms deflection
-    "delay": (0.5e-3, 4e-3),  # seconds
-    "lag": (0.5e-3, 4e-3),
+    "delay": (1.5e-3, 4e-3),  # seconds; within a sample it is a convention of sampling
+    "lag": (1.5e-3, 4e-3),
     "mode": (0.02, 0.3),  # of the link's inertia
     "weight": (0.02, 0.5),
     "base": (1.0, 30.0),  # base's inertia over that of the links
