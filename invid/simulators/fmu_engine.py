@@ -80,7 +80,7 @@ class FmuSimulator:
         known = {n: self.values.get(n, float(v.start or 0.0)) for n, v in self.parameters.items()}
 
         def row(axis: str, kind: str) -> list[float]:
-            numbers = []
+            numbers: list[float] = []
             while f"{axis}.{kind}.{len(numbers) + 1}" in known:
                 numbers.append(known[f"{axis}.{kind}.{len(numbers) + 1}"])
             return numbers

@@ -45,7 +45,8 @@ class InvidSimulator:
         experiment = Experiment(
             key=given.key, kind=Kind.OTHER, role=Role.VALIDATE, excited_axis=-1, hold_gain=stiffness,
             period_samples=0, frequencies_hz=np.zeros(0), sample_rate_hz=1.0 / given.interval,
-            time=np.arange(count) * given.interval, position=given.position, torque=given.torque,
+            time=np.arange(count, dtype=np.float64) * given.interval,
+            position=given.position, torque=given.torque,
         )  # fmt: skip
         unit = ("m", "N") if self.model.linear else ("rad", "N·m")
         recording = Recording("", self.model.axes, *unit, "", (experiment,))
