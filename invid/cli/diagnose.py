@@ -60,6 +60,18 @@ def register(app: typer.Typer) -> None:
         ] = None,
         budget: Budget = BUDGET,
         effects: Effects = None,
+        against: Annotated[
+            Path | None,
+            typer.Option(
+                "--against",
+                metavar="SIM",
+                help="A simulator of the machine: MuJoCo XML, invid model or FMU. Say what it gets wrong.",
+            ),
+        ] = None,
+        corrected: Annotated[
+            Path | None,
+            typer.Option("--corrected", metavar="OUT", help="Where the simulator's corrected copy goes."),
+        ] = None,
         without_rule: Annotated[
             list[str] | None,
             typer.Option(
@@ -87,7 +99,10 @@ def register(app: typer.Typer) -> None:
         given = None if model is None else load_model(model)
         try:
             with ends_on_interrupt(), shown_progress("diagnosing") as progress:
-                diagnosis = diagnose(data, model=given, masses=wanted, budget=budget, progress=progress)
+                diagnosis = diagnose(
+                    data, model=given, masses=wanted, budget=budget, progress=progress, against=against,
+                    corrected=corrected,
+                )  # fmt: skip
         except ModelError as error:  # an effect that this robot cannot have
             if given is None or not given.effects:
                 raise
@@ -178,6 +193,9 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
                     "  (invid measure CONFIG --separate DIAGNOSIS.json -o NEW.h5 runs it; then diagnose with "
                     "--with NEW.h5)"
                 )
+    if diagnosis.against is not None:
+        lines += ["", *diagnosis.against["sentences"]]
+        lines += [f"warning: {w}" for w in diagnosis.against["warnings"]]
     lines += [f"warning: {w}" for w in diagnosis.warnings]
     return "\n".join(lines)
 

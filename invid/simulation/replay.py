@@ -33,7 +33,7 @@ at a tenth: 2 to 5 % of the motion)."""
 _OBSERVER_DAMPING = 0.7
 _DRIFT_RATIO = 0.5
 """Cut of the drift filter over the lowest line: forwards and backwards it takes 1.5 % of the line itself."""
-_HOLD_DAMPING = 0.3
+HOLD_DAMPING = 0.3
 _MOST_SUBSTEPS = 64
 
 
@@ -133,7 +133,7 @@ def drive(experiment: Experiment, chains: CoupledChains, laws: Laws, fastest: fl
     observer = sums * (2 * np.pi * low / _OBSERVER_RATIO) ** 2
     held = gain > observer
     stiffness = np.where(held, gain, observer)
-    ratio = np.where(held, _HOLD_DAMPING, _OBSERVER_DAMPING)
+    ratio = np.where(held, HOLD_DAMPING, _OBSERVER_DAMPING)
     # what the model itself has as a spring to ground needs no tie
     stiffness = np.where(chains.ground_springs > 0, np.where(held, gain, 0.0), stiffness)
     damping = 2 * ratio * np.sqrt(stiffness * sums)
