@@ -239,6 +239,12 @@ class Cia402Cell:
                 f"axis {', '.join(restarted)} has restarted while its protection was written, and may have "
                 "lost it; look at its supply, then start again"
             )
+        for peer in self._link.peers.values():
+            for code in peer.own_errors():
+                raise DriveError(
+                    f"axis {peer.name} reported error 0x{code:04X} before it was enabled; find out why, then "
+                    "start again"
+                )
         self._link.events.clear()
         self._link.refuse_others()
         for peer in self._link.peers.values():
