@@ -1,6 +1,4 @@
-"""Commands ``invid serve`` (the REST service and the technician's page) and ``invid keys`` (who may
-use it).
-"""
+"""``invid serve``: the REST service and the technician's page; ``invid keys``: who may use it."""
 
 from __future__ import annotations
 

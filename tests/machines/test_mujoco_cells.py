@@ -1,5 +1,6 @@
 """Cells whose physics is MuJoCo's: what the product says of a few; hundreds by bench_mujoco.py."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,9 @@ def test_an_element_stands_out_more_the_larger_it_is_and_not_at_all_where_it_is_
     kind: str,
 ) -> None:
     found = []
-    for size in (-3.0, 0.2, 0.9):
+    low, high = SIZES[kind]
+    nothing = math.log(1e-3) / math.log(high / low)  # a thousandth of the least that is drawn
+    for size in (nothing, 0.2, 0.9):
         cell = drawn(8, kinds=(kind,), motion="multisine", sizes=(2,), size=size)
         found.append(with_strengths(cell, measured(cell)).hidden[0].db)
     assert found[0] < min(found[1], 0.0)
