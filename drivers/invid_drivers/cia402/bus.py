@@ -258,7 +258,7 @@ class Cia402Cell:
                 "lost it; look at its supply, then start again"
             )
         for peer in self._link.peers.values():
-            for code in peer.own_errors():
+            for code in peer.own_errors(since=peer.recovered):
                 raise DriveError(
                     f"axis {peer.name} reported error 0x{code:04X} before it was enabled; find out why, then "
                     "start again"
