@@ -71,6 +71,13 @@ SECTIONS = (
          "refined", "paper", "vector", "EMA", "subspace", "raw"),
     ),
     Section(
+        "Forward model and simulation beside other simulators",
+        "Processor seconds of the same task, as ratios within one run.",
+        "simulation/bench_forward.py",
+        (),
+        (),
+    ),
+    Section(
         "Processor time of a diagnosis",
         "One core, each command in a process of its own, counted after its imports; beside each figure its "
         "bar, and its ratio to a fixed workload, which says the same on a faster machine.",
