@@ -123,9 +123,11 @@ def registered_effects(sources: Sequence[Effect | str | Path]) -> Iterator[None]
     InputError
         A file that cannot be read, holds no effect, or one that does not do what an effect must.
     """
-    found = [e for one in sources for e in ([one] if isinstance(one, Effect) else load_effects(Path(one)))]
-    for effect in found:
-        check_effect(effect, "effects")
+    found = [
+        e
+        for one in sources
+        for e in ([check_effect(one, "effects")] if isinstance(one, Effect) else load_effects(Path(one)))
+    ]
     _check_looks_like(found)
     token = _further.set(_merge_effects(_further.get(), found))
     try:

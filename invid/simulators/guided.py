@@ -26,6 +26,7 @@ from invid.model.document import Model
 from invid.model.forward import dynamic_stiffness
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.recording.model import Experiment
+from invid.signals.noise import quiet_power
 from invid.signals.timebase import resample_uniformly
 from invid.simulation.laws import Laws
 from invid.simulation.plant import matrices
@@ -147,9 +148,9 @@ class Tie:
     late: float = 0.0
 
     @classmethod
-    def of(cls, mass: Float64, rate: float, ratio: float = 1.0) -> Tie:
-        """Natural frequency ``rate`` [rad/s] on these inertias."""
-        return cls(mass * rate**2, 2.0 * ratio * mass * rate)
+    def of(cls, mass: Float64, rate: float) -> Tie:
+        """Natural frequency ``rate`` [rad/s] on these inertias, critically damped."""
+        return cls(mass * rate**2, 2.0 * mass * rate)
 
 
 def _without(x: Complex128, columns: Sequence[Complex128]) -> tuple[Complex128, Float64]:
@@ -295,9 +296,7 @@ def _smooth(position: Float64, interval: float, top: float) -> Float64:
 
 def _noise(x: Float64, interval: float, high: float) -> Float64:
     """(M,) variance a sample of white noise, from the quiet half of the spectrum above twice the band."""
-    count = x.shape[0]
-    hz = np.fft.rfftfreq(count, interval)
-    power = np.abs(np.fft.rfft(x * np.hanning(count)[:, None], axis=0)) ** 2 / (np.hanning(count) ** 2).sum()
-    above = power[hz > min(2.5 * high, 0.8 * hz[-1])]
-    # The median of an exponential distribution is ln 2 of its mean.
-    return np.asarray(np.median(above, axis=0) / np.log(2.0))
+    window, hz = np.hanning(x.shape[0]), np.fft.rfftfreq(x.shape[0], interval)
+    spectrum = np.asarray(np.fft.rfft(x * window[:, None], axis=0), dtype=np.complex128)
+    power, _ = quiet_power(spectrum, hz > min(2.5 * high, 0.8 * hz[-1]))
+    return power / float((window**2).sum())

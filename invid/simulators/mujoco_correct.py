@@ -37,6 +37,7 @@ from invid.simulators.mujoco_plant import (
     Handle,
     MjcfPlant,
     damping_of,
+    handles_between,
     mass_matrix,
     steps_of,
     stiffness_of,
@@ -46,6 +47,7 @@ HARD = (6e-4, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solref and solimp of dry friction: MuJoCo's default gives way like a viscous damper at low speed."""
 STIFF_BRISTLE = 1e-4
 """Deflection [rad or m] at which a bristle slides, for friction with a Stribeck curve and no presliding."""
+_NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
 KEPT = 1e-3
 """Weight of the inertias as they were beside the ones asked for: it decides between a body and its joint."""
 
@@ -112,9 +114,8 @@ def correct(plant: MjcfPlant, model: Model) -> tuple[str, list[str]]:
                     copy.lost.append(f"{effect_name(term)}: {reason}")
         except ModelError as error:
             copy.lost.append(f"{effect_name(term)}: {error}")
-    text = copy.spec
-    text.compile()
-    return str(text.to_xml()), copy.lost
+    copy.spec.compile()
+    return str(copy.spec.to_xml()), copy.lost
 
 
 def _cleared(copy: _Copy) -> None:
@@ -140,9 +141,6 @@ def _cleared(copy: _Copy) -> None:
         if motor.actuator:
             own = spec.actuator(motor.actuator)
             own.delay, own.nsample, own.dyntype = 0.0, 0, mujoco.mjtDyn.mjDYN_NONE
-
-
-_NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
 
 
 def _inertia(copy: _Copy, model: Model) -> None:
@@ -335,9 +333,8 @@ def _constant(copy: _Copy, a: int, torque: float) -> None:
 
 def _spring_between(copy: _Copy, a: int, b: int) -> tuple[Any, float]:
     """The element that holds a chain's spring, and its scale."""
-    h = next(
-        h for h in copy.plant.handles if {h.a, h.b} == {a, b} and stiffness_of(copy.plant.compiled, h) > 0.0
-    )
+    along = handles_between(copy.plant.handles, a, b)
+    h = next(h for h in along if stiffness_of(copy.plant.compiled, h) > 0.0)
     return copy.element(h), abs(h.scale)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from mujoco import rollout
 
 from invid.errors import InputError
-from invid.model.document import Model
+from invid.model.document import Model, save_text
 from invid.numerics.arrays import Float64
 from invid.simulators.guided import GUIDE, Guided, Tie
 from invid.simulators.mujoco_correct import correct
@@ -69,15 +69,11 @@ class MujocoSimulator:
         model = spec.compile()
         control = np.zeros((torque.shape[0], model.nu))
         for i, motor in enumerate(plant.motors):
+            guide = model.actuator_ctrladr[model.actuator(f"guide {i}").id]
             k, d = tie.stiffness[i], tie.damping[i]
-            control[:, model.actuator_ctrladr[model.actuator(f"guide {i}").id]] = (
-                k * (position[:, i] + motor.zero) + d * velocity[:, i]
-            )
-            if motor.actuator:
-                at = model.actuator_ctrladr[model.actuator(motor.actuator).id]
-                control[:, at] = torque[:, i] / motor.gain
-            else:
-                control[:, model.actuator_ctrladr[model.actuator(f"guide {i}").id]] += torque[:, i]
+            control[:, guide] = k * (position[:, i] + motor.zero) + d * velocity[:, i]
+            own = model.actuator_ctrladr[model.actuator(motor.actuator).id] if motor.actuator else guide
+            control[:, own] += torque[:, i] / motor.gain
         data = mujoco.MjData(model)
         plant.start(data, model, position[0], velocity[0], start)
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -100,10 +96,7 @@ class MujocoSimulator:
     def corrected(self, model: Model, to: Path) -> tuple[MujocoSimulator, list[str]]:
         """See ``Simulator.corrected``."""
         text, lost = correct(self.plant, model)
-        try:
-            to.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{to}: cannot be written: {error.strerror}") from None
+        save_text(to, text)
         return MujocoSimulator(to, self.axes), lost
 
 

@@ -287,7 +287,7 @@ def _model(plant: MjcfPlant, source: str) -> Model | None:
     m = plant.compiled
     springs, dampers = [], []
     for chain in plant.order:
-        pairs = [_between(plant.handles, a, b) for a, b in pairwise(chain)]
+        pairs = [handles_between(plant.handles, a, b) for a, b in pairwise(chain)]
         springs.append([sum(stiffness_of(m, h) for h in p) for p in pairs])
         dampers.append([sum(damping_of(m, h) for h in p) for p in pairs])
     couplings = plant.mass[np.ix_(ends, ends)] * (1.0 - np.eye(len(ends)))
@@ -307,7 +307,8 @@ def _model(plant: MjcfPlant, source: str) -> Model | None:
     )  # fmt: skip
 
 
-def _between(handles: list[Handle], a: int, b: int) -> list[Handle]:
+def handles_between(handles: list[Handle], a: int, b: int) -> list[Handle]:
+    """Return the elements along x_a − x_b."""
     return [h for h in handles if {h.a, h.b} == {a, b}]
 
 
@@ -382,7 +383,7 @@ def _channel(plant: MjcfPlant, i: int, motor: Motor, term: Any) -> Iterator[Effe
         if m.actuator_dyntype[at] != int(mujoco.mjtDyn.mjDYN_NONE):
             yield term("torque_lag", place, time_constant=(float(m.actuator_dynprm[at, 0]), "s"))
     joint = m.joint(motor.joint).id
-    for at in range(m.nactuator if hasattr(m, "nactuator") else m.actuator_biasprm.shape[0]):
+    for at in range(m.actuator_biasprm.shape[0]):
         if m.actuator_biastype[at] != int(mujoco.mjtBias.mjBIAS_DCMOTOR) or m.actuator_trnid[at, 0] != joint:
             continue
         amplitude, poles, phase, *_ = m.actuator_biasprm[at]
