@@ -15,7 +15,7 @@ PYTEST    = $(BIN)/python -m pytest -n 3 --dist loadgroup --timeout 600
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-rest test-all check bench bench-page docs pictures serve system-packages lock sbom clean
+.PHONY: demo test test-rest test-all check check-page bench bench-page docs pictures serve system-packages lock sbom clean
 
 demo: $(PRODUCT)
 	$(BIN)/invid demo --out invid-demo
@@ -30,12 +30,17 @@ test-rest: $(COMPILED) system-packages
 
 test-all: test test-rest
 
-check: $(DEV)
+check: $(DEV) check-page
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python scripts/check_docs.py
+
+# Types of the page's modules against the interface (service/page): for development only, nothing is built or shipped.
+check-page:
+	@if command -v npm >/dev/null; then cd service/page && npm ci --silent --ignore-scripts && npm run --silent check; \
+	  else echo "npm is missing: the types of the page are not checked"; fi
 
 bench: $(DEV)
 	$(INSTALL) ".[dev,bench]"

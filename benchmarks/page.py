@@ -68,7 +68,7 @@ SECTIONS = (
         "identification/bench_peer_models.py",
         ("--seeds", "5", "--seed0", "300"),
         ("--seeds", "2", "--seed0", "300", "--peers",
-         "refined", "paper", "vector", "EMA", "subspace", "OE rough", "raw"),
+         "refined", "paper", "vector", "EMA", "subspace", "raw"),
     ),
     Section(
         "Forward model and simulation beside other simulators",

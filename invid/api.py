@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from invid.numerics.budget import Progress
     from invid.recording.import_map import ImportMap
     from invid.recording.model import Recording
+    from invid.simulators.guided import Simulator
 
 Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["refined", "paper"]
@@ -169,7 +171,7 @@ def identify(  # noqa: PLR0913 - the contract: each is one option of the command
         )
 
 
-def diagnose(
+def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
     recording: Recording | Sequence[Recording],
     *,
     model: Model | None = None,
@@ -177,6 +179,8 @@ def diagnose(
     budget: float | None = None,
     progress: Callable[[Progress], None] | None = None,
     effects: Effects = (),
+    against: str | Path | None = None,
+    corrected: str | Path | None = None,
 ) -> Diagnosis:
     """What the simulation gets wrong on a recording: cause, place, size, extended model and gain.
 
@@ -195,6 +199,10 @@ def diagnose(
     effects
         Causes beside the catalogue's: ``invid.effects.Effect`` objects, or files that hold ``EFFECT``
         (docs/how-to/add-an-effect.md). A model that has one needs it again to be simulated or diagnosed.
+    against, corrected
+        A simulator of the same machine (MuJoCo XML, invid model or FMU), run by its own engine on the
+        records kept out: the result's ``against`` says what it gets wrong; ``corrected`` is where its
+        corrected copy goes (docs/how-to/against.md).
 
     Returns
     -------
@@ -221,8 +229,16 @@ def diagnose(
         raise InputError("masses and model: the model says how many masses there are; give one of the two")
     start = None if model is None else arguments.a_model(model)
     sizes = arguments.mass_counts(masses, one.axes)
+    simulator, copy = _simulator(against, corrected, one.axes)
     with _using(effects), _limits(budget, progress):
+        if simulator is not None and start is None and sizes is None:
+            claimed = simulator.claimed()
+            sizes = None if claimed is None else list(claimed.chains.masses_per_branch)
         result = diagnosed(one, model=start, masses=sizes)
+        if simulator is not None:
+            from invid.simulators.judge import judge
+
+            result = replace(result, against=judge(one, result, simulator, copy))
         other = start is not None and start.provenance.get("recorded") != one.created
         if start is not None and other and start.linear == result.model.linear:
             result = with_changes(result, compared(start, result.model))
@@ -366,6 +382,22 @@ def _limits(seconds: float | None, report: Callable[[Progress], None] | None) ->
     own = None if end is None and report is None else Budget(end, RunClock(), report)
     with use_budget(own), np.errstate(all="ignore"):
         yield
+
+
+def _simulator(
+    against: str | Path | None, corrected: str | Path | None, axes: tuple[str, ...]
+) -> tuple[Simulator | None, Path | None]:
+    """The simulator in a file, and where its corrected copy goes."""
+    from invid.errors import InputError
+
+    if against is None:
+        if corrected is not None:
+            raise InputError("corrected: needs against, the simulator that is corrected")
+        return None, None
+    from invid.simulators.open import open_simulator
+
+    copy = None if corrected is None else arguments.a_path(corrected, "corrected")
+    return open_simulator(arguments.a_path(against, "against"), axes), copy
 
 
 def _using(effects: Effects) -> AbstractContextManager[None]:

@@ -1,6 +1,6 @@
 """Planning: expected against actual uncertainty, and robot time to a goal against stepped sine.
 
-    python benchmarks/planning/bench_plan.py [--case expected|time|design] [--seeds N] [--first S]
+    python benchmarks/planning/bench_plan.py [--case expected|time] [--seeds N] [--first S]
 
 Everything runs through the simulated cell: drives on the virtual CAN bus, the sweep with its trials,
 friction, encoder and torque quantisation, noise, hold controllers. Exit status 1 where a bar is missed.
@@ -8,7 +8,6 @@ friction, encoder and torque quantisation, noise, hold controllers. Exit status 
 expected  standard deviations foretold before anything moves / scatter of identified parameters (0.7–1.5)
 time      robot time to 1 % on every mass, spring and coupling of the case study, no model given, beside
           stepped sine at the same peak torque fitted by the same estimator (bar: 10 times shorter)
-design    amplitude by frequency chosen against a model, beside ∝ f^−½ at the same peak torque
 """
 
 from __future__ import annotations
@@ -205,33 +204,7 @@ def stepped_config(seed: int, count: int, peaks: np.ndarray) -> CellConfig:
     return CellConfig.model_validate(document)
 
 
-def design(seeds: range, folder: Path) -> bool:
-    """Expected uncertainty at the same peak torque, amplitudes chosen and not."""
-    del folder
-    config = cell(0)
-    belief, noise = true_belief(config), sensor_noise(config)
-    rows = []
-    for seed in seeds:
-        pair = []
-        for known in (belief, replace(belief, guessed=True)):
-            plan = plan_for_goal(config, known, noise, 5e-4, seed=seed + 1, max_duration_s=7.0).plan
-            block = plan.experiments[0]
-            torque = block.torque / np.abs(block.torque).max(axis=0) * [17.5, 35.0, 70.0]
-            found = expected(config, [replace(block, torque=torque)], belief, noise)
-            relative = found.relative[found.goal]
-            pair.append((found.worst[1], float(np.sqrt(np.mean(relative**2)))))
-        rows.append(pair)
-    table = np.median(np.array(rows), axis=0)
-    gain = float((table[1, 1] / table[0, 1]) ** 2)
-    print(
-        f"design: one block of 5 s, same peaks: f^-1/2 worst {table[1, 0]:.3%}, rms {table[1, 1]:.3%}; "
-        f"chosen worst {table[0, 0]:.3%}, rms {table[0, 1]:.3%}: as good as {gain:.2f} "
-        "times the robot time"
-    )
-    return bool(table[0, 1] < table[1, 1])
-
-
-CASES = {"expected": (foretold, 20), "time": (robot_time, 10), "design": (design, 5)}
+CASES = {"expected": (foretold, 20), "time": (robot_time, 10)}
 
 
 def main() -> int:

@@ -1,11 +1,10 @@
 """The service under load and under the axe.
 
-    python benchmarks/service/bench_service.py [--poll-seconds 20] [--realtime-runs 3] [--kills 30]
+    python benchmarks/service/bench_service.py [--poll-seconds 20] [--kills 30]
                                                [--changes 200] [--first-seed 0] [--keep DIR]
 
 - Polling at 200 requests/s from 20 clients during a run: latency from each request's due time (a late
-  server cannot hide behind its clients); SYNC slots that a run in real time misses with and without it, in
-  pairs (``polled_realtime.py``).
+  server cannot hide behind its clients).
 - kill -9 of the service at random moments of a run: every run ends ``interrupted`` or was stored whole, no
   runner is left, the store is consistent, the next run starts.
 - The change test on an unchanged simulated cell, each start with its own noise: measured, identified and
@@ -34,7 +33,6 @@ from scipy import special
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "system"))
 from service_process import SMALL_CELL, serving
 
-from benchmarks.service.polled_realtime import realtime
 from benchmarks.service.polling import hammer
 from invid.comparison.changes import Comparison, Status
 from invid.comparison.compare import compare
@@ -257,7 +255,6 @@ def main() -> int:
     """Run the campaigns; the exit status is the number that missed their promise."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--poll-seconds", type=float, default=20.0)
-    parser.add_argument("--realtime-runs", type=int, default=3)
     parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--changes", type=int, default=200)
     parser.add_argument("--first-seed", type=int, default=0)
@@ -266,8 +263,6 @@ def main() -> int:
     kept = []
     if given.poll_seconds > 0:
         kept.append(poll(given.poll_seconds))
-    if given.realtime_runs > 0:
-        kept.append(realtime(given.realtime_runs))
     if given.kills > 0:
         kept.append(kill(given.kills))
     if given.changes > 0:

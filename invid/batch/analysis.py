@@ -1,4 +1,4 @@
-"""One recording identified and diagnosed, and what became of it."""
+"""Identify and diagnose one recording, and say what became of it."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Options:
     budget: float | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """For tasks and for the record of what was done."""
+        """Return plain values, for tasks and for the record of what was done."""
         masses = list(self.masses) if isinstance(self.masses, tuple) else self.masses
         return {"masses": masses, "budget": self.budget}
 
     @classmethod
     def from_json(cls, document: dict[str, Any]) -> Options:
-        """What ``to_json`` made."""
+        """Return the outcome that ``to_json`` made plain."""
         masses = document["masses"]
         return cls(tuple(masses) if isinstance(masses, list) else masses, document["budget"])
 

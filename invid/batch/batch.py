@@ -129,7 +129,7 @@ def cores() -> int:
 
 
 def analyse_here(recordings: Mapping[str, Path], options: Options, workers: int) -> Iterator[Outcome]:
-    """Outcomes as they come. Whoever stops asking ends all processes."""
+    """Yield outcomes as they come. Whoever stops asking ends all processes."""
     helpers: list[Helper] = []
 
     def one(name: str, path: Path) -> Outcome:

@@ -33,7 +33,7 @@ class ClusterError(InvidError, ConnectionError):
 def analyse_on_cluster(
     address: str, recordings: Mapping[str, Path], options: Options, at_once: int | None
 ) -> Iterator[Outcome]:
-    """Outcomes as they come. At most ``at_once`` recordings are under way, by default two a thread."""
+    """Yield outcomes as they come. At most ``at_once`` recordings are under way, by default two a thread."""
     client = _connect(address)
     try:
         room = at_once or 2 * max(sum(client.nthreads().values()), 1)
@@ -42,7 +42,7 @@ def analyse_on_cluster(
         under_way = as_completed(loop=client.loop, raise_errors=False)
 
         def begin() -> Iterator[Outcome]:
-            """Start one more; those that cannot even be read are through."""
+            """Start one recording more; those that cannot even be read are finished here."""
             for name, path in waiting:
                 try:
                     content = path.read_bytes()
@@ -66,7 +66,7 @@ def analyse_on_cluster(
 
 
 def _quiet() -> None:
-    """What goes wrong is said in a sentence of ours; Dask's own log of it is tracebacks."""
+    """Silence Dask's own log, which is tracebacks: what goes wrong is said in a sentence of ours."""
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -106,7 +106,7 @@ def _version() -> str:
 
 
 def _task(content: bytes, name: str, options: dict[str, Any]) -> dict[str, Any]:
-    """On the worker. One that joined later may have another version, which is no result of this batch."""
+    """Analyse one recording on a worker; one with another version gives no result of this batch."""
     return {"version": __version__, "outcome": analyse_content(content, name, options)}
 
 

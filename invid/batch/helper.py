@@ -1,4 +1,4 @@
-"""A process that analyses one recording after the other, for a thread that asks it.
+"""Run a process that analyses one recording after the other, for a thread that asks it.
 
 A file that crashes a library, or for which memory lacks, then costs a row and not the batch. The process
 reads a task a line (JSON) and answers with a line; when its stdin closes, whoever asked is gone: it ends.
@@ -24,14 +24,14 @@ ATTEMPTS = 2
 
 
 class Helper:
-    """One such process, started when it is first asked and again after it died."""
+    """Process that analyses recordings, started when it is first asked and again after it died."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._closed = False
 
     def ask(self, path: Path, name: str, options: Options) -> Outcome:
-        """The outcome; where the process died on every attempt, one that says so."""
+        """Return the outcome of a recording; where the process died on every attempt, one that says so."""
         status = 0
         for _ in range(ATTEMPTS):
             if self._closed:

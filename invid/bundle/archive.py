@@ -192,7 +192,7 @@ def fingerprint(key: Ed25519PublicKey) -> str:
 
 
 def is_signed(content: bytes, signature: bytes, key: Ed25519PublicKey) -> bool:
-    """Whether this key signed this content."""
+    """Return whether this key signed this content."""
     try:
         key.verify(signature, content)
     except InvalidSignature:

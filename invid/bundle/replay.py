@@ -31,7 +31,7 @@ class Difference:
 
     @property
     def sentence(self) -> str:
-        """For a person."""
+        """Return the comparison in a sentence for a person."""
         return f"{self.place}: {_short(self.bundled)} in the bundle, {_short(self.replayed)} here"
 
 

@@ -61,7 +61,7 @@ def create_app(command: str | None = None, *, overview: bool = False) -> typer.T
 
 
 def _summary(point: EntryPoint) -> str:
-    """What a command does: its module's docstring after the colon, read without loading the module."""
+    """Return what a command does: its module's docstring after the colon, read without loading the module."""
     spec = find_spec(point.module)
     source = spec.loader.get_source(point.module) if spec and isinstance(spec.loader, SourceLoader) else None
     first = (ast.get_docstring(ast.parse(source or "")) or "").partition("\n")[0]

@@ -51,7 +51,7 @@ def register(app: typer.Typer) -> None:
 
 
 def load(module: str):  # type: ignore[no-untyped-def]
-    """A module that needs ``cryptography``; InputError where that is not installed."""
+    """Import a module that needs ``cryptography``; InputError where that is not installed."""
     from importlib import import_module
 
     try:

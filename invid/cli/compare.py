@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from invid.api import compare, load_model
-from invid.cli.language_option import SpokenLanguage
+from invid.cli.options import SpokenLanguage
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 
 

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from invid.api import diagnose, load_model, read_recording
-from invid.cli.display import BUDGET, ends_on_interrupt, shown_progress
-from invid.cli.effects_option import Effects, use_effects
+from invid.cli.display import ends_on_interrupt, shown_progress
 from invid.cli.identify import parse_masses
-from invid.cli.language_option import SpokenLanguage
+from invid.cli.options import BUDGET, Budget, Effects, SpokenLanguage, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, ModelError
 
@@ -59,14 +58,20 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option("--plots", metavar="DIR", help="Folder for pictures (SVG) and their data."),
         ] = None,
-        budget: Annotated[
-            float,
-            typer.Option(
-                min=1.0,
-                help="Seconds of processor time after which the best answer so far is given; inf: no end.",
-            ),
-        ] = BUDGET,
+        budget: Budget = BUDGET,
         effects: Effects = None,
+        against: Annotated[
+            Path | None,
+            typer.Option(
+                "--against",
+                metavar="SIM",
+                help="A simulator of the machine: MuJoCo XML, invid model or FMU. Say what it gets wrong.",
+            ),
+        ] = None,
+        corrected: Annotated[
+            Path | None,
+            typer.Option("--corrected", metavar="OUT", help="Where the simulator's corrected copy goes."),
+        ] = None,
         without_rule: Annotated[
             list[str] | None,
             typer.Option(
@@ -94,7 +99,10 @@ def register(app: typer.Typer) -> None:
         given = None if model is None else load_model(model)
         try:
             with ends_on_interrupt(), shown_progress("diagnosing") as progress:
-                diagnosis = diagnose(data, model=given, masses=wanted, budget=budget, progress=progress)
+                diagnosis = diagnose(
+                    data, model=given, masses=wanted, budget=budget, progress=progress, against=against,
+                    corrected=corrected,
+                )  # fmt: skip
         except ModelError as error:  # an effect that this robot cannot have
             if given is None or not given.effects:
                 raise
@@ -128,7 +136,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> list[Path]:
-    """Writes pictures and their data; the paths, pictures of what is missing first."""
+    """Write pictures and their data; return the paths, pictures of what is missing first."""
     from invid.report.plots import plot_files
 
     files = plot_files(recording, diagnosis)
@@ -185,12 +193,15 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
                     "  (invid measure CONFIG --separate DIAGNOSIS.json -o NEW.h5 runs it; then diagnose with "
                     "--with NEW.h5)"
                 )
+    if diagnosis.against is not None:
+        lines += ["", *diagnosis.against["sentences"]]
+        lines += [f"warning: {w}" for w in diagnosis.against["warnings"]]
     lines += [f"warning: {w}" for w in diagnosis.warnings]
     return "\n".join(lines)
 
 
 def _replay_lines(diagnosis: Diagnosis) -> list[str]:
-    """What the simulation over time says, where it was run."""
+    """Return the lines about the simulation over time, where it was run."""
     answer = diagnosis.details.get("replay")
     if not answer:
         return []

@@ -17,16 +17,15 @@ from invid.numerics import budget
 if TYPE_CHECKING:
     from invid.numerics.budget import Progress
 
-BUDGET = 60.0
-"""Processor seconds that a command may take where nothing else is asked for: what a technician waits beside a
-robot."""
 EVERY_S = 5.0
 """Seconds between two plain lines."""
 
 
 @contextmanager
 def ends_on_interrupt() -> Iterator[None]:
-    """Inside, the first Ctrl-C ends a search with the best answer so far; the second ends the command."""
+    """Context manager in which the first Ctrl-C ends a search with the best answer so far, the second
+    the command.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from invid.api import identify, read_recording
-from invid.cli.display import BUDGET, ends_on_interrupt, shown_progress
-from invid.cli.effects_option import Effects, use_effects
+from invid.cli.display import ends_on_interrupt, shown_progress
+from invid.cli.options import BUDGET, Budget, Effects, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, NotIdentifiableError
 
@@ -45,13 +45,7 @@ def register(app: typer.Typer) -> None:
                 min=0, help="Draws of a parametric bootstrap, on all cores; 200 tell a spread to 5 %."
             ),
         ] = 0,
-        budget: Annotated[
-            float,
-            typer.Option(
-                min=1.0,
-                help="Seconds of processor time after which the best answer so far is given; inf: no end.",
-            ),
-        ] = BUDGET,
+        budget: Budget = BUDGET,
         effects: Effects = None,
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
     ) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from invid.api import load_model, read_recording, simulate, write_recording
-from invid.cli.effects_option import Effects, use_effects
+from invid.cli.options import Effects, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 
 if TYPE_CHECKING:

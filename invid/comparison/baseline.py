@@ -160,7 +160,9 @@ def _apart(name: str, was: float, now: float) -> float:
 
 
 def pool_agreeing(model: Model, earlier: Sequence[Model], factor: float) -> list[Model]:
-    """``model`` and those before it that agree with it, oldest first; ``earlier`` is oldest first."""
+    """Return ``model`` and the models before it that agree with it, oldest first; ``earlier`` is oldest
+    first.
+    """
     group = [model]
     for other in reversed(earlier):
         if len(group) == MOST or not agrees_with(pool_models(group), other, factor):
@@ -252,7 +254,9 @@ def _misfit(old: Model, new: Model) -> tuple[float, int] | None:
 
 
 def _calm(misfits: Sequence[tuple[float, int]]) -> list[tuple[float, int]]:
-    """Without those that the calmer ones rule out: half of them first, then one by one upwards."""
+    """Return the misfits without those that the calmer ones rule out: half of them first, then one by
+    one upwards.
+    """
     rising = sorted(misfits, key=lambda m: m[0] / m[1])
     kept = rising[: -(-len(rising) // 2)]
     for chi2, count in rising[len(kept) :]:

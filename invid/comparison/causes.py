@@ -60,7 +60,7 @@ def compare_causes(
     tolerance: float,
     scatter: Repeatability | None = None,
 ) -> tuple[CauseChange, ...]:
-    """What became of every cause that one of two models has on their common axes (see ``compare``)."""
+    """Compare every cause that one of two models has on their common axes (see ``compare``)."""
     scatter = Repeatability() if scatter is None else scatter
     before = {name_of(t): t for t in old.effects if t.axis in common}
     after = {name_of(t): t for t in new.effects if t.axis in common}

@@ -1,4 +1,4 @@
-"""Two models of one robot: which parameters changed beyond their uncertainty, in words and numbers.
+"""Test which parameters of two models of one robot changed beyond their uncertainty, in words and numbers.
 
 A parameter *changed* where the smallest set of changes that explains the difference of the two models
 needs it (``compare_joint``: joint covariance of both fits, repeatability of the cell, Holm's correction over

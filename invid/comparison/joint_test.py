@@ -1,4 +1,4 @@
-"""The test behind ``compare``: all parameters at once, in coordinates where the noise is white.
+"""Test all parameters of two models at once, in coordinates where the noise is white.
 
 The difference Δ of two parameter vectors has covariance D = λ²(C₁ + C₂): the joint covariances of both
 fits, inflated by the repeatability λ that the cell's own history shows. Parameters of one fit are strongly
@@ -231,7 +231,7 @@ def select(white: Whitened, alpha: float, dof: float, runs: tuple[int, int] | No
 
 
 def joint_p(white: Whitened, dof: float) -> float:
-    """p of "nothing at all changed"."""
+    """Return the p value of "nothing at all changed"."""
     count = white.data.size
     return (
         chi2_sf(white.chi2, count) if math.isinf(dof) else f_sf(white.chi2 / count, float(count), float(dof))

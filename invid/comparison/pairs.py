@@ -37,7 +37,7 @@ def structure(old: Model, new: Model, common: Sequence[str]) -> list[NamedChange
 
 
 def _names(count: int) -> list[str]:
-    """What a person calls the masses of a branch."""
+    """Return what a person calls the masses of a branch."""
     if count == 1:
         return ["mass"]
     return ["motor mass", *(f"mass {q + 1}" for q in range(1, count - 1)), "final mass"]
@@ -76,7 +76,7 @@ def parameter_changes(old: Model, new: Model, common: Sequence[str], repeatabili
 
 
 def _whole_inertia(old: Model, new: Model, axis: str, unit: str, repeatability: float) -> Change:
-    """Sum of a branch's masses: the one thing that does not depend on their number."""
+    """Return the sum of a branch's masses: the one thing that does not depend on their number."""
 
     def total(model: Model) -> Estimate:
         i = model.axes.index(axis)
@@ -170,5 +170,5 @@ def effects(old: Model, new: Model, common: Sequence[str], repeatability: float)
 
 
 def _is_chosen(was: Estimate, now: Estimate) -> bool:
-    """Whether a number is the same choice in both models, and no measurement (which spring drifts)."""
+    """Return whether a number is the same choice in both models, and no measurement (which spring drifts)."""
     return was.std == now.std == 0.0 and was.value == now.value

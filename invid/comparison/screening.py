@@ -1,4 +1,4 @@
-"""Has anything changed since the accepted model? One short record against it, and where if so.
+"""Test one short record against the accepted model: has anything changed, and where.
 
 The record is fitted from the accepted parameters with everything free, friction, time offsets and
 boundary terms among it. Where nothing changed the difference d of the parameters has covariance
@@ -68,7 +68,7 @@ class Screening:
 
     @property
     def sentence(self) -> str:
-        """What a person wants to know."""
+        """Return the verdict in a sentence."""
         if self.verdict == "unchanged":
             worst = int(np.argmax(self.detectable))
             return (
@@ -194,7 +194,7 @@ def fitted_values(fit: Fit, names: Sequence[str]) -> tuple[Float64, Float64]:
 
 
 def changed_parts(names: Sequence[str], difference: Float64, spread: Float64) -> tuple[str, ...]:
-    """The fewest parts whose freeing leaves a rest that is not refuted."""
+    """Return the fewest parts whose freeing leaves a rest that is not refuted."""
     parts = list(dict.fromkeys(part_of(n) for n in names))
     owner = np.array([parts.index(part_of(n)) for n in names])
     freed: list[int] = []
@@ -249,7 +249,7 @@ def update_model(model: Model, screening: Screening, fit: Fit) -> Model:
 
 
 def _likely(difference: Float64, spread: Float64) -> tuple[float, float]:
-    """Probability of a χ² at least as large, and it."""
+    """Return the probability of a χ² at least as large, and the χ² itself."""
     value = _quadratic(difference, spread)
     return (chi2_sf(value, difference.size) if difference.size else 1.0), value
 

@@ -75,7 +75,7 @@ def is_spread_out(c: Comparison, joint_alpha: float) -> bool:
 
 
 def _sharper(c: Change) -> bool:
-    """Whether the change differs from new − old by more than its deviation: a reader will subtract."""
+    """Return whether the change differs from new − old by more than its deviation: a reader will subtract."""
     if c.old is None or c.new is None or c.difference is None or c.std is None:
         return False
     return abs(c.difference - (c.new.value - c.old.value)) > c.std

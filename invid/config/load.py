@@ -54,7 +54,7 @@ def load_config(path: Path | str) -> CellConfig:
 
 
 def _beside(config: CellConfig, folder: Path) -> CellConfig:
-    """Files that a config names stand beside it, wherever the command runs."""
+    """Return the config with its EDS files as paths: they stand beside it, wherever the command runs."""
     if all(a.eds is None for a in config.axes):
         return config
     axes = [a if a.eds is None else a.model_copy(update={"eds": str(folder / a.eds)}) for a in config.axes]
@@ -195,7 +195,7 @@ def _short(value: Any) -> str:
 
 
 def _refuse_other_units(data: Mapping[Any, Any], source: str, lines: dict[Where, int]) -> None:
-    """A key in metres on a rotary axis (or the reverse) is a mistake of a factor nobody knows."""
+    """Refuse a key in metres on a rotary axis, or the reverse: a mistake of a factor nobody knows."""
     motion = data.get("motion", "rotary")
     wrong = {"rotary": _LINEAR, "linear": _ROTARY}.get(motion if isinstance(motion, str) else "")
     if wrong is None:

@@ -104,7 +104,7 @@ OVERRIDABLE = {
 
 
 def _known(value: Any) -> Any:
-    """ "unknown" is what a config says where nobody has looked yet."""
+    """Return ``None`` for "unknown", which a config says where nobody has looked yet."""
     return None if value == "unknown" else value
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from invid.effects.effect import Effect, Experiment, ForceEffect, ImpedanceEffect, PlaceMotion
     from invid.effects.elements import ForceLaw, Law, ModelPlace, StaticLaw
-    from invid.effects.motion_effect import MotionEffect, Parameter
+    from invid.effects.motion_effect import MotionEffect
+    from invid.effects.parameter import Parameter
     from invid.model.place import axis_places, end_places, mass_places, motor_places, spring_places
 
 _HOMES = {
@@ -21,7 +22,7 @@ _HOMES = {
     "Law": "elements",
     "ModelPlace": "elements",
     "MotionEffect": "motion_effect",
-    "Parameter": "motion_effect",
+    "Parameter": "parameter",
     "PlaceMotion": "effect",
     "StaticLaw": "elements",
 }

@@ -14,13 +14,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from invid.effects.elements import Element, ModelPlace
 from invid.effects.laws.beyond_band import beyond_band, solve_beyond_band
 from invid.effects.motion import View, along
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import Size
 from invid.errors import InputError, ModelError
 from invid.model.document import EffectTerm
@@ -28,6 +29,14 @@ from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Complex128, Float64
 
+FAMILIES = (
+    "friction", "position", "spring", "constant", "time", "structure", "linear", "sensor", "sampling",
+    "scale", "saturation", "actuator_dynamics", "other",
+)  # fmt: skip
+"""Kinds of cause. Two laws of friction sit at one place only where their ``parts`` differ."""
+HOMES = ("motor", "end", "spring", "axis")
+OVER = ("", "velocity", "position", "deflection", "deflection rate", "torque", "torque rate")
+"""Quantities over which missing torque can be drawn."""
 KNOWN_LINES = 60
 """Laws at motors whose lines a record keeps: a few shapes of each motor's friction and ripples."""
 
@@ -39,9 +48,15 @@ class Experiment:
     ``by_hand``: what a person has to do where no motion of the drives shows it.
     """
 
+    KINDS: ClassVar = ("speeds", "positions", "amplitudes", "band", "lines", "time", "hand")
     kind: Literal["speeds", "positions", "amplitudes", "band", "lines", "time", "hand"]
-    text: str
+    text: str = ""
     by_hand: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in self.KINDS:
+            known = ", ".join(repr(k) for k in self.KINDS)
+            raise InputError(f"Experiment: kind is {self.kind!r}; it is one of {known}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +86,13 @@ class PlaceMotion:
 class Effect:
     """One cause of the catalogue. Subclasses are stateless; the catalogue holds one of each.
 
-    ``parameters`` maps the contract's names to kinds of unit. ``coefficients`` are linear (bounds in
-    ``lower``/``upper``), ``shapes`` are not; ``logarithmic`` says which of them move as logarithms.
+    ``numbers`` are its parameters. From them follow, where a class does not say otherwise, ``parameters``
+    (the contract's names with their kinds of unit), ``coefficients``, which are linear (bounds in
+    ``lower``/``upper``), ``shapes``, which are not (``logarithmic``: which of them move as logarithms), and
+    ``main``, the first.
     """
+
+    numbers: ClassVar[tuple[Parameter, ...]] = ()
 
     cause: str = ""
     title: str = ""
@@ -113,6 +132,27 @@ class Effect:
     along_pattern: bool = True
     """Whether its force lies along the pattern of its place and can be estimated from the missing torque."""
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "numbers" not in cls.__dict__:
+            return
+        if not (isinstance(cls.numbers, tuple) and all(isinstance(p, Parameter) for p in cls.numbers)):
+            raise InputError("numbers is a tuple of parameters: numbers = (Parameter(name, unit),)")
+        linear = [p for p in cls.numbers if p.linear]
+        shapes = [p for p in cls.numbers if not p.linear]
+        follows: dict[str, Any] = {
+            "parameters": {p.name: p.unit for p in cls.numbers},
+            "coefficients": tuple(p.name for p in linear),
+            "lower": tuple(p.low for p in linear),
+            "upper": tuple(p.high for p in linear),
+            "shapes": tuple(p.name for p in shapes),
+            "logarithmic": tuple(p.logarithmic for p in shapes),
+            "main": next((p.name for p in cls.numbers), ""),
+        }
+        for name, value in follows.items():
+            if name not in cls.__dict__:
+                setattr(cls, name, value)
+
     def places(self, structure: ChainStructure) -> list[Place]:
         """All places where it may sit."""
         raise NotImplementedError
@@ -143,15 +183,19 @@ class Effect:
         return out, None
 
     def stands(self, view: View, place: Place) -> bool:
-        """Whether its force at a motor depends on inner motion, as friction does while the motor stands."""
+        """Return whether its force at a motor depends on inner motion, as friction does while the motor
+        stands.
+        """
         return False
 
     def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
-        """Whether its force in a record depends on its initial state (``view.starts``)."""
+        """Return whether its force in a record depends on its initial state (``view.starts``)."""
         return False
 
     def follows_motor(self, place: Place) -> bool:
-        """Whether its force at a place of inner motion follows from the motor's measured motion alone."""
+        """Return whether its force at a place of inner motion follows from the motor's measured motion
+        alone.
+        """
         return False
 
     def rarity(self, place: Place, structure: ChainStructure) -> float:
@@ -184,7 +228,9 @@ class Effect:
         return [float(np.log(p[n])) if logs.get(n) else float(p[n]) for n in names]
 
     def stands_beside(self, other: Effect) -> bool:
-        """Whether both may sit at one place; of two laws of friction, whether they have no part in common."""
+        """Return whether both may sit at one place; of two laws of friction, whether they have no part
+        in common.
+        """
         if self.cause == other.cause:
             return False
         if self.family == other.family == "friction":
@@ -222,7 +268,8 @@ class Effect:
         return f" of {size}"
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        """Whether it is larger than what it acts on, or than the motion in the records, and so is none.
+        """Return whether it is larger than what it acts on, or than the motion in the records, and so
+        is none.
 
         A spring that drifts by more than itself stands for another spring, a gap that the deflection never
         crosses for none.
@@ -230,7 +277,7 @@ class Effect:
         return False
 
     def is_null(self, x: Sequence[float]) -> bool:
-        """Whether it is at a bound where it has no force."""
+        """Return whether it is at a bound where it has no force."""
         count = len(self.coefficients)
         return bool(count) and all(abs(c) < 1e-300 for c in x[:count])
 

@@ -61,7 +61,7 @@ class MotorLaw(Protocol):
 
     @property
     def axis(self) -> int:
-        """Of the motor."""
+        """Return the number of the motor's axis."""
         ...
 
     def over_time(self, view: View) -> Float64:
@@ -149,7 +149,7 @@ class View:
         self._cache.clear()
 
     def is_measured(self, pattern: Pattern) -> bool:
-        """Whether the motion along a pattern is that of one motor."""
+        """Return whether the motion along a pattern is that of one motor."""
         return len(pattern) == 1 and pattern[0][0] in self.structure.motor_dofs
 
     @property

@@ -7,51 +7,23 @@ The law alone is fitted, named, simulated, saved, reloaded and drawn, on elastic
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import Any, ClassVar
 
 import numpy as np
 
 from invid.effects.effect import ForceEffect, PlaceMotion
 from invid.effects.elements import Element, ModelPlace, StaticLaw
 from invid.effects.motion import View, rms
+from invid.effects.parameter import Parameter
 from invid.effects.units import unit_of
-from invid.errors import ModelError
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.signals.standstill import sign_threshold
 
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number of a law.
-
-    Attributes
-    ----------
-    name
-        As in model.json.
-    unit
-        Kind of quantity: "torque", "velocity", "torque/velocity^2", "ratio", … (``invid.effects.units``).
-    linear
-        Whether the force is proportional to it; else it is a shape, searched from ``starts`` on.
-    low, high
-        Bounds; a linear parameter with ``low`` 0 is positive.
-    starts
-        Values of a shape to start from, in its unit; with ``of_motion`` over the rms velocity or position.
-    logarithmic
-        Whether a shape moves as its logarithm (it is then above zero).
-    """
-
-    name: str
-    unit: str
-    linear: bool = True
-    low: float = -np.inf
-    high: float = np.inf
-    starts: tuple[float, ...] = ()
-    of_motion: bool = True
-    logarithmic: bool = True
+OF_MOTION = ("velocity", "position", "deflection", "deflection rate")
+"""Quantities over which a law can be simulated from a table."""
 
 
 class MotionEffect(ForceEffect):
@@ -61,22 +33,7 @@ class MotionEffect(ForceEffect):
     ``places`` and ``resistance``.
     """
 
-    numbers: ClassVar[tuple[Parameter, ...]] = ()
-    """Its parameters."""
     over = "velocity"
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        if "numbers" not in cls.__dict__:
-            return
-        linear = [p for p in cls.numbers if p.linear]
-        shapes = [p for p in cls.numbers if not p.linear]
-        cls.parameters = {p.name: p.unit for p in cls.numbers}
-        cls.coefficients = tuple(p.name for p in linear)
-        cls.lower, cls.upper = tuple(p.low for p in linear), tuple(p.high for p in linear)
-        cls.shapes = tuple(p.name for p in shapes)
-        cls.logarithmic = tuple(p.logarithmic for p in shapes)
-        cls.main = cls.main or next(iter(cls.parameters), "")
 
     def resistance(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
         """(n, k) resistance for each linear parameter at one [N·m or N]; ``shape`` the others, in their
@@ -132,11 +89,6 @@ class MotionEffect(ForceEffect):
         return self._static_resistance(p, x)
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
-        if self.over not in ("velocity", "position", "deflection", "deflection rate"):
-            raise ModelError(
-                f"effect {self.cause} on {at.term.axis}: its file has to say how it is simulated "
-                f"(simulation), for a law over {self.over!r} is no table"
-            )
         p = {name: at.value(name) for name in self.parameters}
         over = "velocity" if self.over in ("velocity", "deflection rate") else "position"
         a, b = at.coordinates(self.home)
@@ -155,6 +107,3 @@ class MotionEffect(ForceEffect):
         size = np.array([p[name] for name in self.coefficients])
         out: Float64 = self.resistance(motion, [p[name] for name in self.shapes]) @ size
         return out
-
-
-__all__ = ["MotionEffect", "Parameter"]

@@ -6,17 +6,11 @@ A package offers effects in the entry point group ``invid.effects`` (an ``Effect
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
-
-import numpy as np
 
 from invid.effects.catalogue.asymmetric_friction import AsymmetricFriction
 from invid.effects.catalogue.backlash import Backlash
@@ -43,12 +37,10 @@ from invid.effects.catalogue.torque_offset import TorqueOffset
 from invid.effects.catalogue.torque_saturation import TorqueSaturation
 from invid.effects.catalogue.transmission_error import TransmissionError
 from invid.effects.catalogue.viscous_friction import ViscousFriction
-from invid.effects.effect import Effect, PlaceMotion
-from invid.effects.motion_effect import MotionEffect
-from invid.effects.units import unit_of
+from invid.effects.effect import Effect
+from invid.effects.effect_files import check_effect, installed_effects, load_effects
 from invid.errors import InputError
 from invid.model.document import EffectTerm
-from invid.model.parameters import ChainStructure
 
 CATALOGUE: tuple[Effect, ...] = (
     CoulombFriction(),
@@ -78,8 +70,6 @@ CATALOGUE: tuple[Effect, ...] = (
 """Every cause of the contract."""
 LARGE_MOTION: tuple[Effect, ...] = (LoadDependentFriction(), QuadraticStiffness())
 """Causes that show only in large motion of a rigid machine."""
-GROUP = "invid.effects"
-"""Entry point group of installed packages."""
 
 _further: ContextVar[tuple[Effect, ...]] = ContextVar("further effects", default=())
 
@@ -133,9 +123,12 @@ def registered_effects(sources: Sequence[Effect | str | Path]) -> Iterator[None]
     InputError
         A file that cannot be read, holds no effect, or one that does not do what an effect must.
     """
-    found = [e for one in sources for e in ([one] if isinstance(one, Effect) else load_effects(Path(one)))]
-    for effect in found:
-        _check_effect(effect, "effects")
+    found = [
+        e
+        for one in sources
+        for e in ([check_effect(one, "effects")] if isinstance(one, Effect) else load_effects(Path(one)))
+    ]
+    _check_looks_like(found)
     token = _further.set(_merge_effects(_further.get(), found))
     try:
         yield
@@ -143,97 +136,21 @@ def registered_effects(sources: Sequence[Effect | str | Path]) -> Iterator[None]
         _further.reset(token)
 
 
-def load_effects(path: Path) -> tuple[Effect, ...]:
-    """The effects of a Python file (``EFFECT`` or ``EFFECTS``); InputError says what is wrong."""
-    where = f"effects file {path}"
-    try:
-        source = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{where}: cannot be read: {error.strerror}") from None
-    key = hashlib.sha256(str(path.resolve()).encode() + b"\0" + source).hexdigest()[:16]
-    name = f"invid_effects_{key}"  # as what is pickled between helpers names it
-    module = sys.modules.get(name)
-    if module is None:
-        spec = importlib.util.spec_from_file_location(name, path)
-        if spec is None or spec.loader is None:
-            raise InputError(f"{where}: is no Python file; its name has to end in .py")
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        try:
-            spec.loader.exec_module(module)
-        except Exception as error:  # whatever a stranger's file raises
-            del sys.modules[name]
-            line = getattr(error, "lineno", None)
-            at = f" in line {line}" if line else ""
-            raise InputError(f"{where}: {type(error).__name__}{at}: {error}") from None
-    held = getattr(module, "EFFECTS", None) or getattr(module, "EFFECT", None)
-    return tuple(_check_effect(e, where) for e in _effects_held(held, where))
-
-
 @cache
 def _installed_effects() -> tuple[Effect, ...]:
     """The effects of installed packages; InputError names one that cannot be used."""
-    found: list[Effect] = []
-    for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):
-        package = "a package" if entry.dist is None else f"package {entry.dist.name}"
-        where = f"{package}, entry point {entry.name!r} of {GROUP}"
-        try:
-            held = entry.load()
-        except Exception as error:  # whatever a stranger's package raises
+    return _merge_effects((), installed_effects())
+
+
+def _check_looks_like(found: Sequence[Effect]) -> None:
+    """Refuse look-alikes that nothing known is called."""
+    known = sorted({e.cause for e in (*effects(), *LARGE_MOTION, *found)})
+    for effect in found:
+        strange = sorted(set(effect.looks_like) - set(known))
+        if strange:
             raise InputError(
-                f"{where}: {type(error).__name__}: {error}; mend or uninstall the package"
-            ) from None
-        found += [_check_effect(e, where) for e in _effects_held(held, where)]
-    return _merge_effects((), found)
-
-
-def _effects_held(held: object, where: str) -> Sequence[object]:
-    if held is None:
-        raise InputError(f"{where}: holds no EFFECT; write EFFECT = YourEffect() at its end")
-    return held if isinstance(held, list | tuple) else (held,)
-
-
-def _check_effect(effect: object, where: str) -> Effect:
-    """The effect itself; InputError where it lacks what an effect must have."""
-    if isinstance(effect, type) and issubclass(effect, Effect):
-        raise InputError(
-            f"{where}: EFFECT is the class {effect.__name__}; write EFFECT = {effect.__name__}()"
-        )
-    if not isinstance(effect, Effect):
-        raise InputError(f"{where}: EFFECT is {type(effect).__name__}, no invid.effects.Effect")
-    where = f"{where}: {effect.cause or type(effect).__name__}"
-    if not effect.cause.isidentifier():
-        raise InputError(f"{where}: cause is {effect.cause!r}; give it a name as quadratic_drag")
-    for name in ("title", "check", "family"):
-        if not getattr(effect, name):
-            raise InputError(f"{where}: {name} is empty; say it in a few words")
-    if not effect.parameters:
-        raise InputError(f"{where}: it has no parameters; give numbers = (Parameter(...),)")
-    for kind in effect.parameters.values():
-        unit_of(kind, linear=False)
-    try:
-        effect.places(ChainStructure((2, 2), ("A1", "A2"), viscous=False, grounded=()))
-        if isinstance(effect, MotionEffect):
-            _try_law(effect)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
-    except Exception as error:  # whatever a stranger's law raises
-        raise InputError(f"{where}: {type(error).__name__} on a motion of ten samples: {error}") from None
-    return effect
-
-
-def _try_law(effect: MotionEffect) -> None:
-    """Evaluates its law on a motion of ten samples; InputError where the result is not usable."""
-    x = np.linspace(-1.0, 1.0, 10)
-    starts = effect.starts(1.0, 1.0)
-    if not starts:
-        raise InputError("a parameter that is not linear needs starts, values to begin from")
-    out = np.asarray(effect.resistance(PlaceMotion(x, x[::-1].copy(), x), starts[0]))
-    if out.shape != (10, len(effect.coefficients)) or not np.isfinite(out).all():
-        raise InputError(
-            f"its resistance has shape {out.shape}; it must be finite, (samples, linear parameters), here "
-            f"(10, {len(effect.coefficients)})"
-        )
+                f"effect {effect.cause}: looks_like names {strange[0]!r}; known: {', '.join(known)}"
+            )
 
 
 def _merge_effects(known: tuple[Effect, ...], more: Sequence[Effect]) -> tuple[Effect, ...]:

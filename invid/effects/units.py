@@ -22,6 +22,14 @@ _PURE = {"angle": "rad", "count": "1", "ratio": "1"}
 _POWERS = {1: "", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶"}
 
 
+_MADE = "'torque/velocity^2' or 'torque*time'"
+
+
+def _known() -> str:
+    """ "angle (rad), count (1), …": every kind with its unit on a rotary axis."""
+    return ", ".join(f"{kind} ({unit_of(kind, False)})" for kind in sorted((*_DIMENSIONS, *_PURE)))
+
+
 def unit_of(kind: str, linear: bool) -> str:
     """Unit of a kind of quantity: "torque", "damping", "torque/velocity^2", "torque*time", "ratio", …
 
@@ -33,13 +41,13 @@ def unit_of(kind: str, linear: bool) -> str:
     if kind in _PURE:
         return _PURE[kind]
     if not re.fullmatch(r"[a-z_]+(\^[1-6])?([*/][a-z_]+(\^[1-6])?)*", kind):
-        raise InputError(f"unit {kind!r}: it is written as 'torque', 'torque/velocity^2', 'torque*time'")
+        raise InputError(f"unit {kind!r}: it is one of {_known()}, or made of them as {_MADE}")
     total = [0, 0, 0, 0]
     for sign, name, power in re.findall(r"(^|[*/])([a-z_]+)(?:\^([1-6]))?", kind):
         if name not in _DIMENSIONS:
             raise InputError(
-                f"unit {kind!r}: no kind of quantity is called {name!r}; known: "
-                f"{', '.join(sorted((*_DIMENSIONS, *_PURE)))}"
+                f"unit {kind!r}: no kind of quantity is called {name!r}; known: {_known()}, or made of them "
+                f"as {_MADE}"
             )
         for k, own in enumerate(_DIMENSIONS[name]):
             total[k] += own * int(power or 1) * (-1 if sign == "/" else 1)

@@ -97,7 +97,9 @@ def _between(matrix: Float64, a: int, b: int | None) -> float:
 
 
 def _on_joint(term: EffectTerm, plant: LinearPlant, coordinate: int) -> bool:
-    """Whether dry friction sits at the motor whose joint this is: the only joint with an absolute speed."""
+    """Return whether dry friction sits at the motor whose joint this is: the only joint with an
+    absolute speed.
+    """
     return (
         term.cause == "coulomb_friction"
         and term.element in (None, "mass 1")

@@ -71,13 +71,15 @@ class FreeFrf:
             return None
 
     def misses_too(self) -> bool:
-        """Whether it misses far more than noise and ``GRANTED_ERROR`` as well: no start of a linear structure
-        reaches either."""
+        """Return whether it misses far more than noise and ``GRANTED_ERROR`` as well: no start of a
+        linear structure reaches either.
+        """
         return self._found is not None and self._found.mean_square > SUSPECT
 
     def is_no_better(self, problem: MissingTorqueProblem, solution: Solution) -> bool:
-        """Whether it misses as much as a fit, to a factor of two in amplitude: what is missing is no other
-        start's."""
+        """Return whether it misses as much as a fit, to a factor of two in amplitude: what is missing
+        is no other start's.
+        """
         return 0.0 < self.missed(problem, solution)[0] <= MOST_BEATEN
 
     def missed(self, problem: MissingTorqueProblem, solution: Solution) -> tuple[float, float]:
@@ -186,7 +188,7 @@ def compare_routes(
     covariance: Float64,
     warnings: list[str],
 ) -> dict[str, Any]:
-    """Whether the paper's inverse and the maximum-likelihood fit agree within their joint uncertainty.
+    """Return whether the paper's inverse and the maximum-likelihood fit agree within their joint uncertainty.
 
     The paper's route counts only where its modes explain the FRF to its noise; otherwise its covariance lacks
     its own error.

@@ -1,4 +1,4 @@
-"""Machines with fewer masses than declared."""
+"""Identify machines with fewer masses than declared."""
 
 from __future__ import annotations
 

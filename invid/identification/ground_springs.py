@@ -1,4 +1,4 @@
-"""Machines with springs to ground: no rigid motion, so the sum rule gives no mass."""
+"""Identify machines with springs to ground: no rigid motion, so the sum rule gives no mass."""
 
 from __future__ import annotations
 

@@ -262,7 +262,7 @@ def _check_excitation(recording: Recording, spectra: Sequence[LineSpectra]) -> N
 
 
 def _has_signal(s: LineSpectra, channel: int) -> bool:
-    """Whether a channel's excited lines rise above its noise, and it is not constant."""
+    """Return whether a channel's excited lines rise above its noise, and it is not constant."""
     both = np.concatenate((s.position, s.torque), axis=1)[s.excited, channel]
     if both.size == 0 or not np.any(both):
         return False

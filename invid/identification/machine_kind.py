@@ -1,4 +1,4 @@
-"""Elastic or rigid machine: where the motion does not decide it, both are fitted and held-out rows decide.
+"""Decide whether a machine is elastic or rigid: where the motion does not, held-out rows of both fits do.
 
 Periods and sweeps are made for chains; constant velocities and declared masses leave no choice. Any other
 record (production moves, noise, a velocity alone) may be of either kind.
@@ -104,7 +104,7 @@ def machine_kind(
 
 
 def is_of_rigid_axes(model: Model, recording: Recording) -> bool:
-    """Whether a recording is to be diagnosed as one of rigid axes with the given model."""
+    """Return whether a recording is to be diagnosed as one of rigid axes with the given model."""
     if max(model.chains.masses_per_branch) > 1:
         return False
     periodic = any(e.period_samples and e.periods >= 2 for e in recording.experiments)

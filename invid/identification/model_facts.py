@@ -1,4 +1,4 @@
-"""Fits as models: values, standard deviations, doubts, warnings, and the facts of the fit."""
+"""Turn fits into models: values, standard deviations, doubts, warnings, and the facts of the fit."""
 
 from __future__ import annotations
 

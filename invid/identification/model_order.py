@@ -115,7 +115,7 @@ class OrderSearch:
         return self._modes[sizes]
 
     def is_settled(self, small: Sizes) -> bool:
-        """Whether no further mass could be better by the factor asked for."""
+        """Return whether no further mass could be better by the factor asked for."""
         before = self.trial(small)
         if len(small) > 1 or small == (1,):
             return before.cost < GAIN * before.dof  # already noise
@@ -127,7 +127,7 @@ class OrderSearch:
         return bool(2.0 * gain < (1.0 - 1.0 / GAIN) * before.cost)
 
     def is_needed(self, small: Sizes, large: Sizes) -> bool:
-        """Whether the larger structure is better by more than its parameters may."""
+        """Return whether the larger structure is better by more than its parameters may."""
         before = self.trial(small)
         if self.is_settled(small):
             return False

@@ -1,4 +1,4 @@
-"""Torque that acts later than recorded by more than a sampling convention: starts corrected for it."""
+"""Correct starts for torque that acts later than recorded by more than a sampling convention."""
 
 from __future__ import annotations
 

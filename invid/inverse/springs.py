@@ -63,7 +63,7 @@ def inverse_end_mass(rows: LanczosRows, mass: float, stiffness: float) -> np.flo
 
 
 def check_positive(masses: Float64, springs: Float64, *, axis: str) -> None:
-    """NotIdentifiableError where a mass or spring came out ≤ 0 or not finite: the lists disagree."""
+    """Raise NotIdentifiableError where a mass or spring came out ≤ 0 or not finite: the lists disagree."""
     for what, values in (("spring", springs), ("mass", masses)):
         bad = ~(np.isfinite(values) & (values > 0))
         if bad.any():
@@ -80,7 +80,7 @@ def check_positive(masses: Float64, springs: Float64, *, axis: str) -> None:
 
 
 def check_numbers(motor_mass: float, branch_sum: float, masses: int, *, axis: str) -> None:
-    """InputError where what the user gave cannot be a branch."""
+    """Raise InputError where what the user gave cannot be a branch."""
     if masses < 1:
         raise InputError(f"branch {axis}: {masses} masses; a branch has at least one")
     for what, value in (("motor mass", motor_mass), ("branch sum", branch_sum)):

@@ -179,6 +179,8 @@ class Diagnosis:
     """The same by language."""
     changes: tuple[NamedChange, ...] | None = None
     """What changed since the accepted model; ``None`` where nothing was compared."""
+    against: Mapping[str, Any] | None = None
+    """What a user's own simulator gets wrong here (docs/how-to/against.md)."""
 
     @property
     def grade(self) -> Grade | None:
@@ -236,6 +238,7 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "sentences": list(diagnosis.sentences),
         "changes": None if diagnosis.changes is None else [asdict(c) for c in diagnosis.changes],
         "details": dict(diagnosis.details),
+        **({} if diagnosis.against is None else {"against": dict(diagnosis.against)}),
     }
 
 

@@ -50,7 +50,7 @@ class Doubt:
 
     @property
     def spoils_changes(self) -> bool:
-        """Whether a difference from another model may come from the doubt itself.
+        """Return whether a difference from another model may come from the doubt itself.
 
         What the data do not determine has no standard deviation and changes nowhere; what is missed or
         measured weakly is in the standard deviations of the rest; a scale is the same in both.
@@ -59,7 +59,9 @@ class Doubt:
 
     @property
     def is_of_model(self) -> bool:
-        """Whether it speaks against the model itself, and not of how it was measured or what it lacks."""
+        """Return whether it speaks against the model itself, and not of how it was measured or what it
+        lacks.
+        """
         return self.code not in _OF_THE_RUN
 
     def to_json(self) -> dict[str, Any]:

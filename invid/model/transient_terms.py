@@ -1,4 +1,4 @@
-"""What the ends of a record that does not close add to its spectra.
+"""Terms that the ends of a record that does not close add to its spectra.
 
 With Δx, Δv the end-minus-start position and velocity of every coordinate,
 Z_full q + (2/T)((C + jωM)Δx + MΔv) = τ: linear in 2·ΣN real numbers a record. A motor's ends also stand

@@ -111,7 +111,7 @@ def _attempts(data: FrfData) -> Iterator[tuple[float, int]]:
 
 
 def _moved_to_the_misfit(data: FrfData, best: tuple[float, ModalFit]) -> tuple[float, ModalFit]:
-    """The weakest mode tried where the misfit is largest: a missed peak is found there."""
+    """Try the weakest mode where the misfit is largest: a missed peak is found there."""
     weight = data.weight(0.01)
     rows, columns = pairs(data.count)
     tried: list[float] = []
@@ -162,7 +162,7 @@ def _with_complex_modes(data: FrfData, fit: ModalFit) -> ModalFit:
 
 
 def _finish(data: FrfData, fit: ModalFit) -> Modes:
-    """Last iterations under the noise, or under the model error that makes χ²/dof = 1."""
+    """Make the last iterations under the noise, or under the model error that makes χ²/dof = 1."""
     model_error = 0.0
     fit = levenberg(data, data.weight(0.0), fit) if noise_chi2(data, fit) < 4.0 else fit
     fit = _with_complex_modes(data, fit)

@@ -175,5 +175,5 @@ def reduced_chi2(data: FrfData, weight: Float64, fit: ModalFit) -> float:
 
 
 def noise_chi2(data: FrfData, fit: ModalFit) -> float:
-    """The same under the FRF's noise alone."""
+    """Return χ² per degree of freedom under the FRF's noise alone."""
     return reduced_chi2(data, data.weight(0.0), fit)

@@ -106,7 +106,9 @@ class _Search:
         self.band, self.scale = (low, high), float(np.sqrt(low * high))
 
     def operations(self, poles: int) -> float:
-        """Of a search with so many poles, for each number of them that it goes through."""
+        """Return the number of operations of a search with so many poles, for each number that it goes
+        through.
+        """
         width = (self.motors + 1) * (2 * poles + 1)
         return 2.0 * self.motors * self.rows * width**2 * 5 * ROUNDS
 

@@ -1,4 +1,6 @@
-"""What substitutions teach about a fixed point: Anderson's mixing, type II."""
+"""Solve fixed points faster by Anderson's mixing, type II: what earlier substitutions teach about the
+next.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ class Secants:
 
     @classmethod
     def of(cls, moves: Sequence[Float64], changes: Sequence[Float64]) -> Secants:
-        """All of these pairs, however many."""
+        """Return a set of all of these pairs, however many."""
         pairs = [
             (move / size, change / size)
             for move, change in zip(moves, changes, strict=True)
@@ -32,7 +34,7 @@ class Secants:
         return cls(tuple(m for m, _ in pairs), tuple(c for _, c in pairs))
 
     def plus(self, move: Float64, change: Float64) -> Secants:
-        """One pair more, the oldest forgotten; a move that changed nothing tells nothing."""
+        """Return a set with one pair more, the oldest forgotten; a move that changed nothing is not added."""
         size = float(np.linalg.norm(change))
         if not np.isfinite(size) or size == 0.0:
             return self
@@ -52,7 +54,7 @@ class Secants:
         return np.column_stack(self.moves) + np.column_stack(self.changes)
 
     def step(self, rest: Float64) -> Float64:
-        """The move that takes the disagreement ``rest`` away, as far as is known."""
+        """Return the move that takes the disagreement ``rest`` away, as far as is known."""
         if not self.changes:
             return rest
         out: Float64 = rest - self._both @ (self._inverse @ rest)

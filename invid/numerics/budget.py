@@ -1,4 +1,4 @@
-"""How long a computation may take and how far it is: asked and told at the heads of its loops.
+"""Bound how long a computation takes and report how far it is, at the heads of its loops.
 
 The budget in force is a context variable: searches and fits are reached through thirty functions that
 neither know nor need it, and a forked helper has its parent's. No clock is read here; whoever sets a budget
@@ -81,7 +81,7 @@ _IN_FORCE: ContextVar[Budget | None] = ContextVar("invid_budget", default=None)
 
 @contextmanager
 def use_budget(budget: Budget | None) -> Iterator[None]:
-    """Inside, ``budget`` is asked; with ``None`` the one already in force, if any."""
+    """Context manager in which ``budget`` is in force; with ``None`` the one already in force, if any."""
     if budget is None:
         yield
         return
@@ -94,8 +94,9 @@ def use_budget(budget: Budget | None) -> Iterator[None]:
 
 @contextmanager
 def use_share(share: float, low: float = 0.0, high: float = 1.0) -> Iterator[None]:
-    """Inside, a share of the time that is left; the work there is what lies between ``low`` and ``high`` of
-    the present part's."""
+    """Context manager for a part of the work: a share of the time that is left, and of the progress
+    from ``low`` to ``high``.
+    """
     budget = _IN_FORCE.get()
     if budget is None:
         yield
@@ -113,7 +114,7 @@ def use_share(share: float, low: float = 0.0, high: float = 1.0) -> Iterator[Non
 
 
 def is_spent() -> bool:
-    """Whether the budget in force, or that of the present part, is used up."""
+    """Return whether the budget in force, or that of the present part, is used up."""
     budget = _IN_FORCE.get()
     return budget is not None and (
         budget.is_stopped or (budget.seconds is not None and budget.clock() >= budget.end)
@@ -130,20 +131,20 @@ def stop() -> bool:
 
 
 def check() -> None:
-    """BudgetSpent where the budget is used up."""
+    """Raise BudgetSpent where the budget is used up."""
     if is_spent():
         raise BudgetSpent
 
 
 def leave_out(what: str) -> None:
-    """Take down what was not looked at, for the result's warnings."""
+    """Note what was not looked at, for the result's warnings."""
     budget = _IN_FORCE.get()
     if budget is not None and what not in budget.left_out:
         budget.left_out.append(what)
 
 
 def is_left_out(what: str) -> bool:
-    """Whether the budget is used up; takes down what is not looked at for that."""
+    """Return whether the budget is used up, and note what is not looked at for that."""
     if not is_spent():
         return False
     leave_out(what)
@@ -151,8 +152,9 @@ def is_left_out(what: str) -> bool:
 
 
 def or_else(what: str, run: Callable[[], T], otherwise: T) -> T:
-    """What ``run`` returns, or ``otherwise`` where the budget is used up before or meanwhile; ``what`` is
-    then taken down as not looked at."""
+    """Return what ``run`` returns, or ``otherwise`` where the budget is used up before or meanwhile;
+    ``what`` is then noted as not looked at.
+    """
     if is_left_out(what):
         return otherwise
     try:
@@ -169,7 +171,7 @@ def left_out() -> Sequence[str]:
 
 
 def warning() -> str | None:
-    """What the result has to warn about; ``None`` where everything was looked at."""
+    """Return the warning about what was not looked at; ``None`` where everything was."""
     budget = _IN_FORCE.get()
     if budget is None or not budget.left_out:
         return None
@@ -218,7 +220,7 @@ def tell_found(sentences: Sequence[str]) -> None:
 
 @contextmanager
 def use_helpers(processes: int) -> Iterator[None]:
-    """Inside, so many processes work, this one among them."""
+    """Context manager in which so many processes work, this one among them."""
     budget = _IN_FORCE.get()
     clock = None if budget is None else budget.clock
     if not isinstance(clock, RunClock):
@@ -232,7 +234,7 @@ def use_helpers(processes: int) -> Iterator[None]:
 
 
 def enter_helper() -> None:
-    """For a forked helper: its parent reports, and its clock goes on from its parent's."""
+    """Prepare a forked helper: its parent reports, and its clock goes on from its parent's."""
     budget = _IN_FORCE.get()
     if budget is not None:
         budget.report = None

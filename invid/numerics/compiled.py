@@ -1,4 +1,4 @@
-"""Numba where it works, plain Python with one warning where it does not.
+"""Compile functions with Numba where it works; plain Python with one warning where it does not.
 
 What is compiled is kept on disk: beside the module where that can be written, else in the user's cache
 folder, or in ``NUMBA_CACHE_DIR`` where that is set. The first run after an installation compiles, some

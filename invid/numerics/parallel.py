@@ -99,7 +99,7 @@ def _cores() -> int:
 def _taken(
     run: Callable[[A], B], items: Sequence[A], numbers: int, caller: int | None = None
 ) -> dict[int, B]:
-    """The answers to the calls that nobody else took; a helper ends where its ``caller`` is gone."""
+    """Return the answers to the calls that nobody else took; a helper ends where its ``caller`` is gone."""
     done = {}
     while number := os.read(numbers, _NUMBER):
         if caller is not None and os.getppid() != caller:
@@ -118,7 +118,7 @@ def _help(  # noqa: PLR0913 - all that a forked helper knows
     idle: Sequence[Connection],
     caller: int,
 ) -> None:
-    """What a helper does: it takes calls, and says nothing where it fails."""
+    """Work as a helper: take calls, and say nothing where one fails."""
     signal.signal(signal.SIGINT, lambda *_: budget.stop())  # Ctrl-C: the caller wants what there is
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     budget.enter_helper()
@@ -133,7 +133,7 @@ def _help(  # noqa: PLR0913 - all that a forked helper knows
 
 
 def _received(answer: Connection, known: Sequence[object]) -> Mapping[int, Any]:
-    """What a helper answered; nothing where it died, or where its answer cannot be read."""
+    """Return what a helper answered; nothing where it died, or where its answer cannot be read."""
     try:
         found: Mapping[int, Any] = _Unpickler(io.BytesIO(answer.recv_bytes()), known).load()
     except Exception:  # whatever an object's own unpickling raises

@@ -23,16 +23,16 @@ class RunClock:
         return max(used, (time.monotonic() - self._began) / MOST_WALL)
 
     def begin_helpers(self, processes: int) -> None:
-        """From here on so many processes work alike, this one among them: before it forks the others."""
+        """Count from here on so many processes, this one among them: call it before the others are forked."""
         self._before += _process_seconds() - self._used
         self._used, self._working = _process_seconds(), processes
 
     def enter_helper(self) -> None:
-        """In a forked helper, whose own processor time begins at zero."""
+        """Start the clock of a forked helper, whose own processor time begins at zero."""
         self._used = _process_seconds()
 
     def end_helpers(self) -> None:
-        """The helpers are gone: what they used is known."""
+        """Count one process again: the helpers have ended, and the system knows what they used."""
         self._working = 1
 
 

@@ -119,7 +119,7 @@ class BlockDesigner:
                     self.reduced[i] /= 1.02 * ratio
 
     def _excess_over_limits(self, block: PlannedExperiment) -> list[tuple[int, int, float]]:
-        """Axis, kind of limit and how far beyond what is usable of it the announcement would lie."""
+        """Return axis, kind of limit and how far beyond what is usable of it the announcement would lie."""
         motion = foretold_motion(self.config, block, self.belief)
         over = with_margin(motion, block.torque) / usable(self.config)
         return [(int(i), int(k), float(over[k, i])) for i, k in np.argwhere(over.T > 1.0)]

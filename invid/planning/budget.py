@@ -37,7 +37,7 @@ class BusBudget:
 
     @property
     def fits(self) -> bool:
-        """Whether the load is allowed."""
+        """Return whether the load is allowed."""
         return self.load <= self.max_load
 
 
@@ -86,7 +86,7 @@ SDO_BYTES = 8
 
 @dataclass(frozen=True)
 class RoundTrip:
-    """What was probed, and what it means for the config's cycle.
+    """Round trip of an adapter as it was probed, and what it means for the config's cycle.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class RoundTrip:
 
     @property
     def text(self) -> str:
-        """For a person."""
+        """Return the budget in a sentence."""
         return (
             f"the adapter's round trip is {self.median_s * 1e3:.2g} ms, 99 % within "
             f"{self.bound_s * 1e3:.2g} ms ({self.count} SDO reads, 95 % confidence): it carries cycles from "
@@ -179,7 +179,7 @@ def shortest_cycle(round_trip_s: float, drives: int, bitrate: int, loaded_s: flo
 
 
 def judge(samples: Sequence[float], config: CellConfig, *, cycles: int, loaded_s: float) -> RoundTrip:
-    """What the samples [s] say about the config's cycle, over a run of so many cycles.
+    """Judge the config's cycle by the samples [s], over a run of so many cycles.
 
     Refused is what may end the run: more late answers than its ``missed_tpdos`` forgives. Proposed is what
     holds 99 % of the round trips.

@@ -369,7 +369,7 @@ def subset_sentence(left_out: Sequence[str]) -> str:
 
 
 def require_all_axes(config: CellConfig, axes: Sequence[str] | None) -> None:
-    """ConfigError, before anything moves, where a selection of axes cannot yield a model."""
+    """Raise ConfigError, before anything moves, where a selection of axes cannot yield a model."""
     names = {a.name for a in config.axes}
     if axes is None or not set(axes) <= names:
         return  # an unknown axis is the plan's to refuse

@@ -66,12 +66,12 @@ class Peaks:
 
     @property
     def bound(self) -> Float64:
-        """(3, M) of both."""
+        """Return the (3, M) larger of motion and torque of both."""
         return self.motion + self.friction
 
 
 def highest(parts: Sequence[Float64], axes: int) -> Float64:
-    """(3, M) largest of several."""
+    """Return the (3, M) largest of several peaks."""
     result: Float64 = np.max([np.zeros((3, axes)), *parts], axis=0)
     return result
 
@@ -184,7 +184,7 @@ def usable(config: CellConfig) -> Float64:
 
 
 def announced(config: CellConfig, bounds: Float64, basis: str) -> tuple[AxisForecast, ...]:
-    """(3, M) bounds in words."""
+    """Return the (3, M) announced bounds in words."""
     return tuple(
         AxisForecast(
             axis=axis.name,
@@ -253,7 +253,7 @@ def fitted(
 
 
 def _scale_experiment(e: PlannedExperiment, factor: Float64) -> PlannedExperiment:
-    """With every torque, and the travel of a creep, times the factor of its axis."""
+    """Return the experiment with every torque, and the travel of a creep, times the factor of its axis."""
     if factor.min() >= 1.0:
         return e
     path = e.reference

@@ -64,7 +64,7 @@ class GoalPlan:
 
     @property
     def sentence(self) -> str:
-        """What a person wants to know first."""
+        """Return in a sentence what the plan is expected to reach, and when."""
         name, worst = self.expected.worst
         if self.reachable:
             return (

@@ -32,7 +32,7 @@ class Gains:
 
 
 def require_stable_p(axis: str, stiffness: float, friction: float, cycle_s: float) -> None:
-    """ConfigError where a P hold would be unstable; says by how much."""
+    """Raise ConfigError where a P hold would be unstable; says by how much."""
     needed = stiffness * (DELAY_CYCLES + 0.5) * cycle_s
     if needed >= friction:
         raise ConfigError(
@@ -66,7 +66,9 @@ def master_hold(axis: AxisConfig, cycle_s: float) -> Gains | None:
 
 
 def centring(inertia: float, lowest_hz: float, cycle_s: float) -> Gains:
-    """Weak PD around the start for an excited axis: a free axis drifts away on the smallest offset."""
+    """Return a weak PD around the start for an excited axis: a free axis drifts away on the smallest
+    offset.
+    """
     omega = 2 * math.pi * lowest_hz * CENTRING_SHARE
     stiffness = inertia * omega**2
     damping = 2 * CENTRING_RATIO * inertia * omega

@@ -80,7 +80,7 @@ class PhasePlan:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What is tried at a small amplitude for the experiments that it stands for.
+    """Trial at a small amplitude for the experiments that it stands for.
 
     Attributes
     ----------

@@ -128,7 +128,7 @@ def sign_seconds(config: CellConfig, axis: int, amplitude: float, inertia: float
 
 
 def sign_doublet(config: CellConfig, axis: int, amplitude: float, inertia: float) -> PlannedExperiment:
-    """The doublet that moves a rigid axis as far as one may, and its catch."""
+    """Return the doublet that moves a rigid axis as far as one may, and its catch."""
     cycle = config.bus.cycle_s
     wave = amplitude * excitation.doublet(
         round(_rigid_doublet_length(config, axis, amplitude, inertia) / cycle)
@@ -253,7 +253,7 @@ def phases_of(
     *,
     inertia: Sequence[float | None],
 ) -> tuple[PhasePlan, ...]:
-    """Everything from enabling to the end, in order, with its expected length in cycles."""
+    """Return the phases from enabling to the end, in order, with their expected length in cycles."""
     cycle = config.bus.cycle_s
     rest = round(REST_S / cycle)
     found = [PhasePlan(Step.SETTLE, 0, "settling", round(SETTLE_S / cycle))]
@@ -264,7 +264,7 @@ def phases_of(
     led_axes: tuple[int, ...] = ()
 
     def change(excited: tuple[int, ...]) -> int:
-        """Cycles of the rest before others are shaken: those that were come to rest first."""
+        """Return the cycles of rest before others are shaken: those that were come to rest first."""
         nonlocal led_axes
         before, led_axes = led_axes, excited
         return rest if before in ((), excited) else 2 * rest

@@ -80,7 +80,7 @@ def to_separate(document: Mapping[str, Any], config: CellConfig) -> Separation:
 
 
 def is_measurable(cause: str) -> bool:
-    """Whether an experiment of the drives can tell a cause from others; else a person has to act."""
+    """Return whether an experiment of the drives can tell a cause from others; else a person has to act."""
     effect = effect_of(cause)
     return effect is not None and effect.separating.kind != "hand"
 
@@ -108,7 +108,7 @@ def _base_experiment(config: CellConfig) -> MultisineSpec:
 
 
 def _validation_experiment(config: CellConfig) -> MultisineSpec:
-    """Held out: another realisation at a level in between."""
+    """Return the experiment that is held out: another realisation at a level in between."""
     base = _base_experiment(config)
     level = 0.6 * base.amplitude
     return base.model_copy(
@@ -190,6 +190,6 @@ def _experiments_for(config: CellConfig, axis: str, causes: set[str]) -> tuple[l
 
 
 def _travel_of(limits: Any, speeds: Sequence[float], seconds: float) -> float:
-    """Long enough for the fastest move to last, short enough for the window."""
+    """Return a travel long enough for the fastest move to last, short enough for the window."""
     longest = 2.0 * USABLE_SHARE * float(limits.position)
     return round(min(longest, max(10 * seconds * max(speeds), 1e-6)), 9)

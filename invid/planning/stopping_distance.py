@@ -96,7 +96,7 @@ class StoppingCase:
 
     @property
     def longest_s(self) -> float:
-        """From what happens to the quick stop, whichever takes longer: a stop or a dead master."""
+        """Return the time [s] to the quick stop, whichever takes longer: after a stop or a dead master."""
         watch = self.facts.watch_s
         return max(self.reaction_s, 0.0 if watch is None else watch + self.sight_s)
 
@@ -124,7 +124,9 @@ class StoppingCase:
 
     @property
     def deceleration(self) -> float | None:
-        """By ramp, torque limit, load and inertia; 0: it cannot brake; ``None``: not known."""
+        """Return the deceleration by ramp, torque limit, load and inertia; 0: it cannot brake;
+        ``None``: not known.
+        """
         ramp = self.facts.deceleration
         if ramp is None or self.inertia is None or not self.facts.capped:
             return ramp
@@ -132,7 +134,7 @@ class StoppingCase:
 
     @property
     def acceleration(self) -> float:
-        """By the torque that goes on; 0 where the inertia is not known."""
+        """Return the acceleration by the torque that goes on; 0 where the inertia is not known."""
         return self.planned / self.inertia if self.inertia else 0.0
 
     def distance(self, speed: float, seconds: float) -> float | None:
@@ -176,7 +178,9 @@ class StoppingBudget:
 
     @property
     def dead_master(self) -> float | None:
-        """The same where the master has died; ``None``: not known, or the drive does not notice."""
+        """Return the way beyond the window after the master's death; ``None``: not known, or the drive
+        does not notice.
+        """
         watch = self.case.facts.watch_s
         return None if watch is None else self.case.distance(self.permitted, self.blind_s)
 
@@ -204,7 +208,7 @@ class StoppingBudget:
         }
 
     def text(self, *, linear: bool) -> str:
-        """One line of a dry run."""
+        """Return the budget as one line of a dry run."""
         unit = "m" if linear else "rad"
         case, facts = self.case, self.case.facts
         a = case.deceleration
@@ -231,7 +235,9 @@ class StoppingBudget:
         return f"{case.torque:.3g} {unit}{beside}, of {case.facts.deceleration:.3g} by {case.facts.ramp}"
 
     def said(self, *, linear: bool) -> tuple[str, ...]:
-        """What a person must know: a speed that was lowered, a limit of the drive that may be passed."""
+        """Return what a person must know: a speed that was lowered, a limit of the drive that may be
+        passed.
+        """
         unit = "m" if linear else "rad"
         case, facts = self.case, self.case.facts
         furthest = max(self.stop or 0.0, self.dead_master or 0.0)
@@ -267,7 +273,7 @@ class StoppingBudget:
         return tuple(found)
 
     def way_out(self, *, linear: bool) -> str:
-        """What would make the way shorter."""
+        """Return what would make the way shorter."""
         unit = "m" if linear else "rad"
         case, facts = self.case, self.case.facts
         ways = []
@@ -287,7 +293,7 @@ class StoppingBudget:
         return f"{', '.join(ways) or 'lower the load'}, or widen limits.stopping_room_{unit}"
 
     def _heartbeat_clause(self) -> str:
-        """The longest heartbeat that would do, where no speed at all is permitted."""
+        """Return the longest heartbeat that would do, where no speed at all is permitted."""
         case = self.case
         longest = (case.longest_watch() - case.sight_s) / WATCH_BEATS
         if self.permitted > 0 or longest <= 0:
@@ -298,7 +304,7 @@ class StoppingBudget:
 
 @dataclass(frozen=True)
 class Permitted:
-    """What the ways to rest leave of a plan."""
+    """The config with permitted speeds, and the share of torque that each axis keeps."""
 
     config: CellConfig
     """With the permitted speeds as limits."""

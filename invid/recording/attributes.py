@@ -37,7 +37,7 @@ class Attributes:
         return self._values[name]
 
     def text(self, name: str) -> str:
-        """A string."""
+        """Return a string attribute."""
         value = _plain(self._get(name))
         if isinstance(value, list) and len(value) == 1:
             value = value[0]
@@ -46,7 +46,7 @@ class Attributes:
         return value
 
     def texts(self, name: str) -> tuple[str, ...]:
-        """A list of strings: JSON text, or an HDF5 array of strings."""
+        """Return a list of strings: JSON text, or an HDF5 array of strings."""
         value = _plain(self._get(name))
         if isinstance(value, list) and len(value) == 1 and _looks_like_json_list(value[0]):
             value = value[0]
@@ -57,11 +57,11 @@ class Attributes:
         return tuple(value)
 
     def number(self, name: str) -> float:
-        """A real number."""
+        """Return a real number."""
         return self._one(name, "one number")
 
     def whole(self, name: str) -> int:
-        """A whole number."""
+        """Return a whole number."""
         value = self._one(name, "one whole number")
         if not np.isfinite(value) or value != int(value):
             raise self._wrong(name, value, "one whole number")

@@ -19,7 +19,7 @@ TORQUE_UNIT = {"rad": "N·m", "m": "N"}
 
 
 def check_recording(recording: Recording, *, source: str | None = None) -> None:
-    """RecordingError where anything in ``recording`` breaks the contract."""
+    """Raise RecordingError where anything in ``recording`` breaks the contract."""
     where = source or recording.source
     axes = recording.axes
     if not axes:
@@ -81,7 +81,7 @@ def _per_axis(
 
 
 def check_experiment(experiment: Experiment, axes: tuple[str, ...], *, source: str) -> None:
-    """RecordingError where one experiment breaks the contract; says which sample of which axis."""
+    """Raise RecordingError where one experiment breaks the contract; says which sample of which axis."""
     e = experiment
     where = f"{source}: experiment {e.key}"
     count, samples = len(axes), e.time.size
@@ -122,7 +122,7 @@ def check_experiment(experiment: Experiment, axes: tuple[str, ...], *, source: s
 
 
 def _check_header(e: Experiment, axes: tuple[str, ...], where: str, nominal: float) -> None:
-    """``nominal``: the rate at which the times step [Hz]."""
+    """Check the root attributes; ``nominal`` is the rate at which the times step [Hz]."""
     count = len(axes)
     if not -1 <= e.excited_axis < count:
         raise RecordingError(

@@ -1,4 +1,4 @@
-"""What the stamps of a log are, and which sample of an even clock each row is.
+"""Read the stamps of a log, and find which sample of an even clock each row is.
 
 Stamps are measured as everything else: a logger stamps late, its counter wraps, its clock wanders. Rows are
 counted against the whole clock, never step by step, so a late stamp is no lost sample and gives back what it
@@ -345,7 +345,7 @@ def _refuse_no_instants(stamps: Float64, how: StampsRead, where: str) -> None:
 
 
 def _coarse(stamps: Float64, same: float) -> str:
-    """What is said of stamps that repeat: they are coarser than the rows."""
+    """Return what is said of stamps that repeat: they are coarser than the rows."""
     # Means over the rows of one tick are as even as the rows.
     slots = count_slots(scipy.ndimage.uniform_filter1d(stamps, max(round(1.0 / (1.0 - same)), 1)))
     d = np.diff(stamps)
@@ -394,7 +394,7 @@ def _unwrapped(stamps: Float64, how: StampsRead, where: str) -> tuple[Float64, l
 
 
 def _stays(stamps: Float64, k: int, step: float) -> bool:
-    """Whether what comes after row k goes on from its lower stamp; a single wrong stamp does not."""
+    """Return whether what comes after row k goes on from its lower stamp; a single wrong stamp does not."""
     before, after = np.median(stamps[max(k - 2, 0) : k + 1]), np.median(stamps[k + 1 : k + 4])
     return bool(before - after > 5 * step)
 

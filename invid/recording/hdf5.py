@@ -101,7 +101,7 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _rows_beside(path: Path) -> str:
-    """Where a measurement that was cut off left its rows; empty where none did."""
+    """Return where a measurement that was cut off left its rows; empty where none did."""
     rows = path.with_name(path.name + SUFFIX)
     if not is_spool(rows):
         return ""
@@ -216,7 +216,7 @@ def _rows(node: h5py.Group) -> int:
 
 
 def _own(parent: h5py.Group, name: str, where: str) -> Any:
-    """The object of this name inside this very file; None where there is none."""
+    """Return the object of this name inside this very file; ``None`` where there is none."""
     link = parent.get(name, getlink=True)
     if link is None:
         return None

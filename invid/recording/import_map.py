@@ -247,7 +247,7 @@ class ImportMap(Strict):
         return names
 
     def read_for(self, entry: ExperimentMap) -> ImportMap:
-        """The map with the columns that one experiment has under other names."""
+        """Return the map with the columns that one experiment has under other names."""
         if not entry.columns:
             return self
         new = {str(old): name for old, name in entry.columns.items()}

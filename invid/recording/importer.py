@@ -156,7 +156,7 @@ def import_files(
 
 @contextmanager
 def _named_with_way_out(path: Path, *, several: bool) -> Iterator[None]:
-    """Errors of one file of several say how to do without it."""
+    """Context manager that adds to an error of one of several files how to do without it."""
     try:
         yield
     except InputError as error:
@@ -169,7 +169,7 @@ def _named_with_way_out(path: Path, *, several: bool) -> Iterator[None]:
 
 
 def _unsaid(chart: ImportMap) -> list[str]:
-    """What the map leaves open and a diagnosis depends on."""
+    """Return sentences on what the map leaves open and a diagnosis depends on."""
     return [
         f"axis {a.name}: the map does not say the 'meaning' of its torque; 'measured' is assumed (a torque "
         "that was only asked for is 'demanded': the drive's delay then counts as the machine's)"
@@ -323,7 +323,7 @@ class _Rows:
         return (values if self.sparse is None else self.sparse.bring(channel.column, values))[self.use]
 
     def words(self, column: str | int) -> Float64:
-        """(rows used,) numbers that mean their bits: the last one known, never one between."""
+        """Return (rows used,) numbers that mean their bits: the last one known, never one between."""
         words = self.table.column(column)
         if self.sparse is not None:
             known = np.where(np.isfinite(words), np.arange(words.size), 0)
@@ -371,7 +371,7 @@ def _usable_rows(
 
 
 def _doubts_of_columns(rows: _Rows, chart: ImportMap) -> list[str]:
-    """What the names and the bare numbers of the map's columns say against their reading."""
+    """Return what the names and the bare numbers of the map's columns say against their reading."""
     said, bare = [], []
     for axis in chart.axes:
         motion = axis.position or axis.velocity

@@ -1,5 +1,5 @@
-"""Data that read without an error and cannot be meant: what is wrong, the map's line to change, what it
-would do.
+"""Doubt data that read without an error and cannot be meant: what is wrong, the map's line to change,
+what it would do.
 
 Each test says what it rests on; a doubt is a sentence and stops nothing.
 """
@@ -47,7 +47,7 @@ class Hold:
 
     @property
     def whole(self) -> int | None:
-        """The rows, where they are a whole number."""
+        """Return for how many rows a value stands, where that is a whole number; else ``None``."""
         return round(self.rows) if abs(self.rows - round(self.rows)) < 0.02 else None
 
     @property
@@ -97,7 +97,7 @@ def _hold_of(e: Experiment) -> Hold | None:
 
 
 def held_sentence(experiment: Experiment) -> str | None:
-    """What is said of a record whose rows repeat, every value standing for several of them."""
+    """Return what is said of a record whose rows repeat, every value standing for several of them."""
     hold = _hold_of(experiment)
     if hold is None:
         return None

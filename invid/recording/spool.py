@@ -1,4 +1,4 @@
-"""The rows of a running measurement, as they come: a file that is only ever appended to.
+"""Keep the rows of a running measurement in a file that is only ever appended to.
 
 libhdf5 that meets a full or failing disk loses its file and takes the process with it, when the objects it
 could not write out are closed again at the interpreter's exit. So HDF5 never writes to the disk here: rows go
@@ -44,7 +44,7 @@ _GROWTH_BYTES = 4 << 20
 
 
 class Spool:
-    """Appends frames; what a failed write left half is taken off again."""
+    """File that frames are appended to; what a failed write left half is taken off again."""
 
     def __init__(self, target: Path, header: Mapping[str, Any]) -> None:
         content = _json(header)
@@ -63,11 +63,11 @@ class Spool:
             raise
 
     def begin(self, key: str, names: Sequence[str], attributes: Mapping[str, Any]) -> None:
-        """An experiment begins; ``names`` of its datasets, in the order in which rows bring them."""
+        """Begin an experiment; ``names`` of its datasets, in the order in which rows bring them."""
         self._frame(_BEGIN, _json({"key": key, "names": list(names), "attributes": dict(attributes)}))
 
     def rows(self, columns: Sequence[npt.NDArray[Any]]) -> None:
-        """Rows of every dataset of the experiment, (k,) or (k, M)."""
+        """Append rows of every dataset of the experiment, (k,) or (k, M)."""
         parts = [_COUNT.pack(columns[0].shape[0])]
         parts += [np.ascontiguousarray(c, c.dtype.newbyteorder("<")).tobytes() for c in columns]
         self._frame(_ROWS, b"".join(parts))
@@ -79,22 +79,22 @@ class Spool:
             self._synced_s = last
 
     def end(self) -> None:
-        """The experiment is over."""
+        """End the experiment."""
         self._frame(_END, b"")
         self._sync()
 
     def outcome(self, outcome: str) -> None:
-        """How the measurement ended."""
+        """Write how the measurement ended."""
         self._frame(_OUTCOME, _json(outcome))
 
     def close(self) -> None:
-        """Safe to call twice."""
+        """Close the file; safe to call twice."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
 
     def remove(self) -> None:
-        """The rows are safe elsewhere."""
+        """Delete the file: the rows are safe elsewhere."""
         with contextlib.suppress(OSError):
             self.path.unlink()
 
@@ -139,7 +139,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def is_spool(path: Path) -> bool:
-    """Whether a file holds the rows of a measurement."""
+    """Return whether a file holds the rows of a measurement."""
     try:
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC
@@ -161,7 +161,7 @@ def finished_experiments(path: Path) -> int:
 
 
 def has_rows(path: Path) -> bool:
-    """Whether any row reached the disk."""
+    """Return whether any row reached the disk."""
     return any(kind == _ROWS for kind, _ in _frames(path))
 
 
@@ -230,7 +230,7 @@ def _append(group: h5py.Group, names: Sequence[str], content: bytes, axes: int) 
 
 
 def _frames(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Whole frames, to the first that is not."""
+    """Yield whole frames, to the first that is not."""
     with path.open("rb") as file:
         file.seek(len(MAGIC))
         while len(head := file.read(_FRAME.size)) == _FRAME.size:

@@ -64,11 +64,11 @@ class Suggestion:
     asked: dict[str, str] = field(default_factory=dict)
 
     def as_map(self) -> ImportMap:
-        """The map, validated."""
+        """Return the map, validated."""
         return ImportMap.model_validate(self.document)
 
     def as_yaml(self) -> str:
-        """YAML with the reasons as comments."""
+        """Return the map as YAML with the reasons as comments."""
         lines = ["# A first map, guessed by 'invid import --suggest'. Check every line before you trust it."]
         lines += [f"# - {r}" for r in self.reasons]
         lines += [f"# ? UNSURE: {u}" for u in self.unsure]
@@ -78,7 +78,7 @@ class Suggestion:
 
 @dataclass(frozen=True)
 class _Notes:
-    """What a suggestion says of itself, as it grows: see ``Suggestion``."""
+    """Notes of a suggestion, as it grows: see ``Suggestion``."""
 
     reasons: list[str]
     unsure: list[str]
@@ -320,7 +320,7 @@ def _words(name: str) -> list[str]:
 
 
 def _rank(name: str) -> int:
-    """Measured beats unsaid beats derived, by the words people use."""
+    """Rank columns by the words people use: measured beats unsaid beats derived."""
     words = set(_words(name))
     if words & {"act", "actual", "meas", "measured", "mot", "motor", "m", "qm", "msr"}:
         return 1
@@ -328,7 +328,9 @@ def _rank(name: str) -> int:
 
 
 def _worth(name: str, table: Table, tool: str | None) -> tuple[bool, int]:
-    """What decides between columns of one kind: a torque beats a current or a voltage, then the words."""
+    """Return what decides between columns of one kind: a torque beats a current or a voltage, then the
+    words.
+    """
     known = named_by(tool, name)
     unit = normal_unit(table.units.get(name) or _unit_in_name(name) or (known.unit if known else ""))
     return unit not in BY_TORQUE_CONSTANT, _rank(name)

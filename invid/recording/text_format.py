@@ -62,7 +62,7 @@ def _same(thousands: str) -> str:
 
 
 def is_numeral(cell: str) -> bool:
-    """Whether a cell is a number in some way of writing."""
+    """Return whether a cell is a number in some way of writing."""
     return bool(NUMBER.match(cell)) or _plainly_grouped(cell) is not None
 
 

@@ -87,7 +87,7 @@ def normal_unit(text: str) -> str:
 
 @dataclass(frozen=True)
 class MachineConstants:
-    """What some units need: ``None`` where the map does not give it."""
+    """Constants of the machine that some units need; ``None`` where the map does not give one."""
 
     torque_constant: float | None = None
     """Torque per ampere or per volt."""

@@ -1,4 +1,4 @@
-"""The robot as the model sees it: a row of motor, springs with dampers and masses for each axis.
+"""Draw the robot as the model sees it: a row of motor, springs with dampers and masses for each axis.
 
 Numbers stand at their element; what changed and each finding is marked there, the findings by their number,
 with a shape and a colour for their grade.
@@ -303,7 +303,7 @@ def description(
     changes: Mapping[tuple[str, int, int], str],
     said: Mapping[str, str],
 ) -> list[str]:
-    """The drawing in sentences, one an axis, one a coupling and one a finding."""
+    """Return the drawing in sentences, one an axis, one a coupling and one a finding."""
     chains, std, unit = model.chains, model.std, units(model.linear)
 
     def told(key: tuple[str, int, int], value: float, spread: float, of: str) -> str:

@@ -1,4 +1,4 @@
-"""Drawing of the branches: where each element stands, and the marks of findings and changes there."""
+"""Place the elements of the drawing of the branches, and the marks of findings and changes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ def text_at(x: float, y: float, text: str, **attributes: str) -> str:
 
 
 def _bubble(x: float, y: float, m: Mark) -> str:
-    """Triangle: act; diamond: watch; circle: as expected; square: no grade. Not by colour alone."""
+    """Return the sign of a grade: triangle: act; diamond: watch; circle: as expected; square: no grade.
+    Not by colour alone.
+    """
     shapes = {
         "act": f"M{x:g} {y - 12:g}L{x + 12:g} {y + 9:g}H{x - 12:g}Z",
         "watch": f"M{x:g} {y - 12:g}L{x + 12:g} {y:g}L{x:g} {y + 12:g}L{x - 12:g} {y:g}Z",
@@ -61,7 +63,7 @@ def _bubble(x: float, y: float, m: Mark) -> str:
 
 
 def marked(where: Places, marks: Sequence[Mark]) -> str:
-    """All marks of one place, side by side."""
+    """Return all marks of one place, side by side."""
     kind, i, at = marks[0].place
     parts = []
     for k, m in enumerate(marks):
@@ -82,7 +84,7 @@ def room_of(text: str) -> float:
 
 
 def callout(m: Mark, where: Places, y: float) -> str:
-    """The mark again with its text, below its element where there is room."""
+    """Return the mark again with its text, below its element where there is room."""
     kind, _, at = m.place
     x = where.mass(at) if kind == "mass" else where.spring(at) if kind == "spring" else LEFT
     x = max(4.0, min(x, where.width - room_of(m.text)))
@@ -165,7 +167,8 @@ def text_width(text: str, size: float = 12.0) -> float:
 def places(
     model: Model, marked: Sequence[Place], widest: float = 0.0, *, box: float = MASS, gap: float = SPRING
 ) -> Places:
-    """Rows one below the other, as high as their findings ask; couplings to the right, none over another.
+    """Lay out the rows one below the other, as high as their findings ask; couplings to the right, none
+    over another.
 
     ``widest`` is the room that the longest line takes, ``box`` and ``gap`` the widths of a mass and of
     a spring that their numbers need.
@@ -188,7 +191,7 @@ SURELY = 3.0
 
 
 def _lanes(model: Model, right: float, asked: set[tuple[int, int]]) -> list[Lane]:
-    """Short couplings first; each in the first lane that is free between its rows.
+    """Give couplings their lanes, short ones first: each the first that is free between its rows.
 
     One that does not stand out of its own noise is left out: of fifteen pairs of six axes few are coupled.
     """

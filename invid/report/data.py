@@ -229,7 +229,7 @@ def missing_beside(s: LineSpectra, chains: CoupledChains, terms: Sequence[Effect
 def alone(
     s: LineSpectra, chains: CoupledChains, term: EffectTerm, terms: Sequence[EffectTerm]
 ) -> tuple[MissingTorque, str]:
-    """What is left for one of the causes at work once the others have theirs, and a note on these."""
+    """Return what is left for one of the causes at work once the others have theirs, and a note on these."""
     m, others = missing_beside(s, chains, terms), [e for e in terms if e is not term and e != term]
     known, curveless = _taken(m, s, chains, others)
     note = f"with {curveless} other cause(s) still in it" if curveless else ""
@@ -342,7 +342,7 @@ def _wave(s: LineSpectra, amplitudes: Complex128) -> Float64:
 
 
 def _interior(s: LineSpectra, count: int) -> slice:
-    """All of a period; the middle of a record that is not one (its ends ring)."""
+    """Return the rows of a period to draw; of a record that is not one its middle (its ends ring)."""
     edge = count // 20 if s.transient else 0
     return slice(edge, count - edge)
 

@@ -197,7 +197,7 @@ def _apart(peaks: list[float], hz: list[float], magnitude: Any) -> list[tuple[fl
 
 
 def _positive(values: list[float]) -> Any:
-    """For a logarithmic scale: what is not positive is left out of the line."""
+    """Return the values for a logarithmic scale: what is not positive is left out of the line."""
     array = np.array(values, dtype=float)
     return np.where(array > 0, array, np.nan)
 

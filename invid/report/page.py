@@ -1,4 +1,4 @@
-"""``render_report``: one HTML file that needs nothing else; the sentence first, then the pictures."""
+"""Render the report: one HTML file that needs nothing else; the sentence first, then the pictures."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def _facts(recording: Recording, model: Model) -> list[tuple[str, str]]:
 
 
 def _checksum(recording: Recording) -> str:
-    """Of time, position and torque of every experiment, as float64 in order: the same on any computer."""
+    """Return the checksum of time, position and torque of every experiment, as float64 in order."""
     digest = hashlib.sha256()
     for e in recording.experiments:
         for array in (e.time, e.position, e.torque):
@@ -258,7 +258,7 @@ def _span(values: list[float], label: str) -> str:
 
 
 def _agreement(axis: Mapping[str, Any]) -> str:
-    """By how much measured and simulated magnitudes differ in the median."""
+    """Return by how much measured and simulated magnitudes differ in the median."""
     if axis["measured"] is None:
         return ""
     hz, measured = np.array(axis["measured"]["frequency_hz"]), np.array(axis["measured"]["magnitude"])
@@ -275,7 +275,7 @@ def _agreement(axis: Mapping[str, Any]) -> str:
 
 
 def replay_caption(row: Mapping[str, Any]) -> str:
-    """Of a recorded torque played through the model."""
+    """Return the caption of a recorded torque played through the model."""
     rms = row["rms"]
     seen = "which no fit has seen" if row["role"] == "validate" else "which the fit has seen"
     text = (

@@ -1,4 +1,4 @@
-"""One look for all pictures: Okabe-Ito colours, told apart by line and marker too, light and dark."""
+"""Give all pictures one look: Okabe-Ito colours, told apart by line and marker too, light and dark."""
 
 from __future__ import annotations
 

@@ -59,7 +59,9 @@ def _with_acting_torque(s: LineSpectra, experiment: Experiment) -> LineSpectra:
 
 
 def covers_demand(s: LineSpectra, demand: Float64) -> bool:
-    """Whether a demand (samples, M) covers all that the spectra come from; not where it was resampled."""
+    """Return whether a demand (samples, M) covers all that the spectra come from; not where it was
+    resampled.
+    """
     samples = s.periods * s.position_wave.shape[0]
     if s.transient and s.periods == 1:
         return bool(demand.shape[0] == samples + 1)

@@ -1,4 +1,4 @@
-"""Encoder readings that no motion explains: single wrong samples, lost counts, wraps.
+"""Repair encoder readings that no motion explains: single wrong samples, lost counts, wraps.
 
 A mass does not leave its path for one sample and come back, nor jump and go on as before. Either is one
 number in a smooth series: the sample itself, or one of its differences. It is told by how far it is from the

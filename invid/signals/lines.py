@@ -113,7 +113,7 @@ def driven_axes(
 
 
 def _only_held(omega: Float64, position: Complex128, torque: Complex128, floor: Float64) -> bool:
-    """Whether one axis' torque is that of a hold, by least squares of −(P + jωD)θ."""
+    """Return whether one axis' torque is that of a hold, by least squares of −(P + jωD)θ."""
     power = float(np.sum(np.abs(torque) ** 2))
     # The mean power of noise lines has a relative error of 1/√lines; five times it is no noise.
     if power < 5.0 * torque.size * float(floor[1]):

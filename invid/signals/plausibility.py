@@ -22,7 +22,7 @@ FALLING_SHARE = 0.9
 
 
 def check_units(model: Model, recording: Recording) -> None:
-    """InputError where one is rotary and the other linear."""
+    """Raise InputError where one is rotary and the other linear."""
     if model.linear != recording.linear:
         raise InputError(
             f"{recording.source}: positions are in {recording.position_unit}, the model's masses in "

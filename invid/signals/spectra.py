@@ -360,7 +360,7 @@ def _whole_spectra(
 
 
 def is_integrated_velocity(experiment: Experiment) -> bool:
-    """Whether the record has no position but the running sum of a velocity."""
+    """Return whether the record has no position but the running sum of a velocity."""
     return bool(experiment.attributes.get("position_source") == "integrated_velocity")
 
 

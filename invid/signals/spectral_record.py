@@ -141,7 +141,7 @@ class SpectralRecord(SpectralLines):
 
     @cached_property
     def standing(self) -> tuple[bool, ...]:
-        """Whether each motor stands at times; not where noise hides it."""
+        """Return whether each motor stands at times; not where noise hides it."""
         noise = self.velocity_noise
         return tuple(is_seen_standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
 
@@ -172,7 +172,7 @@ _ORDERS = np.array([*range(-IMAGES, 0), *range(1, IMAGES + 1)])
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """What the images of a held torque are made of on given lines, whenever it steps.
+    """Images of a held torque on given lines, whenever it steps.
 
     A torque held over samples of length h from t = kh + late has images at ω + kω_s, k ≠ 0. There a chain is
     no more than its motor's mass, the motion is −1/(mΩ²) times the torque, and sampling folds it back:
@@ -191,7 +191,7 @@ class Images:
 
     @classmethod
     def of(cls, omega: Float64, step: float, *, integrated: bool = False) -> Images:
-        """Those of samples of length ``step`` [s] on the lines ``omega`` (F,) [rad/s]."""
+        """Return the images of samples of length ``step`` [s] on the lines ``omega`` (F,) [rad/s]."""
         image = omega[:, None] + _ORDERS * (2 * np.pi / step)
         cubes = image**-2.0 / np.maximum(omega[:, None], 1e-300) if integrated else image**-3.0
         stepping = (1.0 - np.exp(-1j * omega * step)) / (1j * step)

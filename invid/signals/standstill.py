@@ -26,7 +26,9 @@ def standstill_velocity(velocity: Float64, noise: float) -> float:
 
 
 def is_seen_standing(velocity: Float64, noise: float) -> bool:
-    """Whether a motor of ``velocity`` (n,) with ``noise`` stands at times; not where noise hides it."""
+    """Return whether a motor of ``velocity`` (n,) with ``noise`` stands at times; not where noise hides
+    it.
+    """
     slow = standstill_velocity(velocity, noise)
     if slow > MOST_NOISE * float(np.sqrt(np.mean(velocity**2))):
         return False

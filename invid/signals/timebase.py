@@ -1,4 +1,4 @@
-"""Samples with jitter, late stamps and losses on a uniform grid.
+"""Put samples with jitter, late stamps and losses on a uniform grid.
 
 Spectra want equidistant samples. ``invid.recording.clock`` counts which slot of an even clock each row is.
 How far a stamp is off its slot may be true (the drive was asked late) or the logger's (it stamped late): the

@@ -73,7 +73,7 @@ def _law(
 def _forces(
     force: Any, state: Any, kinds: Any, parameters: Any, tables: Any, memory: Any, step: float
 ) -> None:
-    """Into ``force`` (n,) what all laws but dry friction give in the middle of a sub-step."""
+    """Write into ``force`` (n,) what all laws but dry friction give in the middle of a sub-step."""
     dofs = force.size
     for d in range(dofs):
         force[d] = 0.0
@@ -132,7 +132,7 @@ def _add_dry_friction(
 
 @inlined
 def _keep(place: Any, state: Any, motors: Any) -> None:
-    """Position and velocity of every motor into ``place`` (M, 2)."""
+    """Write position and velocity of every motor into ``place`` (M, 2)."""
     dofs = state.size // 2
     for i in range(motors.size):
         place[i, 0] = state[motors[i]]

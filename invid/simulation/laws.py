@@ -57,7 +57,7 @@ class Laws:
     drifts: list[Drift] = field(default_factory=list)
 
     def add(self, element: Element, term: EffectTerm) -> None:
-        """One element more."""
+        """Sort in one element more."""
         match element:
             case ForceLaw():
                 self.forces.append(element)

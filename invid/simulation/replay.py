@@ -33,7 +33,7 @@ at a tenth: 2 to 5 % of the motion)."""
 _OBSERVER_DAMPING = 0.7
 _DRIFT_RATIO = 0.5
 """Cut of the drift filter over the lowest line: forwards and backwards it takes 1.5 % of the line itself."""
-_HOLD_DAMPING = 0.3
+HOLD_DAMPING = 0.3
 _MOST_SUBSTEPS = 64
 
 
@@ -133,7 +133,7 @@ def drive(experiment: Experiment, chains: CoupledChains, laws: Laws, fastest: fl
     observer = sums * (2 * np.pi * low / _OBSERVER_RATIO) ** 2
     held = gain > observer
     stiffness = np.where(held, gain, observer)
-    ratio = np.where(held, _HOLD_DAMPING, _OBSERVER_DAMPING)
+    ratio = np.where(held, HOLD_DAMPING, _OBSERVER_DAMPING)
     # what the model itself has as a spring to ground needs no tie
     stiffness = np.where(chains.ground_springs > 0, np.where(held, gain, 0.0), stiffness)
     damping = 2 * ratio * np.sqrt(stiffness * sums)
@@ -156,7 +156,9 @@ def _without_eccentricity(reading: Float64, laws: Laws) -> Float64:
 
 
 def _derivative(motion: Float64, interval: float, high: float) -> Float64:
-    """Smoothed over an eighth of the shortest excited cycle: quantisation is not a velocity."""
+    """Return the derivative smoothed over an eighth of the shortest excited cycle: quantisation is no
+    velocity.
+    """
     window = 2 * round(1.0 / (16 * high * interval)) + 1
     window = int(np.clip(window, 5, max(5, (motion.shape[0] - 1) // 2 * 2 - 1)))
     if motion.shape[0] <= window:

@@ -175,7 +175,9 @@ class _Tables:
         return *law_table([*self._laws.forces, *static]), tables
 
     def cover(self, memory: Float64) -> bool:
-        """Whether the motion stayed within the tables and used most of them; else they are computed anew."""
+        """Return whether the motion stayed within the tables and used most of them; else they are
+        computed anew.
+        """
         reached = memory[len(self._laws.forces) :, 0]
         good = [0.1 * most <= r <= most or r == 0.0 for r, most in zip(reached, self._reach, strict=True)]
         if all(good) or not np.isfinite(reached).all():

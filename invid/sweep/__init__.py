@@ -1,4 +1,4 @@
-"""The shell that moves things: runs a plan against ports, watches limits, always stops."""
+"""Run a plan against ports: move the axes, watch their limits, always stop."""
 
 from invid.sweep.engine import Progress, Sweep, SweepResult
 from invid.sweep.ports import Cell, Clock, Event, Mode, Sample, Severity, Sink

@@ -1,4 +1,4 @@
-"""What may never be passed in any cycle: the true limits of every axis, whoever makes the cycle.
+"""Check the true limits of every axis in every cycle, whoever makes it.
 
 A cell that watches itself has one of these from before the first axis is enabled until the last one is off;
 for any other it belongs to the sweep's watch.
@@ -53,7 +53,7 @@ class AxisLimits:
 
 @dataclass
 class Statistics:
-    """What was seen; ends up in the result."""
+    """Largest values and counts that a run has seen; they end up in the result."""
 
     cycles: int = 0
     skipped_slots: int = 0
@@ -104,18 +104,18 @@ class Bounds:
         self.count_anew()
 
     def count_anew(self) -> None:
-        """Statistics and peaks begin here."""
+        """Start statistics and peaks anew."""
         count = len(self.limits)
         self._travel, self._speed, self._torque = [0.0] * count, [0.0] * count, [0.0] * count
         self._lost = [0] * count
         self.statistics = Statistics(0, 0, self._lost, self._travel, self._speed, self._torque)
 
     def start(self, position: list[float]) -> None:
-        """Windows are around these positions from now on."""
+        """Centre the windows around these positions from now on."""
         self.origin = list(position)
 
     def pause(self) -> None:
-        """No cycles were made on purpose for a while: what comes next is compared with nothing before."""
+        """Note that no cycles were made on purpose: what comes next is compared with nothing before."""
         self._last_slot = None
         for history in self._history:
             history.clear()
@@ -123,7 +123,7 @@ class Bounds:
         self.obedience.forget()
 
     def permit(self, axis: int, velocity: float) -> None:
-        """Another limit for the velocity of one axis, from here on; never above that of the config."""
+        """Set another limit for the velocity of one axis, from here on; never above that of the config."""
         velocity = min(velocity, self._fastest[axis])
         self.limits[axis] = replace(self.limits[axis], velocity=velocity)
         self._yielding.permit(axis, velocity)
@@ -212,7 +212,9 @@ class Bounds:
             )
 
     def _check_speed(self, i: int, limit: AxisLimits, time: float, position: float) -> float:
-        """Speed over the last cycles less one count of the encoder; 0 where there is only one sample."""
+        """Check and return the speed over the last cycles less one count of the encoder; 0 with one
+        sample only.
+        """
         # Samples that came, each with its own instant: a stale one would pass for a leap.
         history = self._history[i]
         history.append((time, position))

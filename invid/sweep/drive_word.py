@@ -1,4 +1,4 @@
-"""What drives say in their statuswords while they are enabled: that they limit, that they do not follow."""
+"""Watch the statuswords of enabled drives: do they limit, do they follow their targets?"""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SPOILT = 0.01
 
 
 class DriveWords:
-    """Bits 11 and 12 of every axis; whoever changes modes says so."""
+    """Watch over bits 11 and 12 of every axis; whoever changes modes says so."""
 
     def __init__(self, names: list[str], cycle_s: float) -> None:
         self._names = names
@@ -32,27 +32,27 @@ class DriveWords:
         self._paused = False
 
     def pause(self) -> None:
-        """Modes change: until ``resume`` nothing is judged, and in another mode bit 12 begins anew."""
+        """Judge nothing until ``resume``, as modes change; in another mode bit 12 begins anew."""
         self._paused = True
 
     def resume(self) -> None:
-        """Every drive is in its mode."""
+        """Judge again: every drive is in its mode."""
         self._paused = False
         count = len(self._names)
         self._followed, self._ignored, self._limited = [False] * count, [0] * count, [0] * count
 
     def learn_rest(self) -> None:
-        """So far nothing was asked for: a drive that reports a limit all the same says nothing by it."""
+        """Learn which drives report a limit though nothing is asked for: such a report says nothing."""
         self._at_rest = [n >= self._long for n in self._longest]
         self.begin()
 
     def begin(self) -> None:
-        """Limits count from here on."""
+        """Count limits from here on."""
         self._longest = [0] * len(self._names)
         self._limited = [0] * len(self._names)
 
     def check(self, sample: Sample) -> None:
-        """SafetyStop where a drive that followed its target does so no longer."""
+        """Raise SafetyStop where a drive that followed its target does so no longer."""
         if self._paused:
             return
         self._samples += 1
@@ -78,11 +78,13 @@ class DriveWords:
                     )
 
     def ignores(self, axis: int) -> bool:
-        """Whether it has not said in this mode that it follows; some drives never do."""
+        """Return True where a drive has not reported in this mode that it follows its target: some
+        never do.
+        """
         return not self._followed[axis]
 
     def require_no_limit(self, axes: Iterable[int], what: str) -> None:
-        """SafetyStop where a drive limited since ``begin``; ``what`` was asked of it."""
+        """Raise SafetyStop where a drive limited since ``begin``; ``what`` was asked of it."""
         for i in axes:
             if self._longest[i] >= self._long and not self._at_rest[i]:
                 raise SafetyStop(
@@ -93,7 +95,7 @@ class DriveWords:
                 )
 
     def said(self) -> tuple[str, ...]:
-        """What the result must say of axes that were limited."""
+        """Return the warnings about axes that were limited."""
         return tuple(
             f"axis {name}: the drive reported that it limits (statusword bit 11) in "
             f"{total / self._samples:.0%} of the samples: what it was asked for is not what it did there"

@@ -1,4 +1,4 @@
-"""The sweep: runs a plan against ports. Whoever energises also stops, whatever happens in between."""
+"""Run a plan against ports. Whoever energises also stops, whatever happens in between."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DECIDE_S, DECIDE_POLL_S = 60.0, 0.1
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a measurement is."""
+    """Progress of a measurement: phase, axis, share that is done."""
 
     phase: str
     axis: str | None
@@ -156,7 +156,9 @@ class Sweep:
         return self._motion.statistics
 
     def _enough(self, number: int) -> bool:
-        """Whether the measurement may end after this experiment; holds every axis until that is known."""
+        """Return whether the measurement may end after this experiment; every axis is held until that
+        is known.
+        """
         if self.go_on is None:
             return False
         self._motion.phase, self._motion.experiment = "judging what was measured", None
@@ -171,7 +173,9 @@ class Sweep:
         return True
 
     def _permitted(self, played: float) -> Permitted:
-        """Speeds and torque by what was measured so far, for a share of the torque that is played."""
+        """Return the speeds and torque permitted by what was measured so far, for a share of the torque
+        that is played.
+        """
         motion = self._motion
         if self.permit is None:
             return Permitted(self.config, (1.0,) * motion.count)

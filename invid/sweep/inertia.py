@@ -1,4 +1,4 @@
-"""How heavy an axis is by its trial, and whether that fits what is stated: the last look at its scales.
+"""Measure how heavy an axis is by its trial, and compare that with what is stated.
 
 A wrong scale of torque or position makes an axis look lighter or heavier by the same factor. What a trial
 shows lies between two bounds. A jump of torque accelerates the first mass alone (1/m₁, springs do not matter
@@ -59,17 +59,17 @@ class Branch:
 
     @property
     def fits(self) -> bool:
-        """Whether the axis moved so at all, by more of the torque than friction took."""
+        """Return whether the axis moved as a rigid mass, by more of the torque than friction took."""
         moved = 0 < self.inertia < math.inf and self.friction <= HELD_BACK * self.torque
         return moved and self.left <= FITS
 
     @property
     def rigid(self) -> bool:
-        """Whether it moved so rigidly, in a doublet so slow, that its inertia is known."""
+        """Return whether it moved so rigidly, in a doublet so slow, that its inertia is known."""
         return self.left <= RIGID and self.length_s >= SLOW_S
 
     def differs(self, stated: float) -> bool:
-        """Whether its inertia is so far from a stated one that no elastic axis explains it."""
+        """Return whether its inertia is so far from a stated one that no elastic axis explains it."""
         ratio = self.inertia / stated
         if self.rigid:
             return not 1.0 / AGREES <= ratio <= AGREES
@@ -78,7 +78,7 @@ class Branch:
 
 
 def rigid_branch(time: Float64, demand: Float64, position: Float64, fresh: Bool, *, count: float) -> Branch:
-    """Least squares of x'' = (τ − f·sign x')/J over a doublet, integrated twice.
+    """Fit x'' = (τ − f·sign x')/J to a doublet, integrated twice, by least squares.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def compare(
     branch: Branch | None,
     unit: str,
 ) -> str:
-    """What to say of a measured inertia beside the stated one, empty where they agree.
+    """Return what to say of a measured inertia beside the stated one, empty where they agree.
 
     ``first_mass`` is the lightest that the jumps of acceleration allow (0: they tell nothing), ``branch`` the
     rigid mass of the slowest doublet (``None``: it tells nothing).

@@ -1,4 +1,4 @@
-"""Which axes carry a load: what the torque that holds them at rest says of what the config states."""
+"""Judge which axes carry a load, by the torque that holds them at rest beside what the config states."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SIGMAS = 4.0
 
 @dataclass(frozen=True)
 class Load:
-    """One axis at rest."""
+    """Torque of one axis at rest, and whether it carries a load."""
 
     torque: float
     """Mean of what holds it [N·m or N]; NaN where the drive does not hold it by itself."""
@@ -37,7 +37,7 @@ class Load:
 def judge_loads(
     config: CellConfig, torque: Float64, fresh: Bool, held: Sequence[bool], rated: Sequence[float]
 ) -> tuple[Load, ...]:
-    """Loads of all axes from torque (n, M) [N·m or N] at rest; ``held``: by their drives.
+    """Return the loads of all axes from torque (n, M) [N·m or N] at rest; ``held``: by their drives.
 
     Rows are weighted with a Hann window.
 

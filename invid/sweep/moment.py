@@ -1,4 +1,4 @@
-"""Where a sweep stood when it ended early: its phase and the last seconds of every axis."""
+"""Record where a sweep stood when it ended early: its phase and the last seconds of every axis."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Moment:
     torque: Float64
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; of a long trace evenly spaced rows, the last one among them."""
+        """Return plain values; of a long trace evenly spaced rows, the last one among them."""
         count = len(self.time)
         kept = np.unique(np.linspace(0, count - 1, min(count, TRACE_ROWS)).round().astype(int))
         return {

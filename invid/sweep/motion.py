@@ -1,4 +1,4 @@
-"""Axes in motion: modes, cycles around the feedback, and the watch over them."""
+"""Move the axes: modes, cycles around the feedback, and the watch over them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CATCH_SHARE, CATCH_LEAST_HZ = 0.5, 0.2
 
 @dataclass
 class Feedback:
-    """One axis in torque mode."""
+    """Feedback that holds one axis in torque mode: gains, place and bias."""
 
     axis: int
     gains: Gains
@@ -52,13 +52,15 @@ class Log:
 
 
 def joined(logs: Sequence[Log]) -> Log:
-    """Several stretches as one."""
+    """Return several stretches as one."""
     names = ("demand", "torque", "position", "fresh", "time")
     return Log(*(np.concatenate([getattr(log, name) for log in logs]) for name in names))
 
 
 class Motion:
-    """The axes of a cell from the first cycle to the last; who makes one also calls the cell's ``stop``."""
+    """Motion of a cell's axes from the first cycle to the last; who makes one also calls the cell's
+    ``stop``.
+    """
 
     def __init__(
         self,
@@ -104,7 +106,7 @@ class Motion:
 
     @property
     def moment(self) -> Moment | None:
-        """Where the motion is and its last seconds; ``None`` before the first cycle of the watch."""
+        """Return where the motion is and its last seconds; ``None`` before the first cycle of the watch."""
         if not self._recent:
             return None
         time, position, torque = (np.array(part) for part in zip(*self._recent, strict=True))
@@ -120,23 +122,24 @@ class Motion:
 
     @property
     def statistics(self) -> Statistics:
-        """What was seen so far."""
+        """Return the statistics so far."""
         return self._watch.bounds.statistics if self._watch is not None else Statistics()
 
     @property
     def place(self) -> list[float]:
-        """Where each axis was last seen [rad or m]."""
+        """Return where each axis was last seen [rad or m]."""
         return list(self._last)
 
     @property
     def watching(self) -> Watch:
-        """The watch; SafetyStop before the start."""
+        """Return the watch; SafetyStop before the start."""
         if self._watch is None:
             raise SafetyStop("the sweep watches nothing before it has started")
         return self._watch
 
     def by_offset(self, axis: int) -> bool:
-        """Whether torque is added to a loop that the axis's drive keeps closed, also in ``Mode.TORQUE``.
+        """Return whether torque is added to a loop that the axis's drive keeps closed, also in
+        ``Mode.TORQUE``.
 
         A cell whose drives all have a torque mode need not say so.
         """
@@ -144,7 +147,7 @@ class Motion:
         return bool(told) and told[axis]
 
     def permit(self, axis: int, velocity: float) -> None:
-        """Another limit for the velocity of one axis, from here on; never above what was announced."""
+        """Set another limit for the velocity of one axis, from here on; never above what was announced."""
         axes = list(self.config.axes)
         limits = axes[axis].limits.model_copy(update={"velocity": velocity})
         axes[axis] = axes[axis].model_copy(update={"limits": limits})
@@ -152,7 +155,7 @@ class Motion:
         self.watching.bounds.permit(axis, velocity)
 
     def resting_modes(self) -> list[Mode]:
-        """Held by its drive whatever can be."""
+        """Return the mode of each axis at rest: held by its drive where it can."""
         return [Mode.HOLD if can else Mode.TORQUE for can in self.cell.can_hold]
 
     def start(self) -> None:
@@ -192,7 +195,7 @@ class Motion:
         self.watching.held = set(range(self.count))
 
     def _settle(self, *, first: bool = False) -> None:
-        """What each axis needs at rest, and so which are loaded.
+        """Measure the torque that each axis needs at rest, and so which are loaded.
 
         ``first``: nothing has moved yet, no stop test has let an axis swing.
         """
@@ -339,7 +342,7 @@ class Motion:
                 last[i], before[i] = position[i], sample.time
 
     def change(self, modes: Sequence[Mode], feedback: list[Feedback]) -> None:
-        """New modes and feedback, while the cycle goes on. Torque starts at the bias, as the hold left it.
+        """Change modes and feedback, while the cycle goes on. Torque starts at the bias, as the hold left it.
 
         Until every drive is in its mode, an axis that its drive shall hold keeps the feedback it had, and one
         that comes into torque mode has its own already: torque closes its loop whenever the drive takes it.
@@ -365,7 +368,7 @@ class Motion:
         self.watching.settle()
 
     def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:
-        """Excited axes in torque mode around their place, the others held as configured."""
+        """Put excited axes in torque mode around their place, hold the others as configured."""
         cycle = self.plan.cycle_s
         modes: list[Mode] = []
         feedback = []
@@ -388,7 +391,7 @@ class Motion:
         self.watching.held = set(range(self.count)) - excited
 
     def rest(self, excited: set[int]) -> Log:
-        """Excited axes brought back to their places and to rest, the others held as configured.
+        """Bring excited axes back to their places and to rest, hold the others as configured.
 
         Those that were excited before come to rest first: a stiff hold that takes over an axis on its way
         stops it with all its torque.

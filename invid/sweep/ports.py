@@ -1,4 +1,4 @@
-"""What the sweep engine needs from outside: a clock, a cell of drives, a place for the samples."""
+"""Interfaces that the sweep engine needs: a clock, a cell of drives, a place for the samples."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Cell(Protocol):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names, in the order of every list."""
+        """Return the names of the axes, in the order of every list."""
 
     @property
     def clock(self) -> Clock:
@@ -78,7 +78,7 @@ class Cell(Protocol):
 
     @property
     def can_hold(self) -> tuple[bool, ...]:
-        """Whether each drive can hold its place by itself."""
+        """Return whether each drive can hold its place by itself."""
 
     @property
     def resolution(self) -> tuple[float, ...]:
@@ -92,7 +92,7 @@ class Cell(Protocol):
         """Enable every axis in its mode, at rest where it stands."""
 
     def secure(self, loaded: Sequence[bool]) -> bool:
-        """At rest, every axis held: told which carry a load, sees that each of those stays held after a stop.
+        """Take over which axes carry a load, and see, at rest, that each of those stays held after a stop.
 
         Whether axes were let go or stopped for it: they are held again, perhaps in another place. SafetyStop
         where an axis would fall; what holds it then is the cell's to say.
@@ -103,24 +103,25 @@ class Cell(Protocol):
 
     @property
     def changing(self) -> bool:
-        """Whether an axis has not taken the mode that was asked for; ``exchange`` must go on, with torque for
-        it, whichever mode it is in."""
+        """Return whether an axis has not taken the mode that was asked for; ``exchange`` must go on,
+        with torque for it, whichever mode it is in.
+        """
 
     def exchange(self, torque: Sequence[float]) -> Sample:
-        """One cycle: targets out, SYNC at its slot, samples in. BusError where the bus fails."""
+        """Make one cycle: targets out, SYNC at its slot, samples in. BusError where the bus fails."""
 
     def stop(self) -> None:
         """Quick stop, disable voltage, NMT stop. From any state, any number of times; never raises."""
 
 
 class Sink(Protocol):
-    """Where samples go."""
+    """Receiver of the samples of a sweep."""
 
     def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
-        """A new experiment."""
+        """Begin a new experiment."""
 
     def row(self, sample: Sample, demand: Sequence[float]) -> None:
-        """One cycle of it. The sample's lists are only valid during the call."""
+        """Take one cycle of the experiment. The sample's lists are only valid during the call."""
 
     def end(self) -> None:
-        """The experiment is over."""
+        """End the experiment."""

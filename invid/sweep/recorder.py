@@ -1,4 +1,4 @@
-"""Samples of a sweep into a recording, gaps filled and counted.
+"""Write the samples of a sweep into a recording, gaps filled and counted.
 
 A lost TPDO or a skipped SYNC slot leaves a hole in an otherwise even record. The period grid must not
 slip for it, so every slot gets a row: positions are filled by a cubic through their neighbours (at
@@ -49,13 +49,13 @@ class Recorder:
         self._holes = False
 
     def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
-        """A new experiment."""
+        """Begin a new experiment."""
         self._reset()
         self._last_slot = None
         self._header = (experiment, list(hold_gain), scale)
 
     def _open_experiment(self) -> None:
-        """With its first row: an experiment that was stopped while it settled leaves no empty shell."""
+        """Open an experiment with its first row: one stopped while it settled leaves no empty shell."""
         if self._header is None:
             return
         experiment, hold_gain, scale = self._header
@@ -74,7 +74,7 @@ class Recorder:
         )
 
     def row(self, sample: Sample, demand: Sequence[float]) -> None:
-        """One cycle."""
+        """Take one cycle."""
         if self._header is not None:
             self._open_experiment()
         last = self._last_slot
@@ -136,7 +136,7 @@ class Recorder:
         self._holes = bool(np.isnan(np.asarray(self._position)).any())
 
     def end(self) -> None:
-        """The experiment is over."""
+        """End the experiment."""
         self._flush(len(self._time))
         if self._writer is not None and self._header is None:
             self._writer.end()

@@ -1,4 +1,4 @@
-"""Trials before the full amplitude: the signs of each axis, then a tenth and a third of the shaking."""
+"""Try the signs of each axis, then a tenth and a third of the shaking, before the full amplitude."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ begins later has stuck there, and nothing more can be said."""
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What an excerpt did at a share of its amplitude.
+    """Largest motion and torque of an excerpt at a share of its amplitude.
 
     ``motion`` (2, M): largest travel and velocity; ``early``: those of the first seconds, common to both
     steps of a trial; ``torque`` (M,): largest torque beyond what rest asks for.
@@ -54,12 +54,12 @@ class Seen:
 
     @property
     def stacked(self) -> Float64:
-        """(3, M)."""
+        """Return travel, velocity and torque as one (3, M) array."""
         return np.concatenate([self.motion, self.torque[None]])
 
 
 class Rehearsal:
-    """What is tried before anything is recorded."""
+    """The trials that are made before anything is recorded."""
 
     def __init__(
         self,
@@ -83,11 +83,11 @@ class Rehearsal:
         """(3, M) travel, velocity and torque of the experiments, by the trials."""
 
     def try_signs(self, axis: int) -> None:
-        """Doublets of a tenth of the amplitude: signs, motion, and scales against the stated inertia."""
+        """Play doublets of a tenth of the amplitude: signs, motion, and scales against the stated inertia."""
         SignTrial(self._motion, axis, self._stated[axis], self.warnings).run()
 
     def try_amplitude(self, trial: Trial) -> None:
-        """A tenth, then a third of the shaking: does full amplitude stay within what was announced?
+        """Play a tenth, then a third of the shaking: does full amplitude stay within what was announced?
 
         What is measured there, times what the experiments may do beyond it, bounds them; every torque of the
         plan is scaled down where that bound lies beyond the announced figures or 95 % of a limit.
@@ -137,7 +137,9 @@ class Rehearsal:
         self.bounds = np.maximum(self.bounds, scale * most)
 
     def _led(self, experiment: PlannedExperiment, torque: Float64, spread: Float64) -> Float64:
-        """(M,) torque of shaken axes: what is played is known, what the loop adds spreads as travel does."""
+        """Return the (M,) torque of shaken axes: what is played is known, what the loop adds spreads as
+        travel does.
+        """
         played = np.abs(experiment.torque).max(axis=0)
         shaken = np.isin(np.arange(played.size), experiment.excited)
         most: Float64 = played + spread * np.maximum(torque - played, 0.0) + np.abs(self._motion.bias)
@@ -145,12 +147,12 @@ class Rehearsal:
 
     @staticmethod
     def _room(seen: Seen, allowed: Float64) -> float:
-        """How much further what is allowed lies, if friction hid half of the motion; at least 1."""
+        """Return how much further what is allowed lies, if friction hid half of the motion; at least 1."""
         return max(1.0, float(np.min(allowed[:2] / np.maximum(2.0 * seen.motion, 1e-300))))
 
     @staticmethod
     def _extrapolated(first: Seen, second: Seen) -> Float64:
-        """(3, M) what full amplitude does by the second of two shares."""
+        """Return (3, M) what full amplitude does by the second of two shares."""
         linear: Float64 = second.stacked / second.share
         linear[:2] *= _growth(first, second)
         return linear
@@ -212,7 +214,7 @@ class Rehearsal:
         return low
 
     def forecast(self) -> tuple[AxisForecast, ...]:
-        """What is announced after the trials: never more than before them."""
+        """Return what is announced after the trials: never more than before them."""
         plan, config = self._motion.plan, self._motion.config
         told = _announced(plan.forecast)
         if not self.bounds.any() or all(f.basis == "model" for f in plan.forecast):
@@ -226,7 +228,9 @@ class Rehearsal:
         return announced(config, np.minimum(bounds, told), "trial")
 
     def _try_share(self, experiment: PlannedExperiment, share: float, *, moves: bool) -> Seen:
-        """What an excerpt does at a share of its amplitude; ``moves``: whether it must move its axes."""
+        """Play an excerpt at a share of its amplitude and return what it did; ``moves``: whether it
+        must move its axes.
+        """
         motion = self._motion
         excited, cycle = set(experiment.excited), motion.plan.cycle_s
         cycles = experiment.cycles
@@ -295,7 +299,7 @@ def _announced(forecast: Sequence[AxisForecast]) -> Float64:
 
 
 def _until(path: Float64, rows: int) -> Float64:
-    """The path, its last place kept."""
+    """Return the path for so many cycles, its last place kept."""
     result: Float64 = path[np.minimum(np.arange(rows), len(path) - 1)]
     return result
 

@@ -1,4 +1,6 @@
-"""Small doublets before anything else: do the signs agree, does it move, do the scales fit its inertia."""
+"""Play small doublets before anything else: do the signs agree, does it move, do the scales fit its
+inertia?
+"""
 
 from __future__ import annotations
 
@@ -101,7 +103,7 @@ class SignTrial:
         self._calm: Float64 | None = None
 
     def run(self) -> None:
-        """SafetyStop where signs or scales are wrong, or nothing moves."""
+        """Try one axis; SafetyStop where signs or scales are wrong, or nothing moves."""
         motion, axis = self._motion, self._axis
         motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
         self._home = motion.place[axis]
@@ -126,7 +128,7 @@ class SignTrial:
 
     # --- doublets ------------------------------------------------------------------------------
     def _play(self, amplitude: float, length: float) -> Trial:
-        """One doublet with quiet before and after it."""
+        """Play one doublet with quiet before and after it."""
         motion, axis, cycle = self._motion, self._axis, self._motion.plan.cycle_s
         wave = amplitude * doublet(round(length / cycle))
         quiet = max(8, round(trials.EDGE_S / cycle) + max(trials.LAGS))
@@ -156,7 +158,7 @@ class SignTrial:
         return Trial(found, kept)
 
     def _passed_on(self, kept: Log) -> bool:
-        """Whether held axes answer: an axis that stands passes nothing on, so its encoder is stuck.
+        """Return whether held axes answer: an axis that stands passes nothing on, so its encoder is stuck.
 
         More torque would only make the axes behind it swing further.
         """
@@ -172,7 +174,7 @@ class SignTrial:
         return demand
 
     def _spoil(self, found: trials.Response) -> None:
-        """Nothing can be said of this one. A pause in a doublet leaves the axis drifting: catch it."""
+        """Drop a doublet of which nothing can be said. A pause in it leaves the axis drifting: catch it."""
         self._spoilt.append(found)
         if len(self._spoilt) > LATE_TRIALS:
             raise trials.too_late(self._settings.name, [*self._seen, *self._spoilt])
@@ -180,14 +182,15 @@ class SignTrial:
         self._motion.change(self._modes, self._others)
 
     def _catch(self, inertia: float) -> None:
-        """Back to where it stood, gently."""
+        """Bring the axis gently back to where it stood."""
         self._motion.inertia[self._axis] = inertia
         self._motion.centre({self._axis}, lowest=CATCH_HZ)
         self._motion.play(None, round(SIGN_CATCH_S / self._motion.plan.cycle_s))
 
     def _grow(self) -> tuple[float, float, Trial]:
-        """Stronger, then longer, then again stronger doublets until the axis has moved; the last amplitude,
-        length and trial."""
+        """Play stronger, then longer, then again stronger doublets until the axis has moved; return the
+        last amplitude, length and trial.
+        """
         limits = self._settings.limits
         # The slope is of the sampled position, so the axis must move many counts.
         wanted = sign_wanted(limits, self._count)
@@ -236,7 +239,7 @@ class SignTrial:
 
     # --- verdicts ------------------------------------------------------------------------------
     def _require_torque(self, found: trials.Response, amplitude: float) -> None:
-        """0x6077 must show what is commanded well above its steps."""
+        """Require that 0x6077 shows what is commanded well above its steps."""
         if not self._still or not all(self._still):
             return
         moved = found.displacement >= LEAST_COUNTS * self._count
@@ -271,7 +274,7 @@ class SignTrial:
         )
 
     def _ignored(self) -> str:
-        """What the drive says of a target that did nothing."""
+        """Return what the drive says of a target that did nothing."""
         if not self._motion.watching.words.ignores(self._axis):
             return ""
         return ". The drive does not say that it follows its target (statusword bit 12 is 0)"
@@ -290,7 +293,7 @@ class SignTrial:
 
     # --- inertia -------------------------------------------------------------------------------
     def _weigh(self, last: Trial, amplitude: float, length: float) -> Branch | None:
-        """The whole branch as a rigid mass, from slower doublets; ``None`` where it does not move so.
+        """Weigh the whole branch as a rigid mass by slower doublets; ``None`` where it does not move so.
 
         Where nobody has stated an inertia there is nothing to compare with; where the drive's own loop stays
         closed, no axis moves so.
@@ -327,7 +330,7 @@ class SignTrial:
         return branch
 
     def _strayed(self, last: Trial) -> bool:
-        """Whether the axis is further from where it stood than a doublet may take it.
+        """Return whether the axis is further from where it stood than a doublet may take it.
 
         Masses that swung behind the motor while it was held leave the whole branch drifting when it lets go.
         """
@@ -335,7 +338,7 @@ class SignTrial:
         return bool(abs(away) > SIGN_FAR * self._settings.limits.position)
 
     def _probe(self) -> Branch | None:
-        """A doublet slow enough for the whole branch of an axis that moved too easily for one so far.
+        """Play a doublet slow enough for the whole branch of an axis that moved too easily for one so far.
 
         Its torque is by the stated inertia: it moves an axis as light as ``ELASTIC`` permits by the way of
         the other slow doublets, and one whose scale is ten times wrong by less than twice of that. More

@@ -1,4 +1,6 @@
-"""Encoders that stand although they should not, that stop dead, and axes that yield to what pushes them."""
+"""Watch for encoders that stand although they should not, that stop dead, and for axes that yield to a
+push.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ n·exp(−5·ln n) = n⁻⁴ times a period: once in 10⁸ periods at n = 100.""
 
 
 class Standing:
-    """How long each encoder has shown one value.
+    """Watch over how long each encoder has shown one value.
 
     A stand is the time between samples that came with consecutive SYNCs. What lies before or after a lost
     sample or a skipped slot counts for nothing: nobody knows what the encoder did meanwhile.
@@ -51,24 +53,24 @@ class Standing:
         self._pause = [0.0] * count
 
     def settle(self) -> None:
-        """The excitation changed: stands begin anew."""
+        """Begin stands anew, as the excitation changed."""
         self._still = [0.0] * len(self._still)
 
     def slowest(self, lowest_hz: float) -> None:
-        """The slowest line of the excitation from here on [Hz]."""
+        """Take the slowest line of the excitation from here on [Hz]."""
         self._least = STUCK_PERIODS / lowest_hz if lowest_hz > 0 else STUCK_S
 
     def forget(self) -> None:
-        """Another excitation is tried at a small amplitude: until it is learned, an axis may stand long."""
+        """Allow long stands until another excitation, tried at a small amplitude, is learned."""
         self._allowed = [STUCK_S] * len(self._allowed)
 
     def learn(self, axes: set[int]) -> None:
-        """From here on, these axes may stand three times as long as they have stood while excited."""
+        """Allow these axes to stand three times as long as they have stood while excited."""
         for i in axes:
             self._allowed[i] = min(max(STUCK_FACTOR * self._longest[i], 5 * self._cycle), STUCK_S)
 
     def expect_life(self, axes: set[int], cycles: int) -> None:
-        """These held axes feel a periodic excitation from here on; learn from ``cycles`` how they do."""
+        """Learn from ``cycles`` how these held axes tremble with a periodic excitation."""
         self._living, self._learning = set(axes), cycles
         for i in axes:
             self._still[i] = self._pause[i] = 0.0
@@ -127,7 +129,9 @@ of two, and three times that is six."""
 
 
 class Halting:
-    """The speed before each stand of each encoder, against the accelerations that the axis has shown."""
+    """Watch over the speed before each stand of each encoder, against the accelerations that the axis
+    has shown.
+    """
 
     def __init__(self, names: list[str], resolution: list[float], unit: str, cycle_s: float) -> None:
         self._names, self._unit, self._cycle = names, unit, cycle_s
@@ -141,7 +145,9 @@ class Halting:
         self._still = [0.0] * count
 
     def pause(self) -> None:
-        """Another controller takes over: a drive that begins to hold an axis may stop it at once."""
+        """Note that another controller takes over: a drive that begins to hold an axis may stop it at
+        once.
+        """
         self._seen = [None] * len(self._seen)
 
     def check(self, sample: Sample) -> None:
@@ -203,7 +209,7 @@ AWAY = 0.002
 
 
 class Yielding:
-    """Speed of each axis since its torque came to the limit against its motion."""
+    """Watch over the speed of each axis since its torque came to the limit against its motion."""
 
     def __init__(
         self,
@@ -221,11 +227,13 @@ class Yielding:
         self._since: list[tuple[float, float, float] | None] = [None] * count
 
     def permit(self, axis: int, velocity: float) -> None:
-        """Another speed limit of one axis."""
+        """Set another speed limit of one axis."""
         self._velocity[axis] = velocity
 
     def check(self, sample: Sample, led: Collection[int], resting: Collection[int] = ()) -> None:
-        """SafetyStop where an axis yields whose loop the master closes (``led``), or that is to rest."""
+        """Raise SafetyStop where an axis yields whose loop the master closes (``led``), or that is to
+        rest.
+        """
         for i, fresh in enumerate(sample.fresh):
             if not fresh:
                 continue

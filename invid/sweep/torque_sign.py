@@ -1,4 +1,4 @@
-"""Whether the torque that a drive shows goes on following the torque that it is asked for."""
+"""Watch whether the torque that a drive shows goes on following the torque that it is asked for."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SEEN = 0.02
 
 
 class TorqueSign:
-    """Shown against asked torque of each axis, at each lag, over the last moments."""
+    """Watch over shown against asked torque of each axis, at each lag, over the last moments."""
 
     def __init__(self, names: Sequence[str], rated_torque: Sequence[float], cycle_s: float) -> None:
         self._names = list(names)
@@ -30,7 +30,7 @@ class TorqueSign:
         self.forget()
 
     def forget(self) -> None:
-        """Nothing was asked in the last moments; lags that are known stay known."""
+        """Forget the last moments, in which nothing was asked; lags that are known stay known."""
         count = len(self._names)
         self._asked: list[deque[float]] = [deque([0.0] * LAGS, maxlen=LAGS) for _ in range(count)]
         self._power = [[0.0] * LAGS for _ in range(count)]
@@ -39,7 +39,7 @@ class TorqueSign:
         self._slot: int | None = None
 
     def check(self, sample: Sample, asked: Sequence[float]) -> None:
-        """SafetyStop where an axis that followed shows the opposite of what it is asked for."""
+        """Raise SafetyStop where an axis that followed shows the opposite of what it is asked for."""
         if self._slot is not None and sample.slot != self._slot + 1:
             self.forget()  # the drive went on with its last torque meanwhile
         self._slot = sample.slot

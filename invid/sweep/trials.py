@@ -1,4 +1,4 @@
-"""Small trials before the full amplitude: are the signs right, does it move, how heavy is it."""
+"""Judge small trials before the full amplitude: are the signs right, does it move, how heavy is it?"""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ class Response:
 
     @property
     def opposed(self) -> bool:
-        """Whether the measured torque has the opposite sign of the commanded one."""
+        """Return whether the measured torque has the opposite sign of the commanded one."""
         return self.torque_slope < OPPOSITE
 
     @property
     def late(self) -> bool:
-        """Whether the computer or the answers were too late for a verdict on this doublet."""
+        """Return whether the computer or the answers were too late for a verdict on this doublet."""
         return self.late_edges > 0 and self.edges < LEAST_EDGES
 
 
@@ -271,7 +271,7 @@ def _edges(
 
 
 def too_late(axis: str, found: Sequence[Response]) -> SafetyStop:
-    """What to say where the samples of the trials were not punctual enough to accuse anything."""
+    """Return what to say where the samples of the trials were not punctual enough to accuse anything."""
     late = sum(r.late_edges for r in found)
     total = late + sum(r.edges for r in found)
     return SafetyStop(
@@ -285,7 +285,7 @@ def too_late(axis: str, found: Sequence[Response]) -> SafetyStop:
 
 
 def judge_scale(axis: str, found: Sequence[Response], *, rated: float, torque_unit: str) -> None:
-    """SafetyStop where asked and shown torque do not count in the same unit, over several trials."""
+    """Raise SafetyStop where asked and shown torque do not count in the same unit, over several trials."""
     told = [r for r in found if np.isfinite(r.settled_std)]
     if not told:
         return
@@ -306,7 +306,7 @@ def judge_scale(axis: str, found: Sequence[Response], *, rated: float, torque_un
 
 
 def judge(axis: str, found: Response, score: float, *, amplitude: float, unit: str, torque_unit: str) -> None:
-    """SafetyStop where a sign is wrong."""
+    """Raise SafetyStop where a sign is wrong."""
     if found.opposed:
         raise SafetyStop(
             f"axis {axis}: the measured torque (0x6077) has the opposite sign of the commanded one (0x6071) "

@@ -1,4 +1,4 @@
-"""What the master watches every cycle, on excited and on held axes alike."""
+"""Watch every cycle, on excited and on held axes alike."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Watch:
         """Axes whose energy is watched for growth."""
 
     def settle(self) -> None:
-        """Excitation changed: growth of energy is judged afresh."""
+        """Judge growth of energy afresh, as the excitation changed."""
         self._energies.clear()
         self._energy, self._energy_cycles = 0.0, 0
         self.standing.settle()

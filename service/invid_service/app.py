@@ -1,4 +1,4 @@
-"""``create_app``: the whole service from its settings; nothing is global."""
+"""Build the whole service from its settings; nothing is global."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from fastapi import FastAPI
 
 from invid import __version__
 from invid_service import health, problems
-from invid_service.cells.departures import departures_router
 from invid_service.cells.router import router as cells
 from invid_service.cells.series import router as series
 from invid_service.cells.state import router as state
@@ -36,7 +35,7 @@ a safety function.
 
 
 def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock: Clock = utc_now) -> FastAPI:
-    """The application.
+    """Return the application with its routers, middleware and OpenAPI document.
 
     Raises
     ------
@@ -68,7 +67,6 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
     for router in (cells, state, series, identifications, drawing, recordings, health.router):
         app.include_router(router, prefix=API)
     app.include_router(export_router(), prefix=API)
-    app.include_router(departures_router(), prefix=API)
     # The usual addresses of supervision, beside those under the version.
     app.include_router(health.router, include_in_schema=False)
     app.include_router(pages, include_in_schema=False)

@@ -32,14 +32,14 @@ class AuditLog:
             os.fsync(file.fileno())
 
     def try_write(self, action: str, *, caller: str, **facts: Any) -> None:
-        """The same, for what must never wait for a disk or fail with it: a stop."""
+        """Append one line, but never wait for a disk or fail with it: for a stop."""
         try:
             self.write(action, caller=caller, **facts)
         except OSError as error:
             log.error("audit: %s by %s could not be written: %s", action, caller, error)
 
     def tail(self, count: int) -> list[dict[str, Any]]:
-        """The newest lines, newest last."""
+        """Return the newest lines, newest last."""
         try:
             lines = self.path.read_text(encoding="utf-8").splitlines()[-count:]
         except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Who may call what: the key a request presents, and the places it may come from.
+"""Decide who may call what: by the key a request presents and the place it comes from.
 
 Without a key file the service is open to this machine alone, and only while it is bound to loopback. With
 one, everyone is asked for a key, loopback too: behind a reverse proxy every request comes from loopback.
@@ -23,7 +23,7 @@ FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip", "v
 
 
 def check_bind(settings: Settings, keys: Keys) -> None:
-    """Refuse to be reached from outside without a key."""
+    """Refuse settings that let others reach the service without a key."""
     way_out = "make one with 'invid keys add NAME:read,run,accept --key-file F' and start with --key-file F"
     if not settings.loopback and not keys:
         raise ConfigError(
@@ -47,7 +47,7 @@ def _token(request: Request) -> str | None:
 
 
 def identify_caller(request: Request) -> Caller:
-    """Who calls; Problem where a key is needed or wrong.
+    """Return the caller of a request; Problem where a key is needed or wrong.
 
     Where no keys are configured nobody is asked, but only this machine may call: not a page of another site
     in the technician's browser (Host and Origin tell), and nobody through a reverse proxy.
@@ -109,7 +109,7 @@ def _refuse_other_sites(request: Request) -> None:
 
 
 class Require:
-    """Dependency: the caller, who must have ``scope``."""
+    """FastAPI dependency that returns the caller, who must have ``scope``."""
 
     def __init__(self, scope: Scope) -> None:
         self.scope = scope
@@ -133,7 +133,7 @@ Admin = Annotated[Caller, Depends(Require(Scope.ADMIN))]
 
 
 async def _stopping_caller(request: Request) -> Caller:
-    """Whoever asks for a stop: a key that is missing, wrong or revoked stops as well."""
+    """Return whoever asks for a stop: a key that is missing, wrong or revoked stops as well."""
     try:
         return identify_caller(request)
     except Problem as problem:

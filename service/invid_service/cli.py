@@ -12,7 +12,7 @@ from invid.errors import ConfigError
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command."""
+    """Add the command ``invid serve``."""
 
     @app.command("serve", help="Serve the REST interface and the technician's page.")
     def serve(
@@ -55,7 +55,9 @@ def register(app: typer.Typer) -> None:
 
 
 def register_keys(app: typer.Typer) -> None:
-    """Add the commands that change a key file; a running service follows within a second."""
+    """Add the commands ``invid keys …``, which change a key file; a running service follows within a
+    second.
+    """
     keys = typer.Typer(help="List, add and revoke the keys of the service.", no_args_is_help=True)
     file = typer.Option(..., "--key-file", help="File with the hashed keys.")
 
@@ -75,7 +77,7 @@ def register_keys(app: typer.Typer) -> None:
         key_file: Path = file,
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> None:
-        """Id, name, scopes and end of every key; never the key itself."""
+        """Print id, name, scopes and end of every key; never the key itself."""
         from invid_service.keys import read_keys
 
         now = datetime.now(UTC)

@@ -1,4 +1,4 @@
-"""One HTTP connection, with a bound on what a client may make the service wait and keep.
+"""Serve one HTTP connection, with a bound on what a client may make the service wait and keep.
 
 uvicorn waits for a request's header as long as the client likes, so that a few hundred clients that send a
 byte now and then would take every file descriptor, and a stop could no longer connect. Here a connection that
@@ -23,7 +23,7 @@ _FILES = 65536
 
 
 class Connection(H11Protocol):
-    """h11 with a deadline for headers, and problem documents for what is no HTTP."""
+    """HTTP protocol of uvicorn with a deadline for headers, and problem documents for what is no HTTP."""
 
     header_timeout_s: ClassVar[float] = 20.0
 
@@ -32,12 +32,12 @@ class Connection(H11Protocol):
         self._deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """The first header is due from now on."""
+        """Start the deadline of the first header."""
         super().connection_made(transport)
         self._expect()
 
     def data_received(self, data: bytes) -> None:
-        """Further bytes of a header do not put its deadline off."""
+        """Take in bytes; further bytes of a header do not put its deadline off."""
         super().data_received(data)
         if self.conn.their_state is not h11.IDLE:
             self._expected()
@@ -45,12 +45,12 @@ class Connection(H11Protocol):
             self._expect()
 
     def on_response_complete(self) -> None:
-        """Between requests uvicorn's own keep-alive counts."""
+        """Stop the deadline after an answer; between requests uvicorn's own keep-alive counts."""
         self._expected()
         super().on_response_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is due any more."""
+        """Stop the deadline of a closed connection."""
         self._expected()
         super().connection_lost(exc)
 
@@ -67,7 +67,7 @@ class Connection(H11Protocol):
             self.transport.close()
 
     def send_400_response(self, msg: str) -> None:
-        """Bytes that are no HTTP request: a problem document, as for every other failure."""
+        """Answer bytes that are no HTTP request with a problem document."""
         status, title = CATALOGUE["bad-request"]
         document = {"type": f"{URN}bad-request", "title": title, "status": status, "detail": msg}
         body = json.dumps(document).encode()
@@ -87,7 +87,9 @@ class Connection(H11Protocol):
 
 
 def allow_many_connections() -> None:
-    """As many open files as the system lets this process have: clients that hang do not crowd out a stop."""
+    """Raise the limit of open files as far as the system lets it: clients that hang do not crowd out a
+    stop.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _FILES if hard == resource.RLIM_INFINITY else min(hard, _FILES)
     if soft != resource.RLIM_INFINITY and soft < wanted:

@@ -1,4 +1,4 @@
-"""The service behind a request."""
+"""Give a route the service behind its request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Events of a run, and server-sent events made of them.
+"""Log the events of a run and stream them as server-sent events.
 
 Ids grow with the clock in milliseconds, so that they keep growing over a restart of the service and a
 reader can resume with ``Last-Event-ID`` whatever happened in between.
@@ -12,6 +12,8 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from typing import Any
+
+from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 
 from invid_service.store.store import StoredEvent
 
@@ -40,7 +42,7 @@ class EventLog:
         return event
 
     def close(self) -> None:
-        """No more events: followers end after the last one."""
+        """End the log: followers end after the last event."""
         self._closed = True
         self._wake()
 
@@ -49,11 +51,11 @@ class EventLog:
         self._news = asyncio.Event()
 
     def behind(self, after: int) -> list[StoredEvent]:
-        """Events with ids above ``after``."""
+        """Return events with ids above ``after``."""
         return [e for e in self._events if e.id > after]
 
     async def follow(self, after: int, keep_alive_s: float) -> AsyncIterator[StoredEvent | None]:
-        """Events with ids above ``after``; ``None`` where nothing happened for ``keep_alive_s``."""
+        """Yield events with ids above ``after``; ``None`` where nothing happened for ``keep_alive_s``."""
         while True:
             news, closed = self._news, self._closed
             for event in self.behind(after):
@@ -70,8 +72,8 @@ class EventLog:
 
 
 def sse(event: StoredEvent | None) -> bytes:
-    """One event on the wire; a comment keeps the connection alive."""
+    """Return one event as bytes of a stream; without one a comment that keeps the connection alive."""
     if event is None:
-        return b": keep-alive\n\n"
+        return KEEPALIVE_COMMENT
     data = json.dumps(event.data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    return f"id: {event.id}\nevent: {event.type}\ndata: {data}\n\n".encode()
+    return format_sse_event(data_str=data, event=event.type, id=str(event.id))

@@ -1,4 +1,4 @@
-"""For the cell's supervision: liveness, readiness of the service, metrics, version, audit."""
+"""Routes for the cell's supervision: liveness, readiness of the service, metrics, version, audit."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ router = APIRouter(tags=["operations"], responses=EVERYWHERE)
 
 
 class Live(BaseModel):
-    """The process answers."""
+    """Answer that the process lives."""
 
     status: str = "live"
 
 
 class Ready(BaseModel):
-    """The service can take work."""
+    """Answer whether the service can take work."""
 
     status: str = "ready"
     free_bytes: int
@@ -39,7 +39,7 @@ class Ready(BaseModel):
 
 
 class Version(BaseModel):
-    """What runs here."""
+    """Versions of the program, the interface and the file formats."""
 
     name: str = "invid"
     version: str
@@ -49,13 +49,15 @@ class Version(BaseModel):
 
 @router.get("/health/live", response_model=Live)
 async def get_liveness() -> Live:
-    """Answers while the process does; needs no key and no store."""
+    """Say that the process lives; needs no key and no store."""
     return Live()
 
 
 @router.get("/health/ready", response_model=Ready, responses=problem_responses(507))
 async def get_service_readiness(service: Context) -> Ready:
-    """503 while the store does not answer, the disk is full, or the service is going down."""
+    """Say whether the service can take work: 503 while the store does not answer, the disk is full, or the
+    service is going down.
+    """
     free = service.blobs.free_bytes()
     try:
         async with asyncio.timeout(_STORE_S):
@@ -76,7 +78,7 @@ async def get_service_readiness(service: Context) -> Ready:
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
 async def get_metrics(service: Context, _caller: Reader) -> Response:
-    """Prometheus text format. Cells are left out while the store does not answer."""
+    """Return metrics in Prometheus' text format. Cells are left out while the store does not answer."""
     cells: list[CellFacts] = []
     with contextlib.suppress(TimeoutError, SQLAlchemyError):
         async with asyncio.timeout(_STORE_S):
@@ -85,7 +87,7 @@ async def get_metrics(service: Context, _caller: Reader) -> Response:
 
 
 def _facts(service: Service, cell: str) -> CellFacts:
-    """What supervision is told of a cell's last measurements."""
+    """Return what the metrics say of a cell's last measurements."""
     runs = service.store.runs(cell=cell, limit=_LOOKED_AT, measured=True)
     runs = [run.record if (run := service.jobs.live(r.id)) is not None else r for r in runs]
     grades = [grade for r in runs if (grade := (r.facts.get("summary") or {}).get("grade")) is not None]
@@ -99,7 +101,7 @@ def _facts(service: Service, cell: str) -> CellFacts:
 
 @router.get("/version", response_model=Version)
 async def get_version() -> Version:
-    """Version of the program, the interface and the file formats."""
+    """Return the version of the program, the interface and the file formats."""
     return Version(
         version=__version__, formats={"invid-recording": 1, "invid-model": 1, "invid-diagnosis": 1}
     )
@@ -109,5 +111,5 @@ async def get_version() -> Version:
 async def list_audit(
     service: Context, _caller: Admin, limit: Annotated[int, Query(ge=1, le=1000)] = 100
 ) -> list[dict[str, Any]]:
-    """The newest lines of the audit log."""
+    """Return the newest lines of the audit log."""
     return await asyncio.to_thread(service.audit.tail, limit)

@@ -79,7 +79,7 @@ class KeyRefusedError(Exception):
 
 
 def read_keys(path: Path) -> list[Key]:
-    """The keys of a file; ConfigError says what is wrong with it."""
+    """Return the keys of a file; ConfigError says what is wrong with it."""
     try:
         return _KeyFile.model_validate_json(path.read_text(encoding="utf-8")).keys
     except FileNotFoundError:
@@ -114,7 +114,9 @@ class Keys:
         return bool(self._keys)
 
     def reload(self) -> bool:
-        """Take over a file that has changed; whether it had. A file that cannot be read changes nothing."""
+        """Read the file again where it has changed; return whether it had. One that cannot be read
+        changes nothing.
+        """
         if self._path is None or (stamp := _stamp(self._path)) == self._seen:
             return False
         self._seen = stamp
@@ -127,7 +129,7 @@ class Keys:
         return True
 
     def caller(self, token: str, now: datetime) -> Caller:
-        """Whose key this is; KeyRefusedError where it is nobody's or expired."""
+        """Return whose key this is; KeyRefusedError where it is nobody's or expired."""
         parts = token.split("_", 2)
         key = self._keys.get(parts[1]) if len(parts) == 3 and parts[0] == "invid" else None
         digest = hashlib.sha256(token.encode("utf-8", "replace")).hexdigest()
@@ -139,7 +141,7 @@ class Keys:
 
 
 def _stamp(path: Path | None) -> tuple[int, int, int] | None:
-    """What tells one version of a file from the next; ``None`` where there is none."""
+    """Return what tells one version of a file from the next; ``None`` where there is no file."""
     try:
         found = None if path is None else path.stat()
     except OSError:
@@ -164,7 +166,7 @@ def add_key(path: Path, name: str, scopes: Iterable[str], *, expires: datetime |
 
 
 def revoke_key(path: Path, identity: str) -> Key:
-    """Take the key of that id, or of that name where only one has it, out of the file; it is returned."""
+    """Take the key of that id, or of that name where only one has it, out of the file; return it."""
     keys = read_keys(path)
     found = [k for k in keys if k.id == identity] or [k for k in keys if k.name == identity]
     if len(found) != 1:

@@ -1,4 +1,4 @@
-"""Structured logs on stderr: JSON lines for machines, or text where a person watches."""
+"""Write structured logs on stderr: JSON lines for machines, or text where a person watches."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import structlog
 
 
 def configure_logging(*, json_lines: bool) -> None:
-    """One formatter for our own and the libraries' records."""
+    """Set one formatter for our own and the libraries' records."""
     renderer: structlog.typing.Processor = (
         structlog.processors.JSONRenderer() if json_lines else structlog.dev.ConsoleRenderer(colors=False)
     )

@@ -16,7 +16,7 @@ from invid_service.jobs.states import IDLE, State
 
 @dataclass(frozen=True)
 class CellFacts:
-    """What is told of one cell: its last measurement, in progress or ended."""
+    """Facts of one cell for the metrics: its last measurement, in progress or ended."""
 
     cell: str
     state: State | None
@@ -27,7 +27,7 @@ class CellFacts:
 
 
 class Metrics:
-    """Own registry: two applications in one process do not share counts."""
+    """Metrics in a registry of their own: two applications in one process do not share counts."""
 
     def __init__(self, active: Callable[[], int]) -> None:
         self.registry = CollectorRegistry()
@@ -72,12 +72,12 @@ class Metrics:
         self._stops.labels(cell).inc()
 
     def answered(self, method: str, status: int, seconds: float) -> None:
-        """Time of an answer."""
+        """Count an answer and its time."""
         known = method if method in ("GET", "POST", "PATCH", "HEAD") else "other"
         self._seconds.labels(known, str(status)).observe(seconds)
 
     def text(self, cells: Sequence[CellFacts]) -> bytes:
-        """The exposition, with what is known of the cells now."""
+        """Return the exposition, with what is known of the cells now."""
         with self._looking:
             for gauge in (self._state, self._grade, self._age):
                 gauge.clear()

@@ -1,4 +1,4 @@
-"""What every request passes: size and stall limits of its body, its time, headers of the answer."""
+"""Guard every request: size and stall limits of its body, its time, headers of the answer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HEADERS = [
 
 
 def _under(root: str, scope: Scope) -> Scope:
-    """The request with the whole path, whether or not the reverse proxy cut ``root`` off it."""
+    """Return the request with the whole path, whether or not the reverse proxy cut ``root`` off it."""
     path = scope["path"]
     if root and path != root and not path.startswith(f"{root}/"):
         path = root + path
@@ -31,13 +31,13 @@ def _under(root: str, scope: Scope) -> Scope:
 
 
 class Guard:
-    """Pure ASGI, so that streams pass through unbuffered."""
+    """ASGI middleware that bounds requests; streams pass through unbuffered."""
 
     def __init__(self, app: ASGIApp, settings: Settings, metrics: Metrics) -> None:
         self._app, self._settings, self._metrics = app, settings, metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request."""
+        """Pass one request on."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

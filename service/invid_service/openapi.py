@@ -1,4 +1,4 @@
-"""The OpenAPI document as it is served: names that a generated client likes, problems, keys, examples."""
+"""Complete the OpenAPI document: names that a generated client likes, problems, keys, examples."""
 
 from __future__ import annotations
 
@@ -96,6 +96,16 @@ EXAMPLES: dict[str, Any] = {
             "recording": f"/api/v1/identifications/{_RUN}/recording",
         },
     },
+    "StartBody": {"mode": "full", "axes": ["A1", "A2"], "arm": True},
+    "ActionBody": {"type": "accept"},
+    "StopAnswer": {
+        "cell": "robot",
+        "stopping": True,
+        "moved": True,
+        "identification": _RUN,
+        "simulated": False,
+        "note": "this stops motion through the drives' protocol; it is not a safety function",
+    },
     "Version": {
         "name": "invid",
         "version": "0.1.0",
@@ -118,12 +128,14 @@ EXAMPLES: dict[str, Any] = {
 
 
 def operation_id(route: APIRoute) -> str:
-    """The name of the function that answers, a verb and its object: of a generated client's method, too."""
+    """Return the name of the function that answers, a verb and its object: a generated client's
+    method, too.
+    """
     return _OPERATION_IDS.get(route.name, route.name)
 
 
 def complete_schema(app: FastAPI) -> None:
-    """Problems instead of FastAPI's own validation error; how keys travel; examples."""
+    """Put problems in place of FastAPI's own validation error, and add how keys travel and examples."""
     plain = app.openapi
 
     def schema() -> dict[str, Any]:

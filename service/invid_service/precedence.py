@@ -1,4 +1,4 @@
-"""Who comes first on a busy computer: the cycle (SCHED_FIFO), then the service, then whatever computes.
+"""Set who comes first on a busy computer: the cycle (SCHED_FIFO), then the service, then what computes.
 
 A stop that has to wait for somebody's computations comes late. Threads and processes made afterwards inherit
 what is set here.
@@ -17,7 +17,7 @@ let them starve beside other programs."""
 
 
 def before_others() -> None:
-    """The service, where the system allows it (root, CAP_SYS_NICE or LimitNICE=-10)."""
+    """Put the service before others, where the system allows it (root, CAP_SYS_NICE or LimitNICE=-10)."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, min(FIRST, os.getpriority(os.PRIO_PROCESS, 0)))
 

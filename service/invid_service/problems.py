@@ -1,4 +1,4 @@
-"""Problem documents (RFC 9457): every failure has a stable ``type``, a sentence and a way out."""
+"""Answer failures with problem documents (RFC 9457): a stable ``type``, a sentence and a way out."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class WrongValue(BaseModel):
 
 
 class ProblemDocument(BaseModel):
-    """RFC 9457 with further members by type; each is left out where it says nothing."""
+    """Problem document of RFC 9457 with further members by type; each is left out where it says nothing."""
 
     model_config = ConfigDict(extra="allow")
     type: str = Field(description=f"`{URN}` and one of: {', '.join(CATALOGUE)}; more may come")
@@ -105,7 +105,7 @@ class ProblemDocument(BaseModel):
 
 
 class Problem(Exception):
-    """Raised anywhere in a request; answered as a problem document."""
+    """Error raised anywhere in a request and answered as a problem document."""
 
     def __init__(self, kind: str, detail: str, headers: dict[str, str] | None = None, **members: Any) -> None:
         super().__init__(detail)
@@ -113,11 +113,11 @@ class Problem(Exception):
 
     @property
     def status(self) -> int:
-        """HTTP status of this kind."""
+        """Return the HTTP status of this kind."""
         return CATALOGUE[self.kind][0]
 
     def response(self, instance: str) -> JSONResponse:
-        """The document, ready to send."""
+        """Return the document, ready to send."""
         status, title = CATALOGUE[self.kind]
         document = {
             "type": URN + self.kind,
@@ -145,7 +145,7 @@ _HEADERS: dict[int, dict[str, Any]] = {
 
 
 def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """OpenAPI ``responses`` for these statuses, with the types of problem that have them."""
+    """Return OpenAPI ``responses`` for these statuses, with the types of problem that have them."""
     return {
         status: {
             "description": f"{HTTPStatus(status).phrase}: {', '.join(_kinds(status))}",

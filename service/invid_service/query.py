@@ -1,4 +1,4 @@
-"""Query parameters that a call does not know are refused: a misspelt filter must not pass for none."""
+"""Refuse query parameters that a call does not know: a misspelt filter must not pass for none."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from invid_service.problems import Problem
 
 
 def refuse_unknown_parameters(request: Request) -> None:
-    """Problem ``invalid-request`` with the parameters that the call has."""
+    """Raise problem ``invalid-request`` for an unknown parameter, with those that the call has."""
     route = request.scope.get("route")
     if not request.query_params or not isinstance(route, APIRoute):
         return

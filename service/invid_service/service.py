@@ -1,4 +1,4 @@
-"""``Service``: the parts of one application, made from its settings and closed together."""
+"""Build the parts of one application from its settings, and close them together."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _ORPHAN_S = 3.0
 
 @dataclass
 class Service:
-    """Everything a request may need."""
+    """Everything a request may need, in one object."""
 
     settings: Settings
     clock: Clock
@@ -85,7 +85,7 @@ class Service:
 
     # --- life ----------------------------------------------------------------------------------
     async def start(self) -> None:
-        """Settle what the last process left, then keep house."""
+        """Settle what the last process left, then start the housekeeping."""
         set_root(self.settings.root_path)  # for what tells of a run outside any request
         await asyncio.to_thread(settle, self.blobs.work, self.settings.stop_grace_s + _ORPHAN_S)
         now = self.clock()
@@ -102,7 +102,7 @@ class Service:
         self._key_watch = asyncio.create_task(self._watch_keys())
 
     def _keep_leftovers(self, now: datetime) -> None:
-        """Into the store with all that runs before this start left in their folders.
+        """Store all that runs before this start left in their folders.
 
         Nothing runs yet, so whatever lies there is of a run that was cut off, or that the store did not take.
         """
@@ -121,7 +121,7 @@ class Service:
         self.jobs.begin_shutdown()
 
     async def close(self) -> None:
-        """Motion first, then the rest."""
+        """Stop motion first, then close the rest."""
         self.begin_shutdown()
         for task in (self._housekeeping, self._key_watch):
             if task is not None:
@@ -146,7 +146,7 @@ class Service:
             await asyncio.to_thread(self.keys.reload)
 
     def expire(self) -> int:
-        """Delete files past their retention; how many."""
+        """Delete files past their retention; return how many."""
         now = self.clock()
         paths = self.store.expire_artefacts(now - timedelta(days=self.settings.retention_days), now)
         for relative in paths:
@@ -156,7 +156,7 @@ class Service:
 
     # --- questions -----------------------------------------------------------------------------
     def cell(self, identity: str) -> Cell:
-        """A cell; Problem 404 where there is none."""
+        """Return a cell; Problem 404 where there is none."""
         found = self.cells.get(identity)
         if found is None:
             raise Problem("cell-not-found", f"no cell {identity[:64]!r}; the cells are {sorted(self.cells)}")
@@ -170,7 +170,7 @@ class Service:
         ignore: LiveRun | None = None,
         axes: tuple[str, ...] | None = None,
     ) -> Readiness:
-        """Whether the cell can start, judged now."""
+        """Judge now whether the cell can start."""
         occupied = self.jobs.occupying(cell.id)
         drives = () if mode == "simulate" or occupied is not None else await self._drives(cell)
         answers, in_force = True, None
@@ -198,7 +198,7 @@ class Service:
     async def _refusal(
         self, cell: Cell, mode: str | None, axes: tuple[str, ...] | None, in_force: StoredModel | None
     ) -> InvidError | None:
-        """With what check and run would refuse to plan; judged once for each model and wish.
+        """Return with what check and run would refuse to plan; judged once for each model and wish.
 
         Hardware is not asked for it: whoever reads a page sends nothing to drives. A real cell that is
         simulated with its model plans within other drives.
@@ -215,7 +215,7 @@ class Service:
             return self._refusals[key]
 
     async def _drives(self, cell: Cell) -> tuple[CellReason, ...]:
-        """What ``invid check`` has against the drives of a cell in which nothing runs."""
+        """Return what ``invid check`` has against the drives of a cell in which nothing runs."""
         async with self._asking:
             asked, reasons = self._asked.get(cell.id, (-_DRIVES_S, ()))
             now = time.monotonic()
@@ -225,7 +225,7 @@ class Service:
             return reasons
 
     async def run(self, run_id: str) -> tuple[RunRecord, LiveRun | None]:
-        """A run, from memory while it lives; Problem 404 where there is none."""
+        """Return a run, from memory while it lives; Problem 404 where there is none."""
         live = self.jobs.live(run_id)
         if live is not None:
             return live.record, live
@@ -237,7 +237,7 @@ class Service:
         return record, self.jobs.live(run_id)
 
     async def is_simulated(self, path: str, store_answers: bool) -> bool:
-        """Whether a path of the interface names a cell, or a run of one, with no hardware behind it.
+        """True where a path of the interface names a cell, or a run of one, with no hardware behind it.
 
         ``store_answers``: runs that ended are looked up; without it, those in memory count alone.
         """
@@ -257,7 +257,7 @@ class Service:
         return record.simulated
 
     def new_run(self, cell: Cell | None, mode: str, axes: list[str], caller: str) -> RunRecord:
-        """A queued run with a fresh id that sorts by time."""
+        """Return a queued run with a fresh id that sorts by time."""
         now = self.clock()
         identity = f"{now:%Y%m%dT%H%M%S}-{secrets.token_hex(4)}"
         simulated = cell is not None and (cell.simulated or mode == "simulate")
@@ -289,12 +289,12 @@ def _refusal_of(
 
 
 def utc_now() -> datetime:
-    """The clock of the service."""
+    """Return the time by the clock of the service."""
     return datetime.now(UTC)
 
 
 def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
-    """Parts from settings; ConfigError where something cannot be."""
+    """Build the service from settings; ConfigError where something cannot be."""
     keys = Keys(settings.key_file)
     check_bind(settings, keys)
     webhook = open_webhook(settings, clock)
@@ -343,7 +343,7 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
 
 
 def _ending(record: RunRecord) -> dict[str, object]:
-    """What a webhook tells of a run: the facts that a list would show, and nothing secret."""
+    """Return what a webhook tells of a run: the facts that a list would show, and nothing secret."""
     return view(record, None).model_dump(
         mode="json", include={"id", "cell", "robot", "mode", "state", "simulated", "ended", "error", "links"}
     )

@@ -1,4 +1,4 @@
-"""Running the application under uvicorn; a signal stops motion before anything else."""
+"""Run the application under uvicorn; a signal stops motion before anything else."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _GRACE_S = 5
 
 
 def settings_from(given: dict[str, Any]) -> Settings:
-    """Settings from the command line over the environment; ConfigError names what is wrong."""
+    """Return settings from the command line over the environment; ConfigError names what is wrong."""
     try:
         return Settings(**given)
     except ValidationError as error:
@@ -33,7 +33,9 @@ def settings_from(given: dict[str, Any]) -> Settings:
 
 
 class _Server(uvicorn.Server):
-    """Stops motion at the signal itself, not when the last connection has ended; tells systemd how it is."""
+    """Server that stops motion at the signal itself, not when the last connection has ended; tells systemd
+    how it is.
+    """
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)

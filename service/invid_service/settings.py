@@ -14,7 +14,7 @@ _BUDGET_SHARE = 5 / 6
 
 
 class AutoAccept(BaseModel):
-    """When a result may be accepted without a person: all of it must hold."""
+    """Conditions under which a result is accepted without a person: all of them must hold."""
 
     max_change_percent: float = Field(gt=0, le=1000)
     """No parameter may differ from the accepted model by more than this, its uncertainty included."""
@@ -79,12 +79,14 @@ class Settings(BaseSettings):
 
     @property
     def analysis_budget_s(self) -> float:
-        """What an analysis may spend, so that its best answer so far comes before it is taken for hung."""
+        """Return the seconds that an analysis may spend, so that its best answer comes before it is taken for
+        hung.
+        """
         return self.analysis_timeout_s * _BUDGET_SHARE
 
     @property
     def database(self) -> str:
-        """The SQLAlchemy URL in use."""
+        """Return the SQLAlchemy URL in use."""
         return self.database_url or f"sqlite:///{self.data_dir / 'store.sqlite'}"
 
 

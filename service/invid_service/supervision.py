@@ -1,4 +1,5 @@
-"""What systemd is told (``sd_notify``): ready, alive, stopping. Nothing where it does not listen.
+"""Tell systemd (``sd_notify``) when the service is ready, alive or stopping; nothing where it does not
+listen.
 
 The sign of life comes from the event loop itself, so a service that answers nobody is restarted. Its runner
 is a process of its own that stops its drives where the service is gone.
@@ -27,7 +28,9 @@ def tell(text: str) -> bool:
 
 
 def watchdog_s() -> float | None:
-    """Seconds between two signs of life: a third of what systemd allows; ``None`` where it does not watch."""
+    """Return the seconds between two signs of life: a third of what systemd allows; ``None`` where it does
+    not watch.
+    """
     try:
         allowed, own = int(os.environ["WATCHDOG_USEC"]), int(os.environ.get("WATCHDOG_PID", os.getpid()))
     except (KeyError, ValueError):
@@ -36,7 +39,7 @@ def watchdog_s() -> float | None:
 
 
 async def stay_alive() -> None:
-    """Signs of life until cancelled."""
+    """Send signs of life until cancelled."""
     pause = watchdog_s()
     while pause is not None:
         tell("WATCHDOG=1")

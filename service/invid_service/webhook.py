@@ -1,4 +1,4 @@
-"""A message to another system at every run's end, signed and retried.
+"""Send a message to another system at every run's end, signed and retried.
 
 The form is that of Standard Webhooks (standardwebhooks.com): headers ``webhook-id``, ``webhook-timestamp``
 and ``webhook-signature``, the last ``v1,`` and the Base64 of HMAC-SHA256 over ``id.timestamp.body``. The
@@ -35,14 +35,14 @@ LEAST_SECRET = 24
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """A signed message goes where the settings say and nowhere else."""
+    """Handler that follows no redirect: a signed message goes where the settings say and nowhere else."""
 
     def redirect_request(self, *_: Any) -> None:
-        """Never followed."""
+        """Refuse to follow a redirect."""
 
 
 class Webhook:
-    """Sends messages in the background; ``close`` gives up what was not delivered."""
+    """Sender of messages in the background; ``close`` gives up what was not delivered."""
 
     def __init__(
         self, url: str, secret: bytes, clock: Callable[[], datetime], waits_s: Sequence[float] = WAITS_S
@@ -79,7 +79,7 @@ class Webhook:
             await asyncio.sleep(wait)
 
     def _post(self, identity: str, body: bytes) -> str | None:
-        """One try; what went wrong, if anything did."""
+        """Send once; return what went wrong, if anything did."""
         stamp = str(int(self._clock().timestamp()))
         headers = {
             "Content-Type": "application/json",
@@ -98,13 +98,15 @@ class Webhook:
 
 
 def signature(secret: bytes, identity: str, stamp: str, body: bytes) -> str:
-    """The header ``webhook-signature`` of one message."""
+    """Return the header ``webhook-signature`` of one message."""
     signed = b".".join((identity.encode(), stamp.encode(), body))
     return "v1," + base64.b64encode(hmac.new(secret, signed, hashlib.sha256).digest()).decode()
 
 
 def open_webhook(settings: Settings, clock: Callable[[], datetime]) -> Webhook | None:
-    """The webhook of the settings, ``None`` where none is set; ConfigError where it cannot be signed."""
+    """Return the webhook of the settings, ``None`` where none is set; ConfigError where it cannot be
+    signed.
+    """
     if settings.webhook_url is None:
         return None
     if settings.webhook_secret_file is None:

@@ -34,3 +34,14 @@ def test_the_campaign_notices_a_drive_that_is_left_energised(
     monkeypatch.setattr("invid_drivers.cia402.axis.Drive.protect", lambda self, report: None)
     outcome = campaign.run_one("emcy", np.random.default_rng(1), tmp_path)
     assert any("OPERATION_ENABLED" in c for c in outcome.complaints)
+
+
+@pytest.mark.parametrize(("at_s", "length"), [(0.7, 8), (1.2, 3), (1.5, 1)])
+def test_an_error_reported_while_the_drives_are_prepared_is_not_forgotten(
+    at_s: float, length: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fault = {"kind": "emcy", "axis": "A1", "at_s": at_s, "code": 0x2310, "length": length}
+    monkeypatch.setattr(campaign, "draw", lambda *_: fault)
+    outcome = campaign.run_one("emcy", np.random.default_rng(1), tmp_path)
+    assert outcome.status == 5
+    assert outcome.complaints == ()

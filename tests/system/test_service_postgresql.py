@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
@@ -30,7 +29,6 @@ from invid_service.store.tables import Base
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "service"))
 from service_doubles import running, wait_for
-from test_departures import keep, noisy
 
 SERVERS = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
 pytestmark = [
@@ -147,16 +145,3 @@ def test_a_dump_restored_into_another_database_serves_what_was_there(server: str
     with running(fresh, database_url=restored, cells=[tmp_path / "cell.yaml"]) as (client, _):
         assert client.get("/api/v1/cells/cell/model").json() == kept
         assert client.get(f"{location}/report").text.startswith("<html")
-
-
-def test_the_cell_that_left_its_population_is_named_over_one_database(server: str, tmp_path: Path) -> None:
-    rng = np.random.default_rng(9)
-    with running(tmp_path, database_url=server) as (client, _):
-        store = client.app.state.service.store  # type: ignore[attr-defined]
-        for cell in range(12):
-            for week in range(12):
-                keep(store, f"fleet{cell}", week, noisy(rng, softer=cell == 7 and week >= 9))
-        found = client.get("/api/v1/departures").json()
-        named = [(d["cell"], d["parameter"], d["since"]["model"]) for d in found["departures"]]
-        assert named == [("fleet7", "A2.spring.1", "fleet7-9")]
-        assert found["cells"] >= 12

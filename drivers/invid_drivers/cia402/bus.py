@@ -233,12 +233,7 @@ class Cia402Cell:
             if mode is Mode.HOLD or drive.by_offset:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
             unset.append(drive.set_mode(self._operation_mode(report, mode), CHANGE_S))
-        restarted = [p.name for p in self._link.peers.values() if p.booted]
-        if restarted:
-            raise DriveError(
-                f"axis {', '.join(restarted)} has restarted while its protection was written, and may have "
-                "lost it; look at its supply, then start again"
-            )
+        self._refuse_disturbed()
         self._link.events.clear()
         self._link.refuse_others()
         for peer in self._link.peers.values():
@@ -253,6 +248,21 @@ class Cia402Cell:
         self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._enable(modes, unset)
+
+    def _refuse_disturbed(self) -> None:
+        """Raise DriveError where a drive restarted or reported an error while it was prepared."""
+        restarted = [p.name for p in self._link.peers.values() if p.booted]
+        if restarted:
+            raise DriveError(
+                f"axis {', '.join(restarted)} has restarted while its protection was written, and may have "
+                "lost it; look at its supply, then start again"
+            )
+        for peer in self._link.peers.values():
+            for code in peer.own_errors(since=peer.recovered):
+                raise DriveError(
+                    f"axis {peer.name} reported error 0x{code:04X} before it was enabled; find out why, then "
+                    "start again"
+                )
 
     def _operation_mode(self, report: DriveReport, mode: Mode) -> OperationMode:
         return report.torque_mode if mode is Mode.TORQUE else OperationMode.CYCLIC_POSITION

@@ -34,6 +34,11 @@ UNANSWERED_S = 1.0
 """A question of the cycle that stayed unanswered so long may be asked again."""
 
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
+NO_ERROR_BELOW, GENERIC_ERROR = 0x0100, 0x1000
+"""Codes of CiA 301: 00xx says that an error has gone; and what a message too short for a code counts as."""
+MISSES_MASTER, RPDO_TIMEOUT = (0x8100, 0x8700), 0x8250
+"""Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402); and
+the code for an RPDO that did not come (0x1400:5)."""
 
 
 class RealClock:
@@ -65,6 +70,22 @@ class Peer:
     nmt_state: int | None = None
     booted: bool = False
     emcy: list[tuple[float, int]] = field(default_factory=list)
+
+    def own_errors(self, since: float) -> list[int]:
+        """Return the codes of errors reported since an instant, but for those that miss a master."""
+        return [
+            code
+            for said, code in self.emcy
+            if said >= since
+            and code >= NO_ERROR_BELOW
+            and code & 0xFF00 not in MISSES_MASTER
+            and code != RPDO_TIMEOUT
+        ]
+
+    @property
+    def recovered(self) -> float:
+        """Instant at which it last said that its errors are gone; 0 where it never did."""
+        return max((said for said, code in self.emcy if code < NO_ERROR_BELOW), default=0.0)
 
 
 class Link:
@@ -227,9 +248,9 @@ class Link:
         node.nmt_state = state
 
     def _emergency(self, node: Peer, data: bytes) -> None:
-        code = int.from_bytes(data[:2], "little") if data else 0
+        code = int.from_bytes(data[:2], "little") if len(data) >= 2 else GENERIC_ERROR
         node.emcy.append((self.clock.now(), code))
-        if len(data) >= 2 and code < 0x0100:
+        if code < NO_ERROR_BELOW:
             return  # 00xx: an error has gone
         what = f"error 0x{code:04X}" if len(data) >= 2 else f"an emergency message of {len(data)} bytes"
         self.events.append(

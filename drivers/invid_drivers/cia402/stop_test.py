@@ -38,9 +38,6 @@ ANSWER_S = 1.0
 """Waited for an answer that does not come, before the bus is called broken."""
 SILENCE_S = 0.2
 """Beyond the drive's heartbeat watch: what it does then takes its time."""
-MISSES_MASTER, RPDO_TIMEOUT = (0x8100, 0x8700), 0x8250
-"""Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402); and
-the code for an RPDO that did not come (0x1400:5)."""
 STILL_SHARE = 0.0005
 """An axis that moved less, as a share of its window, stood."""
 
@@ -222,10 +219,8 @@ class StopTest:
             link.wait(LOOK_S)
         link.beating = True
         for peer in link.peers.values():
-            for said, code in peer.emcy:
-                misses = code & 0xFF00 in MISSES_MASTER or code == RPDO_TIMEOUT
-                if said >= began and code >= 0x0100 and not misses:
-                    raise DriveError(f"axis {peer.name} reports error 0x{code:04X} in the stop test")
+            for code in peer.own_errors(since=began):
+                raise DriveError(f"axis {peer.name} reports error 0x{code:04X} in the stop test")
         link.events[:] = [e for e in link.events if e.severity is not Severity.DRIVE]
         for peer in link.peers.values():
             peer.last_heartbeat = None

@@ -90,7 +90,9 @@ class AsymmetricFriction(DryLaw):
 
 
 class AsymmetricStribeck(AsymmetricFriction):
-    """The same with more of it at slow speed, exp(−(θ̇/low_speed_velocity)²), in each direction."""
+    """Asymmetric friction with more of it at slow speed, exp(−(θ̇/low_speed_velocity)²), in each
+    direction.
+    """
 
     parameters: ClassVar[Mapping[str, str]] = {
         **AsymmetricFriction.parameters,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.laws.sign import clip_law
 from invid.effects.motion import View, rms
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import ARCMIN, PLAY, PLAY_SOURCE, Size, size
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, spring_places
@@ -41,9 +41,7 @@ class Backlash(Effect):
     home = "spring"
     over = "deflection"
     sizes = (Size(PLAY, size("gap"), 1 * ARCMIN, 3 * ARCMIN, PLAY_SOURCE),)
-    parameters: ClassVar[Mapping[str, str]] = {"gap": "position"}
-    shapes, logarithmic = ("gap",), (True,)
-    main = "gap"
+    numbers = (Parameter("gap", "position", linear=False),)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Experiment, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
 from invid.effects.laws.sign import DryLaw, sign_law
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import AT_LOAD, FRICTION, JOINT_SOURCE, Size, sag, share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
@@ -28,10 +28,7 @@ class CoulombFriction(DryLaw):
     parts = ("dry",)
     over = "velocity"
     sizes = (Size(FRICTION, share("torque"), 0.15, 0.30, JOINT_SOURCE), Size(AT_LOAD, sag))
-    parameters: ClassVar[Mapping[str, str]] = {"torque": "torque"}
-    coefficients = ("torque",)
-    lower, upper = (0.0,), (np.inf,)
-    main = "torque"
+    numbers = (Parameter("torque", "torque", low=0.0),)
     smeared = True
 
     def places(self, structure: ChainStructure) -> list[Place]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Experiment, ImpedanceEffect
 from invid.effects.elements import AddedSpring, Element, ModelPlace
 from invid.effects.motion import View
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_tie
 from invid.errors import ModelError
 from invid.model.parameters import ChainStructure
@@ -29,11 +29,8 @@ class CouplingStiffness(ImpedanceEffect):
     home = "axis"
     over = "deflection"
     sizes = (Size(RESONANCE, resonance_change(with_tie)),)
-    parameters: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness"}
-    coefficients = ("stiffness",)
-    lower, upper = (0.0,), (np.inf,)
+    numbers = (Parameter("stiffness", "stiffness", low=0.0),)
     least_axes = 2
-    main = "stiffness"
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return pair_places(structure)

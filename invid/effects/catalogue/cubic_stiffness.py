@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
-
-import numpy as np
 
 from invid.effects.catalogue.backlash import largest_deflection, spring_index
 from invid.effects.effect import Experiment, ForceEffect, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, GroundSpring, Law, ModelPlace
 from invid.effects.motion import View
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import STIFFENING_SOURCE, STIFFER, Size, stiffening
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, spring_places
@@ -29,11 +27,8 @@ class CubicStiffness(ForceEffect):
     home = "spring"
     over = "deflection"
     sizes = (Size(STIFFER, stiffening, 1.0, 2.0, STIFFENING_SOURCE),)
-    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "cubic"}
-    coefficients = ("coefficient",)
+    numbers = (Parameter("coefficient", "cubic"),)
     answered = True
-    lower, upper = (-np.inf,), (np.inf,)
-    main = "coefficient"
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)

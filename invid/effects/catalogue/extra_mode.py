@@ -102,7 +102,8 @@ class ExtraMode(ImpedanceEffect):
 
 
 def is_frequency_known(views: Sequence[View], frequency: float, std: float) -> bool:
-    """Whether a mode's frequency [rad/s] is within the band or significantly below the highest allowed one.
+    """Return whether a mode's frequency [rad/s] is within the band or significantly below the highest
+    allowed one.
 
     ``std`` is that of its logarithm; three standard deviations.
     """

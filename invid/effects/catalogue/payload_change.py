@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import ClassVar
-
-import numpy as np
 
 from invid.effects.effect import Experiment, ImpedanceEffect
 from invid.effects.elements import Element, LaterMass, ModelPlace
 from invid.effects.motion import View
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import LOAD, RESONANCE, Size, load_change, resonance_change, with_load
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, end_places
@@ -28,11 +26,10 @@ class PayloadChange(ImpedanceEffect):
     looks_like = ("parameter_drift",)
     home = "end"
     sizes = (Size(LOAD, load_change), Size(RESONANCE, resonance_change(with_load)))
-    parameters: ClassVar[Mapping[str, str]] = {"mass": "mass", "time": "time"}
-    coefficients = ("mass",)
-    lower, upper = (-np.inf,), (np.inf,)
-    shapes, logarithmic = ("time",), (False,)
-    main = "mass"
+    numbers = (
+        Parameter("mass", "mass"),
+        Parameter("time", "time", linear=False, logarithmic=False),
+    )
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return end_places(structure)

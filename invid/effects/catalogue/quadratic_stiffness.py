@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
-
-import numpy as np
 
 from invid.effects.effect import Effect, Experiment, PlaceMotion
 from invid.effects.elements import Element, GroundSpring, ModelPlace
+from invid.effects.parameter import Parameter
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
@@ -25,10 +23,7 @@ class QuadraticStiffness(Effect):
     looks_like = ("cubic_stiffness", "gravity")
     home = "spring"
     over = "deflection"
-    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "torque/position^2"}
-    coefficients = ("coefficient",)
-    lower, upper = (-np.inf,), (np.inf,)
-    main = "coefficient"
+    numbers = (Parameter("coefficient", "torque/position^2"),)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return []

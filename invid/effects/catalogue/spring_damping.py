@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Experiment, ImpedanceEffect
 from invid.effects.elements import AddedDamper, Element, ModelPlace
 from invid.effects.motion import View
+from invid.effects.parameter import Parameter
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Complex128, Float64
@@ -26,10 +26,7 @@ class SpringDamping(ImpedanceEffect):
     home = "spring"
     over = "deflection rate"
     in_chain = True
-    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
-    coefficients = ("coefficient",)
-    lower, upper = (0.0,), (np.inf,)
-    main = "coefficient"
+    numbers = (Parameter("coefficient", "damping", low=0.0),)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         # The damper beside every spring is fitted with the linear parameters: nothing is left to name.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Effect, Experiment, PlaceMotion
 from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.motion import View
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import LATE, Size, size
 from invid.errors import InputError
 from invid.model.parameters import ChainStructure
@@ -49,9 +49,7 @@ class TorqueDelay(ActuatorEffect):
     home = "axis"
     over = "torque rate"
     sizes = (Size(LATE, size("delay")),)
-    parameters: ClassVar[Mapping[str, str]] = {"delay": "time"}
-    shapes, logarithmic = ("delay",), (False,)
-    main = "delay"
+    numbers = (Parameter("delay", "time", linear=False, logarithmic=False),)
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         step = views[0].record.step
@@ -90,9 +88,7 @@ class TorqueLag(ActuatorEffect):
     home = "axis"
     over = "torque rate"
     sizes = (Size(LATE, size("time_constant")),)
-    parameters: ClassVar[Mapping[str, str]] = {"time_constant": "time"}
-    shapes, logarithmic = ("time_constant",), (True,)
-    main = "time_constant"
+    numbers = (Parameter("time_constant", "time", linear=False),)
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         step = views[0].record.step

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.motion import View
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import CONSTANT_SOURCE, SCALE, Size, scale_error
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
@@ -32,11 +32,8 @@ class TorqueGain(Effect):
     home = "axis"
     over = "torque"
     sizes = (Size(SCALE, scale_error, 0.10, 0.20, CONSTANT_SOURCE),)
-    parameters: ClassVar[Mapping[str, str]] = {"gain": "ratio"}
-    coefficients = ("gain",)
-    lower, upper = (-0.95,), (20.0,)
+    numbers = (Parameter("gain", "ratio", low=-0.95, high=20.0),)
     least_axes = 2
-    main = "gain"
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return axis_places(structure) if structure.motors > 1 else []
@@ -47,7 +44,9 @@ class TorqueGain(Effect):
         return out
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        """Whether the gain is next to zero: such a torque fits anything that is missing on its axis."""
+        """Return whether the gain is next to zero: such a torque fits anything that is missing on its
+        axis.
+        """
         return bool(x[0] <= self.lower[0] + 1e-9)
 
     def noise_power(

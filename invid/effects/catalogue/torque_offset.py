@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Experiment, ForceEffect, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.motion import View
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import OFFSET, Size, share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, motor_places
@@ -30,10 +30,7 @@ class TorqueOffset(ForceEffect):
     looks_like = ("gravity", "asymmetric_friction")
     over = "velocity"
     sizes = (Size(OFFSET, share("torque")),)
-    parameters: ClassVar[Mapping[str, str]] = {"torque": "torque"}
-    coefficients = ("torque",)
-    lower, upper = (-np.inf,), (np.inf,)
-    main = "torque"
+    numbers = (Parameter("torque", "torque"),)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return motor_places(structure)

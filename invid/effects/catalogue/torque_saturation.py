@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.motion import View
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import RATED_SOURCE, SHORTFALL, Size, shortfall
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
@@ -35,9 +35,7 @@ class TorqueSaturation(Effect):
     home = "axis"
     over = "torque"
     sizes = (Size(SHORTFALL, shortfall, 0.0, 0.0, RATED_SOURCE, linear=True),)
-    parameters: ClassVar[Mapping[str, str]] = {"limit": "torque"}
-    shapes, logarithmic = ("limit",), (True,)
-    main = "limit"
+    numbers = (Parameter("limit", "torque", linear=False),)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return axis_places(structure)

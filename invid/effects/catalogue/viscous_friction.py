@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Experiment, ImpedanceEffect, PlaceMotion
 from invid.effects.elements import AddedDamper, Element, ModelPlace
 from invid.effects.motion import View
+from invid.effects.parameter import Parameter
 from invid.effects.sizes import AT_SPEED, JOINT_SOURCE, Size, viscous_share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
@@ -28,10 +28,7 @@ class ViscousFriction(ImpedanceEffect):
     parts = ("viscous",)
     over = "velocity"
     sizes = (Size(AT_SPEED, viscous_share, 0.15, 0.30, JOINT_SOURCE),)
-    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
-    coefficients = ("coefficient",)
-    lower, upper = (0.0,), (np.inf,)
-    main = "coefficient"
+    numbers = (Parameter("coefficient", "damping", low=0.0),)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)

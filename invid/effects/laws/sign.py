@@ -128,7 +128,9 @@ class DryLaw(ForceEffect):
         return centred(self._balance(view, place, x)[1], view)
 
     def _is_followed(self, view: View, place: Place) -> bool:
-        """Whether it sits at a motor whose velocity stands out of its noise, and changes over at once."""
+        """Return whether it sits at a motor whose velocity stands out of its noise, and changes over at
+        once.
+        """
         if place.kind != "mass" or place.number != 1 or self.rounding > 0.0:
             return False
         v = view.velocity(place.pattern(view.structure))

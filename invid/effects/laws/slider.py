@@ -32,12 +32,12 @@ Empirical: after two settled periods a thousandth is left; a record from rest ma
 
 
 def is_closed_motion(x: Float64) -> bool:
-    """Whether a motion (n,) ends so near its start that it counts as periodic."""
+    """Return whether a motion (n,) ends so near its start that it counts as periodic."""
     return abs(float(x[-1] - x[0])) < MOST_OPEN * float(np.ptp(x))
 
 
 def depends_on_start(x: Float64, most: float, *, periodic: bool) -> bool:
-    """Whether a slider's initial state affects its force in a motion (n,).
+    """Return whether a slider's initial state affects its force in a motion (n,).
 
     One that slides in both directions again and again forgets it.
     """

@@ -28,7 +28,7 @@ Number = Callable[[str, bool], float]
 
 
 def is_scope_export(lines: Sequence[str]) -> bool:
-    """Whether the first lines are such a header."""
+    """Return whether the first lines are such a header."""
     return any(line.lstrip('" ').startswith(_MARK) for line in lines[:_HEADER])
 
 

@@ -258,7 +258,9 @@ class _Body:
         return data, broken, form
 
     def _evenly(self, form: NumberFormat) -> Float64 | None:
-        """The numbers of a file without an empty cell, a date or a broken row; ``None`` for another file."""
+        """Return the numbers of a file without an empty cell, a date or a broken row; ``None`` for
+        another file.
+        """
         if form.thousands is not None or (form.decimal == "," and self.delimiter == ","):
             return None
         lines = (line.replace(",", ".") if form.decimal == "," else line for _, line in self.lines)

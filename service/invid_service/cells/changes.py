@@ -1,4 +1,4 @@
-"""``changes`` as the interface shows it: the comparison of ``invid.compare``, one entry a parameter."""
+"""Show the comparison of two models in the interface: one entry a parameter."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from invid.wording.statement import LANGUAGES
 
 
 def changes_view(c: Comparison, sides: tuple[list[str], list[str]]) -> dict[str, Any]:
-    """The body of ``GET /cells/{cell}/changes``, without the names of the two models.
+    """Return the body of ``GET /cells/{cell}/changes``, without the names of the two models.
 
     ``sides``: the models that the old and the new side are the mean of.
     """

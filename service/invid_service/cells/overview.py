@@ -1,4 +1,4 @@
-"""A cell in one line of the plant's list: what it does, what its last run found, what changed."""
+"""Summarise a cell in one line of the plant's list: what it does, what its last run found, what changed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NEWS = {"appeared", "grew", "shrank", "gone", "changed"}
 
 
 def overview(runs: Sequence[RunRecord], occupied_by: LiveRun | None, ready: Readiness) -> Overview:
-    """``runs``: measurements of the cell, the last started first."""
+    """Return the line of a cell; ``runs`` are its measurements, the last started first."""
     done = [r for r in runs if r.state in ENDED or r.state is State.AWAITING_ACCEPT]
     last = done[0] if done else None
     if occupied_by is not None:

@@ -1,4 +1,4 @@
-"""May a cell start, and if not, why not and what to do: one function for the page and for the 409."""
+"""Judge whether a cell can start, and if not, why and what to do: for the page and for the 409."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FIRST_S = 1.0
 
 
 class Reason(BaseModel):
-    """Why not: a stable code, a sentence, a way out."""
+    """One reason why a cell cannot start: a stable code, a sentence, a way out."""
 
     code: Literal[
         "run_in_progress",
@@ -45,7 +45,7 @@ class Reason(BaseModel):
 
 
 class Readiness(BaseModel):
-    """As in the contract."""
+    """Answer whether a cell can start, with all reasons against it."""
 
     can_start: bool
     reasons: list[Reason]
@@ -56,7 +56,7 @@ class Readiness(BaseModel):
 
 @dataclass(frozen=True)
 class Situation:
-    """What readiness is judged on; gathering it is the caller's business."""
+    """Facts that readiness is judged on; gathering them is the caller's business."""
 
     config: CellConfig
     occupied_by: LiveRun | None
@@ -76,14 +76,14 @@ class Situation:
 
 
 class RecentAnswers:
-    """Whether cells can start, as they said a moment ago: a poll waits for no drive and no store."""
+    """Cache of whether cells can start, so that a poll waits for no drive and no store."""
 
     def __init__(self) -> None:
         self._said: dict[str, bool] = {}
         self._asked: dict[str, tuple[float, asyncio.Task[None]]] = {}
 
     async def of(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> bool | None:
-        """The last answer, ``None`` before the first; asks anew behind it where it is old."""
+        """Return the last answer, ``None`` before the first; an old one is renewed in the background."""
         at, task = self._asked.get(cell, (0.0, None))
         if task is None or (task.done() and time.monotonic() - at >= _KEPT_S):
             task = asyncio.create_task(self._ask(cell, ask))
@@ -97,7 +97,7 @@ class RecentAnswers:
 
 
 def readiness(s: Situation) -> Readiness:
-    """Every reason why the cell cannot start now; none: it can."""
+    """Return every reason why the cell cannot start now; none: it can."""
     reasons = []
     if s.shutting_down:
         reasons.append(

@@ -1,4 +1,4 @@
-"""The cells that this service serves: one config each."""
+"""Load the cells that this service serves: one config each."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ class Cell:
 
     @property
     def config(self) -> CellConfig:
-        """The config with the simulation as it is now."""
+        """Return the config with the simulation as it is now."""
         return self._config.model_copy(update={"simulation": self._simulation})
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axis names."""
+        """Return the names of the axes."""
         return tuple(a.name for a in self._config.axes)
 
     @property
     def simulation(self) -> dict[str, Any]:
-        """The section as it is now."""
+        """Return the simulation section as it is now."""
         return copy.deepcopy(self._simulation or {})
 
     def _checked(self, simulation: Any) -> None:
@@ -67,7 +67,7 @@ class Cell:
         self._simulation = simulation
 
     def with_payload(self, axis: str, mass: float) -> dict[str, Any]:
-        """The simulation with ``mass`` more on the final mass of one axis: another tool."""
+        """Return the simulation with ``mass`` more on the final mass of one axis, as another tool has."""
         chains = truth(self.config)
         if axis not in self.axes:
             raise ConfigError(f"payload.axis: no axis {axis!r}; the cell has {list(self.axes)}")
@@ -89,7 +89,9 @@ class Cell:
         return simulation
 
     def job_config(self, run_number: int) -> dict[str, Any]:
-        """The config for a runner. A simulated cell draws other noise in every run, as a real one does."""
+        """Return the config for a runner; a simulated cell draws other noise in every run, as a real one
+        does.
+        """
         document = self.config.model_dump(mode="json")
         if document.get("simulation"):
             document["simulation"]["seed"] = int(document["simulation"].get("seed", 0)) + run_number
@@ -97,12 +99,12 @@ class Cell:
 
 
 def slug(text: str) -> str:
-    """A name that can stand in an address."""
+    """Return a name that can stand in an address."""
     return re.sub(r"[^a-z0-9_]+", "-", text.lower()).strip("-")[:64] or "cell"
 
 
 def load_cells(configs: Sequence[Path], folder: Path) -> dict[str, Cell]:
-    """Cells by id, the file's stem; ConfigError says what is wrong with a config."""
+    """Return cells by id, the file's stem; ConfigError says what is wrong with a config."""
     paths = list(configs)
     if not paths:
         paths = [CASE_STUDY]
@@ -116,7 +118,7 @@ def load_cells(configs: Sequence[Path], folder: Path) -> dict[str, Cell]:
 
 
 def merged(base: Any, patch: Any) -> Any:
-    """JSON merge patch (RFC 7396)."""
+    """Return a document changed by a JSON merge patch (RFC 7396)."""
     if not isinstance(patch, dict):
         return patch
     result = dict(base) if isinstance(base, dict) else {}

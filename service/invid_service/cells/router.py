@@ -1,4 +1,4 @@
-"""Cells: what they are, whether they can start, their stop, their models."""
+"""Routes of cells: what they are, whether they can start, their stop, their models."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ _background: set[asyncio.Future[None]] = set()
 
 @router.get("/cells", response_model=CellList)
 async def list_cells(service: Context, _caller: Reader) -> CellList:
-    """All cells."""
+    """List all cells."""
     views = [await _cell_view(service, cell) for cell in service.cells.values()]
     return CellList(cells=views, simulated=any(v.simulated for v in views))
 
 
 @router.get("/cells/{cell}", response_model=CellView)
 async def get_cell(cell: str, service: Context, _caller: Reader) -> CellView:
-    """One cell: drives, limits, the model in force, the last identification."""
+    """Return one cell: drives, limits, the model in force, the last identification."""
     return await _cell_view(service, service.cell(cell))
 
 
@@ -105,7 +105,7 @@ def _accepted(a: Approval) -> AcceptedModel:
 
 @router.get("/cells/{cell}/readiness", response_model=Readiness)
 async def get_readiness(cell: str, service: Context, _caller: Reader) -> Readiness:
-    """May a measurement start now; if not, why, and what to do about it."""
+    """Say whether a measurement can start now; if not, why, and what to do about it."""
     return await service.readiness(service.cell(cell))
 
 
@@ -159,7 +159,7 @@ def _later(service: Service, action: str, **facts: Any) -> None:
     response_class=JSONResponse,
 )
 async def get_accepted_model(cell: str, service: Context, _caller: Reader) -> JSONResponse:
-    """The model in force."""
+    """Return the model in force."""
     found = service.cell(cell)
     model = await asyncio.to_thread(service.results.in_force, found.id)
     if model is None:
@@ -177,7 +177,7 @@ def _document(cell: Cell, model: StoredModel) -> JSONResponse:
 
 @router.get("/cells/{cell}/models", response_model=ModelList)
 async def list_models(cell: str, service: Context, _caller: Reader) -> ModelList:
-    """Every model identified on the cell, and the history of those in force."""
+    """List every model identified on the cell, and the history of those in force."""
     found = service.cell(cell)
     stored = await asyncio.to_thread(service.store.models, found.id)
     approvals = [_accepted(a) for a in await asyncio.to_thread(service.store.approvals, found.id)]
@@ -212,7 +212,7 @@ async def _stored_model(service: Service, cell: Cell, identity: str) -> StoredMo
     response_class=JSONResponse,
 )
 async def get_model(cell: str, model: str, service: Context, _caller: Reader) -> JSONResponse:
-    """One model of the cell, accepted or not."""
+    """Return one model of the cell, accepted or not."""
     found = service.cell(cell)
     return _document(found, await _stored_model(service, found, model))
 
@@ -251,8 +251,8 @@ async def get_changes(
     to_model: Annotated[str | None, Query(alias="to", max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
     averaged: bool | None = None,
 ) -> dict[str, Any]:
-    """For each parameter: changed, unchanged within ±x %, or cannot tell; for each cause: appeared, grew,
-    shrank, unchanged, gone, or cannot tell.
+    """Compare two models of the cell. For each parameter: changed, unchanged within ±x %, or cannot tell; for
+    each cause: appeared, grew, shrank, unchanged, gone, or cannot tell.
 
     Default: the model in force against the one in force before it, the latter averaged with the accepted
     models before it that agree with it: smaller changes are found so. With `from`, exactly the two models
@@ -290,7 +290,7 @@ async def get_changes(
 
 @router.get("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
 async def get_simulation(cell: str, service: Context, _caller: Reader) -> SimulationView:
-    """A simulated cell as it is now, with the truth to compare with."""
+    """Return a simulated cell as it is now, with the truth to compare with."""
     # In a thread: the first use loads the simulated drives, and a stop must not wait for that.
     return await asyncio.to_thread(_simulation, _simulated(service, cell))
 

@@ -1,4 +1,4 @@
-"""Cells as resources."""
+"""Bodies of requests and answers about cells."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class CellList(BaseModel):
 
 
 class StopAnswer(BaseModel):
-    """What the stop met."""
+    """Answer to a stop of one cell: what was moving."""
 
     cell: str
     stopping: bool
@@ -103,7 +103,7 @@ class StopAnswer(BaseModel):
 
 
 class StopAnswers(BaseModel):
-    """What the stop of all cells met in each."""
+    """Answer to a stop of all cells: what was moving in each."""
 
     cells: list[StopAnswer]
     simulated: bool
@@ -120,7 +120,7 @@ class ModelEntry(BaseModel):
 
 
 class ModelList(BaseModel):
-    """Newest first; ``history`` is what was accepted or restored, newest first."""
+    """Models of a cell, newest first; ``history`` is what was accepted or restored, newest first."""
 
     models: list[ModelEntry]
     history: list[AcceptedModel]

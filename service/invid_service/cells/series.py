@@ -46,7 +46,7 @@ class Point(BaseModel):
 
 
 class Series(BaseModel):
-    """Oldest first."""
+    """History of one parameter or cause, oldest first."""
 
     cell: str
     parameter: str
@@ -56,7 +56,7 @@ class Series(BaseModel):
 
 
 def sizes_of(model: Model) -> dict[str, Estimate]:
-    """Everything of a model that has a history, by name: parameters, causes, and parameters of causes."""
+    """Return all of a model that has a history, by name: parameters, causes, and parameters of causes."""
     stds, unit = stds_by_name(model), units(model.linear)
     found: dict[str, Estimate] = {}
     for name, value in zip(*parameter_vector(model.chains), strict=True):
@@ -85,7 +85,7 @@ async def get_series(
     parameter: Annotated[str, Query(max_length=200)],
     format: Literal["json", "csv"] | None = None,
 ) -> Response | Series:
-    """History of a parameter (`A1.mass.1`, `A1-A2.coupling`) or a cause (`A2.backlash.spring 1`).
+    """Return the history of a parameter (`A1.mass.1`, `A1-A2.coupling`) or a cause (`A2.backlash.spring 1`).
 
     JSON, or CSV with `format=csv` or `Accept: text/csv`. Oldest first; of a cause a model without it has
     null. The names are those of `GET /cells/{cell}/changes`.
@@ -132,7 +132,9 @@ def _points(
 
 
 def _csv(parameter: str, unit: str | None, points: list[Point]) -> str:
-    """Header with the unit, one row a model; a missing number is an empty field."""
+    """Return the history as CSV: a header with the unit, one row a model; a missing number is an empty
+    field.
+    """
     out = io.StringIO()
     rows: Any = csv.writer(out)
     of = f" [{unit}]" if unit else ""

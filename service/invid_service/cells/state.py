@@ -1,4 +1,4 @@
-"""What a cell does, in one small answer from memory: a poll waits for no store and no drive.
+"""Answer what a cell does in one small body from memory: a poll waits for no store and no drive.
 
 ``GET /cells/{cell}/state`` is small enough for a PLC's buffer; ``GET /state`` says more, of all cells at
 once, for the page.
@@ -67,7 +67,7 @@ class CellState(CellNow):
 
 
 class CellStates(BaseModel):
-    """All cells."""
+    """States of all cells."""
 
     cells: list[CellState]
     simulated: bool
@@ -79,8 +79,8 @@ class CellStates(BaseModel):
     responses={200: {"description": "As it is now", "headers": RETRY_AFTER}},
 )
 async def get_cell_state(cell: str, service: Context, _caller: Reader) -> Response:
-    """State of the cell's last measurement: which run, how far, since when. Less than 1 kB, made for a PLC
-    that asks every second.
+    """Return the state of the cell's last measurement: which run, how far, since when. Less than 1 kB, made
+    for a PLC that asks every second.
     """
     found = service.cell(cell)
     run = service.jobs.latest(found.id)
@@ -95,7 +95,7 @@ async def get_cell_state(cell: str, service: Context, _caller: Reader) -> Respon
     responses={304: {"description": "Not changed since the ETag given in If-None-Match"}},
 )
 async def all_states(request: Request, service: Context, _caller: Reader) -> Response:
-    """What every cell does, made to be asked every second: 0.5 kB a cell, with an `ETag`."""
+    """Return what every cell does, made to be asked every second: 0.5 kB a cell, with an `ETag`."""
     cells = await asyncio.gather(*(state_of(service, cell) for cell in service.cells.values()))
     body = CellStates(cells=cells, simulated=any(c.simulated for c in cells)).model_dump_json()
     headers = {"ETag": f'"{hashlib.sha256(body.encode()).hexdigest()[:16]}"', "Cache-Control": "no-cache"}
@@ -105,7 +105,7 @@ async def all_states(request: Request, service: Context, _caller: Reader) -> Res
 
 
 async def state_of(service: Service, cell: Cell) -> CellState:
-    """The cell now, from memory."""
+    """Return the state of a cell, from memory."""
     run = service.jobs.latest(cell.id)
     now = {**_now(service, cell), "name": cell.config.robot}
     if run is not None and run.record.state in _GOING_ON:
@@ -122,7 +122,7 @@ async def state_of(service: Service, cell: Cell) -> CellState:
 
 
 def _now(service: Service, cell: Cell) -> dict[str, Any]:
-    """The members of ``CellNow``."""
+    """Return the members of ``CellNow``."""
     run = service.jobs.latest(cell.id)
     if run is None:
         return {"cell": cell.id, "state": IDLE, "simulated": cell.simulated}

@@ -1,4 +1,4 @@
-"""A job's analysis: model, diagnosis, report and the numbers of the page's pictures from its recording."""
+"""Make model, diagnosis, report and the numbers of the page's pictures from a job's recording."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from invid_service.precedence import behind_parent
 
 
 def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Identify, diagnose, report, and the numbers of the page's pictures; the summary.
+    """Identify, diagnose and report, write the numbers of the page's pictures, return the summary.
 
     ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
     """
@@ -82,7 +82,9 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
 
 
 def separating(diagnosis: Diagnosis, job: Job) -> dict[str, Any] | None:
-    """What would tell the alternatives apart on this cell; ``None`` where nothing is to be, or can be."""
+    """Return what would tell the alternatives apart on this cell; ``None`` where nothing is to be, or
+    can be.
+    """
     if job.config is None or not diagnosis.findings:
         return None
     try:
@@ -93,7 +95,7 @@ def separating(diagnosis: Diagnosis, job: Job) -> dict[str, Any] | None:
 
 
 def _require_axes(axes: tuple[str, ...], job: Job) -> None:
-    """RecordingError where an uploaded recording is not of the cell whose history it is to join."""
+    """Raise RecordingError where an uploaded recording is not of the cell whose history it is to join."""
     if job.kind != "analyse" or job.config is None:
         return
     names = [a["name"] for a in job.config["axes"]]
@@ -105,7 +107,7 @@ def _require_axes(axes: tuple[str, ...], job: Job) -> None:
 
 
 def summary_of(finding: Finding) -> dict[str, Any]:
-    """One finding as a list shows it: what, where, how serious."""
+    """Return one finding as a list shows it: what, where, how serious."""
     means = finding.consequence
     return {
         "cause": finding.effect.cause,
@@ -118,7 +120,7 @@ def summary_of(finding: Finding) -> dict[str, Any]:
 
 
 def _marked(report: str, simulated: bool) -> str:
-    """A report of a simulated cell says so on its first line."""
+    """Return a report that says on its first line that its cell is simulated."""
     if not simulated or "<body" not in report:
         return report
     head, _, rest = report.partition("<body")

@@ -1,4 +1,6 @@
-"""How far an analysis is, by what it tells itself, and how long it will take, by what it took before."""
+"""Estimate how far an analysis is and how long it will take: by what it reports, and by what it took
+before.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ Tell = Callable[..., None]
 
 
 class AnalysisProgress:
-    """Tells every second, and whenever the analysis says what it weighs, until closed.
+    """Reports progress every second, and whenever the analysis says what it weighs, until closed.
 
     Time left is by what the cell's last analyses took. What an analysis says of itself is none: its steps are
     not alike, and most of its budget is never used. Where it is the first, or takes longer, no time is told.
@@ -53,12 +55,12 @@ class AnalysisProgress:
 
     @property
     def elapsed_s(self) -> float:
-        """Since the analysis began [s]."""
+        """Return the seconds since the analysis began."""
         return self._clock() - self._began
 
     @contextlib.contextmanager
     def told(self) -> Iterator[None]:
-        """Inside, progress is told every second by a thread of its own."""
+        """Context manager in which a thread reports progress every second."""
         ticker = threading.Thread(target=self._tick, name="analysis progress", daemon=True)
         ticker.start()
         try:
@@ -72,7 +74,7 @@ class AnalysisProgress:
             self.say()
 
     def begin(self, stage: str) -> None:
-        """The next stage."""
+        """Begin the next stage."""
         with self._lock:
             self._low, self._high = STAGES[stage]
             self._share = self._low
@@ -80,7 +82,7 @@ class AnalysisProgress:
         self.say(always=True)
 
     def weigh(self, progress: Any) -> None:
-        """What identification and diagnosis say of themselves (``invid.numerics.budget.Progress``)."""
+        """Take what identification and diagnosis say of themselves (``invid.numerics.budget.Progress``)."""
         with self._lock:
             found = f" (found so far: {', '.join(progress.found)}; still looking)" if progress.found else ""
             self._phase, self._axis, self._cause = f"{progress}{found}", progress.axis, progress.cause
@@ -89,7 +91,7 @@ class AnalysisProgress:
         self.say()
 
     def say(self, *, always: bool = False) -> None:
-        """Tell how far it is now; ``always``: a stage has begun, which is told however short it is."""
+        """Report how far it is now; ``always``: a stage has begun, which is told however short it is."""
         with self._lock:
             elapsed = self.elapsed_s
             # a stage that tells nothing moves on by the clock, up to its end

@@ -1,4 +1,4 @@
-"""Why a result is no model to run a robot with: typed reasons, the weightiest first."""
+"""List why a result is no model to run a robot with: typed reasons, the weightiest first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where it is: the branches of a result with its findings and what changed since the model in force."""
+"""Draw the branches of a result with its findings and what changed since the model in force."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ async def get_drawing(
     _caller: Reader,
     lang: Annotated[Literal["en", "de"], Query(description="Language of its words")] = "en",
 ) -> Response:
-    """The branches of the identified model as a picture: numbers, changes and each finding at its place."""
+    """Return the branches of the identified model as a picture: numbers, changes and each finding at its
+    place.
+    """
     record, _ = await service.run(identification)
     blobs = await asyncio.to_thread(service.store.artefacts, record.id)
     if "model" not in blobs:
@@ -84,7 +86,9 @@ def _drawn(model: Path, diagnosis: Path | None, changes: Mapping[str, Any] | Non
 
 
 def changed_parameters(changes: Mapping[str, Any] | None, point: str = ".") -> dict[str, str]:
-    """ "+12 %" by name of each parameter that changed, of the body of ``GET /cells/{cell}/changes``."""
+    """Return the change ("+12 %") of each changed parameter by name, from the body of ``GET
+    /cells/{cell}/changes``.
+    """
     found = {}
     for p in (changes or {}).get("parameters", []):
         old = (p.get("from") or {}).get("value")
@@ -98,7 +102,7 @@ def changed_parameters(changes: Mapping[str, Any] | None, point: str = ".") -> d
 
 
 def _news(found: Diagnosis, changes: Mapping[str, Any] | None, texts: Mapping[str, str]) -> dict[int, str]:
-    """A word for the findings that came, grew or shrank since the model in force."""
+    """Return a word for each finding that came, grew or shrank since the model in force."""
     status = {c.get("name"): c.get("status") for c in (changes or {}).get("causes", [])}
     words = {s: texts[f"drawing.{s}"] for s in ("appeared", "grew", "shrank")}
     said = {n: words.get(str(status.get(name_of(f.effect)))) for n, f in enumerate(found.findings, 1)}

@@ -1,4 +1,6 @@
-"""The identified model for another tool: ``invid export`` in a process of its own, its file handed on."""
+"""Export the identified model for another tool: ``invid export`` in a process of its own, its file
+handed on.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ AT_ONCE = 2
 
 
 def export_router() -> APIRouter:
-    """``GET /identifications/{identification}/export``."""
+    """Return the router of ``GET /identifications/{identification}/export``."""
     router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
     room = asyncio.Semaphore(AT_ONCE)
 
@@ -59,7 +61,7 @@ def export_router() -> APIRouter:
             bool, Query(description="Instead of the file: covariance, and what the file does not hold")
         ] = False,
     ) -> Response:
-        """The model as a MAT file (state space), for MuJoCo, as URDF or FMU (FMI 3).
+        """Return the model as a MAT file (state space), for MuJoCo, as URDF or FMU (FMI 3).
 
         What the format cannot hold stands in the document that ``beside=true`` gets; ``Link`` names it.
         """

@@ -1,4 +1,4 @@
-"""Starting the runner process and talking to it."""
+"""Start the runner process and talk to it."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ _LINE_LIMIT = 16 * 1024 * 1024
 
 
 class Worker(Protocol):
-    """A running job."""
+    """Protocol of a running job, whatever process or double runs it."""
 
     async def send(self, message: dict[str, Any]) -> None:
         """Tell the runner something; nothing happens where it is gone."""
 
     def messages(self) -> AsyncIterator[dict[str, Any]]:
-        """What the runner says, until it ends."""
+        """Yield what the runner says, until it ends."""
 
     def kill(self) -> None:
         """End the process now."""
 
     async def wait(self) -> int:
-        """Exit status, once it has ended."""
+        """Return the exit status, once it has ended."""
 
 
 Launcher = Callable[[Job], Awaitable[Worker]]
 
 
 class ProcessWorker:
-    """The runner as a process of its own session: a Ctrl-C meant for the service does not reach it."""
+    """Runner as a process of its own session: a Ctrl-C meant for the service does not reach it."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         self._process = process
 
     @property
     def pid(self) -> int:
-        """Process id."""
+        """Return the process id."""
         return self._process.pid
 
     async def send(self, message: dict[str, Any]) -> None:
-        """Write one line."""
+        """Write one line to the runner."""
         pipe = self._process.stdin
         if pipe is None or pipe.is_closing():
             return
@@ -56,7 +56,7 @@ class ProcessWorker:
             await pipe.drain()
 
     async def messages(self) -> AsyncIterator[dict[str, Any]]:
-        """Parsed lines; a line that is no JSON object is passed over."""
+        """Yield parsed lines; a line that is no JSON object is passed over."""
         pipe = self._process.stdout
         while pipe is not None:
             try:
@@ -71,12 +71,12 @@ class ProcessWorker:
                     yield message
 
     def kill(self) -> None:
-        """SIGKILL."""
+        """End the process now (SIGKILL)."""
         with contextlib.suppress(ProcessLookupError):
             self._process.kill()
 
     async def wait(self) -> int:
-        """Exit status."""
+        """Return the exit status."""
         return await self._process.wait()
 
 

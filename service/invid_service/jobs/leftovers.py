@@ -1,4 +1,4 @@
-"""What a runner that was killed left in its working folder."""
+"""Save what a killed runner left in its working folder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 
 
 def complete_recording(folder: Path) -> None:
-    """Make the recording of the rows that were measured, where nobody was left to do it.
+    """Make a recording of the rows that a killed runner measured.
 
     OSError where the disk does not take it: the rows then stay in the folder.
     """

@@ -1,4 +1,6 @@
-"""The pipe between the service and the runner of a job; what goes over it is in ``jobs.protocol``."""
+"""Talk over the pipe between the service and the runner of a job; ``jobs.protocol`` says what goes
+over it.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ _QUEUE = 200
 
 
 class Stopped(Exception):
-    """Somebody asked for the end."""
+    """Raised in the runner where somebody asked for the end."""
 
 
 class Line:
@@ -33,11 +35,11 @@ class Line:
         self._writer.start()
 
     def read_job(self) -> Job:
-        """The first line."""
+        """Read the job from the first line."""
         return Job.model_validate_json(self._source.readline())
 
     def listen(self) -> None:
-        """Hear wishes from now on."""
+        """Start to listen for wishes."""
         threading.Thread(target=self._listen, name="listener", daemon=True).start()
 
     def _listen(self) -> None:
@@ -83,5 +85,5 @@ class Line:
 
 
 def plain(document: Mapping[str, Any]) -> Any:
-    """The document as JSON has it."""
+    """Return the document as JSON has it."""
     return json.loads(json.dumps(document, default=float))

@@ -1,4 +1,4 @@
-"""A run that is still going on, in memory: what polls and followers see without touching the store."""
+"""Keep a run that is still going on in memory: polls and followers see it without touching the store."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Wish = Literal["stop", "cancel", "shutdown"]
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is."""
+    """Progress of a run: fraction, phase, axis, frequency."""
 
     fraction: float = 0.0
     phase: str = "queued"
@@ -31,12 +31,12 @@ class Progress:
 
     @classmethod
     def of(cls, record: RunRecord) -> Progress:
-        """Of a run in which nothing goes on any more."""
+        """Return the progress of a stored run, in which nothing goes on any more."""
         done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
         return cls(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
 
     def to_json(self) -> dict[str, Any]:
-        """As in the contract."""
+        """Return the members that the contract names."""
         return {
             "progress": self.fraction,
             "phase": self.phase,
@@ -73,7 +73,7 @@ class LiveRun:
 
     @property
     def occupies(self) -> bool:
-        """Whether a runner works for it on its cell; an uploaded recording moves nothing."""
+        """True while a runner works for it on its cell; an uploaded recording moves nothing."""
         return self.record.mode != UPLOAD and self.record.state in OCCUPYING
 
     @property
@@ -115,7 +115,7 @@ class LiveRun:
         return event
 
     def advance(self, progress: Progress) -> None:
-        """Tell of progress; it never runs backwards."""
+        """Take over progress; it never runs backwards."""
         fraction = min(max(progress.fraction, self.progress.fraction), 1.0)
         self.progress = replace(progress, fraction=fraction)
         data = {

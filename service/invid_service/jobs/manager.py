@@ -1,4 +1,4 @@
-"""``JobManager``: takes jobs, watches their runner processes, keeps the state machine honest.
+"""Take jobs, watch their runner processes, keep their state machine.
 
 Lives on the event loop. What it knows of runs in progress it knows in memory; the store is told, in a
 thread, and a store that hangs or fails never keeps a stop from reaching the drives.
@@ -63,18 +63,18 @@ class JobManager:
 
     # --- what is going on ----------------------------------------------------------------------
     def live(self, run_id: str) -> LiveRun | None:
-        """A run in memory."""
+        """Return a run in memory; ``None`` where it has left."""
         return self._live.get(run_id)
 
     def occupying(self, cell: str) -> LiveRun | None:
-        """The run that occupies a cell."""
+        """Return the run that occupies a cell."""
         for run in self._live.values():
             if run.record.cell == cell and run.occupies:
                 return run
         return None
 
     def latest(self, cell: str) -> LiveRun | None:
-        """The last measurement of a cell that was started, in progress or ended; the store is not asked."""
+        """Return the last started measurement of a cell, in progress or ended; the store is not asked."""
         return self._latest.get(cell)
 
     def remember(self, record: RunRecord) -> None:
@@ -98,7 +98,7 @@ class JobManager:
         return run
 
     def release(self, run: LiveRun) -> None:
-        """Give the cell back: the store did not take the run."""
+        """Free the cell again: the store did not take the run."""
         self._live.pop(run.record.id, None)
 
     def start(self, run: LiveRun, job: Job) -> None:
@@ -213,7 +213,7 @@ class JobManager:
             self._retire(run)
 
     async def _watch(self, run: LiveRun, job: Job) -> bool:
-        """Whether all that it left is in the store."""
+        """Follow a run to its end; return whether all that it left is in the store."""
         if run.wish is not None:
             await self._finish_early(run)
             return True
@@ -348,7 +348,7 @@ class JobManager:
 
     @staticmethod
     def _note_stop(run: LiveRun, verdict: dict[str, Any] | None) -> None:
-        """Where a motion that ended early stood: what the runner told, or what was seen of it last."""
+        """Note where a motion that ended early stood: what the runner told, or what was seen of it last."""
         stopped = None if verdict is None else verdict.get("stopped")
         if verdict is None and run.record.state is State.RUNNING:
             code = "asked" if run.wish is not None else ""
@@ -358,7 +358,7 @@ class JobManager:
             run.record = replace(run.record, facts={**run.record.facts, "stopped": stopped})
 
     async def _keep_results(self, run: LiveRun) -> set[str] | None:
-        """Kinds of files that are in the store now; ``None`` where it did not take them."""
+        """Store the files of a run; return their kinds, ``None`` where the store did not take them."""
         try:
             return await asyncio.to_thread(self._results.keep, run.record, self._clock())
         except (OSError, SQLAlchemyError) as error:
@@ -400,7 +400,9 @@ class JobManager:
             await self._persist(run, event)
 
     async def _persist(self, run: LiveRun, event: StoredEvent) -> None:
-        """Tell the store; one that does not answer is told again later, motion does not wait for it."""
+        """Store the state of a run; a store that does not answer is asked again later, motion does not
+        wait.
+        """
         try:
             await asyncio.to_thread(self._store.save_state, run.record, event)
         except SQLAlchemyError as error:

@@ -1,4 +1,4 @@
-"""A job's measurement: check, wait to be armed, move, record."""
+"""Run a job's measurement: check, wait to be armed, move, record."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _SETTLED_S = 2.0
 
 
 class Pace:
-    """Time left by the clock of what the plan has left: a simulated cell runs ahead, a busy one behind."""
+    """Estimate of the time left by the clock: a simulated cell runs ahead of the plan, a busy one behind."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._first: tuple[float, float] | None = None
 
     def left(self, planned_s: float) -> float:
-        """``planned_s`` is what the plan has left [s]; so much is left by the clock [s]."""
+        """Return the seconds left by the clock where the plan has ``planned_s`` left."""
         now = self._clock()
         if self._first is None:
             self._first = now, planned_s
@@ -40,7 +40,7 @@ class Pace:
 
 
 def measure(job: Job, line: Line) -> dict[str, Any]:
-    """Check, wait for arm, move, write ``recording.h5``; what was seen meanwhile."""
+    """Check, wait to be armed, move and write ``recording.h5``; return what was seen meanwhile."""
     if job.config is None:
         raise ConfigError("the job has no configuration")
     config = CellConfig.model_validate(job.config)
@@ -96,7 +96,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
 
 
 def told_plan(plan: Plan, job: Job) -> dict[str, Any]:
-    """The plan as a person sees it before arming, with what was chosen for this run."""
+    """Return the plan as a person sees it before arming, with what was chosen for this run."""
     document: dict[str, Any] = plain(plan.to_json())
     said = []
     if job.amplitude == "gentler":

@@ -1,4 +1,4 @@
-"""Runners that outlive their service: no run may start while one of them may still move its robot."""
+"""Wait for runners that outlive their service: no run may start while one may still move its robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NAME = "runner.pid"
 
 
 def hold(folder: Path) -> IO[str]:
-    """Called by a runner: the lock lasts as long as its process, however that ends."""
+    """Lock the data folder for a runner; the lock lasts as long as its process, however that ends."""
     file = (folder / _NAME).open("w")
     fcntl.flock(file, fcntl.LOCK_EX)
     file.write(str(os.getpid()))

@@ -1,4 +1,4 @@
-"""The numbers of the page's pictures: the report's, rounded, so that page and report show the same."""
+"""Make the numbers of the page's pictures: the report's, rounded, so that page and report show the same."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ _DIGITS = 5
 
 
 def plot_data(recording: Recording, model: Model, diagnosis: Diagnosis) -> dict[str, Any]:
-    """``figure_data`` and ``cause_views``, five significant digits (a screen shows four), no NaN."""
+    """Return ``figure_data`` and ``cause_views`` with five significant digits (a screen shows four),
+    no NaN.
+    """
     recording, _ = moving_part(recording, diagnosis.model.axes)
     document: dict[str, Any] = _rounded(figure_data(recording, model, diagnosis))
     views: list[dict[str, Any]] = _rounded(cause_views(recording, model, diagnosis))

@@ -1,4 +1,4 @@
-"""What the service and its runner process say to each other: JSON lines over pipes.
+"""Messages between the service and its runner process: JSON lines over pipes.
 
 Service → runner: the job, then ``{"type": "arm"}`` or ``{"type": "stop"}``; the end of the pipe means
 stop, so that a service that dies takes its motion with it. Runner → service: ``planned``,

@@ -1,4 +1,4 @@
-"""The response as it grows on the page while the robot is being measured.
+"""Work out the response as it grows on the page while the robot is being measured.
 
 A process of its own, at the lowest priority, looks at the growing rows: the cycle that shakes the robot
 is not disturbed by it. After each experiment |Θ|/|T| of every driven axis on the excited lines is told.
@@ -29,7 +29,7 @@ _LOOK_EVERY_S = 0.5
 
 
 class ResponseWatch:
-    """Context manager: runs the looking process and hands on what it tells."""
+    """Context manager that runs the process that works out responses, and hands on what it tells."""
 
     def __init__(self, path: Path, tell: Callable[[dict[str, Any]], None]) -> None:
         self._path, self._tell = path, tell
@@ -74,7 +74,7 @@ class ResponseWatch:
 
 
 def look(path: Path, told: set[str]) -> Iterator[dict[str, Any]]:
-    """Responses of the finished experiments that were not told yet."""
+    """Yield responses of the finished experiments that were not told yet."""
     rows = path.with_name(path.name + SUFFIX)
     if rows.exists():
         finished = finished_experiments(rows)
@@ -98,7 +98,7 @@ def _responses(file: h5py.File, keys: list[str], told: set[str]) -> Iterator[dic
 
 
 def main() -> None:
-    """Look until stdin ends, then once more."""
+    """Work out responses until stdin ends, then once more."""
     os.nice(19)
     path, told, ended = Path(sys.argv[1]), set[str](), threading.Event()
 
@@ -117,7 +117,7 @@ def main() -> None:
 
 
 def response_of(node: h5py.Group) -> dict[str, Any] | None:
-    """Lines [Hz] and, per axis, |Θ|/|T| in dB; ``None`` where nothing is excited."""
+    """Return lines [Hz] and, per axis, |Θ|/|T| in dB; ``None`` where nothing is excited."""
     lines = np.atleast_1d(np.asarray(node.attrs.get("frequencies_hz", []), dtype=float))
     if lines.size == 0:
         return None

@@ -1,5 +1,6 @@
-"""What a run leaves behind: files into the store, its model into the history, and the comparison with
-the model in force."""
+"""Keep what a run leaves: files in the store, its model in the history, the comparison with the model in
+force.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ HISTORY = 40
 
 
 class Results:
-    """Files and models of runs; synchronous, called from threads."""
+    """Store files and models of runs; synchronous, called from threads."""
 
     def __init__(
         self, store: Store, blobs: Blobs, *, auto_accept: AutoAccept | None, unchanged_percent: float
@@ -41,7 +42,9 @@ class Results:
         self._auto, self._unchanged = auto_accept, unchanged_percent
 
     def keep(self, run: RunRecord, now: datetime) -> set[str]:
-        """Move what the runner wrote into the store; kinds that are safe there. Twice is no error."""
+        """Move what the runner wrote into the store; return the kinds that are safe there. Twice is no
+        error.
+        """
         folder = self._blobs.work / run.id
         blobs = {}
         complete_recording(folder)
@@ -57,7 +60,7 @@ class Results:
         return set(blobs)
 
     def clear(self, run_id: str) -> None:
-        """Forget the working folder; the tail of the runner's log goes to ours."""
+        """Delete the working folder; the tail of the runner's log goes to ours."""
         log_file = self._blobs.work / run_id / "worker.log"
         try:
             tail = log_file.read_text(encoding="utf-8", errors="replace")[-2000:].strip()
@@ -68,14 +71,15 @@ class Results:
         self._blobs.clear_scratch(run_id)
 
     def in_force(self, cell: str) -> StoredModel | None:
-        """The accepted model."""
+        """Return the accepted model."""
         approvals = self._store.approvals(cell)
         return self._store.model(cell, approvals[0].model) if approvals else None
 
     def changes(
         self, cell: str, old: StoredModel, new: StoredModel, *, averaged: bool
     ) -> tuple[Comparison, tuple[list[str], list[str]]]:
-        """What changed between two models, with this cell's repeatability, and the models behind either side.
+        """Return what changed between two models, with this cell's repeatability, and the models behind
+        either side.
 
         ``averaged``: accepted runs before each of the two that agree with it are averaged with it.
         """
@@ -102,7 +106,9 @@ class Results:
         return found, ([*before, old.id][-found.runs[0] :], [*after, new.id][-found.runs[1] :])
 
     def _accepted_around(self, cell: str, old: StoredModel, new: StoredModel) -> tuple[list[str], list[str]]:
-        """Accepted before ``old``, and between ``old`` and ``new``; oldest first, each once."""
+        """Return the models accepted before ``old``, and between ``old`` and ``new``; oldest first, each
+        once.
+        """
         newest_first = list(dict.fromkeys(a.model for a in self._store.approvals(cell)))
         if old.id not in newest_first:
             return [], []
@@ -112,7 +118,8 @@ class Results:
         return before[-HISTORY:], list(reversed(newest_first[start:at]))[-HISTORY:]
 
     def concluded(self, run: RunRecord, summary: dict[str, Any], now: datetime) -> dict[str, Any]:
-        """The summary of a fresh result with what changed since the model in force: headline, grade, doubts.
+        """Return the summary of a fresh result with what changed since the model in force: headline, grade,
+        doubts.
 
         The stored diagnosis says the same.
         """
@@ -137,7 +144,9 @@ class Results:
         return {**summary, "headline": told.headline, "headlines": dict(told.headlines), "grade": grade}
 
     def _against_accepted(self, run: RunRecord) -> tuple[tuple[NamedChange, ...], dict[str, Any]] | None:
-        """What changed since the model in force, and how the interface shows it; ``None`` without one."""
+        """Return what changed since the model in force, and how the interface shows it; ``None``
+        without one.
+        """
         if run.cell is None:
             return None
         old, new = self.in_force(run.cell), self._store.model(run.cell, run.id)
@@ -147,7 +156,7 @@ class Results:
         return found.named, {"from": old.id, **changes_view(found, sides)}
 
     def _diagnosis(self, run: RunRecord) -> Diagnosis | None:
-        """The stored diagnosis; ``None`` where there is none that can be read."""
+        """Return the stored diagnosis; ``None`` where there is none that can be read."""
         blob = self._store.artefacts(run.id).get("diagnosis")
         if blob is None:
             return None
@@ -190,5 +199,5 @@ class Results:
 
 
 def load(stored: StoredModel) -> Model:
-    """The model in memory; ModelError where the stored text is damaged."""
+    """Return a stored model; ModelError where the text is damaged."""
     return model_from_json(json.loads(stored.document), source=f"model {stored.id}")

@@ -1,4 +1,4 @@
-"""Identifications: start, follow, decide, fetch."""
+"""Routes of identifications: start, follow, decide, fetch."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from urllib.parse import urlencode
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import FileResponse, StreamingResponse
+from fastapi.sse import format_sse_event
 
 from invid_service.auth import Reader, Require
 from invid_service.context import Context
@@ -82,7 +83,7 @@ async def list_identifications(  # noqa: PLR0913 - the query's parameters
     cursor: Annotated[str | None, Query(max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
 ) -> IdentificationList:
-    """Identifications, newest first. ``next`` is where a longer list goes on, with the same filters."""
+    """List identifications, newest first. ``next`` is where a longer list goes on, with the same filters."""
     since, until = _in_utc(since), _in_utc(until)
     try:
         records = await asyncio.to_thread(
@@ -119,7 +120,7 @@ def _in_utc(instant: datetime | None) -> datetime | None:
     responses={200: {"description": "As it is now", "headers": RETRY_AFTER}},
 )
 async def get_identification(identification: str, service: Context, _caller: Reader) -> Response:
-    """State, progress, phase: plain polling is enough."""
+    """Return state, progress, phase: plain polling is enough."""
     record, live = await service.run(identification)
     # Written here and not by the framework, which would check and turn it over twice: the busiest call.
     content = view(record, live).model_dump_json()
@@ -127,7 +128,7 @@ async def get_identification(identification: str, service: Context, _caller: Rea
 
 
 async def _part(service: Service, identification: str, name: str) -> dict[str, Any]:
-    """One of the large parts of a run, whole; Problem 404 where the run has none."""
+    """Return one of the large parts of a run, whole; Problem 404 where the run has none."""
     record, _ = await service.run(identification)
     found = PARTS[name](record.facts)
     if found is None:
@@ -142,13 +143,13 @@ async def _part(service: Service, identification: str, name: str) -> dict[str, A
 
 @router.get("/identifications/{identification}/plan", response_model=dict[str, Any])
 async def get_plan(identification: str, service: Context, _caller: Reader) -> dict[str, Any]:
-    """What was to move and how far; before and while it moves `plan` of the run has it, too."""
+    """Return what was to move and how far; before and while it moves `plan` of the run has it, too."""
     return await _part(service, identification, "plan")
 
 
 @router.get("/identifications/{identification}/measurement", response_model=dict[str, Any])
 async def get_measurement(identification: str, service: Context, _caller: Reader) -> dict[str, Any]:
-    """What was seen while it moved, the drives and what they lack, how late the SYNCs were."""
+    """Return what was seen while it moved, the drives and what they lack, how late the SYNCs were."""
     return await _part(service, identification, "measurement")
 
 
@@ -156,7 +157,7 @@ async def get_measurement(identification: str, service: Context, _caller: Reader
 async def get_changes_of_identification(
     identification: str, service: Context, _caller: Reader
 ) -> dict[str, Any]:
-    """The result against the model that was in force then: every parameter, changed or not."""
+    """Compare the result with the model that was in force then: every parameter, changed or not."""
     return await _part(service, identification, "changes")
 
 
@@ -255,7 +256,7 @@ async def follow_identification(
     ] = None,
     follow: Annotated[bool, Query(description="false: what there is, then the end")] = True,
 ) -> StreamingResponse:
-    """Server-sent events ``state``, ``plan``, ``progress``, ``response``; ends when the run has ended.
+    """Stream server-sent events ``state``, ``plan``, ``progress``, ``response``; ends when the run has ended.
 
     Ids grow; ``Last-Event-ID`` resumes after one. A comment every few seconds keeps the line open.
     """
@@ -268,7 +269,7 @@ async def follow_identification(
         log.close()
 
     async def stream() -> AsyncIterator[bytes]:
-        yield b"retry: 1000\n\n"
+        yield format_sse_event(retry=1000)
         if not follow:
             for known in log.behind(after):
                 yield sse(known)
@@ -298,7 +299,7 @@ def _file_responses(media: str) -> dict[int | str, dict[str, Any]]:
 
 
 async def stored_file(service: Service, record: RunRecord, kind: str) -> Path:
-    """The stored file of a run; Problem 404 before it exists and 410 after its retention."""
+    """Return the stored file of a run; Problem 404 before it exists and 410 after its retention."""
     return service.blobs.path((await _stored(service, record, kind)).path)
 
 
@@ -320,7 +321,7 @@ async def _stored(service: Service, record: RunRecord, kind: str) -> Blob:
 
 
 async def artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
-    """The stored file of a run as an answer."""
+    """Return the stored file of a run as an answer."""
     record, _ = await service.run(identification)
     blob = await _stored(service, record, kind)
     path = service.blobs.path(blob.path)
@@ -343,7 +344,7 @@ async def artefact(service: Service, identification: str, kind: str, request: Re
     responses=_file_responses(KINDS["recording"][1]),
 )
 async def get_recording(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-    """The measured data, HDF5; also what was measured before a stop."""
+    """Return the measured data, HDF5; also what was measured before a stop."""
     return await artefact(service, identification, "recording", request)
 
 
@@ -355,7 +356,7 @@ async def get_recording(identification: str, request: Request, service: Context,
 async def get_identified_model(
     identification: str, request: Request, service: Context, _caller: Reader
 ) -> Response:
-    """The identified model, with its effects."""
+    """Return the identified model, with its effects."""
     return await artefact(service, identification, "model", request)
 
 
@@ -365,7 +366,7 @@ async def get_identified_model(
     responses=_file_responses("application/json"),
 )
 async def get_diagnosis(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-    """What the simulation gets wrong."""
+    """Return what the simulation gets wrong."""
     return await artefact(service, identification, "diagnosis", request)
 
 
@@ -375,7 +376,7 @@ async def get_diagnosis(identification: str, request: Request, service: Context,
     responses=_file_responses("text/html"),
 )
 async def get_report(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-    """One self-contained HTML file."""
+    """Return the report, one self-contained HTML file."""
     return await artefact(service, identification, "report", request)
 
 
@@ -385,5 +386,5 @@ async def get_report(identification: str, request: Request, service: Context, _c
     responses=_file_responses("application/json"),
 )
 async def get_plots(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-    """The numbers behind the page's pictures."""
+    """Return the numbers behind the page's pictures."""
     return await artefact(service, identification, "plots", request)

@@ -1,4 +1,4 @@
-"""The identification as a resource."""
+"""Bodies of requests and answers about identifications."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PARTS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any] | None]] = {
 
 
 class StartBody(BaseModel):
-    """What to do."""
+    """Wish for an identification: mode, axes, how it starts."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -51,7 +51,7 @@ class StartBody(BaseModel):
 
 
 class ActionBody(BaseModel):
-    """What somebody decided."""
+    """Decision about a run: arm, cancel, accept or reject."""
 
     model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [{"type": "arm"}]})
     type: Literal["arm", "cancel", "accept", "reject"]
@@ -60,7 +60,7 @@ class ActionBody(BaseModel):
 
 
 class Separating(BaseModel):
-    """What a run with ``separate`` would do."""
+    """Experiment that a run with ``separate`` would do."""
 
     finding: int
     """Number of the finding in the diagnosis, from 0; the first of those that are not told apart."""
@@ -68,7 +68,7 @@ class Separating(BaseModel):
 
 
 class NextAction(BaseModel):
-    """What to do after a stop."""
+    """The one action that follows a stop."""
 
     code: str
     text: str
@@ -77,7 +77,9 @@ class NextAction(BaseModel):
 
 
 class Trace(BaseModel):
-    """The last seconds, at most 200 rows; empty in lists, and where the process that ran could not tell."""
+    """Last seconds of motion, at most 200 rows; empty in lists, and where the process that ran could not
+    tell.
+    """
 
     time_s: list[float]
     """Before the end, ≤ 0."""
@@ -88,7 +90,7 @@ class Trace(BaseModel):
 
 
 class StoppedView(BaseModel):
-    """A run that ended while it moved."""
+    """Facts of a run that ended while it moved."""
 
     code: str = ""
     """What stopped it, as a stable word (``position_window``, …); empty where there is none."""
@@ -100,7 +102,7 @@ class StoppedView(BaseModel):
 
 
 class Identification(BaseModel):
-    """A run: what it is, where it is, what came of it."""
+    """A run: what it is, how far, and its results."""
 
     id: str
     cell: str | None
@@ -150,7 +152,7 @@ class Identification(BaseModel):
 
 
 class IdentificationList(BaseModel):
-    """Newest first."""
+    """Page of a list of runs, newest first."""
 
     identifications: list[Identification]
     simulated: bool
@@ -159,7 +161,7 @@ class IdentificationList(BaseModel):
 
 
 def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Identification:
-    """The resource of a stored or living run; ``trace``: with the last seconds of a stopped one."""
+    """Return the resource of a stored or living run; ``trace``: with the last seconds of a stopped one."""
     if live is not None:
         record, progress = live.record, live.progress
     else:
@@ -208,7 +210,7 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
 
 
 def _news(summary: dict[str, Any]) -> dict[str, Any]:
-    """A summary without the parameters that did not change."""
+    """Return a summary without the parameters that did not change."""
     changes = summary.get("changes")
     if changes is None:
         return summary
@@ -217,5 +219,5 @@ def _news(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def polling_headers(record: RunRecord) -> dict[str, str]:
-    """``Retry-After`` while there is something to wait for."""
+    """Return the header ``Retry-After`` while there is something to wait for."""
     return {} if record.state in ENDED else {"Retry-After": str(RETRY_AFTER_S)}

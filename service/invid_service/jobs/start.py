@@ -1,4 +1,4 @@
-"""Starting an identification: the same answer for the same key, one run per cell, nothing lost."""
+"""Start an identification: the same answer for the same key, one run per cell, nothing lost."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ async def _refuse_if_not_ready(service: Service, cell: Cell, body: StartBody) ->
 
 
 async def _separation(service: Service, cell: Cell, body: StartBody) -> Separation:
-    """The experiments that separate the causes of an earlier run; Problem where there are none."""
+    """Return the experiments that separate the causes of an earlier run; Problem where there are none."""
     identity = body.separate or ""
     earlier, _ = await service.run(identity)
     if earlier.cell != cell.id:
@@ -147,8 +147,9 @@ def _diagnosis_text(service: Service, identity: str) -> str | None:
 
 
 def _analysis_before(service: Service, cell: str, body: StartBody) -> float | None:
-    """How long the analysis of the cell's last runs took at most, in three of four cases [s]; of runs like
-    this one where there are any."""
+    """Return the seconds that the analysis of the cell's last runs took at most, in three of four cases; of
+    runs like this one where there are any.
+    """
     done = [
         (run, float(run.facts["summary"]["analysis_s"]))
         for run in service.store.runs(cell=cell, limit=_RECENT, measured=True)
@@ -210,7 +211,7 @@ def _job(
 
 
 def _simulation_of(model: dict[str, Any]) -> dict[str, Any]:
-    """A simulated plant with the parameters of a model."""
+    """Return a simulated plant with the parameters of a model."""
     return {
         "plant": {
             "branches": [

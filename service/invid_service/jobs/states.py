@@ -7,7 +7,7 @@ from typing import Final
 
 
 class State(StrEnum):
-    """As in the contract."""
+    """States that the contract names."""
 
     QUEUED = "queued"
     CHECKING = "checking"

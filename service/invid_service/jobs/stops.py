@@ -1,4 +1,4 @@
-"""What to do after a run that ended while it moved: one action, and where it is done.
+"""Choose the one action that follows a run that ended while it moved.
 
 An error of the command line names every way out; a person in front of the robot needs the one that comes
 first, and none that contradicts what was already done.
@@ -17,7 +17,7 @@ EMPTY: dict[str, Any] = {"time_s": [], "position": {}, "torque": {}}
 
 @dataclass(frozen=True)
 class Run:
-    """What the action depends on beside the stop itself."""
+    """Facts of the run that the action depends on, beside the stop itself."""
 
     mode: str
     amplitude: str
@@ -27,11 +27,11 @@ class Run:
 
     @property
     def lowered(self) -> bool:
-        """Whether it had less than the planned torque."""
+        """True where it had less than the planned torque."""
         return self.mode == "test" or self.amplitude == "gentler"
 
     def key(self, name: str) -> str:
-        """A field of the axis in the cell's config."""
+        """Return the path of a field of the axis in the cell's config."""
         return f"axes[{self.axis}].{name}" if self.axis else f"axes[].{name}"
 
 
@@ -40,7 +40,7 @@ def _action(code: str, text: str, where: str) -> dict[str, str]:
 
 
 def _less(run: Run) -> dict[str, str]:
-    """It moved too far or too fast."""
+    """Return the action after it moved too far or too fast: less torque."""
     if run.lowered:
         return _action(
             "lower_amplitude",
@@ -52,7 +52,7 @@ def _less(run: Run) -> dict[str, str]:
 
 
 def _stands(run: Run) -> dict[str, str]:
-    """Nothing moved under the torque that was tried: less torque would move it still less."""
+    """Return the action where nothing moved under the torque that was tried: not less torque."""
     name = run.axis or "the axis"
     if run.lowered:
         return _action(
@@ -150,7 +150,7 @@ _OTHERWISE = _action("look", "Look at the robot and clear what is named above, t
 
 
 def stopped_by(error: InvidError, run: Run) -> dict[str, Any] | None:
-    """The facts of a run that ``error`` ended, ``None`` where nothing had moved yet."""
+    """Return the facts of a run that ``error`` ended, ``None`` where nothing had moved yet."""
     if error.moment is None:
         return None
     moment = error.moment.to_json()
@@ -167,7 +167,7 @@ def stopped_by(error: InvidError, run: Run) -> dict[str, Any] | None:
 
 
 def without_trace(phase: str, axis: str | None, reason: str, code: str) -> dict[str, Any]:
-    """The same of a run whose process could not tell."""
+    """Return the facts of a run whose process could not tell."""
     return {
         "code": code,
         "phase": phase,
@@ -179,7 +179,7 @@ def without_trace(phase: str, axis: str | None, reason: str, code: str) -> dict[
 
 
 def action_for(code: str, run: Run) -> Mapping[str, str]:
-    """The one action after a stop of this kind."""
+    """Return the one action after a stop of this kind."""
     made = _ACTIONS.get(code)
     return _OTHERWISE if made is None else made(run)
 

@@ -1,4 +1,4 @@
-"""The runner: one job in its own process, ``python -m invid_service.jobs.worker``.
+"""Run one job in a process of its own, ``python -m invid_service.jobs.worker``.
 
 Reads the job and its wishes on stdin, tells of its progress on stdout (see ``jobs.protocol``). When
 stdin ends, whoever started it is gone: motion is stopped and the process ends.
@@ -32,7 +32,7 @@ FIXES = {
 
 
 def error_info(error: BaseException) -> dict[str, Any]:
-    """A stable code, the sentence, a way out."""
+    """Return what the service is told of an error: a stable code, the sentence, a way out."""
     kind = type(error).__name__
     if isinstance(error, InvidError):
         code = "".join("-" + c.lower() if c.isupper() else c for c in kind).lstrip("-")
@@ -51,7 +51,7 @@ def error_info(error: BaseException) -> dict[str, Any]:
 
 
 def run(line: Line) -> int:
-    """One job; the exit status."""
+    """Run one job; return the exit status."""
     job = line.read_job()
     resource.setrlimit(resource.RLIMIT_AS, (job.memory_bytes, job.memory_bytes))
     line.listen()
@@ -109,14 +109,14 @@ def _stopped() -> dict[str, Any]:
 
 
 def _end_with_parent(line: Line, grace_s: float) -> None:
-    """Without a parent nobody can stop this process: let the drives be stopped, then go."""
+    """Stop the drives and end when the parent has gone: nobody else could stop this process."""
     line.orphaned.wait()
     time.sleep(grace_s)
     os._exit(4)
 
 
 def main() -> None:
-    """Entry: keeps the pipe to itself, so that nothing a library prints breaks the protocol."""
+    """Run the job of stdin; the pipe is kept apart, so that nothing a library prints breaks the protocol."""
     as_everyone()  # the cycle process takes its own precedence
     sink = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

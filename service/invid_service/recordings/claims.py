@@ -1,4 +1,4 @@
-"""What an uploaded HDF5 file claims to hold, read in a process of its own before anything is unpacked.
+"""Check what an uploaded HDF5 file claims to hold, in a process of its own before anything is unpacked.
 
 A few hundred kilobytes can unpack to gigabytes, and the library that reads them is not made for files of
 strangers: ``claims`` has another process (``declared``) look at it with little memory and time.
@@ -25,14 +25,16 @@ empty."""
 
 
 class Claim(BaseModel):
-    """``problem`` says why the file is no recording, or ``unpacked`` how large it gets [bytes]."""
+    """Answer of the process: ``problem`` says why the file is no recording, or ``unpacked`` its size
+    [bytes].
+    """
 
     problem: str | None = None
     unpacked: int = 0
 
 
 async def check_claims(path: Path, *, largest: int) -> None:
-    """Problem where the file is no HDF5 recording, or unpacks to more than ``largest`` bytes."""
+    """Raise a problem where the file is no HDF5 recording, or unpacks to more than ``largest`` bytes."""
     claim = await claims(path)
     if claim.problem is not None:
         raise Problem("invalid-recording", claim.problem)
@@ -51,7 +53,7 @@ async def check_claims(path: Path, *, largest: int) -> None:
 
 
 async def claims(path: Path) -> Claim:
-    """Look at the file from another process."""
+    """Return what the file claims, looked at by another process."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",

@@ -1,4 +1,4 @@
-"""The process that looks at an uploaded HDF5 file: ``python -m invid_service.recordings.declared FILE``.
+"""Look at an uploaded HDF5 file in a process: ``python -m invid_service.recordings.declared FILE``.
 
 Opens the file and adds up the declared sizes, chunk by chunk, decoding nothing; one JSON object on stdout.
 Imports next to nothing: it is started for every upload.
@@ -27,7 +27,7 @@ _ELSEWHERE = {
 
 
 def look(path: Path) -> dict[str, Any]:
-    """``unpacked`` bytes that the file claims, or the ``problem`` it has; nothing in it is unpacked."""
+    """Return the ``unpacked`` bytes that the file claims, or the ``problem`` it has; nothing is unpacked."""
     import h5py  # noqa: PLC0415 - precedence and memory of this process are limited first
 
     damaged = {"problem": "the HDF5 file is damaged or truncated; copy it again from where it was written"}
@@ -58,7 +58,7 @@ def look(path: Path) -> dict[str, Any]:
 
 
 def _members(group: Any) -> Iterator[Any]:
-    """What a group holds; ``None`` for what lies in another file, which is not opened."""
+    """Return what a group holds; ``None`` for what lies in another file, which is not opened."""
     import h5py  # noqa: PLC0415 - as in ``look``
 
     if not isinstance(group, h5py.Group):
@@ -71,7 +71,9 @@ def _members(group: Any) -> Iterator[Any]:
 
 
 def _unpacked(data: Any) -> int:
-    """Bytes that reading takes: whole chunks, which may be larger than what they are said to hold."""
+    """Return the bytes that reading takes: whole chunks, which may be larger than what they are said
+    to hold.
+    """
     shape, chunks = data.shape or (), data.chunks
     whole = [-(-n // c) * c for n, c in zip(shape, chunks, strict=True)] if chunks else shape
     count = 1
@@ -81,7 +83,7 @@ def _unpacked(data: Any) -> int:
 
 
 def main() -> None:
-    """Entry of the process."""
+    """Print what a file claims as JSON."""
     as_everyone()
     behind_parent()
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))

@@ -1,4 +1,4 @@
-"""``POST /recordings``: measured data from elsewhere, identified and diagnosed with no drive involved."""
+"""Route ``POST /recordings``: data from elsewhere, identified and diagnosed with no drive involved."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ async def analyse_identification(
 
 
 def _same_file(source: Path, target: Path) -> None:
-    """A second name of a file that nobody changes any more, or a copy."""
+    """Make a second name of a file that nobody changes any more, or a copy."""
     try:
         target.hardlink_to(source)
     except OSError:
@@ -183,7 +183,7 @@ def _no_recording() -> Problem:
 
 
 async def _receive_form(request: Request, target: Path) -> str | None:
-    """Writes the file; the cell that the form names."""
+    """Write the file of a form; return the cell that the form names."""
     # One file, spooled to disk beyond a megabyte: memory does not grow with the upload.
     try:
         form = await request.form(max_files=1, max_fields=4, max_part_size=4096)

@@ -1,4 +1,4 @@
-"""Files beside the database: written under a temporary name, renamed, checksummed."""
+"""Store files beside the database: written under a temporary name, renamed, checksummed."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Blobs:
             folder.mkdir(parents=True, exist_ok=True)
 
     def scratch(self, run: str) -> Path:
-        """A folder for a run to work in."""
+        """Make a folder for a run to work in."""
         folder = self.work / run
         folder.mkdir(parents=True, exist_ok=True)
         return folder
@@ -73,16 +73,16 @@ class Blobs:
         return Blob(str(target.relative_to(self.root)), target.stat().st_size, digest)
 
     def path(self, relative: str) -> Path:
-        """The file of a stored path; ValueError where it would lie outside the store."""
+        """Return the file of a stored path; ValueError where it would lie outside the store."""
         path = (self.root / relative).resolve()
         if not path.is_relative_to(self.root.resolve()):
             raise ValueError(f"{relative!r} lies outside the store")
         return path
 
     def clear_scratch(self, run: str) -> None:
-        """Forget a run's working folder."""
+        """Delete a run's working folder."""
         shutil.rmtree(self.work / run, ignore_errors=True)
 
     def free_bytes(self) -> int:
-        """Room left on the disk."""
+        """Return the bytes left on the disk."""
         return shutil.disk_usage(self.root).free

@@ -1,4 +1,4 @@
-"""Opening the database: SQLite in WAL mode or PostgreSQL, brought to the newest schema by Alembic."""
+"""Open the database, SQLite in WAL mode or PostgreSQL, and bring it to the newest schema by Alembic."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BUSY_S = 2.0
 
 
 def open_engine(url: str) -> Engine:
-    """Engine for ``url``; ConfigError where it names no database we can use."""
+    """Return the engine for ``url``; ConfigError where it names no database we can use."""
     try:
         parsed = make_url(url)
     except ArgumentError:
@@ -53,7 +53,7 @@ def _configure_sqlite(connection: Any, _record: Any) -> None:
 
 
 def migrations_config(engine: Engine) -> Config:
-    """Alembic's configuration, without a file."""
+    """Return Alembic's configuration, without a file."""
     config = Config()
     config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
     config.attributes["engine"] = engine

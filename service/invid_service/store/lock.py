@@ -1,4 +1,4 @@
-"""One service per data folder."""
+"""Let one service at a time use a data folder."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from invid.errors import ConfigError
 
 
 class DataLock:
-    """Held while the service runs; the kernel gives it back however the process ends."""
+    """Lock of a data folder; the kernel gives it back however the process ends."""
 
     def __init__(self, folder: Path) -> None:
         try:

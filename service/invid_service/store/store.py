@@ -1,4 +1,4 @@
-"""``Store``: every question the service asks its database, as plain functions of plain data.
+"""Ask the database: every question of the service as a plain function of plain data.
 
 Synchronous; called from threads. Failures of the database leave as ``SQLAlchemyError``.
 """
@@ -116,7 +116,7 @@ def _approval(row: ApprovalRow) -> Approval:
 
 
 class Store:
-    """Questions and changes; each its own transaction."""
+    """Questions and changes of the database, each its own transaction."""
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
@@ -164,7 +164,7 @@ class Store:
             raise CellBusyError from None
 
     def find_idempotent(self, cell: str, key: str, body_sha256: str) -> RunRecord | None:
-        """The run this key stands for; KeyReusedError with another body."""
+        """Return the run this key stands for; KeyReusedError with another body."""
         with Session(self.engine) as session:
             earlier = session.get(IdempotencyRow, (cell, key))
             if earlier is None:
@@ -211,7 +211,7 @@ class Store:
                 session.add(EventRow(run=run.id, id=event.id, type=event.type, data=dict(event.data)))
 
     def run(self, run_id: str) -> RunRecord | None:
-        """One run."""
+        """Return one run."""
         with Session(self.engine) as session:
             row = session.get(RunRow, run_id)
             return None if row is None else _run(row)
@@ -227,7 +227,7 @@ class Store:
         limit: int = 50,
         measured: bool = False,
     ) -> list[RunRecord]:
-        """Runs, the last started first.
+        """Return runs, the last started first.
 
         Parameters
         ----------
@@ -260,7 +260,7 @@ class Store:
             return [_run(row) for row in session.scalars(query)]
 
     def events(self, run_id: str, after: int = 0) -> list[StoredEvent]:
-        """Stored events of a run."""
+        """Return the stored events of a run."""
         query = select(EventRow).where(EventRow.run == run_id, EventRow.id > after).order_by(EventRow.id)
         with Session(self.engine) as session:
             return [StoredEvent(row.id, row.type, row.data) for row in session.scalars(query)]
@@ -307,7 +307,7 @@ class Store:
                 )
 
     def artefacts(self, run_id: str) -> dict[str, Blob | None]:
-        """Files of a run by kind; ``None`` where one was deleted after its retention."""
+        """Return the files of a run by kind; ``None`` where one was deleted after its retention."""
         with Session(self.engine) as session:
             rows = session.scalars(select(ArtefactRow).where(ArtefactRow.run == run_id))
             return {
@@ -316,7 +316,9 @@ class Store:
             }
 
     def expire_artefacts(self, before: datetime, now: datetime) -> list[str]:
-        """Mark files of ended runs older than ``before`` as deleted, accepted models' apart; their paths."""
+        """Mark files of ended runs older than ``before`` as deleted, accepted models' apart; return their
+        paths.
+        """
         kept = select(ApprovalRow.model)
         with Session(self.engine) as session, session.begin():
             query = (
@@ -345,22 +347,17 @@ class Store:
             )
 
     def model(self, cell: str, model_id: str) -> StoredModel | None:
-        """One model of a cell."""
+        """Return one model of a cell."""
         with Session(self.engine) as session:
             row = session.get(ModelRow, model_id)
             return None if row is None or row.cell != cell else _model(row)
 
     def models(self, cell: str, limit: int = 200) -> list[StoredModel]:
-        """Models of a cell, that of the last run first."""
+        """Return the models of a cell, that of the last run first."""
         query = select(ModelRow).join(RunRow, RunRow.id == ModelRow.id).where(ModelRow.cell == cell)
         with Session(self.engine) as session:
             rows = session.scalars(query.order_by(RunRow.number.desc(), RunRow.id.desc()).limit(limit))
             return [_model(row) for row in rows]
-
-    def cells_with_models(self) -> list[str]:
-        """Every cell that a model was identified on, of this service or another one on the same database."""
-        with Session(self.engine) as session:
-            return sorted(session.scalars(select(ModelRow.cell).distinct()))
 
     def approve(self, cell: str, model_id: str, *, by: str, how: str, now: datetime) -> Approval:
         """Take a model into force."""
@@ -371,7 +368,7 @@ class Store:
             return _approval(row)
 
     def approvals(self, cell: str) -> list[Approval]:
-        """The history, newest first."""
+        """Return the history of accepted models, newest first."""
         query = select(ApprovalRow).where(ApprovalRow.cell == cell).order_by(ApprovalRow.id.desc())
         with Session(self.engine) as session:
             return [_approval(row) for row in session.scalars(query)]

@@ -1,4 +1,4 @@
-"""The page: one document and its static files; data come through the REST interface only."""
+"""Serve the page: one document and its static files; data come through the REST interface only."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ router = APIRouter()
 
 @router.get("/", response_class=HTMLResponse)
 async def page(request: Request) -> HTMLResponse:
-    """The page for the technician, in the language of the browser; it holds no data, so it needs no key."""
+    """Return the page in the language of the browser; it holds no data, so it needs no key."""
     service = request.app.state.service
     simulated = all(cell.simulated for cell in service.cells.values())
     language = wanted(request)
@@ -53,10 +53,10 @@ async def page(request: Request) -> HTMLResponse:
 
 @router.get("/favicon.ico")
 async def favicon() -> Response:
-    """None; saves a line in every log."""
+    """Answer that there is no icon; saves a line in every log."""
     return Response(status_code=204)
 
 
 def static_files() -> StaticFiles:
-    """Style, script, texts and the vendored plot library."""
+    """Return the files of style, script, texts and the vendored plot library."""
     return StaticFiles(directory=_HERE / "static")

@@ -1,4 +1,4 @@
-"""The page's texts: one flat JSON catalogue a language, and which of them a request asks for."""
+"""Read the page's texts: one flat JSON catalogue a language, and which of them a request asks for."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHARED = ("number.point", "word.and", "word.or")
 
 @cache
 def catalogue(language: str) -> Mapping[str, str]:
-    """Texts by key; KeyError for a language that is not there."""
+    """Return texts by key; KeyError for a language that is not there."""
     if language not in LANGUAGES:
         raise KeyError(language)
     own: Mapping[str, str] = json.loads((FOLDER / f"{language}.json").read_text(encoding="utf-8"))
@@ -31,13 +31,13 @@ def catalogue(language: str) -> Mapping[str, str]:
 
 
 def wanted(request: Request) -> str:
-    """The language chosen on the page before, else the first of the browser's that is there."""
+    """Return the language chosen on the page before, else the first of the browser's that is there."""
     chosen = request.cookies.get(COOKIE, "")
     return chosen if chosen in LANGUAGES else preferred(request.headers.get("accept-language", ""))
 
 
 def preferred(header: str) -> str:
-    """The best language of an ``Accept-Language`` header ("de-CH,de;q=0.9,en;q=0.8")."""
+    """Return the best language of an ``Accept-Language`` header ("de-CH,de;q=0.9,en;q=0.8")."""
     ranked: list[tuple[float, int, str]] = []
     for place, part in enumerate(header.split(",")[:50]):
         tag, _, weight = part.strip().partition(";")
@@ -52,7 +52,9 @@ def preferred(header: str) -> str:
 
 
 def drawing_words(language: str) -> dict[str, str]:
-    """What ``invid.report.branch_drawing`` asks for: ``drawing.*`` without its head, and the causes."""
+    """Return the words that ``invid.report.branch_drawing`` needs: ``drawing.*`` without its head, and the
+    causes.
+    """
     texts = catalogue(language)
     words = {k.removeprefix("drawing."): v for k, v in texts.items() if k.startswith("drawing.")}
     causes = {k: v for k, v in texts.items() if k.startswith("cause.")}

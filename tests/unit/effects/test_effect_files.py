@@ -196,18 +196,101 @@ def test_the_commands_take_a_file_and_the_table_of_results_holds_its_cause(
     assert status == (0 if trusted else 3)
 
 
+def instead(old: str, new: str) -> str:
+    assert old in PLAIN
+    return PLAIN.replace(old, new)
+
+
+NUMBERS = 'numbers = (Parameter("coefficient", "damping", low=0.0),)'
+PLACES = "    def places(self, structure):\n        return mass_places(structure)\n"
+RESISTANCE = "    def resistance(self, motion, shape):\n        return motion.velocity[:, None]\n"
+SHAPE = 'numbers = (Parameter("c", "damping"), Parameter("begin", "position", linear=False{}))'
+OVERS = "line 6: Plain: over is 'speed'; it is one of 'velocity', 'position', 'deflection', 'deflection rate'"
+KINDS = "it is one of 'speeds', 'positions', 'amplitudes', 'band', 'lines', 'time', 'hand'"
 BAD = {
     "no file": (None, "cannot be read"),
-    "syntax": ("def (:\n", "SyntaxError in line 1"),
-    "raises": ("import nowhere_at_all\n", "ModuleNotFoundError"),
+    "syntax": ("def (:\n", "line 1: SyntaxError"),
+    "raises": ("import nowhere_at_all\n", "line 1: ModuleNotFoundError"),
     "empty": ("x = 1\n", "holds no EFFECT"),
-    "class": (PLAIN.replace("EFFECT = Plain()", "EFFECT = Plain"), "write EFFECT = Plain()"),
+    "class": (instead("EFFECT = Plain()", "EFFECT = Plain"), "write EFFECT = Plain()"),
     "no effect": ("EFFECT = 3\n", "EFFECT is int"),
-    "no title": (PLAIN.replace('"plain drag", "Check it."', '"", "Check it."'), "title is empty"),
-    "unit": (PLAIN.replace('"damping"', '"furlongs"'), "no kind of quantity is called 'furlongs'"),
-    "taken": (PLAIN.replace("plain_drag", "gravity"), "the catalogue has a cause of that name"),
-    "shape": (PLAIN.replace("motion.velocity[:, None]", "motion.velocity"), "its resistance has shape (10,)"),
-    "law": (PLAIN.replace("motion.velocity[:, None]", "motion.speed"), "AttributeError"),
+    "no title": (instead('"plain drag", "Check it."', '"", "Check it."'), "line 8: Plain: title is empty"),
+    "cause": (instead('"plain_drag"', '"plain drag"'), "line 6: Plain: cause is 'plain drag'"),
+    "family": (
+        instead('"friction", "velocity"', '"fluid", "velocity"'),
+        "line 6: Plain: family is 'fluid'; it is one of 'friction', 'position', 'spring'",
+    ),
+    "over": (instead('"velocity"', '"speed"'), OVERS),
+    "home": (
+        instead("title, check", 'home = "gear"\n    title, check'),
+        "line 8: Plain: home is 'gear'; it is one of 'motor', 'end', 'spring', 'axis'",
+    ),
+    "experiment": (instead('Experiment("speeds", "slow moves")', 'Experiment("speed")'), KINDS),
+    "its line": (
+        instead('Experiment("speeds", "slow moves")', 'Experiment("speed")'),
+        "line 9: Experiment: kind",
+    ),
+    "no words": (instead('"speeds", "slow moves"', '"speeds"'), "line 9: Plain: separating is missing"),
+    "looks_like": (
+        instead("title, check", 'looks_like = ("rust",)\n    title, check'),
+        "looks_like names 'rust'; known: asymmetric_friction, backlash",
+    ),
+    "no tuple": (
+        instead("title, check", 'looks_like = ("gravity")\n    title, check'),
+        "line 8: Plain: looks_like is 'gravity'; it is a tuple of str",
+    ),
+    "slip": (
+        instead("title, check", 'looks_likes = ("gravity",)\n    title, check'),
+        "line 8: Plain: an effect has no 'looks_likes'; 'looks_like' is meant",
+    ),
+    "unit": (
+        instead('"damping"', '"furlongs"'),
+        "line 7: unit 'furlongs': no kind of quantity is called 'furlongs'; "
+        "known: angle (rad), count (1), cubic (N·m/rad³), damping (N·m·s/rad)",
+    ),
+    "SI unit": (
+        instead('"damping"', '"N·m·s/rad"'),
+        "it is one of angle (rad), count (1), cubic (N·m/rad³), damping",
+    ),
+    "no parameters": (instead(NUMBERS, "numbers = ()"), "line 7: Plain: it has no parameters"),
+    "comma": (instead(NUMBERS, 'numbers = (Parameter("c", "damping"))'), "line 5: numbers is a tuple"),
+    "twice": (
+        instead(NUMBERS, 'numbers = (Parameter("c", "damping"), Parameter("c", "torque"))'),
+        "one name: 'c'",
+    ),
+    "bounds": (
+        instead("low=0.0", "low=1.0, high=0.0"),
+        "line 7: Parameter 'coefficient': low is 1.0, high is 0.0",
+    ),
+    "starts": (
+        instead(NUMBERS, SHAPE.format("")),
+        "line 7: Plain: parameter 'begin': linear=False asks",
+    ),
+    "logarithm": (
+        instead(NUMBERS, SHAPE.format(", starts=(0.0,)")),
+        "starts are above zero, or logarithmic=False",
+    ),
+    "main": (instead("title, check", 'main = "size"\n    title, check'), "'size' is no parameter; these are"),
+    "no places": (instead(PLACES, ""), "line 5: Plain: places is missing; write def places(self, structure)"),
+    "places": (
+        instead("return mass_places(structure)", "return [1, 2]"),
+        "line 11: Plain: places gives [1, 2]",
+    ),
+    "places fail": (
+        instead("mass_places(structure)", "structure.gears"),
+        "line 12: plain_drag: AttributeError",
+    ),
+    "no law": (instead(RESISTANCE, ""), "line 5: Plain: resistance is missing"),
+    "taken": (instead("plain_drag", "gravity"), "the catalogue has a cause of that name"),
+    "shape": (
+        instead("motion.velocity[:, None]", "motion.velocity"),
+        "line 14: Plain: its resistance has shape (10,)",
+    ),
+    "not finite": (
+        instead("motion.velocity[:, None]", "0 * motion.velocity[:, None] + float('nan')"),
+        "not finite",
+    ),
+    "law": (instead("motion.velocity[:, None]", "motion.speed"), "line 15: plain_drag: AttributeError"),
 }
 
 

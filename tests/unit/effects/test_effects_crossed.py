@@ -24,6 +24,7 @@ from invid.diagnosis.sentences import finding_sentence
 from invid.diagnosis.validation import split_records
 from invid.effects.curve import curve
 from invid.effects.effect import PlaceMotion
+from invid.effects.effect_files import check_effect
 from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effects, registered_effects
 from invid.effects.sizes import Machine
 from invid.effects.units import unit_of
@@ -88,6 +89,18 @@ def model_of(chains: CoupledChains, *effects: EffectTerm) -> Model:
     return Model("cell", "refined", chains, ChainStd.unknown(chains), effects=effects)
 
 
+def linear_fit(excited):
+    """Records, structure, layout and parameters of the true plant."""
+    recording, chains = excited
+    train, _, _ = split_records(recording, all_spectra(recording))
+    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
+    layout = layout_of(structure, train, 0.0)
+    p = np.full(layout.count, 0.5)
+    p[: structure.count] = structure.vector(chains)
+    p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
+    return train, structure, layout, p
+
+
 def ids(effect) -> str:
     return effect.cause
 
@@ -102,14 +115,8 @@ def test_its_derivatives_are_those_of_its_contribution(effect, excited) -> None:
     """Gradient of χ² by the effect's own parameters against differences of χ²."""
     if effect.cause in NOT_FITTED:
         return
-    recording, chains = excited
-    train, _, _ = split_records(recording, all_spectra(recording))
-    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
-    layout = layout_of(structure, train, 0.0)
-    p = np.full(layout.count, 0.5)
-    p[: structure.count] = structure.vector(chains)
-    p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
-    one = term_of(effect, chains.axes)
+    train, structure, layout, p = linear_fit(excited)
+    one = term_of(effect, excited[1].axes)
     place, x = effect_place(one, structure), effect_vector(one)
     assert place in effect.places(structure)
     here = evaluate(layout, train, p, Candidate((PlacedEffect(effect, place),), (x,)), thorough=True)
@@ -141,6 +148,46 @@ def test_it_is_searched_at_its_places_unless_it_sits_elsewhere(effect, excited) 
     searched = [t.place for t in terms_to_test(structure, linear_axes=False) if t.effect is effect]
     assert searched == effect.places(structure)
     assert bool(searched) is (effect.cause not in NOT_FITTED)
+
+
+@pytest.mark.parametrize("effect", EVERY, ids=ids)
+def test_what_it_declares_is_what_a_file_of_its_own_may_declare(effect) -> None:
+    assert check_effect(effect, "catalogue") is effect
+
+
+@pytest.mark.parametrize("effect", ELASTIC, ids=ids)
+def test_it_keeps_the_promises_of_the_interface_at_each_of_its_places(effect, excited) -> None:
+    """Numbers of one length everywhere, a vector that is its parameters, no force where there is none."""
+    if effect.cause in NOT_FITTED:
+        return
+    train, structure, layout, p = linear_fit(excited)
+    views = evaluate(layout, train, p, Candidate((), ()), jacobian=False).views
+    count, shapes = len(effect.coefficients), len(effect.shapes)
+    assert len(effect.lower) == len(effect.upper) == count
+    assert len(effect.logarithmic) == shapes
+    values = SIZE[effect.cause][1]
+    for place in effect.places(structure):
+        x = effect.vector(values)
+        assert len(x) == count + shapes
+        assert effect.values(x, place) == pytest.approx({**values, **effect.values(x, place)}, rel=1e-12)
+        assert not effect.is_null(x)
+        starts, limits = effect.grid(views, place), effect.limits(views, place)
+        assert {len(s) for s in starts} == {shapes}
+        assert len(limits) == shapes
+        view, shape = views[0], (views[0].omega.size, structure.motors)
+        factors = effect.noise_power(view, place, x)
+        assert all(np.all(np.asarray(f) > 0) for f in factors)
+        assert effect.rarity(place, structure) >= 0.0
+        if count:
+            assert effect.is_null([0.0] * count + x[count:])
+            basis = effect.basis(view, place, x[count:])
+            assert basis.shape == (*shape, count)
+            assert np.isfinite(basis).all()
+        force, inner = effect.contribution(view, place, x)
+        assert force.shape == shape
+        assert np.isfinite(force).all()
+        assert inner is None or inner.shape[0] == force.shape[0]
+        assert effect.stands_beside(effect) is (effect.cause == "cogging")  # two numbers of cycles
 
 
 @pytest.mark.parametrize("effect", ELASTIC, ids=ids)

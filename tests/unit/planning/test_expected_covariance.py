@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from invid.config import CellConfig, load_config
+from invid.config import CellConfig
 from invid.errors import ModelError
 from invid.identification.identify import identify
 from invid.model.chains import CoupledChains
@@ -24,17 +24,6 @@ from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import truth
 
 CONFIG = Path(__file__).parents[3] / "configs" / "case-study.yaml"
-
-
-@pytest.fixture(scope="module")
-def cell() -> CellConfig:
-    return load_config(CONFIG)
-
-
-@pytest.fixture(scope="module")
-def belief(cell: CellConfig) -> Belief:
-    plant = replace(truth(cell), ground_dampers=np.zeros(3))
-    return Belief(plant, np.array([0.05, 0.1, 0.2]), np.array([0.1, 0.2, 0.4]), "truth", False)
 
 
 @pytest.fixture(scope="module")

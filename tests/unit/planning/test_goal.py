@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.config import CellConfig, load_config
+from invid.config import CellConfig
 from invid.errors import ConfigError, InputError
 from invid.planning.belief import Belief, guess
 from invid.planning.expected_covariance import expected
@@ -17,20 +17,8 @@ from invid_drivers.cli.measure import parse_goal
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.goal import measure_to_goal
 from invid_drivers.measurement import measure_to_file
-from invid_drivers.simulated import truth
 
 CONFIG = Path(__file__).parents[3] / "configs" / "case-study.yaml"
-
-
-@pytest.fixture(scope="module")
-def cell() -> CellConfig:
-    return load_config(CONFIG)
-
-
-@pytest.fixture(scope="module")
-def belief(cell: CellConfig) -> Belief:
-    plant = replace(truth(cell), ground_dampers=np.zeros(3))
-    return Belief(plant, np.array([0.05, 0.1, 0.2]), np.array([0.1, 0.2, 0.4]), "truth", False)
 
 
 @pytest.fixture(scope="module")

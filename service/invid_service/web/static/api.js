@@ -6,7 +6,9 @@ export class Problem extends Error {
   constructor(status, document) { super(document.detail || document.title || "the service refused"); this.status = status; this.document = document; }
 }
 
+/** @type {(problem: Problem) => void} */
 let keyRefused = () => {};
+/** @param {(problem: Problem) => void} work */
 export function onKeyRefused(work) { keyRefused = work; }
 export function useKey(key) { if (key) sessionStorage.setItem(KEY, key); else sessionStorage.removeItem(KEY); }
 
@@ -39,5 +41,5 @@ export async function download(path, name) {
 // Events of a run behind `last`: what there is, then it ends. No line is held open, of which a browser has six for all its tabs.
 export async function events(path, last) {
   const text = await (await call("GET", `${path}?follow=false`, undefined, { "Last-Event-ID": last })).text();
-  return [...text.matchAll(/^id: (.*)\nevent: (.*)\ndata: (.*)$/gm)].map(([, id, type, data]) => ({ id, type, data: JSON.parse(data) }));
+  return [...text.matchAll(/^event: (.*)\ndata: (.*)\nid: (.*)$/gm)].map(([, type, data, id]) => ({ id, type, data: JSON.parse(data) }));
 }

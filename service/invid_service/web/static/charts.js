@@ -23,6 +23,7 @@ function frame(alt, s, below) {
 const path = (points) => points.map(([x, y]) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ");
 
 // `series` as of GET /cells/{cell}/series.
+/** @param {Api["Series"]} series */
 export function historyChart(name, series) {
   const all = series.points, there = all.filter((p) => p.value != null), unit = series.unit ?? "";
   if (!there.length) return null;

@@ -1,11 +1,17 @@
 // Elements and texts. Text only ever goes in as text: names come from configs and uploads.
 import { LANGUAGE, t } from "./texts.js";
 
-export const $ = (id) => document.getElementById(id);
+/** @returns {Control} */
+export const $ = (id) => /** @type {any} */ (document.getElementById(id));
+/** @param {string} selector
+ * @returns {Control[]} */
+export const $$ = (selector) => /** @type {any} */ ([...document.querySelectorAll(selector)]);
 const SVG = "http://www.w3.org/2000/svg";
 const SHAPES = new Set(["svg", "g", "path", "line", "circle", "text", "title", "polygon", "polyline", "rect"]);
 // What a person reads motion in, with its factor, by the unit of the cell.
+/** @type {Record<string, [string, number]>} */
 export const MOTION = { rad: ["°", 180 / Math.PI], m: ["mm", 1000] };
+/** @param {any} children */
 export function el(name, attributes = {}, children = []) {
   const node = SHAPES.has(name) ? document.createElementNS(SVG, name) : document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {
@@ -61,7 +67,7 @@ export const typical = (values) => [...values].sort((a, b) => a - b)[Math.floor(
 // What is wider than the screen is scrolled by keyboard too; what is not is no stop on the way to the next button.
 const widths = new ResizeObserver((entries) => {
   for (const { target } of entries) {
-    const box = target.closest(".scroll");
+    const box = /** @type {HTMLElement} */ (target.closest(".scroll"));
     if (box.scrollWidth > box.clientWidth + 1) box.tabIndex = 0;
     else box.removeAttribute("tabindex");
   }

@@ -38,6 +38,7 @@ export const headline = (summary) => summary.headlines?.[LANGUAGE] ?? summary.he
 export const spokenHeadline = (summary) => (summary.headlines?.[LANGUAGE] ? null : "en");
 
 // Why a result is not to be trusted: its weightiest reason.
+/** @param {Run} run */
 export function why(run) {
   const said = run.untrusted && (run.summary?.doubts?.[0]?.texts[LANGUAGE] ?? run.untrusted);
   return said ? `${sentence(said)}.` : "";
@@ -57,6 +58,8 @@ export function parameterLabel(name, sizes) {
   return name.replaceAll("_", " ");
 }
 
+/** @param {Run} run
+ * @param {Model | null} model */
 export function showFindings(run, diagnosis, model) {
   const findings = run.summary.findings ?? [], full = diagnosis?.findings ?? [];
   const sizes = sizesOf(model), linear = linearOf(model), groups = [];

@@ -9,6 +9,7 @@ import { ended } from "./spoken.js";
 import { named, t } from "./texts.js";
 
 export async function showHistory(cell, guarded, open) {
+  /** @type {Api["ModelList"]} */
   const { history } = await get(`/cells/${cell.id}/models`);
   const changes = $("history-changes");
   const restore = (m) => guarded(async () => {
@@ -24,6 +25,7 @@ export async function showHistory(cell, guarded, open) {
   clear(changes);
   table($("accepted"), [t("history.when"), t("history.model"), t("history.by"), ""], history.map((m, i) => ({ cells: [when(m.accepted), `…${m.id.slice(-8)}`, `${m.by} (${named("how", m.how)})`,
     i ? el("span", { class: "actions" }, [button(t("history.compare"), compare(m)), button(t("history.restore"), restore(m))]) : el("b", {}, t("history.now"))] })));
+  /** @type {{ identifications: Run[] }} */
   const { identifications } = await get(`/identifications?cell=${cell.id}`);
   const said = (r) => (r.summary ? headline(r.summary) : r.error ? ended(r)[0] : "");
   table($("runs"), [t("history.started"), t("history.kind"), t("history.state"), t("history.result"), ""], identifications.map((r) => ({ cells: [when(r.created), named("mode", r.mode), t(`state.${r.state}`).split(":")[0],

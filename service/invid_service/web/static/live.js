@@ -7,6 +7,7 @@ import { t } from "./texts.js";
 const HUES = ["--after", "--before", "--third"], EVERY_MS = 2000;
 const seen = { run: null, last: "0", at: 0, of: new Map() };
 
+/** @param {Run} run */
 export async function showLive(run, axes) {
   if (seen.run !== run.id) Object.assign(seen, { run: run.id, last: "0", at: 0, of: new Map() });
   if (Date.now() - seen.at < EVERY_MS) return;

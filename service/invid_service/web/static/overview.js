@@ -10,12 +10,14 @@ const SHAPES = { trouble: "▲", moves: "►", waits: "◆", busy: "…", ready:
 const found = { key: "", cells: new Map(), order: [] };
 
 // Worst first. A cell whose last run was stopped or failed is no cell in order until another one went well.
+/** @param {Now} c */
 export function rank(c) {
   if (c.moves) return "moves";
   if (["awaiting_arm", "awaiting_accept"].includes(c.state)) return "waits";
   if (busy(c)) return "busy";
   return troubled(c) || c.status !== "ready" || c.grade === "act" ? "trouble" : "ready";
 }
+/** @param {Now} c */
 export function stateText(c) {
   if (blind()) return t("ready.unknown");
   if (!busy(c) && troubled(c)) return named("state", c.state).split(":")[0];
@@ -24,6 +26,7 @@ export function stateText(c) {
 }
 
 // The last run in the page's language, where it is told in full; else the service's own sentences.
+/** @param {Cell} cell */
 function said({ last_identification: full, overview: { last_run: last } }) {
   const same = full && full.id === last?.id ? full : null, summary = same?.summary;
   const text = summary ? headline(summary) : same?.stopped?.reason ?? last?.headline;
@@ -49,7 +52,7 @@ function draw(open, fresh) {
   if (fresh || found.order.length !== cells.size || !box.matches(":hover, :focus-within")) {
     found.order = [...known.cells].sort((a, b) => RANKS.indexOf(rank(a)) - RANKS.indexOf(rank(b))).map((c) => c.cell);
   }
-  const cards = new Map([...box.children].map((card) => [card.dataset.cell, card]));
+  const cards = new Map([...box.children].map((card) => [/** @type {HTMLElement} */ (card).dataset.cell, /** @type {any} */ (card)]));
   for (const c of found.order.map((id) => cells.get(id)).filter(Boolean)) {
     const card = cards.get(c.cell) ?? el("article", { class: "card", "data-cell": c.cell }, [
       el("h3", {}, [c.name, c.simulated && el("small", { class: "quiet" }, ` ${t("run.simulated")}`)]), el("p"), el("div"),

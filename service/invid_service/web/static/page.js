@@ -13,7 +13,7 @@ import { ended, reasonItem, refused, whyNot } from "./spoken.js";
 import { stop } from "./stop.js";
 import { showStopped } from "./stopped.js";
 import { blind, busy, find, known, look, onState, troubled } from "./store.js";
-import { $, clock, el, fill, fmt, row, sentence, time } from "./dom.js";
+import { $, $$, clock, el, fill, fmt, row, sentence, time } from "./dom.js";
 import { choose, named, t } from "./texts.js";
 
 const ENDED = ["succeeded", "failed", "cancelled", "stopped", "interrupted"];
@@ -21,6 +21,7 @@ const MOVING = ["running", "analysing", "queued", "checking"];
 const READY_EVERY_MS = 3000;
 // What a person chose to look at; everything else is what the service says. `opened`: a run; `dismissed`: the one of the
 // cell that has been seen. `details` and `run` are fetched when what the poll tells of them changes.
+/** @type {{ cell: string, opened: string, dismissed: string, details: Cell & { of: string }, run: Run, ready: Api["Readiness"], at: number }} */
 const state = { cell: localStorage.getItem("invid-cell"), opened: null, dismissed: null, details: null, run: null, ready: null, at: 0 };
 
 // Over every view and wherever the page is scrolled to: whoever pressed a button looks at that button.
@@ -59,23 +60,25 @@ function draw(news) {
   buttons();
   if (quiet) { $("ready-title").className = ""; $("ready-title").textContent = t("ready.unknown"); }
   if (state.run) title();
-  if (state.run && busy(c ?? {}) && c.run === state.run.id) showProgress(c);
+  if (state.run && c && busy(c) && c.run === state.run.id) showProgress(c);
   if (news) follow(c);
 }
 onState(draw);
 
 // What changes something is pressed only where it is known what it meets.
 function buttons() {
-  for (const b of document.querySelectorAll("[data-acts]")) b.disabled = blind() || b.dataset.pressed === "true" || (b.id === "prepare" && !state.ready?.can_start);
+  for (const b of $$("[data-acts]")) b.disabled = blind() || b.dataset.pressed === "true" || (b.id === "prepare" && !state.ready?.can_start);
 }
 
 // Which run is to be seen: one in progress, whoever started it and whatever is open; then the one that a person opened; then
 // the last one, where it waits for a decision or ended as it should not.
+/** @param {Now} c */
 function wanted(c) {
   if (busy(c)) state.opened = c.run;
   const calls = (c.state === "awaiting_accept" || troubled(c)) && c.run !== state.dismissed;
   return state.opened ?? (calls ? c.run : null);
 }
+/** @param {Now} c */
 function follow(c) {
   if (!c) return;
   const id = wanted(c), { run } = state, of = `${c.cell} ${c.run} ${c.state}`;
@@ -93,6 +96,7 @@ async function alone(name, work) {
 }
 const fetchRun = (id) => alone(id, async () => {
   try {
+    /** @type {Run} */
     const run = await get(`/identifications/${id}`);
     if (wanted(find(state.cell)) !== id) return;
     if (run.cell && run.cell !== state.cell) enter(run.cell, id);
@@ -110,6 +114,7 @@ function enter(cell, opened = null) {
 $("cell").addEventListener("change", () => { enter($("cell").value); if (viewed() === "history") setView("history"); });
 
 const details = (id, of) => alone(`cell ${id}`, async () => {
+  /** @type {Cell} */
   const cell = await get(`/cells/${id}`), same = state.details?.id === id;
   if (id !== state.cell) return;
   state.details = { ...cell, of };
@@ -129,7 +134,9 @@ const details = (id, of) => alone(`cell ${id}`, async () => {
 });
 
 const refresh = () => alone("ready", async () => {
-  const cell = state.cell, ready = await get(`/cells/${cell}/readiness`);
+  const cell = state.cell;
+  /** @type {Api["Readiness"]} */
+  const ready = await get(`/cells/${cell}/readiness`);
   if (cell !== state.cell || state.run) return;
   Object.assign(state, { ready, at: Date.now() });
   const title = $("ready-title");
@@ -161,6 +168,7 @@ $("analyse").addEventListener("click", guarded(() => pressing($("analyse"), asyn
 const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));
 
 // --- the run that is seen -----------------------------------------------------------------------------
+/** @param {Run} run */
 function opens(run) {
   state.opened = run.id;
   setView("work");
@@ -168,6 +176,7 @@ function opens(run) {
   look();
 }
 
+/** @param {Run} run */
 function show(run) {
   const before = state.run, isNew = before?.id !== run?.id || before?.state !== run?.state;
   state.run = run;
@@ -177,7 +186,7 @@ function show(run) {
   const result = Boolean(run?.summary) && ["awaiting_accept", "succeeded", "cancelled"].includes(run.state);
   $("run-card").hidden = !run || result;
   if (isNew) {
-    for (const question of document.querySelectorAll("main form.ask")) question.remove();
+    for (const question of $$("main form.ask")) question.remove();
     keepFocus(run ? (result ? "sentence" : "run-title") : "ready-title");
   }
   if (before?.id !== run?.id) clearLive();
@@ -227,7 +236,7 @@ const act = (type) => guarded(async () => {
   look();
 });
 for (const type of ["arm", "cancel", "accept", "reject"]) $(type).addEventListener("click", act(type));
-for (const b of document.querySelectorAll("[data-again]")) b.addEventListener("click", () => { Object.assign(state, { dismissed: find(state.cell)?.run, opened: null }); show(null); });
+for (const b of $$("[data-again]")) b.addEventListener("click", () => { Object.assign(state, { dismissed: find(state.cell)?.run, opened: null }); show(null); });
 
 // --- upload -----------------------------------------------------------------------------------------
 $("upload-form").addEventListener("submit", async (event) => {
@@ -253,15 +262,15 @@ const VIEWS = {
   overview: async () => showOverview(inCell, true),
 };
 const ofAll = () => viewed() === "overview" && known.cells.length !== 1;
-const viewed = () => document.querySelector("nav [aria-pressed=true]").dataset.view;
+const viewed = () => $$("nav [aria-pressed=true]")[0].dataset.view;
 function setView(name) {
-  for (const b of document.querySelectorAll("nav [data-view]")) b.setAttribute("aria-pressed", String(b.dataset.view === name));
+  for (const b of $$("nav [data-view]")) b.setAttribute("aria-pressed", String(b.dataset.view === name));
   for (const view of Object.keys(VIEWS)) $(`view-${view}`).hidden = view !== name;
   guarded(VIEWS[name])();
   draw(false);
   redraw(); // what was drawn while its view was hidden had no width
 }
-for (const b of document.querySelectorAll("nav [data-view]")) b.addEventListener("click", () => setView(b.dataset.view));
+for (const b of $$("nav [data-view]")) b.addEventListener("click", () => setView(b.dataset.view));
 $("language").addEventListener("change", () => choose($("language").value));
 
 // A key is asked for at the top of the page, once, and the page goes on below it.
@@ -270,7 +279,7 @@ onKeyRefused((problem) => alone("key", async () => {
   look();
 }));
 
-window.addEventListener("click", (e) => { const a = e.target.closest("a[data-download]"); if (a) { e.preventDefault(); guarded(download)(a.getAttribute("href"), a.dataset.download); } });
+window.addEventListener("click", (e) => { const a = /** @type {HTMLElement} */ (/** @type {Element} */ (e.target).closest("a[data-download]")); if (a) { e.preventDefault(); guarded(download)(a.getAttribute("href"), a.dataset.download); } });
 
 // A run in the address is what was looked at before the page was loaded anew.
 if (/^#[A-Za-z0-9-]{1,40}$/.test(location.hash)) state.opened = location.hash.slice(1);

@@ -3,6 +3,8 @@ import { $, el, fill, fmt, seconds, table, MOTION } from "./dom.js";
 import { supporting } from "./spoken.js";
 import { t } from "./texts.js";
 
+/** @param {Run} run
+ * @param {Cell | null} cell */
 export function showPlan(run, cell) {
   const plan = run.plan;
   const rotary = (f) => MOTION[f.unit === "N" ? "m" : "rad"];

@@ -1,5 +1,6 @@
 // Pictures: curves with uPlot, clouds on a canvas. Colours differ in lightness, lines also in dash and marker.
 // Each says in `alt` what it shows.
+import { $$ } from "./dom.js";
 import { t } from "./texts.js";
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -20,7 +21,7 @@ window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", ane
 let unfolded = [];
 window.addEventListener("beforeprint", () => {
   document.documentElement.dataset.print = "";
-  unfolded = [...document.querySelectorAll("#result-card details:not([open])")];
+  unfolded = $$("#result-card details:not([open])");
   for (const d of unfolded) d.open = true;
   redraw();
 });

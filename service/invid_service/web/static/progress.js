@@ -8,6 +8,7 @@ const seen = { key: "", since: 0 };
 // No more exact than it is known.
 const coarse = (s) => (s < 20 ? s : Math.ceil(s / (s < 100 ? 5 : 30)) * (s < 100 ? 5 : 30));
 
+/** @param {Pick<Now, "run" | "state" | "progress" | "cause" | "axis" | "phase" | "frequency" | "eta_s" | "motion_left_s">} c */
 export function showProgress(c) {
   const key = `${c.run} ${c.state}`, now = Date.now();
   if (seen.key !== key) Object.assign(seen, { key, since: now });

@@ -1,6 +1,6 @@
 // The result: grade and headline, where it is, the decision; what was found; the numbers unfold below.
 import { call, get } from "./api.js";
-import { changeLines, gradeBadge, headline, linearOf, parameterLabel, showFindings, sizesOf, spokenHeadline, place, why } from "./findings.js";
+import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesOf, spokenHeadline, place, why } from "./findings.js";
 import { cloud, curves, redraw } from "./plots.js";
 import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
 import { LANGUAGE, english, has, named, t } from "./texts.js";
@@ -10,6 +10,7 @@ let shown = null, settled = null, latest = null, diagnosed = null;
 const PATIENCE_MS = 3000;
 const FILES = { report: "report.html", model: "model.json", diagnosis: "diagnosis.json", recording: "recording.h5" };
 
+/** @param {Run} run */
 export function showDecision(run) {
   latest = run;
   $("decide").hidden = run.state !== "awaiting_accept";
@@ -25,6 +26,7 @@ export function showDecision(run) {
   printHead(run);
 }
 
+/** @param {Run} run */
 function printHead(run) {
   const d = run.decision, lines = [t("print.run", { id: run.id }), t("print.cell", { cell: run.cell ?? "–", robot: run.robot }),
     t("print.time", { started: time(run.started ?? run.created), ended: time(run.ended) || "–" }), t("print.by", { by: run.requested_by }),
@@ -33,6 +35,7 @@ function printHead(run) {
 }
 window.addEventListener("beforeprint", () => { const last = $("print-head").lastElementChild; if (last) last.textContent = t("print.version", { version: document.body.dataset.version, time: time(Date.now()) }); });
 
+/** @param {Run} run */
 export async function showResult(run) {
   const card = $("result-card"), summary = run.summary;
   card.hidden = false;
@@ -74,7 +77,9 @@ export async function showResult(run) {
 $("numbers").addEventListener("toggle", redraw); // folded, a plot has no width
 
 // The service draws; the same picture as in the report. As SVG within the page it takes the page's colours.
+/** @param {Run} run */
 async function drawing(run) {
+  /** @type {any} */
   let svg;
   try {
     const text = await (await call("GET", `${run.links.self}/drawing?lang=${LANGUAGE}`)).text();
@@ -92,6 +97,7 @@ async function drawing(run) {
   $("where").hidden = false;
 }
 
+/** @param {Run} run */
 function separating(run, diagnosis) {
   const s = run.separating, offered = s && settled === run.id && ["awaiting_accept", "succeeded"].includes(run.state);
   $("separate-card").hidden = !offered;

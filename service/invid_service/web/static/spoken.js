@@ -7,6 +7,7 @@ const ours = (key) => !english && has(key);
 const detail = (text) => el("small", { lang: "en" }, sentence(text));
 
 // A reason why a cell cannot start, or a note beside it, with its way out.
+/** @param {Api["Reason"]} r */
 export function reasonItem(r, key = `reason.${r.code}`) {
   const known = ours(key), [text, fix] = known ? [t(key, r.values), t(`${key}.fix`, r.values)] : [sentence(r.text), r.fix];
   return el("li", { lang: known ? null : "en" }, [el("b", {}, text), t("ready.todo", { fix })]);
@@ -18,6 +19,7 @@ export function whyNot(error) {
   if (!(error instanceof Problem)) return t("page.silent");
   return has(keyOf(error)) ? t(keyOf(error)) : error.message;
 }
+/** @param {Problem} problem */
 export function refused(problem) {
   const key = keyOf(problem);
   if (!ours(key)) return [problem.message];
@@ -27,6 +29,7 @@ export function refused(problem) {
 }
 
 // Why a run ended early. A stopped one has its one action beside it; two that differ are none.
+/** @param {Run} run */
 export function ended(run) {
   const stop = run.stopped, { code, text, fix } = run.error, said = stop?.reason ?? text;
   const key = stop ? `halt.${stop.code}` : `error.${code}`;

@@ -5,6 +5,8 @@ import { english, has, phase, t } from "./texts.js";
 
 const HERE = { gentler: "stopped.gentler", as_planned: "stopped.as_planned", start_again: "stopped.start_again" };
 
+/** @param {Run} run
+ * @param {Cell | null} cell */
 export function showStopped(run, cell, again) {
   const s = run.stopped;
   $("stopped").hidden = !s;
@@ -24,6 +26,8 @@ export function showStopped(run, cell, again) {
   trace(s, cell);
 }
 
+/** @param {Api["StoppedView"]} s
+ * @param {Cell | null} cell */
 function trace(s, cell) {
   const axis = s.axis ?? busiest(s.trace), times = s.trace?.time_s ?? [], pictures = [];
   const limits = (cell?.limits ?? []).find((l) => l.axis === axis);

@@ -3,9 +3,12 @@ import { get } from "./api.js";
 
 const EVERY_MS = 1000, BUSY_MS = 400, PATIENCE_MS = 3000, QUIET_S = 5;
 const BUSY = ["queued", "checking", "awaiting_arm", "running", "analysing"], TROUBLE = ["stopped", "failed", "interrupted"];
+/** @type {{ cells: Now[], heard: number, failure: Error | null }} */
 export const known = { cells: [], heard: Date.now(), failure: null };
 export const find = (cell) => known.cells.find((c) => c.cell === cell);
+/** @param {Now} c */
 export const busy = (c) => BUSY.includes(c.state);
+/** @param {Now} c */
 export const troubled = (c) => TROUBLE.includes(c.state);
 export const age = () => (Date.now() - known.heard) / 1000;
 // Beyond this nothing is known of any cell.

@@ -1,0 +1,1 @@
+"""Simulators of other hands: what they get wrong on a recording, and their corrected copies."""

@@ -1,0 +1,197 @@
+"""An FMU (FMI 2 or 3, co-simulation) as a simulator: torques in, positions out, driven by fmpy.
+
+Axis A1 is the input ``A1``, ``A1.torque`` or ``torque.A1``, the output ``A1.position`` or ``position.A1``;
+without such names inputs and outputs stand in the order of the axes. An output of the velocity is used where
+there is one, else differences of the position. Parameters named as an invid model's (``A1.mass.1``) are read
+and corrected.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Slave
+
+from invid.errors import InputError
+from invid.exchange.linear_plant import effect_name
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, Model, parameter_vector, save_text
+from invid.numerics.arrays import Float64
+from invid.simulators.guided import GUIDE, Guided, Tie
+
+LARGEST_STEP = 0.2
+"""Rate of the guide times the communication step: the guide sees the motion as it was a step ago."""
+TRIED = 1e-3
+"""Seconds of the steps from which the inertia that a motor shows is taken."""
+
+
+class FmuSimulator:
+    """One FMU, unpacked; ``values`` of its parameters by name in place of its own."""
+
+    restarts = False
+
+    def __init__(self, path: Path, axes: tuple[str, ...], values: Mapping[str, float] | None = None) -> None:
+        self.path, self.axes = str(path), axes
+        try:
+            self.description: Any = fmpy.read_model_description(str(path), validate=False)
+        except Exception as error:
+            raise InputError(f"{path}: no FMU that fmpy reads: {error}") from None
+        if self.description.coSimulation is None:
+            raise InputError(f"{path}: is for model exchange alone; --against takes FMUs for co-simulation")
+        self.engine = f"FMI {self.description.fmiVersion} by fmpy {fmpy.__version__}"
+        variables = {v.name: v for v in self.description.modelVariables}
+        self.inputs = self._found(variables, "input", "torque")
+        self.outputs = self._found(variables, "output", "position")
+        self.velocities = self._found(variables, "output", "velocity", needed=False)
+        self.parameters = {n: v for n, v in variables.items() if v.causality == "parameter"}
+        self.values = dict(values or {})
+        self.folder = fmpy.extract(str(path), tempfile.mkdtemp(prefix="invid-fmu-"))
+        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+
+    def _found(
+        self, variables: Mapping[str, Any], causality: str, what: str, *, needed: bool = True
+    ) -> list[Any]:
+        here = [v for v in variables.values() if v.causality == causality]
+        real = [v for v in here if v.type.startswith(("Real", "Float"))]
+        named = [[v for v in real if v.name in (f"{a}.{what}", f"{what}.{a}", a)] for a in self.axes]
+        if all(named):
+            return [n[0].valueReference for n in named]
+        if needed and len(real) == len(self.axes):
+            return [v.valueReference for v in real]
+        if not needed:
+            return []
+        raise InputError(
+            f"{self.path}: no {causality} for the {what} of every axis ({', '.join(self.axes)}); it has "
+            f"{', '.join(v.name for v in real) or 'none'}: name them AXIS.{what}"
+        )
+
+    def claimed(self) -> Model | None:
+        """The chains that its parameters are, where they are named as an invid model's."""
+        known = {n: self.values.get(n, float(v.start or 0.0)) for n, v in self.parameters.items()}
+
+        def row(axis: str, kind: str) -> list[float]:
+            numbers: list[float] = []
+            while f"{axis}.{kind}.{len(numbers) + 1}" in known:
+                numbers.append(known[f"{axis}.{kind}.{len(numbers) + 1}"])
+            return numbers
+
+        masses = [row(a, "mass") for a in self.axes]
+        springs, dampers = ([row(a, kind) for a in self.axes] for kind in ("spring", "damper"))
+        if not all(masses) or any(len(k) != len(m) - 1 for k, m in zip(springs, masses, strict=True)):
+            return None
+        couplings = np.zeros((len(self.axes),) * 2)
+        for i, a in enumerate(self.axes):
+            for j, b in enumerate(self.axes):
+                couplings[i, j] = known.get(f"{a}-{b}.coupling", known.get(f"{b}-{a}.coupling", 0.0))
+        np.fill_diagonal(couplings, 0.0)
+        chains = CoupledChains.build(masses, springs, dampers, couplings, axes=self.axes)
+        name = self.description.modelName
+        return Model(robot=name, method="fmu", chains=chains, std=ChainStd.unknown(chains))
+
+    def guide(self, given: Guided, start: Float64 | None) -> tuple[Float64, Tie]:
+        """See ``Simulator.guide``; the guide is closed between steps, from the FMU's own start."""
+        rate = 2 * np.pi * GUIDE * given.high
+        tie = Tie.of(self._inertia(), rate)
+        every, torque, position, velocity = given.fine(LARGEST_STEP / rate, torque=0.5)
+        step = given.interval / every
+        force = np.zeros_like(given.torque)
+        with _Running(self) as run:
+            q = run.read(self.outputs)
+            zero = q - position[0]  # it starts where it starts: only differences count
+            v = np.zeros(q.size)
+            for k in range(torque.shape[0] - 1):
+                e = tie.stiffness * (position[k] + zero - q) + tie.damping * (velocity[k] - v)
+                if k % every == 0:
+                    force[k // every] = e
+                run.step(torque[k] + e, k * step, step)
+                before, q = q, run.read(self.outputs)
+                v = run.read(self.velocities) if self.velocities else (q - before) / step
+        if not np.isfinite(force).all():
+            raise InputError(f"{self.path}: the simulation of experiment {given.key} runs away")
+        return force, replace(tie, late=0.5 * step)
+
+    def _inertia(self) -> Float64:
+        """(M,) inertia of each motor in a first short moment: torque over acceleration."""
+        out = np.zeros(len(self.axes))
+        for i in range(out.size):
+            with _Running(self) as run:
+                before = run.read(self.outputs)[i]
+                torque = np.zeros(out.size)
+                torque[i] = 1.0
+                for k in range(10):
+                    run.step(torque, k * TRIED / 10, TRIED / 10)
+                out[i] = TRIED**2 / (2.0 * (run.read(self.outputs)[i] - before))
+        if not (np.isfinite(out) & (out > 0.0)).all():
+            raise InputError(
+                f"{self.path}: its positions do not follow its torques: {out.tolist()} kg·m² or kg"
+            )
+        return out
+
+    def corrected(self, model: Model, to: Path) -> tuple[FmuSimulator, Sequence[str]]:
+        """Start values of its parameters as JSON: nobody can change an FMU's equations from outside."""
+        names, numbers = parameter_vector(model.chains)
+        values = {n: float(x) for n, x in zip(names, numbers, strict=True) if n in self.parameters}
+        lost = [f"{n}, which is no parameter of the FMU" for n in names if n not in values]
+        lost += [effect_name(t) for t in model.effects]
+        document = {"format": "invid-fmu-parameters", "fmu": Path(self.path).name, "start_values": values}
+        save_text(to, json.dumps({**document, "cannot_hold": lost}, indent=1, ensure_ascii=False))
+        return FmuSimulator(Path(self.path), self.axes, values), lost
+
+
+class _Running:
+    """An instance of the FMU between set-up and end."""
+
+    def __init__(self, simulator: FmuSimulator) -> None:
+        self.simulator = simulator
+        self.is_two = simulator.description.fmiVersion.startswith("2")
+
+    def __enter__(self) -> _Running:
+        s = self.simulator
+        made = FMU2Slave if self.is_two else FMU3Slave
+        self.slave = made(
+            guid=s.description.guid, unzipDirectory=s.folder, instanceName="invid",
+            modelIdentifier=s.description.coSimulation.modelIdentifier,
+        )  # fmt: skip
+        self.slave.instantiate()
+        if self.is_two:
+            self.slave.setupExperiment(startTime=0.0)
+        known = [(s.parameters[n].valueReference, v) for n, v in s.values.items()]
+        if known and self.is_two:
+            self._write([k for k, _ in known], [v for _, v in known])
+        self.slave.enterInitializationMode()
+        if known and not self.is_two:
+            self._write([k for k, _ in known], [v for _, v in known])
+        self.slave.exitInitializationMode()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.slave.terminate()
+        self.slave.freeInstance()
+
+    def _write(self, references: list[int], values: Sequence[float]) -> None:
+        (self.slave.setReal if self.is_two else self.slave.setFloat64)(references, list(values))
+
+    def read(self, references: list[int]) -> Float64:
+        """Values of outputs."""
+        read = self.slave.getReal if self.is_two else self.slave.getFloat64
+        return np.array(read(references), dtype=float)
+
+    def step(self, torque: Float64, now: float, step: float) -> None:
+        """One communication step with the torques held over it."""
+        self._write(self.simulator.inputs, torque.tolist())
+        self.slave.doStep(currentCommunicationPoint=now, communicationStepSize=step)
+
+
+def opened(path: Path, axes: tuple[str, ...]) -> FmuSimulator:
+    """The simulator."""
+    return FmuSimulator(path, axes)

@@ -1,0 +1,302 @@
+"""A simulator guided along a recorded motion: the torque that its guide adds is what it misses.
+
+Driven by the recorded torque alone every simulator of a free axis drifts away, a right one too: it
+integrates each error twice. So it is given the recorded torque T and a guide that holds each motor to its
+recorded motion θ,
+
+    T_sim = T + e,   e = k (θ − θ_sim) + d (θ̇ − θ̇_sim),
+
+well above the excited band. What the simulator stays behind, e/(k + jωd), would have asked its dynamic
+stiffness Z for more: ê = e + Z e/(k + jωd) is the torque that the motors would still need for the measured
+motion. It has the unit and the meaning of the diagnosis' residual, and any engine that takes torques and
+gives positions can be judged by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import CubicSpline, make_interp_spline
+
+from invid.model.document import Model
+from invid.model.forward import dynamic_stiffness
+from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.recording.model import Experiment
+from invid.signals.noise import quiet_power
+from invid.signals.timebase import resample_uniformly
+from invid.simulation.laws import Laws
+from invid.simulation.plant import matrices
+from invid.simulation.rigid import time_offsets
+
+BANDS = 6
+"""Bands in which the missing torque is told, evenly spaced in the logarithm of frequency."""
+BEYOND_BAND = 2.0
+"""The guide follows the motion up to this multiple of the band's top: above is the encoder's noise."""
+GUIDE = 5.0
+"""The guide's natural frequency over the band's top at least."""
+CARRIED = 0.999
+"""Share of the torque's power below the band's top, in records that name no lines."""
+WARM_UP = 1.0
+"""Seconds at the first position before a record that begins at rest: the load comes to rest as well."""
+EARLY = 4.0
+"""Cycles of the slowest free motion from which the start is estimated: later a nonlinear spring has turned
+it."""
+STARTS = 6
+"""Runs of an engine a record at most, to find where the inner masses began."""
+AT_REST = 0.01
+"""Speed over the largest one below which a record begins at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Guided:
+    """Inputs of one experiment: ``torque`` and ``position`` (n, M) at the samples.
+
+    ``lead`` samples stand before the record; ``low``, ``high`` [Hz] is the band that is judged.
+    """
+
+    key: str
+    interval: float
+    lead: int
+    torque: Float64
+    position: Float64
+    low: float
+    high: float
+    noise: tuple[Float64, Float64]
+    """Variances a sample of torque and position (M,), from above the band."""
+
+    def fine(
+        self, step: float, *, torque: float = 0.0, speed: float = 0.0
+    ) -> tuple[int, Float64, Float64, Float64]:
+        """Steps a sample, then torque, position and velocity on the simulator's steps.
+
+        Two are read so many steps on: a torque that an engine holds over each half a step, the velocity where
+        the engine's own stands.
+        """
+        every = max(1, int(np.ceil(self.interval / step - 1e-9)))
+        t = np.arange(self.torque.shape[0]) * self.interval
+        at, one = np.arange((t.size - 1) * every + 1) * self.interval / every, self.interval / every
+        # Quintic: the acceleration of a cubic one is (ωh)²/12 too large at the samples, where it is read.
+        motion = make_interp_spline(t, self.position, k=5)
+        held, now = (np.clip(at + x * one, 0.0, t[-1]) for x in (torque, speed))
+        return every, CubicSpline(t, self.torque)(held), motion(at), motion(now, 1)
+
+    def missing(self, guide: Float64, tie: Tie, plant: Model) -> tuple[Complex128, Float64]:
+        """(F, M) spectrum of the missing torque of a guide's torque (n, M); rms² is its sum of squares.
+
+        With it (2, inner masses): how far the inner positions and velocities began from the machine's.
+
+        Where the inner masses began nobody measured: their free motion behind held motors, by the chains of
+        ``plant``, is taken out.
+        """
+        omega = 2 * np.pi * self.frequencies
+        z = dynamic_stiffness(plant.chains, omega)
+        own = self._spectrum(guide[self.lead :])
+        away = own / (tie.stiffness + 1j * omega[:, None] * tie.damping)
+        found = own * np.exp(-1j * omega[:, None] * tie.late) + np.einsum("fij,fj->fi", z, away)
+        free, slowest = _free_motion(plant, self.interval, guide.shape[0] - self.lead)
+        if not free.shape[0]:
+            return found, np.zeros((2, 0))
+        # Times t as well: an engine's modes decay and turn a little otherwise than the chains'.
+        both = np.concatenate([free, free * np.linspace(0.0, 1.0, free.shape[1])[:, None]])
+        left, _ = _without(found, [self._spectrum(f) for f in both])
+        first = min(free.shape[1], round(EARLY / slowest / self.interval))
+        fall = np.cos(0.5 * np.pi * np.linspace(0.0, 1.0, first)) ** 2
+        early = [self._early(f[:first], fall) for f in (guide[self.lead :], *free)]
+        _, began = _without(early[0], early[1:])
+        return left, began.reshape(2, -1)
+
+    def _early(self, x: Float64, fall: Float64) -> Complex128:
+        hz = np.fft.rfftfreq(fall.size, self.interval).astype(np.float64)
+        out: Complex128 = np.fft.rfft(x * fall[:, None], axis=0)[self._inside(hz)]
+        return out
+
+    @property
+    def frequencies(self) -> Float64:
+        """(F,) [Hz], the whole band."""
+        hz = np.fft.rfftfreq(self.torque.shape[0] - self.lead, self.interval).astype(np.float64)
+        out: Float64 = hz[self._inside(hz)]
+        return out
+
+    def _inside(self, hz: Float64) -> Bool:
+        out: Bool = (hz >= 0.999 * self.low) & (hz <= 1.001 * self.high)
+        return out
+
+    def _spectrum(self, x: Float64) -> Complex128:
+        window = np.hanning(x.shape[0])
+        hz = np.fft.rfftfreq(x.shape[0], self.interval).astype(np.float64)
+        scale = np.sqrt(2.0 / x.shape[0] / (window**2).sum())
+        out: Complex128 = np.fft.rfft(x * window[:, None], axis=0)[self._inside(hz)] * scale
+        return out
+
+    def floor(self, model: Model) -> Float64:
+        """(F, M) power that the noise of torque and encoder leaves a line, through the plant of ``model``."""
+        torque, position = self.noise
+        z = np.abs(dynamic_stiffness(model.chains, 2 * np.pi * self.frequencies)) ** 2
+        return np.asarray(2.0 / (self.torque.shape[0] - self.lead) * (torque + z @ position))
+
+
+@dataclass(frozen=True, eq=False)
+class Tie:
+    """Stiffness and damping of a guide (M,), and how much later it acts than it is read [s]."""
+
+    stiffness: Float64
+    damping: Float64
+    late: float = 0.0
+
+    @classmethod
+    def of(cls, mass: Float64, rate: float) -> Tie:
+        """Natural frequency ``rate`` [rad/s] on these inertias, critically damped."""
+        return cls(mass * rate**2, 2.0 * mass * rate)
+
+
+def _without(x: Complex128, columns: Sequence[Complex128]) -> tuple[Complex128, Float64]:
+    """A spectrum (F, M) less its projection on others, and the real shares of these."""
+    flat = np.stack([np.concatenate([c.real.ravel(), c.imag.ravel()]) for c in (x, *columns)], axis=1)
+    size = np.maximum(np.linalg.norm(flat[:, 1:], axis=0), 1e-300)
+    share = np.linalg.lstsq(flat[:, 1:] / size, flat[:, 0], rcond=1e-9)[0]
+    left = flat[:, 0] - flat[:, 1:] / size @ share
+    return (left[: x.size] + 1j * left[x.size :]).reshape(x.shape), share / size
+
+
+def _free_motion(plant: Model, interval: float, count: int) -> tuple[Float64, float]:
+    """(2 inner masses, count, M): torque on held motors after a unit of each inner position and velocity; the
+    lowest frequency in it [Hz]."""
+    made = matrices(plant.chains, Laws())
+    motors = plant.chains.motor_dofs
+    inner = np.setdiff1d(np.arange(made.mass.shape[0]), motors)
+    n = inner.size
+    if not n:
+        return np.zeros((0, count, motors.size)), np.inf
+    here, to = np.ix_(inner, inner), np.ix_(motors, inner)
+    away = np.linalg.inv(made.mass[here])
+    rate = np.zeros((2 * n, 2 * n))
+    rate[:n, n:] = np.eye(n)
+    rate[n:, :n], rate[n:, n:] = -away @ made.stiffness[here], -away @ made.damping[here]
+    value, vector = np.linalg.eig(rate)
+    decay = np.exp(np.outer(np.arange(count) * interval, value))
+    pull = np.hstack([made.stiffness[to], made.damping[to]]) + made.mass[to] @ rate[n:]
+    weight = np.linalg.inv(vector)
+    modes = pull @ vector
+    out = np.stack([((decay * weight[:, k]) @ modes.T).real for k in range(2 * n)])
+    return np.asarray(out), float(np.abs(value).min() / (2.0 * np.pi))
+
+
+class Simulator(Protocol):
+    """A simulator of any engine."""
+
+    path: str
+    engine: str
+    """Its engine with the version: "MuJoCo 4.0.0"."""
+    restarts: bool
+    """Whether its inner masses can be started anywhere."""
+
+    def claimed(self) -> Model | None:
+        """What it says of the plant, as chains and effects; ``None`` where it is no chain of masses."""
+
+    def guide(self, given: Guided, start: Float64 | None) -> tuple[Float64, Tie]:
+        """(n, M) torque of the guide at the samples, by the engine, and the guide's numbers.
+
+        ``start`` (2, inner masses): positions and velocities of the inner masses beyond those of their motor,
+        for an engine that can be started anywhere.
+        """
+
+    def corrected(self, model: Model, to: Path) -> tuple[Simulator, Sequence[str]]:
+        """Writes a copy that says what ``model`` says; with it what its format cannot hold, in sentences."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """What the identification found of the torque's samples (M,): they act ``later`` [s], and a share
+    ``held`` of each stands until the next."""
+
+    later: Float64
+    held: Float64
+
+    @classmethod
+    def of(cls, model: Model) -> Sampling:
+        """As the model's fit reports it; nothing where it does not."""
+        offsets, shares = time_offsets(model), model.fit.get("held_over_sample") or {}
+        held = [shares.get(f"{a}.held_over_sample", {}).get("value", 0.0) for a in model.axes]
+        return cls(np.array([offsets.get(i, 0.0) for i in range(len(model.axes))]), np.clip(held, 0.0, 1.0))
+
+
+def guided(experiment: Experiment, sampling: Sampling, count: Float64 | None = None) -> Guided:
+    """Inputs for a simulator from one experiment; ``count`` (M,) [rad or m] of the encoders, where known."""
+    e = resample_uniformly(experiment)
+    interval = e.step
+    low, high = _band(experiment, e.torque, interval)
+    t = np.arange(e.samples) * interval
+    later = [
+        CubicSpline(t, c)(np.clip(t - o, 0.0, t[-1])) for c, o in zip(e.torque.T, sampling.later, strict=True)
+    ]
+    torque = np.stack(later, axis=1)
+    # A staircase over the step h has lost (ωh)²/24 of a sine, as second differences take it.
+    torque[1:-1] += sampling.held / 24.0 * np.diff(torque, 2, axis=0)
+    noise = _noise(e.torque, interval, high), _noise(e.position, interval, high)
+    if count is not None:
+        noise = noise[0], np.maximum(noise[1], np.nan_to_num(count) ** 2 / 12.0)
+    position = _smooth(e.position, interval, BEYOND_BAND * high)
+    speed = np.abs(np.diff(position, axis=0))
+    lead = round(WARM_UP / interval) if (speed[:3] < AT_REST * speed.max(axis=0)).all() else 0
+    torque, position = (np.concatenate([np.repeat(x[:1], lead, axis=0), x]) for x in (torque, position))
+    return Guided(experiment.key, interval, lead, torque, position, low, high, noise)
+
+
+def missing_torque(simulator: Simulator, given: Guided, plant: Model) -> Complex128:
+    """(F, M) spectrum of what a simulator misses on one record.
+
+    A nonlinear spring turns a wrong start into more than free motion of chains, so the simulator is started
+    anew where the inner masses seem to have been, as long as that leaves less.
+    """
+    start: Float64 | None = None
+    least = np.inf
+    best: Complex128 | None = None
+    for _ in range(STARTS):
+        found, away = given.missing(*simulator.guide(given, start), plant)
+        size = float(np.linalg.norm(found))
+        if best is None or size < least:
+            best = found
+        if not simulator.restarts or given.lead or not away.size or not size < 0.95 * least:
+            break
+        least, start = size, (np.zeros_like(away) if start is None else start) - away
+    assert best is not None  # noqa: S101 - STARTS is above zero
+    return best
+
+
+def _band(experiment: Experiment, torque: Float64, interval: float) -> tuple[float, float]:
+    """What the record excites [Hz]."""
+    lines = experiment.frequencies_hz[experiment.frequencies_hz > 0]
+    nyquist, duration = 0.5 / interval, torque.shape[0] * interval
+    if lines.size:
+        return float(lines.min()), min(float(lines.max()), 0.4 * nyquist)
+    window = np.hanning(torque.shape[0])[:, None]
+    power = np.abs(np.fft.rfft((torque - torque.mean(axis=0)) * window, axis=0)) ** 2
+    share = (power / np.maximum(power.sum(axis=0), 1e-300)).sum(axis=1)
+    hz = np.fft.rfftfreq(torque.shape[0], interval)
+    top = float(hz[np.searchsorted(np.cumsum(share) / share.sum(), CARRIED)])
+    return 2.0 / duration, float(np.clip(top, 10.0 / duration, 0.2 * nyquist))
+
+
+def _smooth(position: Float64, interval: float, top: float) -> Float64:
+    """The motion without what lies above ``top`` [Hz], with no phase; as it was at its very ends, where the
+    mirror has a kink."""
+    count = position.shape[0]
+    line = np.linspace(0.0, 1.0, count)[:, None] * (position[-1] - position[0]) + position[0]
+    odd = np.concatenate([position - line, -(position - line)[::-1]])
+    gain = np.clip((1.5 * top - np.fft.rfftfreq(2 * count, interval)) / (0.5 * top), 0.0, 1.0)[:, None]
+    smooth = np.fft.irfft(np.fft.rfft(odd, axis=0) * gain, 2 * count, axis=0)[:count] + line
+    t = np.arange(count) * interval
+    inside = np.clip(np.minimum(t, t[::-1]) * top / 4.0, 0.0, 1.0)[:, None]
+    return np.asarray(position + (3.0 - 2.0 * inside) * inside**2 * (smooth - position))
+
+
+def _noise(x: Float64, interval: float, high: float) -> Float64:
+    """(M,) variance a sample of white noise, from the quiet half of the spectrum above twice the band."""
+    window, hz = np.hanning(x.shape[0]), np.fft.rfftfreq(x.shape[0], interval)
+    spectrum = np.asarray(np.fft.rfft(x * window[:, None], axis=0), dtype=np.complex128)
+    power, _ = quiet_power(spectrum, hz > min(2.5 * high, 0.8 * hz[-1]))
+    return power / float((window**2).sum())

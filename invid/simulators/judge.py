@@ -1,0 +1,216 @@
+"""A user's simulator against a recording: what it gets wrong, what it lacks, its corrected copy and the gain.
+
+The diagnosis says what the machine is, the simulator's file what it claims; where they differ beyond the
+uncertainty a number is wrong, and a cause that the file does not have is missing. How much that matters is
+measured by the simulator's own engine, before and after, on records kept out of the diagnosis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from invid.exchange.linear_plant import effect_name
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import EffectTerm, Estimate, Model, effect_to_json, linear_parameters
+from invid.numerics.arrays import Float64
+from invid.recording.model import Experiment, Recording, Role
+from invid.simulators.guided import BANDS, Guided, Sampling, Simulator, guided, missing_torque
+
+RIGHT = 1.2
+"""Missing torque over its floor up to which a simulator is right: the diagnosis' own."""
+FALSE_ALARMS = 0.01
+"""Probability that one of all numbers of a right simulator is called wrong."""
+AT_LEAST = 0.01
+"""Relative difference below which a number is not called wrong: an engine's steps and solver are worth as
+much."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Missing:
+    """Spectra of the missing torque of each held-out record, and the floors' powers."""
+
+    records: list[Guided]
+    spectra: list[Any]
+    floors: list[Float64]
+
+    def rms(self, axis: int, low: float = 0.0, high: float = math.inf) -> tuple[float, float]:
+        """Rms and floor of one axis over a band, mean over the records."""
+        power, floor = [], []
+        for g, x, f in zip(self.records, self.spectra, self.floors, strict=True):
+            inside = (g.frequencies >= low) & (g.frequencies < high)
+            power.append(float((np.abs(x[inside, axis]) ** 2).sum()))
+            floor.append(float(f[inside, axis].sum()))
+        return math.sqrt(np.mean(power)), math.sqrt(np.mean(floor))
+
+
+def judge(
+    recording: Recording, diagnosis: Diagnosis, simulator: Simulator, corrected: Path | None = None
+) -> dict[str, Any]:
+    """The entry ``against`` of a diagnosis document; ``corrected``: where the corrected copy goes."""
+    model = diagnosis.model
+    held, warnings = _held_out(recording)
+    records = [guided(e, Sampling.of(model), recording.encoder_resolution) for e in held]
+    before = _missing(simulator, records, model)
+    claimed = simulator.claimed()
+    parameters, missing = ([], list(model.effects)) if claimed is None else _differences(claimed, model)
+    cannot_hold: Sequence[str] = ()
+    after, written = None, None
+    right = all(_at_floor(before, i) for i in range(recording.axis_count))
+    if corrected is not None and not right:
+        copy, cannot_hold = simulator.corrected(model, corrected)
+        after, written = _missing(copy, records, model), str(corrected)
+    axes = [_axis_rows(recording, i, before, after) for i in range(recording.axis_count)]
+    out: dict[str, Any] = {
+        "simulator": simulator.path,
+        "engine": simulator.engine,
+        "right": right,
+        "parameters": [] if right else parameters,
+        "missing": [] if right else [effect_to_json(t) for t in missing],
+        "held_out": {k: _whole(axes, k) for k in ("before", "after", "noise_floor")},
+        "axes": axes,
+        "experiments": [g.key for g in records],
+        "corrected": written,
+        "cannot_hold": list(cannot_hold),
+        "warnings": warnings,
+    }
+    out["sentences"] = _sentences(out, missing if not right else [], claimed, diagnosis)
+    return out
+
+
+def _held_out(recording: Recording) -> tuple[list[Experiment], list[str]]:
+    held = list(recording.with_role(Role.VALIDATE))
+    if held:
+        return held, []
+    last = recording.experiments[-1:]
+    return list(last), [
+        "no record is for validation alone: the simulator is judged on the last one, which the "
+        "diagnosis has seen"
+    ]
+
+
+def _missing(simulator: Simulator, records: list[Guided], model: Model) -> _Missing:
+    plant = simulator.claimed() or model
+    spectra = [missing_torque(simulator, g, plant) for g in records]
+    return _Missing(records, spectra, [g.floor(model) for g in records])
+
+
+def _at_floor(m: _Missing, axis: int) -> bool:
+    rms, floor = m.rms(axis)
+    return rms <= RIGHT * floor
+
+
+def _axis_rows(recording: Recording, i: int, before: _Missing, after: _Missing | None) -> dict[str, Any]:
+    """Missing torque of one axis, and by band."""
+
+    def row(low: float, high: float) -> dict[str, Any]:
+        rms, floor = before.rms(i, low, high)
+        gained = None if after is None else after.rms(i, low, high)[0]
+        return {"before": rms, "after": gained, "noise_floor": floor}
+
+    low, high = min(g.low for g in before.records), max(g.high for g in before.records)
+    edges = np.geomspace(low, high, BANDS + 1)
+    return {
+        "axis": recording.axes[i],
+        "unit": recording.torque_unit,
+        **row(0.0, math.inf),
+        "bands": [
+            {"from_hz": float(a), "to_hz": float(b), **row(a, b * (1.0 + 1e-6 * (b == edges[-1])))}
+            for a, b in pairwise(edges)
+        ],
+    }
+
+
+def _whole(axes: list[dict[str, Any]], key: str) -> float | None:
+    """Rms over the axes, each in units of its floor; ``noise_floor`` is then 1."""
+    if any(a[key] is None for a in axes):
+        return None
+    return math.sqrt(np.mean([(a[key] / a["noise_floor"]) ** 2 for a in axes]))
+
+
+def _differences(claimed: Model, model: Model) -> tuple[list[dict[str, Any]], list[EffectTerm]]:
+    """Numbers of the simulator that differ beyond the uncertainty; causes that it lacks."""
+    rows: list[dict[str, Any]] = []
+    theirs = {(p.axes, p.kind, p.number): p.value for p in linear_parameters(claimed)}
+    ours = linear_parameters(model)
+    known = {_place(t): t for t in claimed.effects}
+    tests = len(ours) + sum(len(t.parameters) for t in model.effects if _place(t) in known)
+    limit = float(norm.isf(FALSE_ALARMS / 2 / max(tests, 1)))
+
+    def compared(
+        name: str, given: float, here: Estimate | float, std: float | None, unit: str | None
+    ) -> None:
+        value = float(here if isinstance(here, float) else here.value)
+        away = abs(given - value)
+        beyond = std is not None and away > limit * std and away > AT_LEAST * max(abs(value), abs(given))
+        if beyond:
+            rows.append({"name": name, "simulator": given, "value": value, "std": std, "unit": unit})
+
+    for p in ours:
+        name = " ".join(["-".join(p.axes), p.kind, *([str(p.number)] if p.number else [])])
+        given = theirs.get((p.axes, p.kind, p.number), 0.0)
+        compared(name, given, float(p.value), None if math.isnan(p.std) else p.std, p.unit)
+    missing = []
+    for term in model.effects:
+        there = known.get(_place(term))
+        if there is None or term.cause != there.cause:
+            missing.append(term)
+            continue
+        for name, estimate in term.parameters.items():
+            if name in there.parameters:
+                words = " ".join(x for x in (term.axis, term.element, term.cause, name) if x)
+                compared(words, there.parameters[name].value, estimate, estimate.std, estimate.unit)
+    found = {_place(t) for t in model.effects}
+    for term in claimed.effects:
+        if _place(term) not in found:
+            words = " ".join(x for x in (term.axis, term.element, term.cause) if x)
+            name, estimate = next(iter(term.parameters.items()))
+            rows.append(
+                {"name": f"{words} {name}", "simulator": estimate.value, "value": 0.0, "std": None,
+                 "unit": estimate.unit}
+            )  # fmt: skip
+    return rows, missing
+
+
+def _place(term: EffectTerm) -> tuple[str | None, ...]:
+    return term.cause, term.axis, term.element or "mass 1", term.other_axis
+
+
+def _sentences(
+    out: dict[str, Any], missing: list[EffectTerm], claimed: Model | None, diagnosis: Diagnosis
+) -> list[str]:
+    name = Path(out["simulator"]).name
+    before, after = out["held_out"]["before"], out["held_out"]["after"]
+    if out["right"]:
+        return [f"{name} is right on this recording: it misses {before:.2g} times what noise leaves."]
+    lines = [f"{name} misses {before:.3g} times the torque that noise leaves, run by {out['engine']}."]
+    for a in out["axes"]:
+        worst = max(a["bands"], key=lambda b: b["before"])
+        if a["before"] > RIGHT * a["noise_floor"]:
+            lines.append(
+                f"Axis {a['axis']}: {a['before']:.3g} {a['unit']} missing (noise {a['noise_floor']:.2g}), "
+                f"most of it between {worst['from_hz']:.2g} and {worst['to_hz']:.2g} Hz."
+            )
+    if claimed is None:
+        lines.append(
+            "Its joints are no chains of masses and springs: its numbers were not compared one by one."
+        )
+    for p in out["parameters"]:
+        spread = "" if p["std"] is None else f" ± {p['std']:.2g}"
+        lines.append(
+            f"{p['name']}: {p['simulator']:.4g}, measured {p['value']:.4g}{spread} {p['unit'] or ''}."
+        )
+    lines += [f"It lacks {effect_name(t)}." for t in missing]
+    if after is not None:
+        lines.append(f"The corrected copy {out['corrected']} misses {after:.3g} times what noise leaves.")
+    lines += [f"It cannot hold {x}." for x in out["cannot_hold"]]
+    if diagnosis.unexplained is not None:
+        lines.append("What is left has no name: see the diagnosis.")
+    return lines

@@ -1,0 +1,390 @@
+"""A MuJoCo XML that says what a model says, by MuJoCo's own elements.
+
+Inertia goes to bodies and to the joints' armature (and to tendons' where links are coupled that no body
+couples); springs and dampers to the elements that were read; each effect, by the elements of the simulation
+that it consists of, to the element of MuJoCo that has the same law. A place that is no single joint is a
+tendon along x_a − x_b.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from invid.effects.elements import (
+    AddedDamper,
+    AddedMass,
+    AddedSpring,
+    Element,
+    ForceLaw,
+    Law,
+    StaticLaw,
+    TorqueChannel,
+)
+from invid.errors import InputError, ModelError
+from invid.exchange.linear_plant import effect_name
+from invid.model.document import Model
+from invid.numerics.arrays import Float64
+from invid.simulation.laws import elements_of
+from invid.simulators.mujoco_plant import (
+    HIDDEN,
+    Handle,
+    MjcfPlant,
+    damping_of,
+    handles_between,
+    mass_matrix,
+    steps_of,
+    stiffness_of,
+)
+
+HARD = (6e-4, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""solref and solimp of dry friction: MuJoCo's default gives way like a viscous damper at low speed."""
+STIFF_BRISTLE = 1e-4
+"""Deflection [rad or m] at which a bristle slides, for friction with a Stribeck curve and no presliding."""
+_NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
+KEPT = 1e-3
+"""Weight of the inertias as they were beside the ones asked for: it decides between a body and its joint."""
+
+
+class _Copy:
+    """The XML while it is corrected."""
+
+    def __init__(self, plant: MjcfPlant) -> None:
+        self.plant, self.spec, self.lost = plant, plant.spec.copy(), list[str]()
+        self.flat = [k for chain in plant.order for k in chain]
+        self.made: dict[tuple[int, int], Any] = {}
+
+    def coordinate(self, k: int) -> int:
+        """Coordinate of the XML for one of the model."""
+        return -1 if k < 0 else self.flat[k]
+
+    def joints_along(self, a: int, b: int) -> list[tuple[str, float]]:
+        row = self.plant.positions[a] - (self.plant.positions[b] if b >= 0 else 0.0)
+        names = [self.plant.compiled.joint(k).name for k in range(row.size)]
+        return [(n, float(c)) for n, c in zip(names, row, strict=True) if c]
+
+    def tendon(self, a: int, b: int) -> Any:
+        """A tendon more along x_a − x_b."""
+        out = self.spec.add_tendon(name=f"{self.plant.axes[0]} {len(self.spec.tendons)} corrected")
+        for joint, coefficient in self.joints_along(a, b):
+            out.wrap_joint(joint, coefficient)
+        return out
+
+    def place(self, a: int, b: int) -> Any:
+        """The joint that is x_a itself, else a tendon along x_a − x_b, the same for all that lies there."""
+        along = self.joints_along(a, b)
+        if len(along) == 1 and along[0][1] == 1.0:
+            return self.spec.joint(along[0][0])
+        if (a, b) not in self.made:
+            self.made[a, b] = self.tendon(a, b)
+        return self.made[a, b]
+
+    def element(self, h: Handle) -> Any:
+        return self.spec.joint(h.name) if h.kind == "joint" else self.spec.tendon(h.name)
+
+    def actuator(self, at: Any, name: str) -> Any:
+        """An actuator without input on a joint or tendon."""
+        is_joint = isinstance(at, mujoco.MjsJoint)
+        kind = mujoco.mjtTrn.mjTRN_JOINT if is_joint else mujoco.mjtTrn.mjTRN_TENDON
+        return self.spec.add_actuator(name=f"{name} {len(self.spec.actuators)}", trntype=kind, target=at.name)
+
+
+def correct(plant: MjcfPlant, model: Model) -> tuple[str, list[str]]:
+    """The corrected XML, and in sentences what MuJoCo cannot hold of the model."""
+    if plant.model is None or plant.model.chains.masses_per_branch != model.chains.masses_per_branch:
+        raise InputError(
+            "the XML's joints and springs are no chains of masses like those identified; it is compared, "
+            "and cannot be corrected"
+        )
+    copy = _Copy(plant)
+    _cleared(copy)
+    _inertia(copy, model)
+    _springs(copy, model)
+    for term in model.effects:
+        try:
+            for element in elements_of(model.chains, term):
+                reason = _write(copy, element)
+                if reason:
+                    copy.lost.append(f"{effect_name(term)}: {reason}")
+        except ModelError as error:
+            copy.lost.append(f"{effect_name(term)}: {error}")
+    copy.spec.compile()
+    return str(copy.spec.to_xml()), copy.lost
+
+
+def _cleared(copy: _Copy) -> None:
+    """Takes out what was read as an effect: the model says it anew, or that it is not there."""
+    spec, m = copy.spec, copy.plant.compiled
+    spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+    for h in copy.plant.handles:
+        if any(k >= 0 and k not in copy.flat for k in (h.a, h.b)):
+            continue
+        e = copy.element(h)
+        if h.b < 0:
+            e.frictionloss, e.damping = 0.0, [0.0, 0.0, 0.0]
+            continue
+        if e.springyield > 0.0:
+            e.stiffness = [0.0, 0.0, 0.0]
+        e.stiffness[1], e.stiffness[2] = 0.0, 0.0
+        if h.kind == "tendon":
+            e.springlength = [float(np.mean(m.tendon_lengthspring[m.tendon(h.name).id]))] * 2
+    for motor in copy.plant.motors:
+        for a in [a for a in spec.actuators if a.target == motor.joint]:
+            if a.biastype == mujoco.mjtBias.mjBIAS_DCMOTOR and a.ctrlspec == _NO_INPUT:
+                spec.delete(a)
+        if motor.actuator:
+            own = spec.actuator(motor.actuator)
+            own.delay, own.nsample, own.dyntype = 0.0, 0, mujoco.mjtDyn.mjDYN_NONE
+
+
+def _inertia(copy: _Copy, model: Model) -> None:
+    """Masses and couplings of the model, by bodies, armatures and tendons' armatures, none below zero."""
+    plant, spec, m = copy.plant, copy.spec, copy.plant.compiled
+    flat, wanted = copy.flat, np.zeros_like(plant.mass)
+    chains = model.chains
+    wanted[flat, flat] = np.concatenate(chains.masses)
+    ends = [chain[-1] for chain in plant.order]
+    wanted[np.ix_(ends, ends)] += chains.couplings
+    goal = plant.positions.T @ wanted @ plant.positions  # of the joints
+    columns, start, names = _inertias(plant)
+    trees = [int(m.body_rootid[m.jnt_bodyid[k]]) for k in range(m.njnt)]
+    for i in range(len(ends)):
+        for j in range(i):
+            a, b = ends[i], ends[j]
+            if trees[a] == trees[b]:
+                for sign in (1.0, -1.0):
+                    row = plant.positions[a] + sign * plant.positions[b]
+                    columns.append(np.outer(row, row))
+                    start.append(0.0)
+                    names.append(("couple", (a, b, sign)))
+            elif chains.couplings[i, j]:
+                share = abs(chains.couplings[i, j]) / math.sqrt(wanted[a, a] * wanted[b, b])
+                if share > 1e-3:
+                    copy.lost.append(
+                        f"coupling {chains.axes[j]}-{chains.axes[i]} ({chains.couplings[i, j]:.4g}): the two "
+                        "links hang on different trees of bodies; hang one on the other"
+                    )
+    scale = np.sqrt(np.outer(goal.diagonal(), goal.diagonal()))
+    rows = np.array([(c / scale).ravel() for c in columns]).T
+    size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    x0 = np.array(start)
+    kept = KEPT * np.diag(size)
+    found = lsq_linear(
+        np.vstack([rows, kept]), np.concatenate([(goal / scale).ravel(), kept @ x0]), (0.0, np.inf)
+    ).x  # fmt: skip
+    left = (rows @ found).reshape(goal.shape) - goal / scale
+    # What keeping the old shares takes from the masses is given back, where there is room.
+    again = lsq_linear(np.vstack([rows, 1e-6 * np.diag(size)]), np.concatenate(
+        [-left.ravel(), np.zeros(size.size)]), (-found, np.inf))  # fmt: skip
+    found = np.maximum(found + again.x, 0.0)
+    left = np.abs((rows @ found).reshape(goal.shape) - goal / scale)
+    for k in np.flatnonzero(left.diagonal() > 1e-3):
+        copy.lost.append(
+            f"inertia at joint {m.joint(int(k)).name}: {left[k, k]:.1%} away, a body is too heavy"
+        )
+    for value, (kind, what) in zip(found, names, strict=True):
+        if kind == "armature":
+            spec.joint(what).armature = value
+        elif kind == "body":
+            body, b = next(x for x in spec.bodies if x.id == what), what
+            body.explicitinertial = True
+            body.mass, body.inertia = float(m.body_mass[b] * value), m.body_inertia[b] * value
+            body.ipos, body.iquat = m.body_ipos[b], m.body_iquat[b]
+            body.fullinertia = [math.nan] * 6
+        elif kind == "tendon":
+            spec.tendon(what).armature = value
+        elif value > 1e-9 * goal.diagonal().max():
+            a, b, sign = what
+            tendon = spec.add_tendon(name=f"couple {a} {b} {'+' if sign > 0 else '-'}")
+            row = plant.positions[a] + sign * plant.positions[b]
+            for k in np.flatnonzero(row):
+                tendon.wrap_joint(m.joint(int(k)).name, float(row[k]))
+            tendon.armature = value
+
+
+def _inertias(plant: MjcfPlant) -> tuple[list[Float64], list[float], list[tuple[str, Any]]]:
+    """The mass matrix of the joints by what makes it: a unit of each armature, each body as it is.
+
+    A body whose weight the engine's gravity sees stays as it is: scaled, it would weigh more.
+    """
+    m = plant.spec.compile()
+    columns, start, names = [], [], []
+    whole = mass_matrix(m)
+    for k in range(m.njnt):
+        unit = np.zeros_like(whole)
+        unit[k, k] = 1.0
+        columns.append(unit)
+        start.append(float(m.dof_armature[k]))
+        names.append(("armature", m.joint(k).name))
+    for t in range(m.ntendon):
+        if m.tendon_armature[t] > 0.0:
+            at = slice(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
+            row = np.zeros(m.nv)
+            row[m.jnt_dofadr[m.wrap_objid[at]]] = m.wrap_prm[at]
+            columns.append(np.outer(row, row))
+            start.append(float(m.tendon_armature[t]))
+            names.append(("tendon", m.tendon(t).name))
+    for b in range(1, m.nbody):
+        other = plant.spec.compile()
+        other.body_mass[b] *= 0.5
+        other.body_inertia[b] *= 0.5
+        mujoco.mj_setConst(other, mujoco.MjData(other))
+        part = 2.0 * (whole - mass_matrix(other))
+        if np.abs(part).max() > 0.0:
+            columns.append(part)
+            start.append(1.0)
+            names.append(("body", b))
+    return columns, start, names
+
+
+def _springs(copy: _Copy, model: Model) -> None:
+    m = copy.plant.compiled
+    for chain, springs, dampers in zip(
+        copy.plant.order, model.chains.springs, model.chains.dampers, strict=True
+    ):
+        for s, (a, b) in enumerate(pairwise(chain)):
+            here = [h for h in copy.plant.handles if {h.a, h.b} == {a, b}]
+            elastic = [h for h in here if stiffness_of(m, h) > 0.0]
+            damped = [h for h in here if damping_of(m, h) > 0.0] or elastic
+            for part, goal, which in ((elastic, springs[s], "stiffness"), (damped, dampers[s], "damping")):
+                for n, h in enumerate(part):  # the first takes all: springs side by side are one
+                    value = [float(goal) / h.scale**2 if n == 0 else 0.0, 0.0, 0.0]
+                    setattr(copy.element(h), which, value)
+
+
+def _write(copy: _Copy, element: Element) -> str:
+    """Puts one element of an effect into the XML; why not, where MuJoCo has none of its law."""
+    match element:
+        case ForceLaw():
+            return _law(copy, element)
+        case AddedDamper(a, b, c):
+            copy.place(copy.coordinate(a), copy.coordinate(b)).damping[0] += c
+        case AddedSpring(a, b, k):
+            at = copy.tendon(copy.coordinate(a), copy.coordinate(b))
+            at.stiffness[0], at.springlength = k, [0.0, 0.0]
+        case AddedMass():
+            _hidden_mass(copy, element)
+        case TorqueChannel():
+            return _torque_channel(copy, element)
+        case StaticLaw():
+            return "MuJoCo has no element of this law"
+        case _:
+            return "MuJoCo has no element for it"
+    return ""
+
+
+def _law(copy: _Copy, law: ForceLaw) -> str:
+    a, b, p = copy.coordinate(law.a), copy.coordinate(law.b), law.parameters
+    match law.law:
+        case Law.DRY:
+            return _dry(copy, a, p)
+        case Law.ONE_SIDED_VISCOUS:
+            copy.place(a, b).damping[0] += 0.5 * (p[0] + p[1])
+            if not math.isclose(p[0], p[1], rel_tol=1e-3):
+                return "viscous friction of the mean of both directions stands in its joint"
+        case Law.SLIDER | Law.PAIR_SLIDER:
+            at = copy.tendon(a, b)
+            at.stiffness[0], at.springyield, at.springlength = p[0], p[1] / p[0], [0.0, 0.0]
+        case Law.SINE:
+            _ripple(copy, a, cogging=[-p[0], p[1], p[2]])
+        case Law.CONSTANT:
+            _constant(copy, a, -p[0])
+        case Law.CUBIC:
+            at = _spring_between(copy, a, b)
+            at[0].stiffness[2] += p[0] / at[1] ** 4
+        case Law.BACKLASH:
+            return _play(copy, a, b, p[0])
+        case _:
+            return "MuJoCo has no element of this law"
+    return ""
+
+
+def _dry(copy: _Copy, a: int, p: Sequence[float]) -> str:
+    """Levels up and down, then excess at rest and its velocity: frictionloss, or LuGre's Stribeck curve."""
+    level, excess = 0.5 * (p[0] + p[1]), 0.5 * (p[2] + p[4]) if len(p) > 4 else 0.0
+    at = copy.place(a, -1)
+    if abs(excess) > 1e-6 * abs(level):
+        bristle = max(level, level + excess) / STIFF_BRISTLE
+        _ripple(copy, a, lugre=[bristle, 0.0, level, level + excess, p[3]])
+    else:
+        at.frictionloss += level
+        at.solref_friction[:], at.solimp_friction[:] = HARD
+    if abs(p[0] - p[1]) > 1e-3 * level:
+        _constant(copy, a, -0.5 * (p[0] - p[1]))
+    return ""
+
+
+def _ripple(copy: _Copy, a: int, **law: list[float]) -> None:
+    actuator = copy.actuator(copy.place(a, -1), "passive")
+    actuator.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, ctrlspec=_NO_INPUT, **law)
+
+
+def _constant(copy: _Copy, a: int, torque: float) -> None:
+    actuator = copy.actuator(copy.place(a, -1), "constant")
+    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm[0], actuator.biasprm[0] = 0.0, torque
+
+
+def _spring_between(copy: _Copy, a: int, b: int) -> tuple[Any, float]:
+    """The element that holds a chain's spring, and its scale."""
+    along = handles_between(copy.plant.handles, a, b)
+    h = next(h for h in along if stiffness_of(copy.plant.compiled, h) > 0.0)
+    return copy.element(h), abs(h.scale)
+
+
+def _play(copy: _Copy, a: int, b: int, half: float) -> str:
+    """A dead band in a tendon; the spring of a joint moves to a tendon for it."""
+    at, scale = _spring_between(copy, a, b)
+    if isinstance(at, mujoco.MjsJoint):
+        tendon = copy.tendon(a, b)
+        tendon.stiffness = list(at.stiffness)
+        at.stiffness = [0.0, 0.0, 0.0]
+        at, scale = tendon, 1.0
+        at.springlength = [0.0, 0.0]
+    middle = float(np.mean(at.springlength)) if at.springlength[0] != -1.0 else 0.0
+    at.springlength = [middle - half * scale, middle + half * scale]
+    return ""
+
+
+def _hidden_mass(copy: _Copy, element: AddedMass) -> None:
+    """A body of its own, tied by a tendon: hung on the link it would load the links before as well."""
+    spec, m = copy.spec, copy.plant.compiled
+    at = copy.coordinate(element.at)
+    kind = int(m.jnt_type[at])
+    gravity = np.array(spec.option.gravity, dtype=float)
+    across = np.eye(3)[int(np.argmin(np.abs(gravity)))]
+    name = f"{HIDDEN} {len(spec.bodies)}"
+    inertia = element.mass if kind == int(mujoco.mjtJoint.mjJNT_HINGE) else 1e-3 * element.mass
+    body = spec.worldbody.add_body(
+        name=name, mass=element.mass, inertia=[inertia] * 3, ipos=[0.0] * 3, explicitinertial=True
+    )
+    body.add_joint(name=name, type=mujoco.mjtJoint(kind), axis=across)
+    tendon = spec.add_tendon(name=f"{name} spring")
+    for joint, coefficient in [(name, -1.0), *copy.joints_along(at, -1)]:
+        tendon.wrap_joint(joint, coefficient)
+    tendon.stiffness[0], tendon.springlength = element.stiffness, [0.0, 0.0]
+    tendon.damping[0] = 2.0 * element.damping_ratio * math.sqrt(element.stiffness * element.mass)
+
+
+def _torque_channel(copy: _Copy, channel: TorqueChannel) -> str:
+    motor = copy.plant.motors[channel.axis]
+    if not motor.actuator:
+        return "no actuator of this motor takes a torque"
+    own = copy.spec.actuator(motor.actuator)
+    if channel.delay < 0.0:
+        return "an actuator cannot act before its control"
+    if channel.delay:
+        own.delay, own.interp = channel.delay, 1
+        own.nsample = steps_of(channel.delay, copy.spec.option.timestep)
+    if channel.lag is not None:
+        own.dyntype, own.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, channel.lag
+    own.gainprm[0] *= channel.gain
+    if channel.limit is not None:
+        own.forcelimited, own.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-channel.limit, channel.limit]
+    return ""

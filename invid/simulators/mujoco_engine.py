@@ -1,0 +1,105 @@
+"""MuJoCo as the engine of a user's XML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from invid.errors import InputError
+from invid.model.document import Model, save_text
+from invid.numerics.arrays import Float64
+from invid.simulators.guided import GUIDE, Guided, Tie
+from invid.simulators.mujoco_correct import correct
+from invid.simulators.mujoco_plant import MjcfPlant, read_plant, steps_of
+
+_IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
+LARGEST_STEP = 0.4
+"""Rate of the guide times the step: with an explicit step a critically damped guide is stable up to 0.8. Up
+to here the step is the XML's own: implicit damping adds damping times step to every inertia."""
+
+
+class MujocoSimulator:
+    """An XML whose actuators drive the recorded axes, one a motor."""
+
+    restarts = True
+
+    def __init__(self, path: Path, axes: tuple[str, ...]) -> None:
+        self.path = str(path)
+        self.engine = f"MuJoCo {mujoco.__version__}"
+        self.axes = axes
+        try:
+            self.plant: MjcfPlant = read_plant(mujoco.MjSpec.from_file(str(path)), axes, self.path)
+        except (ValueError, mujoco.FatalError) as error:
+            raise error if isinstance(error, InputError) else InputError(f"{path}: {error}") from None
+
+    def claimed(self) -> Model | None:
+        """The chains and effects that the XML's elements are."""
+        return self.plant.model
+
+    def guide(self, given: Guided, start: Float64 | None) -> tuple[Float64, Tie]:
+        """See ``Simulator.guide``; the guide is an affine actuator a motor beside the user's own."""
+        spec, plant = self.plant.spec.copy(), self.plant
+        rate = 2 * np.pi * GUIDE * given.high
+        tie = Tie.of(plant.motor_inertia, rate)
+        if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            # It holds a control over a step, and a stiff guide with it: the implicit one is as good there.
+            spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        # Steps leap: the speed before a step is that of half a step ago; the one after it, which the implicit
+        # integrators show a damper, is half a step on.
+        late = int(spec.option.integrator) in _IMPLICIT
+        every, torque, position, velocity = given.fine(
+            min(plant.step, LARGEST_STEP / rate), speed=0.5 if late else -0.5
+        )
+        spec.option.timestep = given.interval / every
+        for i, motor in enumerate(plant.motors):
+            k, d = float(tie.stiffness[i]), float(tie.damping[i])
+            name = f"guide {i}"
+            guide = spec.add_actuator(name=name, target=motor.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            guide.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            guide.gainprm[0], guide.biasprm[1], guide.biasprm[2] = 1.0, -k, -d
+            if motor.actuator:
+                own = spec.actuator(motor.actuator)
+                own.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+                if own.delay:  # its buffer holds a sample a step
+                    own.nsample = steps_of(own.delay, spec.option.timestep)
+        model = spec.compile()
+        control = np.zeros((torque.shape[0], model.nu))
+        for i, motor in enumerate(plant.motors):
+            guide = model.actuator_ctrladr[model.actuator(f"guide {i}").id]
+            k, d = tie.stiffness[i], tie.damping[i]
+            control[:, guide] = k * (position[:, i] + motor.zero) + d * velocity[:, i]
+            own = model.actuator_ctrladr[model.actuator(motor.actuator).id] if motor.actuator else guide
+            control[:, own] += torque[:, i] / motor.gain
+        data = mujoco.MjData(model)
+        plant.start(data, model, position[0], velocity[0], start)
+        kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        first = np.zeros(mujoco.mj_stateSize(model, kind))
+        mujoco.mj_getState(model, data, first, kind)
+        after, _ = rollout.rollout(model, data, first[None], control[None])
+        states = np.concatenate([first[None], after[0]])
+        if not np.isfinite(states).all():
+            raise InputError(f"{self.path}: MuJoCo's simulation of experiment {given.key} runs away")
+        force = np.zeros_like(given.torque)
+        for i, motor in enumerate(plant.motors):
+            joint = model.joint(motor.joint).id
+            q = states[:, 1 + model.jnt_qposadr[joint]]
+            v = states[:, 1 + model.nq + model.jnt_dofadr[joint]]
+            q, v = q[:-1], v[1:] if late else v[:-1]
+            away, slower = position[:, i] + motor.zero - q, velocity[:, i] - v
+            force[:, i] = (tie.stiffness[i] * away + tie.damping[i] * slower)[::every]
+        return force, tie
+
+    def corrected(self, model: Model, to: Path) -> tuple[MujocoSimulator, list[str]]:
+        """See ``Simulator.corrected``."""
+        text, lost = correct(self.plant, model)
+        save_text(to, text)
+        return MujocoSimulator(to, self.axes), lost
+
+
+def opened(path: Path, axes: tuple[str, ...]) -> Any:
+    """The simulator."""
+    return MujocoSimulator(path, axes)

@@ -1,0 +1,394 @@
+"""What a MuJoCo XML says of a machine: its joints as chains of masses, its elements as effects.
+
+MuJoCo's own compiler gives the mass matrix; each spring and damper is a joint or a tendon that is linear in
+the joints. x = S q are the positions of the masses: a joint that has a spring of its own is the deflection of
+that spring, so x adds the joint before it. A chain is walked from each motor along the springs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from invid.errors import InputError, ModelError
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model
+from invid.numerics.arrays import Float64
+
+SMALL = 1e-9
+HIDDEN = "hidden mass"
+"""What the joint of a mass on a spring beside a chain is called in a corrected copy."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """The joint of an axis' motor, the actuator that the drive's torque goes to, torque per its control."""
+
+    joint: str
+    actuator: str
+    gain: float
+    zero: float = 0.0
+
+
+@dataclass(frozen=True)
+class Handle:
+    """An element along x_a − x_b (b = −1: ground): a joint or a tendon, its length being ``scale`` times
+    that."""
+
+    kind: str
+    name: str
+    a: int
+    b: int
+    scale: float
+
+
+@dataclass(eq=False)
+class MjcfPlant:
+    """An XML's spec and what was read of it; ``model`` None where its joints are no chains."""
+
+    spec: Any
+    compiled: Any
+    axes: tuple[str, ...]
+    motors: tuple[Motor, ...]
+    positions: Float64
+    """(n, nv): S."""
+    mass: Float64
+    """(n, n) of the masses' positions."""
+    handles: list[Handle]
+    order: list[list[int]]
+    """Coordinates of each axis' chain, the motor first."""
+    model: Model | None
+    linear_axes: bool
+    step: float
+
+    @property
+    def motor_inertia(self) -> Float64:
+        """(M,) inertia that a guide of the motor feels at high frequency."""
+        m = self.compiled
+        whole = mass_matrix(m)
+        dofs = [int(m.jnt_dofadr[m.joint(motor.joint).id]) for motor in self.motors]
+        inner = [k for k in range(m.nv) if k not in dofs]
+        out = whole[np.ix_(dofs, dofs)]
+        if inner:
+            cross = whole[np.ix_(dofs, inner)]
+            out = out - cross @ np.linalg.solve(whole[np.ix_(inner, inner)], cross.T)
+        return np.asarray(np.diag(out))
+
+    def start(
+        self, data: Any, model: Any, position: Float64, velocity: Float64, inner: Float64 | None
+    ) -> None:
+        """Every mass where its motor is and as fast, or away from it; what belongs to no chain at rest."""
+        x = np.zeros((2, self.positions.shape[0]))
+        for i, chain in enumerate(self.order):
+            x[0, chain], x[1, chain] = position[i], velocity[i]
+            for h in self.handles:  # and what hangs on them
+                if h.b >= 0 and (h.a in chain) != (h.b in chain):
+                    x[:, h.a if h.b in chain else h.b] = position[i], velocity[i]
+        behind = [k for chain in self.order for k in chain[1:]]
+        if inner is not None and inner.shape[1] == len(behind):
+            x[:, behind] += inner
+        q = np.linalg.solve(self.positions, x.T).T
+        for k in range(model.njnt):
+            data.qpos[model.jnt_qposadr[k]] = model.qpos0[model.jnt_qposadr[k]] + q[0, k]
+            data.qvel[model.jnt_dofadr[k]] = q[1, k]
+
+
+def steps_of(seconds: float, step: float) -> int:
+    """Samples of a buffer that holds a delay."""
+    return int(np.ceil(seconds / step - 1e-9)) + 2
+
+
+def mass_matrix(model: Any) -> Float64:
+    """(nv, nv) in the reference pose."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    out = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, out)
+    return out
+
+
+def read_plant(spec: Any, axes: tuple[str, ...], source: str) -> MjcfPlant:
+    """The plant; InputError where no actuator or joint can be told for an axis."""
+    _name_all(spec)
+    compiled = spec.compile()
+    if compiled.nv != compiled.njnt or compiled.nq != compiled.nv:
+        raise InputError(f"{source}: has ball or free joints; only hinges and slides are read")
+    motors = _motors(spec, compiled, axes, source)
+    kinds = {int(compiled.jnt_type[compiled.joint(m.joint).id]) for m in motors}
+    if len(kinds) > 1:
+        raise InputError(f"{source}: hinges and slides are driven; one recording has one unit")
+    linear = kinds == {int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    positions = _positions(compiled, {m.joint for m in motors})
+    back = np.asarray(np.linalg.inv(positions), dtype=np.float64)
+    mass = back.T @ mass_matrix(compiled) @ back
+    handles = list(_handles(compiled, back))
+    order = _chains(compiled, handles, [compiled.joint(m.joint).id for m in motors])
+    plant = MjcfPlant(
+        spec, compiled, axes, motors, positions, mass, handles, order, None, linear,
+        float(compiled.opt.timestep),
+    )  # fmt: skip
+    plant.model = _model(plant, source)
+    return plant
+
+
+def _name_all(spec: Any) -> None:
+    """Names for joints, tendons and actuators that have none: elements are found again by them."""
+    for what, items in (("joint", spec.joints), ("tendon", spec.tendons), ("actuator", spec.actuators)):
+        for k, item in enumerate(items):
+            if not item.name:
+                item.name = f"{what} {k}"
+
+
+def _motors(spec: Any, m: Any, axes: tuple[str, ...], source: str) -> tuple[Motor, ...]:
+    """By the names of actuators, else of joints, else the driven joints in their order."""
+    driven: dict[int, list[Any]] = {}
+    for a in spec.actuators:
+        number = m.actuator(a.name).id
+        if int(m.actuator_trntype[number]) == int(mujoco.mjtTrn.mjTRN_JOINT) and m.actuator_ctrlnum[number]:
+            driven.setdefault(int(m.actuator_trnid[number, 0]), []).append(a)
+    by_name = {a.name: joint for joint, actuators in driven.items() for a in actuators}
+    joints = {m.joint(k).name: k for k in range(m.njnt)}
+    if all(x in by_name for x in axes):
+        chosen = [by_name[x] for x in axes]
+    elif all(x in joints for x in axes):
+        chosen = [joints[x] for x in axes]
+    elif len(driven) == len(axes):
+        chosen = list(driven)
+    else:
+        raise InputError(
+            f"{source}: the recording has the axes {', '.join(axes)}, the XML drives "
+            f"{len(driven)} joints ({', '.join(m.joint(k).name for k in driven) or 'none'}); give the "
+            "motors' joints or actuators the axes' names"
+        )
+    out = []
+    for joint in chosen:
+        direct = [a for a in driven.get(joint, []) if _is_direct(a)]
+        for a in driven.get(joint, []):
+            if a not in direct[:1]:  # a controller: the recording's torque holds the axis instead
+                a.gainprm[:], a.biasprm[:] = 0.0, 0.0
+        own = direct[0] if direct else None
+        gain = 1.0 if own is None else float(own.gainprm[0] * own.gear[0])
+        zero = float(m.qpos0[m.jnt_qposadr[joint]])
+        out.append(Motor(m.joint(joint).name, "" if own is None else own.name, gain, zero))
+    return tuple(out)
+
+
+def _is_direct(actuator: Any) -> bool:
+    """Whether the control is the torque, through a filter at most."""
+    return bool(
+        actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+        and actuator.gainprm[0] * actuator.gear[0] != 0.0
+        and actuator.dyntype
+        in (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+    )
+
+
+def _positions(m: Any, motors: set[str]) -> Float64:
+    """S (n, nv): a joint with a spring of its own, not driven, stands on the joint before it."""
+    out = np.eye(m.nv)
+    for k in range(m.njnt):
+        if m.joint(k).name in motors or m.jnt_stiffness[k] <= 0.0:
+            continue
+        before = _joint_before(m, k)
+        if before >= 0:
+            out[k] = out[before]
+            out[k, k] = 1.0
+    return out
+
+
+def _joint_before(m: Any, k: int) -> int:
+    """The joint that carries joint k, or −1."""
+    body = int(m.jnt_bodyid[k])
+    if k > m.body_jntadr[body]:
+        return k - 1
+    body = int(m.body_parentid[body])
+    while body > 0:
+        if m.body_jntnum[body]:
+            return int(m.body_jntadr[body] + m.body_jntnum[body] - 1)
+        body = int(m.body_parentid[body])
+    return -1
+
+
+def _handles(m: Any, back: Float64) -> Iterator[Handle]:
+    for k in range(m.njnt):
+        yield from _handle("joint", m.joint(k).name, back[k])
+    for t in range(m.ntendon):
+        at = slice(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
+        if np.all(m.wrap_type[at] == int(mujoco.mjtWrap.mjWRAP_JOINT)):
+            length = np.zeros(m.nv)
+            for joint, coefficient in zip(m.wrap_objid[at], m.wrap_prm[at], strict=True):
+                length[m.jnt_dofadr[joint]] += coefficient
+            yield from _handle("tendon", m.tendon(t).name, length @ back)
+
+
+def _handle(kind: str, name: str, pattern: Float64) -> Iterator[Handle]:
+    at = np.flatnonzero(np.abs(pattern) > SMALL)
+    if at.size == 1:
+        yield Handle(kind, name, int(at[0]), -1, float(pattern[at[0]]))
+    elif at.size == 2 and abs(pattern[at].sum()) < SMALL:
+        yield Handle(kind, name, int(at[0]), int(at[1]), float(pattern[at[0]]))
+
+
+def _chains(m: Any, handles: list[Handle], motors: list[int]) -> list[list[int]]:
+    """From each motor along the springs; a fork ends the chain, and so does another motor."""
+    beside: dict[int, set[int]] = {}
+    for h in handles:
+        if h.b >= 0 and stiffness_of(m, h) > 0.0:
+            beside.setdefault(h.a, set()).add(h.b)
+            beside.setdefault(h.b, set()).add(h.a)
+    out = []
+    for motor in motors:
+        chain = [motor]
+        while True:
+            further = [k for k in beside.get(chain[-1], ()) if k not in {*chain, *motors, *_hidden(m)}]
+            if len(further) != 1:
+                break
+            chain.append(further[0])
+        out.append(chain)
+    return out
+
+
+def _hidden(m: Any) -> list[int]:
+    return [k for k in range(m.njnt) if m.joint(k).name.startswith(HIDDEN)]
+
+
+def stiffness_of(m: Any, h: Handle) -> float:
+    """Elastic stiffness along x_a − x_b; nothing for a spring that yields, which is a law of its own."""
+    kind, at = (m.joint(h.name), "jnt") if h.kind == "joint" else (m.tendon(h.name), "tendon")
+    if getattr(m, f"{at}_springyield")[kind.id] > 0.0:
+        return 0.0
+    return float(getattr(m, f"{at}_stiffness")[kind.id]) * h.scale**2
+
+
+def damping_of(m: Any, h: Handle) -> float:
+    """Viscous damping along x_a − x_b."""
+    if h.kind == "joint":
+        return float(m.dof_damping[m.jnt_dofadr[m.joint(h.name).id]]) * h.scale**2
+    return float(m.tendon_damping[m.tendon(h.name).id]) * h.scale**2
+
+
+def _model(plant: MjcfPlant, source: str) -> Model | None:
+    """Chains and effects, or None."""
+    used = [*(k for chain in plant.order for k in chain), *_hidden(plant.compiled)]
+    if sorted(used) != list(range(plant.mass.shape[0])):
+        return None
+    ends = [chain[-1] for chain in plant.order]
+    rest = plant.mass.copy()
+    rest[np.ix_(ends, ends)] = 0.0
+    np.fill_diagonal(rest, 0.0)
+    if np.abs(rest).max(initial=0.0) > 1e-6 * plant.mass.diagonal().max():
+        return None
+    m = plant.compiled
+    springs, dampers = [], []
+    for chain in plant.order:
+        pairs = [handles_between(plant.handles, a, b) for a, b in pairwise(chain)]
+        springs.append([sum(stiffness_of(m, h) for h in p) for p in pairs])
+        dampers.append([sum(damping_of(m, h) for h in p) for p in pairs])
+    couplings = plant.mass[np.ix_(ends, ends)] * (1.0 - np.eye(len(ends)))
+    try:
+        chains = CoupledChains.build(
+            [plant.mass.diagonal()[chain] for chain in plant.order],
+            springs,
+            dampers,
+            couplings,
+            axes=plant.axes,
+        )
+    except ModelError:
+        return None
+    return Model(
+        robot=plant.spec.modelname, method="mujoco", chains=chains, std=ChainStd.unknown(chains),
+        linear=plant.linear_axes, effects=tuple(_effects(plant)), provenance={"source": source},
+    )  # fmt: skip
+
+
+def handles_between(handles: list[Handle], a: int, b: int) -> list[Handle]:
+    """Return the elements along x_a − x_b."""
+    return [h for h in handles if {h.a, h.b} == {a, b}]
+
+
+def place_of(plant: MjcfPlant, a: int, b: int) -> tuple[str, str] | None:
+    """Axis and element of a mass (b = −1) or of a spring."""
+    for axis, chain in zip(plant.axes, plant.order, strict=True):
+        if a in chain and b < 0:
+            return axis, f"mass {chain.index(a) + 1}"
+        if a in chain and b in chain:
+            return axis, f"spring {min(chain.index(a), chain.index(b)) + 1}"
+    return None
+
+
+def _effects(plant: MjcfPlant) -> Iterator[EffectTerm]:
+    """What the XML has beyond chains: friction, viscous friction, springs' laws, ripple, lag, delay."""
+    m = plant.compiled
+    dry_off = bool(m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS))
+    torque, length = ("N", "m") if plant.linear_axes else ("N·m", "rad")
+    viscous, stiff = f"{torque}·s/{length}", f"{torque}/{length}"
+
+    def term(cause: str, place: tuple[str, str], **values: tuple[float, str]) -> EffectTerm:
+        return EffectTerm(
+            cause=cause, axis=place[0], element=place[1],
+            parameters={k: Estimate(v, None, unit) for k, (v, unit) in values.items()},
+        )  # fmt: skip
+
+    for h in plant.handles:
+        place = place_of(plant, h.a, h.b)
+        if place is None:
+            continue
+        is_joint, size = h.kind == "joint", abs(h.scale)
+        at = m.joint(h.name).id if is_joint else m.tendon(h.name).id
+        loss = float(m.dof_frictionloss[m.jnt_dofadr[at]] if is_joint else m.tendon_frictionloss[at]) * size
+        if loss and not dry_off and h.b < 0:
+            yield term("coulomb_friction", place, torque=(loss, torque))
+        if h.b < 0 and damping_of(m, h):
+            yield term("viscous_friction", place, coefficient=(damping_of(m, h), viscous))
+        if h.b < 0:
+            continue
+        kind = "jnt" if is_joint else "tendon"
+        cubic = float(getattr(m, f"{kind}_stiffnesspoly")[at, 1]) * size**4
+        if cubic:
+            yield term("cubic_stiffness", place, coefficient=(cubic, f"{torque}/{length}³"))
+        limit = float(getattr(m, f"{kind}_springyield")[at])
+        if limit > 0.0:
+            k = float(getattr(m, f"{kind}_stiffness")[at]) * size**2
+            yield term("spring_hysteresis", place, stiffness=(k, stiff), torque=(k * limit / size, torque))
+        if not is_joint and np.ptp(m.tendon_lengthspring[at]) > 0.0:
+            gap = float(np.ptp(m.tendon_lengthspring[at])) / size
+            yield term("backlash", place, gap=(gap, length))
+    for k in _hidden(m):
+        h = next(h for h in plant.handles if k in (h.a, h.b) and h.b >= 0)
+        place = place_of(plant, h.a if h.b == k else h.b, -1)
+        if place is not None:
+            mass, spring = float(plant.mass[k, k]), stiffness_of(m, h)
+            ratio = damping_of(m, h) / (2.0 * np.sqrt(mass * spring))
+            unit = "kg" if plant.linear_axes else "kg·m²"
+            yield term(
+                "extra_mode", place, mass=(mass, unit), stiffness=(spring, stiff), damping_ratio=(ratio, "1")
+            )
+    for i, motor in enumerate(plant.motors):
+        yield from _channel(plant, i, motor, term)
+
+
+def _channel(plant: MjcfPlant, i: int, motor: Motor, term: Any) -> Iterator[EffectTerm]:
+    m, place = plant.compiled, (plant.axes[i], None)
+    torque = "N" if plant.linear_axes else "N·m"
+    if motor.actuator:
+        at = m.actuator(motor.actuator).id
+        if m.actuator_delay[at] > 0.0:
+            yield term("torque_delay", place, delay=(float(m.actuator_delay[at]), "s"))
+        if m.actuator_dyntype[at] != int(mujoco.mjtDyn.mjDYN_NONE):
+            yield term("torque_lag", place, time_constant=(float(m.actuator_dynprm[at, 0]), "s"))
+    joint = m.joint(motor.joint).id
+    for at in range(m.actuator_biasprm.shape[0]):
+        if m.actuator_biastype[at] != int(mujoco.mjtBias.mjBIAS_DCMOTOR) or m.actuator_trnid[at, 0] != joint:
+            continue
+        amplitude, poles, phase, *_ = m.actuator_biasprm[at]
+        if amplitude:
+            yield term(
+                "cogging", (plant.axes[i], "mass 1"), torque=(-float(amplitude), torque),
+                cycles_per_rev=(float(poles), "1"), phase=(float(phase), "rad"),
+            )  # fmt: skip
