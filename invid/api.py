@@ -242,7 +242,7 @@ def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
         other = start is not None and start.provenance.get("recorded") != one.created
         if start is not None and other and start.linear == result.model.linear:
             result = with_changes(result, compared(start, result.model))
-        return immutable(with_stated_inertia(result, one))
+        return immutable(with_stated_inertia(result, one, start))
 
 
 def simulate(

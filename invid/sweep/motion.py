@@ -14,7 +14,7 @@ from invid.errors import SafetyStop
 from invid.numerics.arrays import Bool, Float64
 from invid.planning.hold_laws import Gains, centring, following, least_damping, master_hold
 from invid.planning.model import Plan, PlannedExperiment
-from invid.planning.phases import CATCH_HZ, SETTLE_S, SIGN_TRAVEL, highest_frequency
+from invid.planning.phases import CATCH_HZ, SETTLE_S, highest_frequency
 from invid.sweep.bounds import Bounds, Statistics, bounds_of
 from invid.sweep.loads import CONFIRM_S, Load, judge_loads
 from invid.sweep.moment import TRACE_S, Moment
@@ -203,11 +203,7 @@ class Motion:
         held = [mode is Mode.HOLD for mode in self._modes]
         rated = self.cell.rated_torque
         self.watching.bounds.resting = {i for i in range(self.count) if first and held[i]}
-        self.watching.bounds.near = {
-            i: (self.origin[i], SIGN_TRAVEL * a.limits.position)
-            for i, a in enumerate(self.config.axes)
-            if not first and held[i]
-        }
+        self.watching.bounds.near = self.announced({i for i in range(self.count) if not first and held[i]})
         rows = self.play(None, round(SETTLE_S / self.plan.cycle_s))
         self.watching.words.learn_rest()
         half = len(rows.torque) // 2
@@ -227,6 +223,13 @@ class Motion:
             # shaken by its torque offset keeps its own loop, which holds it.
             known = held[i] and load.loaded and np.isfinite(load.torque) and not self.by_offset(i)
             self.bias[i] = load.torque if known else 0.0
+
+    def announced(self, axes: set[int]) -> dict[int, tuple[float, float]]:
+        """Where axes stood and how far they may go from there by what the whole run was announced.
+
+        Before they are shaken healthy ones use at most 0.55 of it (436 axes of ``tests/machines/cells.py``).
+        """
+        return {i: (self.origin[i], self.plan.forecast[i].travel) for i in axes}
 
     # --- one cycle and many --------------------------------------------------------------------
     def play(

@@ -20,7 +20,6 @@ from invid.planning.phases import (
     SIGN_FIRST_S,
     SIGN_LAST_S,
     SIGN_MOST,
-    SIGN_TRAVEL,
     SLOW_SHARE,
     SLOW_WINDOW,
     sign_amplitude,
@@ -107,8 +106,7 @@ class SignTrial:
         motion, axis = self._motion, self._axis
         motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
         self._home = motion.place[axis]
-        announced = {axis: (self._home, SIGN_TRAVEL * self._settings.limits.position)}
-        motion.watching.bounds.near = announced
+        motion.watching.bounds.near = motion.announced({axis})
         motion.change(self._modes, self._others)
         motion.watching.held = set(range(motion.count)) - {axis}
         amplitude, length, last = self._grow()

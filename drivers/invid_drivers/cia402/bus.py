@@ -244,7 +244,7 @@ class Cia402Cell:
         self._cycle.restart_slots()
         self._cycle.leaving = False
         units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self._reports]
-        self._relief = WeightRelief(tighten(self._config, self._reports), self._drives, self._cycle, units)
+        self._relief = WeightRelief(self._config, self._drives, self._cycle, units, self.held.too_heavy)
         self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._enable(modes, unset)
