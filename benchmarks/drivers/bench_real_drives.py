@@ -77,10 +77,11 @@ NEEDS_BRAKE = {
     "node_reset", "drive_fault", "encoder_stuck", "encoder_jump", "sign_flip torque", "sign_flip encoder",
     "sign_flip shown", "opposed load",
     "ignore_quick_stop", "ignore_controlword", "brake_stuck", "torque_saturation", "slow mode",
-    "corrupt",
+    "corrupt", "scale torque unstated",
 }  # fmt: skip
-"""Faults that take the torque or the sight of a drive away: without a brake nobody can hold such an axis
-where it is loaded, nor slow it down where it is not, so it has one (as every axis in the old campaign)."""
+"""Faults that take the torque (its limit in a scale that nobody states) or the sight of a drive away: without
+a brake nobody can hold such an axis where it is loaded, nor slow it down where it is not, so it has one (as
+every axis in the old campaign)."""
 DEAD_MASTER = {"node_silent", "bus_off node", "bus_off master", "drop", "ignore_controlword", "delay"}
 """The drive may not hear its master, or obeys nobody: its heartbeat watch acts."""
 
