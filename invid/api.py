@@ -219,7 +219,7 @@ def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
         Data from which no model can be drawn.
     """
     from invid.comparison.compare import compare as compared
-    from invid.comparison.news import with_changes
+    from invid.comparison.news import with_changes, with_stated_inertia
     from invid.diagnosis.diagnose import diagnose as diagnosed
     from invid.errors import InputError
     from invid.numerics.immutable import immutable
@@ -242,7 +242,7 @@ def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
         other = start is not None and start.provenance.get("recorded") != one.created
         if start is not None and other and start.linear == result.model.linear:
             result = with_changes(result, compared(start, result.model))
-        return immutable(result)
+        return immutable(with_stated_inertia(result, one, start))
 
 
 def simulate(

@@ -67,13 +67,20 @@ EXPECTED: dict[str, set[int]] = {
     "encoder_jump": {0, 4, 5},
     "encoder_stuck": {0, 4, 5},
     "sign_flip torque": {0, 4, 5},
+    "sign_flip shown": {0, 4, 5},
     "sign_flip encoder": {0, 4, 5},
     "brake_stuck": {0, 4, 5},
     "torque_saturation": {0, 4},
     "push": {0, 4, 5},
     "statusword": {4, 5},
     "mode_display": {5},
+    "torque_scale": {0, 4, 5},
+    "sdo_silence": {0, 5},
 }
+PHASES = ("switched_on", "operation_enabled", "quick_stop_active")
+PHASE_S = 0.4
+"""A third of the flips and frozen encoders begin in one of these states, within so long; the rest at any
+moment."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +116,12 @@ def draw(rng: np.random.Generator, kind: str) -> dict[str, Any]:
             fault |= {"code": int(rng.choice([0x2310, 0x7121, 0x8611])), "length": int(rng.choice([2, 3, 8]))}
         case "encoder_jump":
             fault["counts"] = int(rng.choice([-1, 1]) * 10 ** rng.uniform(3, 6))
-        case "sign_flip torque" | "sign_flip encoder":
-            fault["signal"] = what
+        case "sign_flip torque" | "sign_flip encoder" | "sign_flip shown":
+            fault["signal"] = "torque" if what == "shown" else what
+        case "torque_scale":
+            fault["gain"] = float(rng.choice([-1.0, 0.4, 2.5]))
+        case "sdo_silence":
+            fault |= {"kind": "drop", "can_ids": [0x580 + int(axis[1])]}
         case "torque_saturation":
             fault["limit_Nm"] = float(rng.uniform(1, 20))
         case "push":
@@ -124,7 +135,22 @@ def draw(rng: np.random.Generator, kind: str) -> dict[str, Any]:
             fault["value"] = int(rng.choice([0, 1, 3]))
         case _:
             pass
+    if name in ("sign_flip", "encoder_stuck") and rng.random() < 1 / 3:
+        del fault["at_s"]
+        fault |= {"at_state": str(rng.choice(PHASES)), "after_s": float(rng.uniform(0, PHASE_S))}
     return fault
+
+
+def all_of(kind: str, fault: dict[str, Any]) -> list[dict[str, Any]]:
+    """A fault with what comes with it: what another axis does, what 0x6077 shows."""
+    if kind.startswith("ignore"):
+        # nothing to see until something stops: another axis reports an error a little later
+        other = "A1" if fault["axis"] != "A1" else "A2"
+        return [fault, {"kind": "emcy", "axis": other, "at_s": fault["at_s"] + 0.2, "code": 0x2310}]
+    if kind == "sign_flip shown":
+        when = {k: fault[k] for k in ("axis", "at_s", "at_state", "after_s") if k in fault}
+        return [fault, {"kind": "torque_scale", "gain": -1.0, **when}]
+    return [fault]
 
 
 def cell_config(faults: list[dict[str, Any]], seed: int) -> CellConfig:
@@ -195,12 +221,7 @@ class Truth:
 def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
     """One measurement with one fault."""
     fault = draw(rng, kind)
-    faults = [fault]
-    if kind in ("ignore_quick_stop", "ignore_controlword"):
-        # nothing to see until something stops: another axis reports an error a little later
-        other = "A1" if fault["axis"] != "A1" else "A2"
-        faults.append({"kind": "emcy", "axis": other, "at_s": fault["at_s"] + 0.2, "code": 0x2310})
-    config = cell_config(faults, int(rng.integers(1 << 30)))
+    config = cell_config(all_of(kind, fault), int(rng.integers(1 << 30)))
     out = folder / "run.h5"
     out.unlink(missing_ok=True)
     bus = open_virtual_bus(config)
@@ -263,7 +284,8 @@ def _judge(
         if drive.state.name in SAFE_STATES:
             continue
         complaints.append(f"{axis.name} ended in {drive.state.name}")
-    if kind == "ignore_controlword" and status and not (cell.not_off and cell.not_off[0] in said):
+    told = "not enabled" in said or (cell.not_off and cell.not_off[0] in said)
+    if kind == "ignore_controlword" and status and not told:
         complaints.append(f"nobody was told that a drive did not obey ({said[:80]})")
     return complaints
 

@@ -12,13 +12,16 @@ that is stopped on request as soon as the axes are held. `plant_judge.py` judges
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
+import os
 import sys
 import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,10 +29,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.drivers.bench_faults import CONFIG, CYCLE_S, draw
+from benchmarks.drivers.bench_faults import CONFIG, CYCLE_S, all_of, draw
 from benchmarks.drivers.bench_faults import EXPECTED as OLD
 from benchmarks.drivers.bench_faults import RUN_S as OLD_RUN_S
-from benchmarks.drivers.plant_judge import Judge, writes
+from benchmarks.drivers.plant_judge import SAFE, Judge, writes
 from invid.config import CellConfig, parse_config
 from invid.errors import DriveError, InvidError
 from invid.planning import make_plan
@@ -41,6 +44,7 @@ from invid_drivers.cia402.holding import to_support
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
+from invid_drivers.simulated.cell import SimulatedCell
 from invid_drivers.simulated.faults import FaultConfig
 
 UNATTENDED_S = 2.0
@@ -55,6 +59,8 @@ FOREIGN_NODE = 20
 RESET_NODE = 0x81
 LATE_CUT_S = 0.2
 """A quick stop through a wrong sign is ended by voltage off; see ``EXEMPTIONS``."""
+STALL_S = 0.3
+"""A stalled disk takes so long for each flush [s]: longer than anything that is forgiven to a cycle."""
 
 EXEMPTIONS = {
     "corrupt": "torque is not judged: a frame altered on its way, which CAN's CRC does not let through",
@@ -62,16 +68,20 @@ EXEMPTIONS = {
     "encoder_stuck": "not where the drive itself held the axis when its encoder died (as the old campaign)",
     "sign_flip torque": "0.2 s more at top speed: only voltage off ends a loop closed through a wrong sign",
     "sign_flip encoder": "as sign_flip torque",
+    "sign_flip shown": "as sign_flip torque",
+    "opposed load": "as sign_flip torque",
 }
 """All of them. Torque by the drive's own loop is judged by its own limit where that cannot be written."""
 
 NEEDS_BRAKE = {
     "node_reset", "drive_fault", "encoder_stuck", "encoder_jump", "sign_flip torque", "sign_flip encoder",
+    "sign_flip shown", "opposed load",
     "ignore_quick_stop", "ignore_controlword", "brake_stuck", "torque_saturation", "slow mode",
-    "corrupt",
+    "corrupt", "scale torque unstated",
 }  # fmt: skip
-"""Faults that take the torque or the sight of a drive away: without a brake nobody can hold such an axis
-where it is loaded, nor slow it down where it is not, so it has one (as every axis in the old campaign)."""
+"""Faults that take the torque (its limit in a scale that nobody states) or the sight of a drive away: without
+a brake nobody can hold such an axis where it is loaded, nor slow it down where it is not, so it has one (as
+every axis in the old campaign)."""
 DEAD_MASTER = {"node_silent", "bus_off node", "bus_off master", "drop", "ignore_controlword", "delay"}
 """The drive may not hear its master, or obeys nobody: its heartbeat watch acts."""
 
@@ -113,6 +123,9 @@ EXPECTED: dict[str, set[int]] = {
     "torque only": {0, 2, 4, 5},
     "slow enabling": {0, 2, 4},
     "late mode": {0, 2, 4},
+    "opposed load": {4, 5},
+    "wrong 0x6077": {4, 5},
+    "stalled disk": {0},
     **OLD,
     "corrupt": OLD["corrupt"] | {0},  # while the axes are only held, no drive follows what is corrupted
 }
@@ -163,15 +176,12 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
     if kind in NEEDS_BRAKE:
         _give_brake(case, loaded, 0.02)
     if kind in OLD:
-        case.faults = [draw(rng, kind)]
-        case.faults[0]["at_s"] = ENABLED_S + case.faults[0]["at_s"] * RUN_S / OLD_RUN_S
+        fault = draw(rng, kind)
+        if "at_s" in fault:
+            fault["at_s"] = ENABLED_S + fault["at_s"] * RUN_S / OLD_RUN_S
         if kind in NEEDS_BRAKE:
-            _give_brake(case, case.faults[0]["axis"], 0.02)
-        if kind.startswith("ignore"):
-            other = "A1" if case.faults[0]["axis"] != "A1" else "A2"
-            case.faults.append(
-                {"kind": "emcy", "axis": other, "at_s": case.faults[0]["at_s"] + 0.2, "code": 0x2310}
-            )
+            _give_brake(case, fault["axis"], 0.02)
+        case.faults = all_of(kind, fault)
         return case
     wrong = case.drives[axis]
     objects: dict[str, Any] = wrong.setdefault("objects", {})
@@ -253,7 +263,18 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
         case "no servo":
             values["0x1000"] = int(rng.choice([0x000F0191, 0x00040192, 0x00000000]))
         case "torque only":
-            values["0x6502"] = 1 << 9
+            target = drives[loaded if rng.random() < 0.5 else axis].setdefault("objects", {})
+            target.setdefault("values", {})["0x6502"] = 1 << 9
+        case "opposed load":
+            signal = str(rng.choice(["torque", "encoder"]))
+            case.faults = [{"kind": "sign_flip", "axis": loaded, "signal": signal, "at_s": 0.0}]
+            axes[loaded]["gravity_loaded"] = True if rng.random() < 0.5 else "unknown"
+            drives[axis]["enable_s"] = float(rng.uniform(0.2, 2.0))
+        case "wrong 0x6077":
+            gain = float(rng.choice([0.1, 0.4, 0.6, 1.5, 2.5]))
+            case.faults = [{"kind": "torque_scale", "axis": axis, "gain": gain, "at_s": 0.0}]
+        case "stalled disk":
+            pass
         case "slow enabling":
             wrong["enable_s"] = float(rng.uniform(1.0, 2.0))
         case "late mode":
@@ -353,7 +374,10 @@ class Bench:
             plan = make_plan(self.config)
             run_measurement(self.config, plan, self._connect(), out, progress=progress, stop=stop)
 
-        return self._status(run)
+        done = self._status(run)
+        if hold_only and supported and not stop.is_set():
+            self.judge.stopped()  # it ended while its hold was tried, with the load supported
+        return done
 
     def check(self) -> tuple[int, str]:
         """Exit status and message of ``invid check``."""
@@ -388,7 +412,8 @@ class Bench:
         """Faults, their times counted from now."""
         now = self.clock.now()
         for fault in faults:
-            self.cell.plan_fault(FaultConfig.model_validate({**fault, "at_s": fault["at_s"] + now}))
+            when = {"at_s": fault["at_s"] + now} if "at_s" in fault else {}
+            self.cell.plan_fault(FaultConfig.model_validate({**fault, **when}))
 
     def wait_for_rest(self) -> None:
         """Where a ramp still runs when a command has ended, its end; one that falls does not get there."""
@@ -413,7 +438,7 @@ def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
         old.unlink()
     bench = Bench(config, folder)
     judge = bench.judge
-    with writes(bench.cell) as written:
+    with writes(bench.cell) as written, stalls(bench.cell, real=kind == "stalled disk") as waited:
         bench.plan(case.faults)
         status, said = bench.measure(out, stop_s=case.stop_s)
         complaints = [] if status in EXPECTED[kind] else [f"exit {status} ({said[:160]})"]
@@ -431,11 +456,38 @@ def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
         again, _ = bench.measure(folder / "again.h5", hold_only=True)
         bench.wait(1.0)
         complaints += [f"second measure: {c}" for c in (*judge.loads(), *judge.states())]
-        complaints += judge.settings(written)
+        complaints += judge.settings(written) + waited
     complaints += judge.foreign(other_master=kind == "other nmt")
     return RunOutcome(
         kind, status, (checked, again), float(max(excess, 0.0)), tuple(dict.fromkeys(complaints)), said[:200]
     )
+
+
+@contextmanager
+def stalls(cell: SimulatedCell, *, real: bool) -> Iterator[list[str]]:
+    """Complaints of every disk that the cycle waited for under power; ``real``: a disk that takes its time.
+
+    The recording is written by another process where a bus is not virtual, so it may wait.
+    """
+    complaints: list[str] = []
+    fsync = os.fsync
+
+    def slow(file: int) -> None:
+        here = inspect.currentframe()
+        callers = [f.filename for f in inspect.getouterframes(here)[1:4]]
+        ours = not any("recording" in Path(name).parts for name in callers)
+        if ours and threading.current_thread() is threading.main_thread():
+            powered = [d.state.name for d in cell.drives if d.state not in SAFE]
+            complaints.extend(["the cycle waited for the disk under power"] * bool(powered))
+        elif real:
+            time.sleep(STALL_S)
+        fsync(file)
+
+    os.fsync = slow
+    try:
+        yield complaints
+    finally:
+        os.fsync = fsync
 
 
 def _motion(judge: Judge, kind: str) -> list[str]:
@@ -450,7 +502,7 @@ def _excess(judge: Judge, kind: str) -> float:
 
 
 def _late_cut(kind: str) -> float:
-    return LATE_CUT_S if kind.startswith("sign_flip") else 0.0
+    return LATE_CUT_S if kind.startswith("sign_flip") or kind == "opposed load" else 0.0
 
 
 def _recording(out: Path, status: int) -> list[str]:

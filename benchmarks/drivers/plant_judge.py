@@ -33,6 +33,8 @@ SHAKE_CYCLES = 3
 """Cycles beyond ``missed_tpdos`` from what happens to the drive's reaction."""
 WATCH_BEATS = 3.0
 """Heartbeats that a drive does without before it stops by itself."""
+COAST_S = 3.0
+"""What an axis without torque and brake does later is its coupled neighbours' doing [s]."""
 SETTLE = 1e-3
 """What springs and quantisation add to a stop [rad]."""
 
@@ -70,13 +72,13 @@ class Watch:
         self._motors = plant.structure.motors
         self._velocities = self._motors + plant.state.size // 2
         count = self._motors.size
-        self._rows = np.zeros((4096, 4 * count))
+        self._rows = np.zeros((4096, 4 * count + 1))
         self._count = 0
         observe = plant.observe
 
         def seen(now_ns: int, noise: Any) -> Any:
             values = observe(now_ns, noise)
-            self._take()
+            self._take(now_ns)
             return values
 
         plant.observe = seen  # type: ignore[method-assign]
@@ -85,6 +87,7 @@ class Watch:
     def begin(self) -> None:
         """Forget the extremes; where every motor is now is where it starts."""
         self._count = 0
+        self._powered = np.full(self._motors.size, -np.inf)
         self._origin = self._mark = self.positions
         self._drift = np.zeros(self._motors.size)
         self._travel = np.zeros(self._motors.size)
@@ -109,13 +112,14 @@ class Watch:
         """How fast the motors are [rad/s]."""
         return np.array(self._cell.plant.state[self._velocities])
 
-    def _take(self) -> None:
+    def _take(self, now_ns: int) -> None:
         plant, n = self._cell.plant, self._motors.size
         row = self._rows[self._count]
         row[:n] = plant.state[self._motors]
         row[n : 2 * n] = plant.state[self._velocities]
         row[2 * n : 3 * n] = plant.motor_state[:, kernel.ACTING]
-        row[3 * n :] = plant.command[:, kernel.MODE]
+        row[3 * n : -1] = plant.command[:, kernel.MODE]
+        row[-1] = now_ns * 1e-9
         self._count += 1
         if self._count == len(self._rows):
             self._reduce()
@@ -124,10 +128,16 @@ class Watch:
         rows, n = self._rows[: self._count], self._motors.size
         if not self._count:
             return
-        np.maximum(self._travel, np.abs(rows[:, :n] - self._origin).max(axis=0), out=self._travel)
+        now = rows[:, -1:]
+        last = np.where(rows[:, 3 * n : -1] != kernel.MODE_OFF, now, -np.inf)
+        last = np.maximum.accumulate(np.maximum(last, self._powered), axis=0)
+        self._powered = last[-1]
+        counts = (now - last <= COAST_S) | np.isneginf(last)
+        away = np.where(counts, np.abs(rows[:, :n] - self._origin), 0.0)
+        np.maximum(self._travel, away.max(axis=0), out=self._travel)
         np.maximum(self._drift, np.abs(rows[:, :n] - self._mark).max(axis=0), out=self._drift)
         np.maximum(self._speed, np.abs(rows[:, n : 2 * n]).max(axis=0), out=self._speed)
-        torque, mode = np.abs(rows[:, 2 * n : 3 * n]), rows[:, 3 * n :]
+        torque, mode = np.abs(rows[:, 2 * n : 3 * n]), rows[:, 3 * n : -1]
         # the row in which the mode changes may still bear the torque of the mode before
         before = np.vstack([mode[:1], mode[:-1]])
         own = (mode == kernel.MODE_TORQUE) & (before == kernel.MODE_TORQUE)

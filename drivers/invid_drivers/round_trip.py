@@ -92,6 +92,8 @@ def require(found: RoundTrip, config: CellConfig) -> list[str]:
 
     Behind a simulated cell stands this computer, which is late at times, and no drive that would move.
     """
+    if found.carries and found.is_of_drives:
+        return [f"{found.text}; bus.round_trip_s counts"]
     if found.carries:
         late = found.late_share
         return [f"{late:.1%} of the cycles' answers would come too late: {found.text}"] * (late > 1 - SHARE)

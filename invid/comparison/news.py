@@ -10,10 +10,12 @@ from invid.comparison.changes import Comparison
 from invid.comparison.named import named_cause, named_change
 from invid.comparison.sentences import is_small, is_spread_out, rival_groups, scaled_axes
 from invid.diagnosis.headline import with_headline
+from invid.identification.stated_inertia import against_stated
 from invid.model.diagnosis_document import Diagnosis
-from invid.model.document import Estimate
-from invid.model.doubts import Doubt
+from invid.model.document import Estimate, Model
+from invid.model.doubts import Doubt, DoubtCode, doubts_of
 from invid.model.named_change import ChangeKind, NamedChange
+from invid.recording.model import Recording
 
 
 def named_changes(c: Comparison, joint_alpha: float) -> tuple[NamedChange, ...]:
@@ -61,3 +63,19 @@ def with_changes(diagnosis: Diagnosis, c: Comparison, doubt: Doubt | None = None
     ``doubt``: one beside the model's own, of how it was measured.
     """
     return with_headline(replace(diagnosis, changes=c.named), doubt)
+
+
+def with_stated_inertia(diagnosis: Diagnosis, recording: Recording, earlier: Model | None) -> Diagnosis:
+    """Return the diagnosis that says first where the recording's config states another inertia.
+
+    ``earlier``: an accepted model of the robot, which tells a changed machine from a wrong scale.
+    """
+    model = against_stated(diagnosis.model, recording, earlier)
+    if model is diagnosis.model:
+        return diagnosis
+    old, new = (
+        tuple(d.text for d in doubts_of(m.fit) if d.code is DoubtCode.STATED_INERTIA)
+        for m in (diagnosis.model, model)
+    )
+    kept = tuple(w for w in diagnosis.warnings if w not in old + new)
+    return with_headline(replace(diagnosis, model=model, warnings=(*new, *kept)))

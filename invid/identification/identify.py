@@ -23,6 +23,7 @@ from invid.identification.machine_kind import machine_kind, rigid_model
 from invid.identification.model_facts import paper_model, refined_model
 from invid.identification.model_order import choose_order
 from invid.identification.starts import chain_starts, fit_sizes, measured_frf
+from invid.identification.stated_inertia import against_stated
 from invid.identification.torque_timing import refit_with_late_torque
 from invid.inverse import PaperResult, identify_paper
 from invid.likelihood.bootstrap import bootstrap as bootstrap_of
@@ -104,7 +105,8 @@ def identify(
             ) from None
     budget_warning = budget.warning()
     warnings = warnings if budget_warning is None else [*warnings, budget_warning]
-    return replace(model, warnings=(*model.warnings, *warnings)) if warnings else model
+    model = replace(model, warnings=(*model.warnings, *warnings)) if warnings else model
+    return against_stated(model, whole)
 
 
 def _identify_kind(

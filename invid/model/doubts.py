@@ -13,6 +13,8 @@ class DoubtCode(StrEnum):
 
     MISSED_TORQUE = "missed_torque"
     """More than half of the torque is missed: ``share``."""
+    STATED_INERTIA = "stated_inertia"
+    """The inertia of an axis is ``times`` the one that its config states: a scale is wrong, or it is old."""
     LITTLE_EXPLAINED = "little_explained"
     """Less of the torque is explained than a model of the right machine explains: ``share``."""
     WRONG_STRUCTURE = "wrong_structure"
@@ -35,7 +37,7 @@ class DoubtCode(StrEnum):
 
 
 _OF_THE_RUN = {DoubtCode.UNEXPLAINED, DoubtCode.TEST}
-_LEAVES_THE_REST = {DoubtCode.UNSEEN, *_OF_THE_RUN}
+_LEAVES_THE_REST = {DoubtCode.UNSEEN, DoubtCode.STATED_INERTIA, *_OF_THE_RUN}
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Doubt:
         """Return whether a difference from another model may come from the doubt itself.
 
         What the data do not determine has no standard deviation and changes nowhere; what is missed or
-        measured weakly is in the standard deviations of the rest.
+        measured weakly is in the standard deviations of the rest; a scale is the same in both.
         """
         return self.code not in _LEAVES_THE_REST
 

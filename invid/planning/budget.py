@@ -84,6 +84,10 @@ ANSWER_SHARE = 0.85
 SDO_BYTES = 8
 
 
+SLOW_SDO_S = 0.1
+"""No adapter takes so long (a USB latency timer: 16 ms), and no config may state more."""
+
+
 @dataclass(frozen=True)
 class RoundTrip:
     """Round trip of an adapter as it was probed, and what it means for the config's cycle.
@@ -127,8 +131,18 @@ class RoundTrip:
         }
 
     @property
+    def is_of_drives(self) -> bool:
+        """Whether it is the drives that are slow to answer SDO, so that nothing is known of the adapter."""
+        return self.median_s > SLOW_SDO_S
+
+    @property
     def text(self) -> str:
         """Return the budget in a sentence."""
+        if self.is_of_drives:
+            return (
+                f"the drives are slow to answer SDO: {self.median_s:.2g} s in the median of {self.count} "
+                "reads, which no adapter takes; its own round trip cannot be told from that"
+            )
         return (
             f"the adapter's round trip is {self.median_s * 1e3:.2g} ms, 99 % within "
             f"{self.bound_s * 1e3:.2g} ms ({self.count} SDO reads, 95 % confidence): it carries cycles from "
@@ -138,6 +152,8 @@ class RoundTrip:
     @property
     def refusal(self) -> str:
         """Why the config's cycle is refused, and the way out."""
+        if self.is_of_drives:
+            return f"bus: {self.text}. State the adapter's round trip in bus.round_trip_s"
         return (
             f"bus: cycle_s is {self.cycle_s:g}, but {self.text}; at {self.cycle_s * 1e3:g} ms "
             f"{self.late_share:.0%} of the answers would come too late. Set bus.cycle_s to "

@@ -15,6 +15,7 @@ import numpy as np
 from invid.config import CellConfig
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.numerics.arrays import Float64
+from invid.sweep.obedience import Obedience
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.stuck_encoder import Yielding
 from invid.sweep.torque_sign import TorqueSign
@@ -87,11 +88,15 @@ class Bounds:
             [a.position for a in limits],
         )
         self._signs = TorqueSign([a.name for a in limits], [a.rated_torque for a in limits], cycle_s)
+        self.obedience = Obedience([a.name for a in limits], cycle_s)
+        """Demand against motion."""
         self.led: set[int] = set()
         """Axes whose loops the master closes."""
         self.resting: set[int] = set()
         """Axes that their drives hold while nothing is shaken."""
         self._all = set(range(count))
+        self.near: dict[int, tuple[float, float]] = {}
+        """Where axes stood that are not shaken yet, and how far from there they may go, as announced."""
         self.weighed: set[int] = set()
         """Resting axes of which the cell finds out why they yield."""
         self.speeds = [0.0] * count
@@ -115,6 +120,7 @@ class Bounds:
         for history in self._history:
             history.clear()
         self._signs.forget()
+        self.obedience.forget()
 
     def permit(self, axis: int, velocity: float) -> None:
         """Set another limit for the velocity of one axis, from here on; never above that of the config."""
@@ -149,9 +155,12 @@ class Bounds:
             self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
             self.speeds[i] = self._check_speed(i, limit, sample.time, sample.position[i])
             self._check_torque(i, limit, abs(sample.torque[i]))
+            if i in self.near:
+                self._check_announced(limit, sample.position[i], *self.near[i])
         self._yielding.check(sample, self.led, self._all - self.led - self.weighed)
         if asked is not None:
             self._signs.check(sample, asked)
+            self.obedience.check(sample, asked)
 
     def _check_slot(self, slot: int) -> None:
         if self._last_slot is not None:
@@ -186,6 +195,19 @@ class Bounds:
                 way_out="somebody moves it, its load is beyond the drive's torque limit, or a sign "
                 "is wrong in the drive",
                 code="not_held",
+                axis=limit.name,
+            )
+
+    @staticmethod
+    def _check_announced(limit: AxisLimits, position: float, home: float, most: float) -> None:
+        if abs(position - home) > most:
+            raise SafetyStop(
+                f"axis {limit.name}: moved by {abs(position - home):.3g} {limit.unit} before it is shaken, "
+                f"{most:.3g} was announced",
+                way_out="a sign is wrong in the drive, somebody moves it, or it is lighter than stated. "
+                "Where it carries a load, 0x6077 may not show what holds it: compare 0x6076 and 0x6075 "
+                "with the motor's plate",
+                code="position_window",
                 axis=limit.name,
             )
 

@@ -256,6 +256,7 @@ class Rehearsal:
         ending = play(cycles - fade, cycles)
         rest = motion.rest(excited)
         kept = joined([opening, body, ending, rest])
+        motion.learn(experiment, kept)
         led = np.zeros_like(kept.position) if path is None else _until(path, len(kept.position))
         travel, velocity = np.zeros(motion.count), np.zeros(motion.count)
         early = np.zeros((2, motion.count))

@@ -106,6 +106,7 @@ class SignTrial:
         motion, axis = self._motion, self._axis
         motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
         self._home = motion.place[axis]
+        motion.watching.bounds.near = motion.announced({axis})
         motion.change(self._modes, self._others)
         motion.watching.held = set(range(motion.count)) - {axis}
         amplitude, length, last = self._grow()
@@ -121,6 +122,7 @@ class SignTrial:
         self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
+        motion.watching.bounds.near = {}
 
     # --- doublets ------------------------------------------------------------------------------
     def _play(self, amplitude: float, length: float) -> Trial:
@@ -314,6 +316,8 @@ class SignTrial:
             if trial.response.late:
                 self._spoil(trial.response)
                 continue
+            if branch is not None:  # more than friction took of a stronger one: its encoder stands
+                self._require_motion(trial.response, slow, next_length)
             last, length = trial, next_length
             branch = self._branch(last.log)
         seen = branch.inertia if branch is not None else last.response.inertia

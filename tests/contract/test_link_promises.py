@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from other_cell import LIMIT, WINDOW, OtherCell
 
+import invid
 from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode
 from invid_drivers import cia402
@@ -201,6 +202,26 @@ def test_a_drive_that_shows_another_torque_than_it_was_asked_for_is_refused_in_t
         assert "0x6076" in str(error)
         assert "0x6075" in str(error)
         assert cell.drives[0].axis.commanded <= 0.1 * LIMIT
+
+
+@pytest.mark.parametrize(("rated", "doubted"), [(4_000, True), (9_500, False), (10_000, False)])
+def test_a_model_that_contradicts_the_stated_inertia_says_so_first_and_names_both_readings(
+    tmp_path: Path, rated: int, doubted: bool
+) -> None:
+    """A rated torque that is wrong for 0x6071 and 0x6077 alike shows in no trial below a factor of three."""
+    cell = OtherCell(tmp_path, [{"values": {"0x6076": rated}}], [{**NOTHING, "inertia_kgm2": 1.0}])
+    assert cell.measure() is None
+    recording = invid.read_recording(tmp_path / "rec.h5")
+    model = invid.identify(recording)
+    assert model.chains.masses[0].sum() == pytest.approx(rated / 10_000, rel=0.02)
+    assert model.fit["trustworthy"] is not doubted
+    said = model.warnings[0] if model.warnings else ""
+    assert ("0x6076" in said and "0x6075" in said and "another tool" in said) is doubted
+    if doubted:
+        diagnosis = invid.diagnose(recording)
+        assert "0x6075" in diagnosis.warnings[0]
+        assert not diagnosis.model.fit["trustworthy"]
+        assert "0.4 times the one in the config" in diagnosis.headline
 
 
 def test_nothing_branches_on_the_text_of_an_error() -> None:

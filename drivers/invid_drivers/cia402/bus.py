@@ -244,7 +244,7 @@ class Cia402Cell:
         self._cycle.restart_slots()
         self._cycle.leaving = False
         units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self._reports]
-        self._relief = WeightRelief(tighten(self._config, self._reports), self._drives, self._cycle, units)
+        self._relief = WeightRelief(self._config, self._drives, self._cycle, units, self.held.too_heavy)
         self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._enable(modes, unset)
@@ -458,21 +458,22 @@ class Cia402Cell:
         return complaints
 
     def _restore(self, complaints: list[str]) -> None:
-        left = self._left_protected(complaints)
-        left |= {d.name for d in self._drives if not self._link.gate.may_let_go(d.node_id)}
+        on = self._perhaps_on(complaints)
+        on |= {d.name for d in self._drives if not self._link.gate.may_let_go(d.node_id)}
         for drive in self._drives:
-            if drive.name not in left:
+            if drive.name not in on:
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
+        suspects = {h.config.name for h in self.holdings if h.seen.suspect}
         for drive in self._drives:
-            if drive.name in left:
+            if drive.name in on | suspects:
                 continue
             try:
                 complaints += drive.restore()
             except InvidError as error:
                 complaints.append(str(error))
 
-    def _left_protected(self, complaints: list[str]) -> set[str]:
+    def _perhaps_on(self, complaints: list[str]) -> set[str]:
         """Axes that keep their heartbeat watch and limits until the next start, because they may be on."""
         complaints += self.endings
         for name in self.not_off:
@@ -480,5 +481,4 @@ class Cia402Cell:
                 f"axis {name} was not seen to switch off; its objects, its heartbeat watch among them, stay "
                 "as they are until the next start"
             )
-        suspects = {h.config.name for h in self.holdings if h.seen.suspect}
-        return {*self.held_at_end, *self.not_off, *suspects}
+        return {*self.held_at_end, *self.not_off}

@@ -34,7 +34,6 @@ from invid_drivers.cia402.objects import (
     TARGET_POSITION,
     TARGET_TORQUE,
     TORQUE_OFFSET,
-    Object,
 )  # fmt: skip
 from invid_drivers.cia402.states import DriveState, is_energised, state_of
 
@@ -133,10 +132,6 @@ class Gate:
         """This master commands the node from here on."""
         self.nodes[node_id].ours = True
         self._sync_ours = True
-
-    def permit(self, node_id: int, what: Object, value: int) -> None:
-        """A weight was told from a runaway: the limit may be that much."""
-        self.nodes[node_id].found[what.index, what.sub] = value
 
     def may_let_go(self, node_id: int) -> bool:
         """Whether a node may be set pre-operational and written to: no torque would be lost by it."""

@@ -92,6 +92,12 @@ class HeldAxes:
                 with contextlib.suppress(BusError):  # the error that is on its way says more
                     h.note(self.memory, suspect=why.partition(";")[0][:200])
 
+    def too_heavy(self, axis: int, weight: int) -> None:
+        """Remember that the load of an axis needs so many thousandths of rated torque at least."""
+        self.holdings[axis].loaded = True
+        with contextlib.suppress(BusError):  # the error that is on its way says more
+            self.holdings[axis].note(self.memory, loaded=True, weight=weight)
+
     # --- at rest -------------------------------------------------------------------------------
     def weigh_at_once(self, sample: Sample, rated: Sequence[float], modes: Sequence[Mode]) -> bool:
         """Whether an axis stays for what it shows at a stop before the torque at rest was judged.

@@ -57,8 +57,8 @@ class Protection:
         """One lost heartbeat and one late one do not stop the cell."""
         self.quick_stop_option = SWITCH_OFF
         """What 0x605A is to be."""
-        self.torque_lowered: tuple[int, int] | None = None
-        """0x6072 as written and as found, where it was lowered."""
+        self.torque_lowered: int | None = None
+        """0x6072 as written, where it was lowered."""
         self.notes: tuple[str, ...] = ()
         """What turned out when it was written, in words."""
 
@@ -327,7 +327,7 @@ class Protection:
             try:
                 drive.write(what, wanted)
                 if what is od.MAX_TORQUE and wanted < found:
-                    self.torque_lowered = wanted, found
+                    self.torque_lowered = wanted
             except WriteRefused:
                 self.notes += (f"axis {drive.name}: {_only_the_master(what, found, wanted)}",)
 

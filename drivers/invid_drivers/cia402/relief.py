@@ -1,24 +1,26 @@
-"""A weight beyond a torque limit that is written in a wrong scale: found out by less torque, then held.
+"""A load beyond its torque limit is told from a wrong sign: by less torque.
 
-A drive that yields at its limit has a load beyond it, or a sign is wrong and it drives what it is to hold.
-With half the torque a load falls faster, and by how much says, with the stated inertia, what the limit truly
-is; what a wrong sign drives gets slower. Only a load is given more, up to the config's limit by that scale.
+A drive that yields at its limit has a load beyond it (or the limit is written in a wrong scale), or a sign
+is wrong and it drives what it is to hold. With half the torque a load falls faster; what a wrong sign drives
+gets slower. A load gets back what was written, never more: that is what the config permits, in the scale
+that is stated. Its weight is remembered: the axis is refused from then on until the limit is raised.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from invid.config import CellConfig
 from invid.errors import SafetyStop
-from invid.sweep.ports import Event, Mode, Sample, Severity
+from invid.sweep.ports import Mode, Sample
 from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.journal import Entry
+from invid_drivers.cia402.mode_change import SettingWrite
 from invid_drivers.cia402.objects import MAX_TORQUE
 from invid_drivers.cia402.states import DriveState, state_of
 
@@ -29,41 +31,47 @@ SAMPLES, LONG_S = 6, 0.03
 an encoder."""
 DECISIVE = 5.0
 """Standard deviations of what the counts of the encoder leave of their difference."""
-PROBE_S, SURE_S = 0.15, 0.3
-"""Longest wait for the halved torque; and the run is ended when the axis has been held for so long."""
+PROBE_S = 0.15
+"""Longest wait for the halved torque."""
 
 
 @dataclass
 class _Axis:
-    """One axis whose limit was lowered: thousandths as written and as found."""
+    """One axis whose limit was lowered, to so many thousandths."""
 
     wrote: int
-    found: int
     rows: list[tuple[float, float]] = field(default_factory=list)
     """(time, position) while its torque was what is looked at."""
     before: float | None = None
     """Acceleration at the limit, once that is known; from then on the limit is halved."""
     since: float = 0.0
-    held: int | None = None
-    """Thousandths that it was given."""
+    back: SettingWrite | None = None
+    """What was written before, for a load."""
 
 
 class WeightRelief:
     """Looks at axes that their drives hold at rest; made before they are enabled."""
 
     def __init__(
-        self, config: CellConfig, drives: Sequence[Drive], cycle: Cycle, units: Sequence[tuple[float, float]]
+        self,
+        config: CellConfig,
+        drives: Sequence[Drive],
+        cycle: Cycle,
+        units: Sequence[tuple[float, float]],
+        remember: Callable[[int, int], None],
     ) -> None:
-        """``units``: position of a count [rad or m] and torque of a thousandth [N·m or N] of each axis."""
-        self._config, self._drives, self._cycle = config, drives, cycle
+        """``units``: position of a count [rad or m] and torque of a thousandth [N·m or N] of each axis;
+        ``remember`` takes an axis and the thousandths that its load needs at least.
+        """
+        self._config, self._drives, self._cycle, self._remember = config, drives, cycle, remember
         self._counts = [abs(count) for count, _ in units]
         self._torque = [abs(torque) for _, torque in units]
         self.opposed: set[int] = set()
         """Axes that less torque makes slower: their drives drive what they are to hold."""
         self._axes = {
-            i: _Axis(*d.protection.torque_lowered)
+            i: _Axis(d.protection.torque_lowered)
             for i, d in enumerate(drives)
-            if d.protection.torque_lowered is not None and config.axes[i].inertia is not None
+            if d.protection.torque_lowered is not None
         }
 
     @property
@@ -74,11 +82,11 @@ class WeightRelief:
     def look(self, sample: Sample, doubted: Sequence[bool]) -> None:
         """One cycle; ``doubted``: axes that may be loaded and were not seen to be held.
 
-        SafetyStop where the drive of one of them turns out to drive it.
+        SafetyStop where the load of one of them is beyond its limit, or its drive drives it.
         """
         for i, axis in list(self._axes.items()):
-            if axis.held is not None:
-                self._report(i, axis, sample)
+            if axis.back is not None:
+                self._end(i, axis, axis.back, sample)
                 continue
             held = self._cycle.modes[i] is Mode.HOLD and doubted[i]
             if not held or not sample.fresh[i] or state_of(sample.status[i]) != DriveState.OPERATION_ENABLED:
@@ -112,15 +120,13 @@ class WeightRelief:
             axis.rows.append((sample.time, sample.position[i]))
         if not _is_long(axis.rows) or i not in self._axes or axis.before is None:
             return
-        inertia = self._config.axes[i].inertia or 0.0
         span = axis.rows[-1][0] - axis.rows[0][0]
         noise = self._counts[i] / math.sqrt(12) * math.sqrt(2 * 720 / len(axis.rows)) / span**2
         away = math.copysign(1.0, axis.rows[-1][1] - axis.rows[0][1])
         faster = away * _acceleration(axis.rows) - axis.before
-        limit = self._config.axes[i].limits.torque
+        name = self._config.axes[i].name
         if faster < -DECISIVE * noise:
             self.opposed.add(i)
-            name = self._config.axes[i].name
             raise SafetyStop(
                 f"axis {name}: with half its torque it gets faster more slowly: its drive drives what it is "
                 "to hold",
@@ -129,30 +135,28 @@ class WeightRelief:
                 axis=name,
             )
         if faster > DECISIVE * noise:
-            # what the config allows, by the scale of its motion; never less than was written by its own
-            allowed = max(axis.wrote, math.floor(axis.wrote * limit / (2 * faster * inertia)))
-            axis.held, axis.since = min(axis.found, allowed), sample.time
-            self._write(i, axis.wrote // 2, axis.held)
+            axis.back, axis.since = self._write(i, axis.wrote // 2, axis.wrote), sample.time
 
-    def _write(self, i: int, before: int, value: int) -> None:
+    def _end(self, i: int, axis: _Axis, back: SettingWrite, sample: Sample) -> None:
+        """End the run once the load has what the config permits: on the way out no limit rises."""
+        if not back.done and sample.time - axis.since < PROBE_S:
+            return
+        del self._axes[i]
+        self._remember(i, axis.wrote + 1)
+        name = self._config.axes[i].name
+        raise SafetyStop(
+            f"axis {name}: its drive does not hold it within {axis.wrote} ‰ of rated torque, as the config "
+            "limits it, and it sinks",
+            way_out="support it, then compare 0x6076 with the motor's plate, or raise its torque limit",
+            code="yields",
+            axis=name,
+        )
+
+    def _write(self, i: int, before: int, value: int) -> SettingWrite:
         drive = self._drives[i]
         was, is_now = MAX_TORQUE.pack(before).hex(), MAX_TORQUE.pack(value).hex()
         drive.journal.note(Entry(drive.node_id, drive.serial, MAX_TORQUE.index, MAX_TORQUE.sub, was, is_now))
-        drive.link.gate.permit(drive.node_id, MAX_TORQUE, value)
-        self._cycle.set_object(i, MAX_TORQUE, value)
-
-    def _report(self, i: int, axis: _Axis, sample: Sample) -> None:
-        """Once the drive holds: a stop before that would be made with a limit that drops the axis."""
-        if sample.time - axis.since < SURE_S:
-            return
-        del self._axes[i]
-        name = self._config.axes[i].name
-        text = (
-            f"axis {name}: its drive could not hold it within {axis.wrote} ‰ of rated torque, as the config "
-            f"limits it, and by its inertia that is less than the limit; 0x6072 is {axis.held} ‰ now, "
-            f"{axis.found} ‰ was found. Compare 0x6076 with the motor's plate"
-        )
-        sample.events = [*sample.events, Event(Severity.DRIVE, text, name)]
+        return self._cycle.set_object(i, MAX_TORQUE, value)
 
 
 def _is_long(rows: Sequence[tuple[float, float]]) -> bool:

@@ -28,6 +28,8 @@ RAMP_MARGIN = 1.25
 """On the time of a ramp from the speed limit: the axis may be faster, the drive settles at its end."""
 STILL_SHARE = 0.002
 """An axis that its drive goes on holding stands: share of its window in a tenth of a second."""
+WEIGHINGS = 3
+"""An axis weighs nothing that showed no load once: those that were just let go swing on for a while."""
 WEIGHED_SHARE = 0.5
 """Of the samples by which an axis is weighed must have come."""
 DEAF_S = 0.2
@@ -64,12 +66,13 @@ class WayOut:
         self._drives = cell.drives
         self._cycle = cell.cycle
         self._exchange = cell.exchange
-        self._stays, self._resolution, self._permitted = list(stays), cell.resolution, cell.permitted
+        self._stays = list(stays)
         for i in opposed:
             self._stays[i] = False
         self._opposed = tuple(opposed)
         self._doubted, self._weigh = tuple(i for i in doubted if i not in opposed), weigh
         self._standstill = Standstill(tolerances(cell.config, cell.resolution, STILL_SHARE))
+        self._guard = RunawayGuard(cell.config, self._stays, cell.resolution, cell.permitted)
         self._given_up: set[int] = set()
         self._deaf: set[int] = set()
         self._began: float | None = None
@@ -83,15 +86,14 @@ class WayOut:
             self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
             for i in self._opposed:
                 self._cycle.control[i] = states.DISABLE_VOLTAGE
-            guard = RunawayGuard(self._config, self._stays, self._resolution, self._permitted)
-            self._drive_to(self._quick_stop_s, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
-        with contextlib.suppress(Exception):
-            self._weigh_doubted()
-        for i in range(len(self._drives)):
-            if self._may_disable(i):
-                self._cycle.control[i] = states.DISABLE_VOLTAGE
-        with contextlib.suppress(Exception):
-            self._drive_to(DISABLE_S, self._disabled)
+            self._drive_to(self._quick_stop_s, self._at_rest)
+        self._disable()
+        for _ in range(WEIGHINGS):
+            if self._weigh is None or not any(self._stays[i] for i in self._doubted):
+                break
+            with contextlib.suppress(Exception):
+                self._weigh_doubted(self._weigh)
+            self._disable()
         unsure = [i for i in range(len(self._drives)) if self._may_disable(i) and self._may_be_on(i)]
         deaf = {i for i in unsure if self._disobeys(i)} | self._deaf
         on = [self._drives[i].name for i in sorted(self._deaf.difference(unsure))]
@@ -107,10 +109,15 @@ class WayOut:
                     self._link.nmt(NMT_STOP, drive.node_id)
         return tuple(on)
 
-    def _weigh_doubted(self) -> None:
+    def _disable(self) -> None:
+        for i in range(len(self._drives)):
+            if self._may_disable(i):
+                self._cycle.control[i] = states.DISABLE_VOLTAGE
+        with contextlib.suppress(Exception):
+            self._drive_to(DISABLE_S, self._disabled)
+
+    def _weigh_doubted(self, weigh: Callable[[Collection[int], Float64, Bool], Collection[int]]) -> None:
         """Axes that carry nothing need not stay under power because a stop came before that was known."""
-        if not self._doubted or self._weigh is None:
-            return
         torque: list[list[float]] = []
         fresh: list[list[bool]] = []
         steady = [True] * len(self._drives)
@@ -129,7 +136,7 @@ class WayOut:
         self._drive_to(CONFIRM_S, seen)
         came = np.array(fresh)
         told = [i for i in self._doubted if steady[i] and came[:, i].mean() > WEIGHED_SHARE]
-        for i in self._weigh(told, np.array(torque), came):
+        for i in weigh(told, np.array(torque), came):
             self._stays[i] = False
 
     def _may_be_on(self, axis: int) -> bool:
@@ -174,9 +181,9 @@ class WayOut:
         """An axis that would fall without torque stays in quick stop active, which holds it."""
         return not self._stays[axis]
 
-    def _cut_runaways(self, guard: RunawayGuard, sample: Sample) -> bool:
+    def _cut_runaways(self, sample: Sample) -> None:
         """An axis that a quick stop makes faster has a wrong sign somewhere: only cutting it off helps."""
-        for i in guard.faster(sample):
+        for i in self._guard.faster(sample):
             self._cycle.control[i] = states.DISABLE_VOLTAGE  # the one case in which a loaded axis is let go
         if self._began is None:
             self._began = sample.time
@@ -189,12 +196,11 @@ class WayOut:
             and self._cycle.control[i] in (states.QUICK_STOP, states.DISABLE_VOLTAGE)
         ]
         self._deaf.update(deaf)
-        for i in (*guard.silent(sample), *deaf):
+        for i in (*self._guard.silent(sample), *deaf):
             # It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop.
             if i not in self._given_up:
                 self._given_up.add(i)
                 self._link.nmt(NMT_STOP, self._drives[i].node_id)
-        return False
 
     def _drive_to(self, seconds: float, reached: Callable[[Sample], bool]) -> None:
         zero = [0.0] * len(self._drives)
@@ -205,6 +211,7 @@ class WayOut:
             except BusError:  # a queue that is full has room again
                 self._link.wait(self._config.bus.cycle_s)
                 continue
+            self._cut_runaways(sample)
             if reached(sample):
                 return
 

@@ -78,6 +78,7 @@ class Drive:
         self.ignore_controlword = False
         self.ignore_target = False
         self.torque_lie: int | None = None
+        self.torque_gain = 1.0
         self.statusword_lie: int | None = None
         self.mode_lie: int | None = None
         od = node.od
@@ -163,6 +164,8 @@ class Drive:
         """Feedback, commands, modes, supervision, statusword."""
         self._e_position.value, self._e_velocity.value, permille, _ = self.measured
         shown = self._lagged(permille) if self._lag else permille
+        if self.torque_gain != 1.0:
+            shown = max(-32768, min(32767, round(shown * self.torque_gain)))
         self._e_torque.value = shown if self.torque_lie is None else self.torque_lie
         if self.synchronous:
             self._sync_ns = now_ns

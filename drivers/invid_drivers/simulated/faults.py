@@ -33,6 +33,7 @@ DRIVE_FAULTS = (
     "statusword",
     "mode_display",
     "torque_display",
+    "torque_scale",
     "ignore_target",
     "other_master",
 )
@@ -62,6 +63,7 @@ class FaultConfig(Strict):
         "statusword",
         "mode_display",
         "torque_display",
+        "torque_scale",
         "ignore_target",
         "other_master",
     ]
@@ -88,6 +90,8 @@ class FaultConfig(Strict):
     limit: float = Field(default=0.0, ge=0, validation_alias="limit_Nm")
     torque: float = Field(default=0.0, validation_alias="torque_Nm")
     value: int = Field(default=0, ge=-32768, le=0xFFFF)
+    gain: float = 1.0
+    """0x6077 over the torque."""
     # another master on the bus
     traffic: Literal["sync", "nmt", "sdo", "heartbeat"] = "sync"
     """SDO to the drive of ``axis``; NMT: the command in ``value`` to every node."""

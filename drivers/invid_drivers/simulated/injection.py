@@ -83,6 +83,8 @@ class FaultInjector:
             return self._set(drive, "statusword_lie", fault.value & 0xFFFF)
         elif kind == "torque_display":
             return self._set(drive, "torque_lie", fault.value)
+        elif kind == "torque_scale":
+            return self._set(drive, "torque_gain", fault.gain)
         elif kind == "mode_display":
             return self._set(drive, "mode_lie", fault.value)
         else:

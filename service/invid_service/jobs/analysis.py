@@ -7,10 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 from invid.api import diagnose, identify
+from invid.comparison.news import with_stated_inertia
 from invid.config import CellConfig
 from invid.errors import InputError, RecordingError
+from invid.identification.stated_inertia import against_stated
 from invid.model.diagnosis_document import Diagnosis, Finding, diagnosis_to_json
-from invid.model.document import dump_json, model_to_json, save_text
+from invid.model.document import dump_json, model_from_json, model_to_json, save_text
 from invid.model.doubts import doubts_of
 from invid.planning.separating_experiments import to_separate
 from invid.recording import read_recording
@@ -46,6 +48,9 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         tell.begin("diagnosing")
         budget = job.budget_s - budget
         diagnosis = diagnose(recording, model=model, budget=budget, progress=tell.weigh)
+        accepted = None if job.model is None else model_from_json(job.model, source="accepted model")
+        model = against_stated(model, recording, accepted)
+        diagnosis = with_stated_inertia(diagnosis, recording, accepted)
         tell.begin("writing the report")
         best = diagnosis.model
         if not diagnosis.findings:

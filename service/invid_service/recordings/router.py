@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -216,6 +217,7 @@ def _copy(file: UploadFile, target: Path) -> None:
 
 
 async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell | None) -> None:
+    accepted = None if cell is None else await asyncio.to_thread(service.results.in_force, cell.id)
     job = Job(
         id=record.id,
         kind="analyse",
@@ -225,6 +227,7 @@ async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell |
         simulated=False,
         config=None if cell is None else cell.config.model_dump(mode="json"),
         acceptable=False,
+        model=None if accepted is None else json.loads(accepted.document),
         memory_bytes=service.settings.worker_memory_bytes,
         stop_grace_s=service.settings.stop_grace_s,
         budget_s=service.settings.analysis_budget_s,

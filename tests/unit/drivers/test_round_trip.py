@@ -120,6 +120,22 @@ def test_a_cycle_asks_for_the_frames_of_all_drives_beside_what_the_adapter_takes
     assert needed(0.0005, 6, 1_000_000) < 0.002
 
 
+def test_a_drive_that_answers_sdo_after_most_of_a_second_is_named_as_slow_and_no_adapter() -> None:
+    config = hardware(0.004)
+    with slow((1, 2, 3), 0.0005, sdo_s=dict.fromkeys((1, 2, 3), 0.8)) as link:
+        found = probe(link, config, make_plan(config))
+    with pytest.raises(
+        ConfigError, match=r"drives are slow to answer SDO: 0\.8 s.*bus\.round_trip_s"
+    ) as caught:
+        require(found, config)
+    assert "the adapter's round trip is" not in str(caught.value)
+    stated = hardware(0.004, round_trip_s=0.001)
+    again = judge([0.8, 0.8], stated, cycles=1000, loaded_s=0.001)
+    (said,) = require(again, stated)
+    assert "slow to answer SDO" in said
+    assert "too late" not in said
+
+
 @pytest.mark.parametrize(("adapter_s", "cycle_s", "carries"), [(0.004, 0.001, False), (0.004, 0.008, True)])
 def test_an_adapter_of_four_milliseconds_carries_no_kilohertz_and_the_longer_cycle_is_proposed(
     adapter_s: float, cycle_s: float, carries: bool
