@@ -49,8 +49,8 @@ def fit_linear_model(
     origin = min(float(e.time[0]) for e in recording.experiments)
     logged = train[0].command is not None
     holds = find_inside_holds(spectra, model, recording, with_command=logged)
-    smoothed = tuple(range(structure.motors)) if request.whole else axes_with_smoothed_torque(model)
-    layout = layout_of(structure, train, origin, holds, () if logged and not request.whole else smoothed)
+    smoothed = tuple(range(structure.motors)) if request.lags else axes_with_smoothed_torque(model)
+    layout = layout_of(structure, train, origin, holds, () if logged and not request.lags else smoothed)
     known_effects = known_effects_candidate(model, structure)
     delayed_axes = [t.place.axis for t in known_effects.terms if t.effect.cause == "torque_delay"]
     layout, _ = layout.without_delay(delayed_axes)

@@ -13,6 +13,7 @@ from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Experiment, Recording
 from invid.signals.drive_torque import covers_demand, mean_demand
+from invid.signals.motor_motion import motor_motion
 from invid.signals.periods import fold, remove_drift
 from invid.signals.spectra import LineSpectra, spectra_of
 from invid.signals.spectral_record import SpectralRecord
@@ -22,7 +23,7 @@ from invid.signals.timebase import resample_uniformly
 BAND_FACTOR = 1.2
 """Highest line used, over the highest excited one: distortion falls off above, noise does not."""
 MOST_LINES = 3000
-SAMPLES_PER_PERIOD = 16
+SAMPLES_PER_PERIOD = 64
 """Samples of a law of motion for each period of the highest line in use: what a law puts above an eighth of
 its grid's rate does not alias onto the lines (jumps are averaged over their sample)."""
 
@@ -64,26 +65,16 @@ def spectral_record(
     time = (np.arange(count) - (count - 1) / 2) * step
     closed = wave - time[:, None] * ramp
     spectrum = np.fft.rfft(closed, axis=0)
-    omega_all = 2 * np.pi * np.fft.rfftfreq(count, step)
     noise_all = s.floor[:motors] * (count / 2.0) ** 2
     power = np.abs(spectrum) ** 2
     # Lines within six times the noise power are taken for noise (1 line in 400 of pure noise passes).
     keep = np.where(power > 6.0 * noise_all, 1.0 - noise_all / np.maximum(power, 1e-300), 0.0)
     keep[0] = 1.0
     clean = spectrum * keep
-    grid = min(count, scipy.fft.next_fast_len(max(SAMPLES_PER_PERIOD * int(index[-1]), 256), real=True))
-    bins = grid // 2 + 1
-    coarse = clean[:bins] * (grid / count)
-    if grid < count and grid % 2 == 0:
-        coarse[-1] = 0.0
-    unseen = np.where(np.arange(bins)[:, None] > index[-1], 1.0 - keep[:bins], 0.0)
-    if grid % 2 == 0:
-        unseen[-1] = 0.0
-    wave_step = count * step / grid
-    wave_time = np.arange(grid) * wave_step - (count - 1) / 2 * step
-    velocity = np.fft.irfft(1j * omega_all[:bins, None] * coarse, grid, axis=0) + ramp
-    motor_wave = np.fft.irfft(coarse, grid, axis=0) + wave_time[:, None] * ramp
-    left = (omega_all[:, None] ** 2 * noise_all * (keep > 0))[:bins].sum(axis=0) * 2 / count**2
+    grid = scipy.fft.next_fast_len(max(SAMPLES_PER_PERIOD * int(index[-1]), 256), real=True)
+    moved = motor_motion(
+        wave, step, s.floor[:motors], int(index[-1]), grid, closes=not (s.transient or alone)
+    )
     filtered = clean[index] * (2.0 / count)
     floor = np.maximum(s.floor, 1e-300) * share
     # A torque without noise is a command: with none at all every error of the model would count as
@@ -122,11 +113,11 @@ def spectral_record(
         span=span,
         transient=transient,
         step=step,
-        motor_wave=motor_wave,
-        motor_velocity=velocity,
-        velocity_noise=np.sqrt(left),
+        motor_wave=moved.position,
+        motor_velocity=moved.velocity,
+        velocity_noise=moved.noise,
         torque_wave=torque_wave,
-        wave_step=wave_step,
+        wave_step=count * step / grid,
         ramp=ramp,
         staircase=np.asarray(s.staircase),
         start_time=start,
@@ -134,7 +125,7 @@ def spectral_record(
         period_time=s.span_s / max(s.periods, 1),
         excited=np.concatenate(([False], s.excited[used])),
         command=None if command is None else command[0],
-        unseen=unseen,
+        unseen=moved.unseen,
         ends_in=s.transient and s.periods <= 1 and rows is None,
         alone=alone and rows is not None,
         integrated=s.integrated,

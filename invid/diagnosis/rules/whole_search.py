@@ -25,15 +25,17 @@ from invid.diagnosis.evidence import (
 )
 from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.thresholds import HELD_OUT, SHARE, SIGNIFICANCE
+from invid.diagnosis.thresholds import FAR, HELD_OUT, MOST, SHARE, SIGNIFICANCE
 from invid.effects.catalogue.asymmetric_friction import AsymmetricStribeck
-from invid.effects.laws.joint import JointFriction
+from invid.effects.laws.joint import LEAST_SLOW, JointFriction
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.evaluation import evaluate
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, pack, reorder_effects
+from invid.likelihood.nuisance.corner_motion import complete_motion
 from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.likelihood.tempered_fit import fit_tempered
 from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
@@ -55,8 +57,23 @@ LARGER_FRICTION = ("presliding_friction", "stribeck_friction", "asymmetric_frict
 asked once that is found."""
 NAMING_ITERATIONS = 10
 """Iterations of a fit with the friction's parts, or without causes: it starts where it ends, almost."""
+SHAPES = 7
+"""Widths and Stribeck velocities that are tried anew, each (empirical: a factor of three apart)."""
+REFINED_BELOW = 0.5
+"""Share of χ² below which friction's shapes and the motors' completed motion are found anew (empirical)."""
+SETTLING_ITERATIONS = 10
+"""Iterations of the fit with an accepted cause (empirical: most end before)."""
 TIMING = ("torque_delay", "torque_lag")
 """Causes that the free time constants and offsets of the drives replace here."""
+
+
+@dataclass(frozen=True, eq=False)
+class BesideFriction:
+    """What the search found, and its records with the motors' motion completed (``complete_motion``)."""
+
+    selection: Selection
+    train: Sequence[SpectralRecord]
+    held: Sequence[SpectralRecord]
 
 
 def search_beside_friction(
@@ -67,30 +84,175 @@ def search_beside_friction(
     held: Sequence[SpectralRecord],
     *,
     linear_axes: bool,
-) -> Selection | None:
-    """Selection of the friction of every motor and further causes; ``None`` where no fit of it is finite.
+) -> BesideFriction | None:
+    """The friction of every motor and further causes; ``None`` where no fit of it is finite.
 
     ``known``: the friction that the identification found with the linear parameters ``start`` (n,).
     """
     null = _fit_with_friction(base, known, start, train, held)
     if null is None:
         return None
-    found = SearchState(null, ())
     tell_causes(null)
+    found = SearchState(null, (), train, held)
     cut = False
     try:
         with budget.use_share(TIME_TO_FIND, 0.1, 0.7):
-            while null_test(found.trial.fit.cost, found.trial.fit.dof, train).rejects:
-                more = _add_cause(found, train, held, linear_axes)
-                if more is None:
-                    break
-                found = more
-                tell_causes(found.trial)
-    except budget.BudgetSpent:
+            found = _find_with_held_out(_find_causes(found, (train, held), linear_axes), linear_axes)
+    except _Cut as stopped:
+        found, cut = stopped.found, True
         budget.leave_out(f"causes beside {len(found.steps)} found and the friction of every motor")
-        cut = True
-    named = _name_friction(base, null, found, train, held, linear_axes)
-    return replace(named, is_cut_short=cut or named.is_cut_short)
+    named = _name_friction(base, null, found, linear_axes)
+    return BesideFriction(replace(named, is_cut_short=cut or named.is_cut_short), found.train, found.held)
+
+
+class _Cut(Exception):
+    """The budget ended the search; ``found`` is what it had."""
+
+    def __init__(self, found: SearchState) -> None:
+        super().__init__()
+        self.found = found
+
+
+def _find_causes(
+    found: SearchState,
+    measured: tuple[Sequence[SpectralRecord], Sequence[SpectralRecord]],
+    linear_axes: bool,
+) -> SearchState:
+    """The state with causes added while the training records reject it and one is accepted.
+
+    ``measured``: the records before their motion was completed.
+
+    Raises
+    ------
+    _Cut
+        The budget is spent.
+    """
+    refined_at = np.inf
+    while found.rejects():
+        try:
+            cost = found.trial.fit.cost
+            if cost < REFINED_BELOW * refined_at:
+                found = _refined(found, measured)
+                refined_at = found.trial.fit.cost
+                if not found.rejects():
+                    break
+            more = _add_cause(found, linear_axes)
+        except budget.BudgetSpent:
+            raise _Cut(found) from None
+        if more is None and found.trial.fit.cost < refined_at:
+            refined_at = np.inf
+            continue
+        if more is None:
+            more = _from_wide_valleys(found)
+        if more is None:
+            break
+        found = more.settled()
+        tell_causes(found.trial)
+    return found
+
+
+def _from_wide_valleys(found: SearchState) -> SearchState | None:
+    """The state where wide valleys lead it; ``None`` where it is near the noise or that is no lower.
+
+    The linear parameters were found beside what was missing then, and may lie in another minimum.
+    """
+    here = found.trial.fit
+    if here.cost < FAR * here.dof:
+        return None
+    run = partial(fit_tempered, here, found.train, here.p, here.candidate)
+    trial = evidence_if_finite(run, found.held)
+    if trial is None or trial.fit.cost > (1.0 - SHARE) * here.cost:
+        return None
+    return replace(found, trial=trial)
+
+
+def _refined(
+    found: SearchState, measured: tuple[Sequence[SpectralRecord], Sequence[SpectralRecord]]
+) -> SearchState:
+    """The state with the motors' motion completed by its friction, and friction of the best shapes beside it.
+
+    Both were found beside what was missing until now.
+    """
+    here = found.trial.fit
+    train, held = (complete_motion(records, here) for records in measured)
+    run = partial(fit, here.layout, train, here.p, here.candidate, iterations=SETTLING_ITERATIONS)
+    trial = _finished(run, held)
+    if trial is not None:
+        found = replace(found, trial=trial, train=train, held=held)
+    reshaped = _reshape_friction(found.trial, found.train, found.held)
+    return found if reshaped is None else replace(found, trial=reshaped)
+
+
+def _find_with_held_out(found: SearchState, linear_axes: bool) -> SearchState:
+    """The state with the causes that only the records kept out show, in the parameters of the others alone.
+
+    A ripple moves a motor by little where its speed hides it, and by much in another experiment: the training
+    is at the noise, and the records kept out are not, whatever the parameters that the training leaves open.
+    """
+    held = found.held
+    if not null_test(_predicted_chi2(found.trial, held), found.trial.held.dof, held).rejects:
+        return found
+    every, here = [*found.train, *held], found.trial.fit
+    run = partial(fit, here.layout, every, here.p, here.candidate, iterations=NAMING_ITERATIONS, quick=True)
+    start = evidence_if_finite(run, held)
+    if start is None:
+        return found
+    state = replace(found, trial=start, train=every)
+    while state.rejects():
+        before = state.trial.fit
+        try:
+            more = _add_cause(state, linear_axes)
+        except budget.BudgetSpent:
+            raise _Cut(found) from None
+        if more is None or before.cost - more.trial.fit.cost < MOST * (before.cost - before.dof):
+            break  # small beside what is missing: it may be an error of another law
+        state = more.settled()
+    if len(state.steps) == len(found.steps):
+        return found
+    last = state.trial.fit
+    run = partial(fit, last.layout, found.train, last.p, last.candidate, iterations=NAMING_ITERATIONS)
+    trained = _finished(run, held)
+    if trained is None or trained.held.cost > found.trial.held.cost:
+        return found
+    return replace(found, trial=trained, steps=state.steps)
+
+
+def _reshape_friction(
+    trial: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> CandidateEvidence | None:
+    """The fit from other widths and Stribeck velocities of a motor's friction; ``None`` where none is better.
+
+    Both are shapes with several minima: what is missing beside them may be their own.
+    """
+    best: CandidateEvidence | None = None
+    for number, term in enumerate(trial.fit.candidate.terms):
+        if term.effect is not LAW:
+            continue
+        here = trial.fit if best is None else best.fit
+        without = fit_if_finite(
+            partial(fit, here.layout, train, here.p, here.candidate.without(number), iterations=0)
+        )
+        if without is None:
+            continue
+        screen = Screen(without)
+        (low, high) = zip(*LAW.limits(screen.views, term.place), strict=True)
+        own = screen.score_at_shape(term, here.candidate.x[number][-2:].tolist())[0]
+        shapes = [
+            (float(v), float(w))
+            for v in np.linspace(low[0], high[0], SHAPES)
+            for w in np.linspace(low[1], high[1], SHAPES)
+        ]
+        gain, x = max((screen.score_at_shape(term, s) for s in shapes), key=lambda r: r[0])
+        if gain <= own:  # not even here: a fit may lead further from the best of them
+            continue
+        xs = tuple(x if k == number else other for k, other in enumerate(here.candidate.x))
+        candidate = Candidate(here.candidate.terms, xs)
+        run = partial(fit, here.layout, train, here.p, candidate, iterations=SETTLING_ITERATIONS, quick=True)
+        found = evidence_if_finite(run, held)
+        least = chi2_isf(SIGNIFICANCE, len(LAW.shapes)) * here.dispersion
+        if found is not None and found.fit.cost < here.cost - least:
+            best = found
+    return best
 
 
 def tell_causes(found: CandidateEvidence) -> None:
@@ -115,10 +277,29 @@ def tell_causes(found: CandidateEvidence) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """The fit that the search has reached, and its steps."""
+    """The fit that the search has reached, its steps, and the records that it was fitted to and judged on."""
 
     trial: CandidateEvidence
     steps: tuple[Step, ...]
+    train: Sequence[SpectralRecord]
+    held: Sequence[SpectralRecord]
+
+    def rejects(self) -> bool:
+        """Whether the training records reject the fit."""
+        return null_test(self.trial.fit.cost, self.trial.fit.dof, self.train).rejects
+
+    def settled(self) -> SearchState:
+        """The state with its fit taken to the end: scores mean something at a minimum only.
+
+        Far from the noise without the Jacobian that knows how strong effects change inner motion: what is
+        missing bends the fit more.
+        """
+        here = self.trial.fit
+        if here.converged:
+            return self
+        run = partial(fit, here.layout, self.train, here.p, here.candidate, iterations=SETTLING_ITERATIONS)
+        found = evidence_if_finite(partial(run, quick=here.cost > FAR * here.dof), self.held)
+        return self if found is None or found.fit.cost > here.cost else replace(self, trial=found)
 
 
 def _fit_with_friction(
@@ -143,11 +324,9 @@ def _fit_with_friction(
     return _finished(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
 
 
-def _add_cause(
-    found: SearchState, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], linear_axes: bool
-) -> SearchState | None:
+def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
     """The state with one cause more, the best of a screen and a few fits; ``None`` where none is accepted."""
-    current = found.trial
+    current, train, held = found.trial, found.train, found.held
     here, rows = current.fit, current.fit.dof
     chosen = here.candidate.terms
     terms = [
@@ -184,17 +363,21 @@ def _add_cause(
     ranked = sorted(((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in trials), key=lambda r: r[1])
     best = ranked[0][0]
     steps = (*found.steps, Step(current, best, tuple(ranked)))
-    ripples = _independent_ripples(best, scores, here)
-    if ripples:
-        together = _fit_together(best, ripples, train, held)
+    beside = _independent_causes(best, scores, here)
+    if beside:
+        together = _fit_together(best, beside, train, held)
         if together is not None:
-            count = len(best.fit.candidate.terms)
-            for n in range(len(ripples)):
-                order = [*(k for k in range(count + len(ripples)) if k != count + n), count + n]
-                one = CandidateEvidence(reorder_effects(together.fit, order), together.held)
-                steps = (*steps, Step(best, one, ((one, one.cost),)))
-            best = together
-    return SearchState(best, steps)
+            steps, best = (*steps, *_joint_steps(best, together)), together
+    return replace(found, trial=best, steps=steps)
+
+
+def _joint_steps(before: CandidateEvidence, together: CandidateEvidence) -> tuple[Step, ...]:
+    """A step for each cause of a fit that found them at once."""
+    out = []
+    for n in range(len(before.fit.candidate.terms), len(together.fit.candidate.terms)):
+        one = _move_to_end(together, n)
+        out.append(Step(before, one, ((one, one.cost),)))
+    return tuple(out)
 
 
 def _one_weight_an_axis(scores: Sequence[Score]) -> list[Score]:
@@ -210,13 +393,14 @@ def _one_weight_an_axis(scores: Sequence[Score]) -> list[Score]:
     return out
 
 
-def _independent_ripples(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) -> list[Score]:
-    """Ripples of other motors in the same screen; each is read from its own motor's motion alone."""
+def _independent_causes(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) -> list[Score]:
+    """Weights and ripples of other axes in the same screen; each is read from its own axis' motion alone."""
     needed = 2.0 * np.log(max(here.dof, 2)) * max(best.fit.dispersion, 1.0)
-    taken, out = {best.term.place}, []
+    taken, out = {best.term.place.axis}, []
     for s in scores:
-        if s.term.effect.cause == "cogging" and s.term.place not in taken and s.gain > 3.0 * needed:
-            taken.add(s.term.place)
+        is_own = s.term.effect.cause in ("cogging", "gravity") and s.term.place.kind == "mass"
+        if is_own and s.term.place.axis not in taken and s.gain > 3.0 * needed:
+            taken.add(s.term.place.axis)
             out.append(s)
     return out
 
@@ -227,18 +411,21 @@ def _fit_together(
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
 ) -> CandidateEvidence | None:
-    """The fit with further causes at once; ``None`` where one of them is not significant."""
+    """The fit with further causes at once, those that are significant; ``None`` where none is."""
     candidate = best.fit.candidate
     for s in beside:
         candidate = candidate.plus(s.term, s.x)
-    found = evidence_if_finite(
-        partial(fit, best.fit.layout, train, best.fit.p, candidate, iterations=6, quick=True), held
+    run = partial(
+        fit, best.fit.layout, train, best.fit.p, candidate, iterations=SETTLING_ITERATIONS, quick=True
     )
+    found = evidence_if_finite(run, held)
     if found is None:
         return None
     first = len(best.fit.candidate.terms)
-    sure = all(_wald_ratio(found.fit, first + n) > 1.0 for n in range(len(beside)))
-    return found if sure and found.fit.cost < best.fit.cost else None
+    sure = [n for n in range(len(beside)) if _wald_ratio(found.fit, first + n) > 1.0]
+    if len(sure) < len(beside):
+        return _fit_together(best, [beside[n] for n in sure], train, held) if sure else None
+    return found if found.fit.cost < best.fit.cost else None
 
 
 def _refit_score(
@@ -270,13 +457,11 @@ def _name_friction(
     base: CandidateEvidence,
     null: CandidateEvidence,
     found: SearchState,
-    train: Sequence[SpectralRecord],
-    held: Sequence[SpectralRecord],
     linear_axes: bool,
 ) -> Selection:
     """The selection with the friction named by its parts, and without causes that are not significant."""
     known = len(base.fit.candidate.terms)
-    final = found.trial
+    final, train, held = found.trial, found.train, found.held
     steps = list(found.steps)
     friction: list[tuple[PlacedEffect, Float64]] = []
     motors = [k for k, t in enumerate(final.fit.candidate.terms) if t.effect is LAW]
@@ -493,7 +678,8 @@ def _friction_parts(found: JointFit, number: int) -> list[tuple[PlacedEffect, Fl
     x, covariance = found.candidate.x[number], found.covariance_of(number)
     place = found.candidate.terms[number].place
     dry, wet, slow, uneven, uneven_wet, uneven_slow = (float(v) for v in x[:6])
-    velocity, width = float(x[6]), float(np.exp(x[7]))
+    width = float(np.exp(x[7]))
+    velocity = max(float(x[6]), float(x[7]) + float(np.log(LEAST_SLOW)))
 
     def is_present(parts: list[int], chance: float = SIGNIFICANCE) -> bool:
         block = covariance[np.ix_(parts, parts)]
