@@ -192,7 +192,7 @@ def _search_beside_friction(recording: Recording, model: Model, *, is_whole: boo
     where it finds nothing."""
     if is_whole:
         recording = unfold_periods(recording)
-    request = ValidationRequest(lags=True)
+    request = ValidationRequest(beside_friction=True)
     spectra, warnings, (base, _, train, held) = _fit_and_split(recording, model, request)
     current_context().searches += 1
     found = apply_rule(
@@ -202,6 +202,7 @@ def _search_beside_friction(recording: Recording, model: Model, *, is_whole: boo
         start_vector(model, base.layout),
         train,
         held,
+        spectra,
         linear_axes=recording.linear,
     )
     if found is None or not found.selection.steps:
@@ -327,6 +328,8 @@ def _fit_and_split(
     train, held, warnings = split_records(recording, spectra, request)
     train, standing = leave_out_sticking_axes(train, spectra, model, recording)
     held, _ = leave_out_sticking_axes(held, spectra, model, recording)
+    if not request.beside_friction:
+        train, held = ([r.on_coarse_grid() for r in records] for records in (train, held))
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
     budget.tell("fitting the linear model", 0.05)
     return spectra, warnings, fit_linear_model(model, recording, spectra, train, held, request)

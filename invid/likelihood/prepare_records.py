@@ -16,16 +16,16 @@ from invid.signals.drive_torque import covers_demand, mean_demand
 from invid.signals.motor_motion import motor_motion
 from invid.signals.periods import fold, remove_drift
 from invid.signals.spectra import LineSpectra, spectra_of
-from invid.signals.spectral_record import SpectralRecord
+from invid.signals.spectral_record import FINENESS, SpectralRecord
 from invid.signals.standstill import standstill_velocity
 from invid.signals.timebase import resample_uniformly
 
 BAND_FACTOR = 1.2
 """Highest line used, over the highest excited one: distortion falls off above, noise does not."""
 MOST_LINES = 3000
-SAMPLES_PER_PERIOD = 64
-"""Samples of a law of motion for each period of the highest line in use: what a law puts above an eighth of
-its grid's rate does not alias onto the lines (jumps are averaged over their sample)."""
+SAMPLES_PER_PERIOD = 16
+"""Samples of a law of motion for each period of the highest line in use, on the coarse grid: what a law puts
+above an eighth of its grid's rate does not alias onto the lines (jumps are averaged over their sample)."""
 
 
 def spectral_record(
@@ -71,7 +71,7 @@ def spectral_record(
     keep = np.where(power > 6.0 * noise_all, 1.0 - noise_all / np.maximum(power, 1e-300), 0.0)
     keep[0] = 1.0
     clean = spectrum * keep
-    grid = scipy.fft.next_fast_len(max(SAMPLES_PER_PERIOD * int(index[-1]), 256), real=True)
+    grid = FINENESS * scipy.fft.next_fast_len(max(SAMPLES_PER_PERIOD * int(index[-1]), 256), real=True)
     moved = motor_motion(
         wave, step, s.floor[:motors], int(index[-1]), grid, closes=not (s.transient or alone)
     )

@@ -70,10 +70,11 @@ def quiet_power(spectrum: Complex128, quiet: np.ndarray) -> tuple[Float64, float
 WINDOWS_PER_OCTAVE, LEAST_LINES = 4, 64
 """Width of the windows in which noise is looked at, and the least number of lines in one: their medians then
 scatter by a fifth."""
-LEAST_FALL = 4.0
-"""Factor by which the power of lines that show motion falls in an octave, at least. Physical: a torque on an
-inertia moves it with the second power of the period, sixteen in power; an error of the encoder or a white
-noise does not fall; half way between."""
+FALLS = (4.0, 8.0)
+"""Factor by which the power of lines that show motion falls in an octave, at least; the second where none falls
+by less than the first. Physical: a torque on an inertia moves it with the second power of the period, sixteen
+in power; an error of the encoder or a white noise does not fall, and behind a filter of first order a noise
+falls by four; half way between, each."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,8 @@ def noise_plateau(power: Float64, hz: Float64) -> NoisePlateau:
     levels = np.array([np.median(power[a:b]) for a, b in pairwise(edges)]) / np.log(2.0)
     octave, half = WINDOWS_PER_OCTAVE, WINDOWS_PER_OCTAVE // 2
     last = levels.size - 1
-    flat = (k for k in range(levels.size - octave) if LEAST_FALL * levels[k + octave] > levels[k])
+    falls = levels[:-octave] / levels[octave:]
+    flat = (int(k) for least in FALLS for k in np.flatnonzero(falls < least))
     # Half an octave on: in the first such window there still is motion.
     first = min(next(flat, last) + half, last)
     end = first

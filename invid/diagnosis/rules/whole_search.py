@@ -25,6 +25,7 @@ from invid.diagnosis.evidence import (
 )
 from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
+from invid.diagnosis.structure_start import start_beside_friction
 from invid.diagnosis.thresholds import FAR, HELD_OUT, MOST, SHARE, SIGNIFICANCE
 from invid.effects.catalogue.asymmetric_friction import AsymmetricStribeck
 from invid.effects.laws.joint import LEAST_SLOW, JointFriction
@@ -35,11 +36,11 @@ from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, pack, r
 from invid.likelihood.nuisance.corner_motion import complete_motion
 from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
-from invid.likelihood.tempered_fit import fit_tempered
 from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
+from invid.signals.spectra import LineSpectra
 from invid.signals.spectral_record import SpectralRecord
 
 LAW = JointFriction()
@@ -61,6 +62,8 @@ SHAPES = 7
 """Widths and Stribeck velocities that are tried anew, each (empirical: a factor of three apart)."""
 REFINED_BELOW = 0.5
 """Share of χ² below which friction's shapes and the motors' completed motion are found anew (empirical)."""
+COARSE_ABOVE = 30.0
+"""χ²/ν down to which a search is on the coarse grid: its errors are less (``signals.spectral_record``)."""
 SETTLING_ITERATIONS = 10
 """Iterations of the fit with an accepted cause (empirical: most end before)."""
 TIMING = ("torque_delay", "torque_lag")
@@ -82,6 +85,7 @@ def search_beside_friction(
     start: Float64,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
+    spectra: Sequence[LineSpectra],
     *,
     linear_axes: bool,
 ) -> BesideFriction | None:
@@ -89,11 +93,12 @@ def search_beside_friction(
 
     ``known``: the friction that the identification found with the linear parameters ``start`` (n,).
     """
-    null = _fit_with_friction(base, known, start, train, held)
+    coarse = _on_coarse_grid(train), _on_coarse_grid(held)
+    null = _fit_with_friction(base, known, start, *coarse)
     if null is None:
         return None
     tell_causes(null)
-    found = SearchState(null, (), train, held)
+    found = SearchState(null, (), *coarse, spectra)
     cut = False
     try:
         with budget.use_share(TIME_TO_FIND, 0.1, 0.7):
@@ -103,6 +108,10 @@ def search_beside_friction(
         budget.leave_out(f"causes beside {len(found.steps)} found and the friction of every motor")
     named = _name_friction(base, null, found, linear_axes)
     return BesideFriction(replace(named, is_cut_short=cut or named.is_cut_short), found.train, found.held)
+
+
+def _on_coarse_grid(records: Sequence[SpectralRecord]) -> list[SpectralRecord]:
+    return [r.on_coarse_grid() for r in records]
 
 
 class _Cut(Exception):
@@ -127,23 +136,27 @@ def _find_causes(
     _Cut
         The budget is spent.
     """
-    refined_at = np.inf
+    refined_at, is_fine, is_restarted = np.inf, False, False
     while found.rejects():
+        here = found.trial.fit
         try:
-            cost = found.trial.fit.cost
-            if cost < REFINED_BELOW * refined_at:
-                found = _refined(found, measured)
+            if here.cost < REFINED_BELOW * refined_at:
+                found = _restarted(found) or found
+                is_fine = is_fine or found.trial.fit.cost < COARSE_ABOVE * here.dof
+                found = _refined(found, measured, is_fine=is_fine)
                 refined_at = found.trial.fit.cost
                 if not found.rejects():
                     break
             more = _add_cause(found, linear_axes)
         except budget.BudgetSpent:
             raise _Cut(found) from None
-        if more is None and found.trial.fit.cost < refined_at:
-            refined_at = np.inf
+        if more is None and (not is_fine or found.trial.fit.cost < refined_at):
+            is_fine, refined_at = True, np.inf
             continue
-        if more is None:
-            more = _from_wide_valleys(found)
+        if more is None and not is_restarted:
+            more, is_restarted = _restarted(found), True
+        elif more is not None:
+            is_restarted = False
         if more is None:
             break
         found = more.settled()
@@ -151,15 +164,19 @@ def _find_causes(
     return found
 
 
-def _from_wide_valleys(found: SearchState) -> SearchState | None:
-    """The state where wide valleys lead it; ``None`` where it is near the noise or that is no lower.
+def _restarted(found: SearchState) -> SearchState | None:
+    """The state with its chain identified anew beside its friction; ``None`` where it is near the noise or
+    that is no nearer.
 
-    The linear parameters were found beside what was missing then, and may lie in another minimum.
+    The chain was found beside what was missing then, and may lie in another minimum.
     """
     here = found.trial.fit
     if here.cost < FAR * here.dof:
         return None
-    run = partial(fit_tempered, here, found.train, here.p, here.candidate)
+    p = start_beside_friction(here, found.train, found.spectra)
+    if p is None:
+        return None
+    run = partial(fit, here.layout, found.train, p, here.candidate, iterations=60, quick=True)
     trial = evidence_if_finite(run, found.held)
     if trial is None or trial.fit.cost > (1.0 - SHARE) * here.cost:
         return None
@@ -167,14 +184,19 @@ def _from_wide_valleys(found: SearchState) -> SearchState | None:
 
 
 def _refined(
-    found: SearchState, measured: tuple[Sequence[SpectralRecord], Sequence[SpectralRecord]]
+    found: SearchState,
+    measured: tuple[Sequence[SpectralRecord], Sequence[SpectralRecord]],
+    *,
+    is_fine: bool,
 ) -> SearchState:
     """The state with the motors' motion completed by its friction, and friction of the best shapes beside it.
 
     Both were found beside what was missing until now.
     """
     here = found.trial.fit
-    train, held = (complete_motion(records, here) for records in measured)
+    train, held = (
+        complete_motion(records if is_fine else _on_coarse_grid(records), here) for records in measured
+    )
     run = partial(fit, here.layout, train, here.p, here.candidate, iterations=SETTLING_ITERATIONS)
     trial = _finished(run, held)
     if trial is not None:
@@ -277,12 +299,14 @@ def tell_causes(found: CandidateEvidence) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """The fit that the search has reached, its steps, and the records that it was fitted to and judged on."""
+    """The fit that the search has reached, its steps, the records that it was fitted to and judged on, and
+    the ``spectra`` that all of them come from."""
 
     trial: CandidateEvidence
     steps: tuple[Step, ...]
     train: Sequence[SpectralRecord]
     held: Sequence[SpectralRecord]
+    spectra: Sequence[LineSpectra]
 
     def rejects(self) -> bool:
         """Whether the training records reject the fit."""

@@ -33,7 +33,7 @@ def _complete(view: View, fitted: JointFit) -> SpectralRecord:
         return record
     hidden = np.zeros_like(record.motor_velocity)
     for axis in range(hidden.shape[1]):
-        acting = centred(view.drive_means(axis).mean(axis=1), view) - _force_at_motor(view, fitted, axis)
+        acting = centred(view.drive_means(axis).mean(axis=1), view) - force_at_motor(view, fitted, axis)
         if record.transient:  # what jumps from the end to the start would ring at both
             acting -= np.linspace(-0.5, 0.5, acting.size) * (acting[-1] - acting[0])
         lightness = 1.0 / float(view.masses[view.structure.motor_dofs[axis]])
@@ -48,7 +48,7 @@ def _complete(view: View, fitted: JointFit) -> SpectralRecord:
     )
 
 
-def _force_at_motor(view: View, fitted: JointFit, axis: int) -> Float64:
+def force_at_motor(view: View, fitted: JointFit, axis: int) -> Float64:
     """(n,) resistance of the causes at a motor over time, by their laws."""
     total = np.zeros(view.record.samples)
     for term, x in zip(fitted.candidate.terms, fitted.candidate.x, strict=True):
@@ -60,4 +60,4 @@ def _force_at_motor(view: View, fitted: JointFit, axis: int) -> Float64:
     return total
 
 
-__all__ = ["complete_motion"]
+__all__ = ["complete_motion", "force_at_motor"]
