@@ -20,6 +20,7 @@ from invid.diagnosis.evidence import (
     evidence_if_finite,
     fit_if_finite,
     is_at_bound,
+    is_size_significant,
     refit_with_effect,
     schwarz_penalty,
 )
@@ -371,6 +372,9 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
             break
         trial = _refit_score(here, score, train, held)
         if trial is None or is_at_bound(trial.fit) or is_smaller_model(trial):
+            continue
+        # A mode of no mass may ring on from a record's start: the gain is its ends', a tone of another origin.
+        if is_size_significant(trial.fit, len(trial.fit.candidate.terms) - 1) is False:
             continue
         gain = here.cost - trial.fit.cost
         needed = chi2_isf(SIGNIFICANCE / len(terms), max(trial.term.size, 1))
