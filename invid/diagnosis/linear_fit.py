@@ -50,7 +50,9 @@ def fit_linear_model(
     logged = train[0].command is not None
     holds = find_inside_holds(spectra, model, recording, with_command=logged)
     smoothed = tuple(range(structure.motors)) if request.beside_friction else axes_with_smoothed_torque(model)
-    layout = layout_of(structure, train, origin, holds, () if logged and not request.beside_friction else smoothed)
+    layout = layout_of(
+        structure, train, origin, holds, () if logged and not request.beside_friction else smoothed
+    )
     known_effects = known_effects_candidate(model, structure)
     delayed_axes = [t.place.axis for t in known_effects.terms if t.effect.cause == "torque_delay"]
     layout, _ = layout.without_delay(delayed_axes)

@@ -44,7 +44,7 @@ from invid.numerics.distributions import chi2_isf
 from invid.signals.spectra import LineSpectra
 from invid.signals.spectral_record import SpectralRecord
 
-LAW = JointFriction()
+LAW, GRAVITY = JointFriction(), BY_CAUSE["gravity"]
 MOST_FITS, MOST_TRIED = 3, 5
 """Most candidates of a screen that compete, and most that are fitted to find them (empirical)."""
 NEAR_BEST = 0.5
@@ -80,7 +80,7 @@ class BesideFriction:
     held: Sequence[SpectralRecord]
 
 
-def search_beside_friction(
+def search_beside_friction(  # noqa: PLR0913 - a fit, its records and where they come from
     base: CandidateEvidence,
     known: Candidate,
     start: Float64,
@@ -99,7 +99,8 @@ def search_beside_friction(
     if null is None:
         return None
     tell_causes(null)
-    found = SearchState(null, (), *coarse, spectra)
+    found = _with_weights(SearchState(null, (), *coarse, spectra), linear_axes)
+    found = _restarted(found.settled()) or found
     cut = False
     try:
         with budget.use_share(TIME_TO_FIND, 0.1, 0.7):
@@ -140,29 +141,62 @@ def _find_causes(
     refined_at, is_fine, is_restarted = np.inf, False, False
     while found.rejects():
         here = found.trial.fit
+        is_fine = is_fine or here.cost < COARSE_ABOVE * here.dof
         try:
-            if here.cost < REFINED_BELOW * refined_at:
-                found = _restarted(found) or found
-                is_fine = is_fine or found.trial.fit.cost < COARSE_ABOVE * here.dof
-                found = _refined(found, measured, is_fine=is_fine)
+            if is_fine and here.cost < REFINED_BELOW * refined_at:
+                found = _refined(found, measured)
                 refined_at = found.trial.fit.cost
                 if not found.rejects():
                     break
             more = _add_cause(found, linear_axes)
+            if more is not None:
+                is_restarted = False
+            elif not is_restarted:
+                more, is_restarted = _restarted(found), True
         except budget.BudgetSpent:
             raise _Cut(found) from None
-        if more is None and (not is_fine or found.trial.fit.cost < refined_at):
+        if more is not None:
+            # What is found anew next is fitted to the end there.
+            is_next = is_fine and more.trial.fit.cost < REFINED_BELOW * refined_at
+            found = more if is_next else more.settled()
+            tell_causes(found.trial)
+        elif not is_fine or found.trial.fit.cost < refined_at:
             is_fine, refined_at = True, np.inf
-            continue
-        if more is None and not is_restarted:
-            more, is_restarted = _restarted(found), True
-        elif more is not None:
-            is_restarted = False
-        if more is None:
+        else:
             break
-        found = more.settled()
-        tell_causes(found.trial)
     return found
+
+
+def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
+    """The state with the weights of all axes that are significant: they are there before any fault.
+
+    In a screen of all causes a ripple of the motor may pass for a weight.
+    """
+    if linear_axes:
+        return found
+    for place in _end_places(found.trial.fit):
+        here = found.trial.fit
+        if not found.rejects():
+            break
+        if any(t.effect is GRAVITY and t.place.axis == place.axis for t in here.candidate.terms):
+            continue
+        score = Screen(here).best(PlacedEffect(GRAVITY, place), polish=True)
+        trial = _refit_score(here, score, found.train, found.held)
+        if trial is not None and here.cost - trial.fit.cost > _least_own_gain(trial.fit):
+            step = Step(found.trial, trial, ((trial, trial.fit.cost),))
+            found = replace(found, trial=trial, steps=(*found.steps, step))
+    return found
+
+
+def _end_places(here: JointFit) -> list[Place]:
+    """The place of each axis where a weight hangs."""
+    places = GRAVITY.places(here.layout.structure)
+    return [next(p for p in places if p.axis == i) for i in range(here.layout.structure.motors)]
+
+
+def _least_own_gain(here: JointFit) -> float:
+    """Least gain of χ² of a cause that is added beside others (three times what Schwarz' criterion asks)."""
+    return float(6.0 * np.log(max(here.dof, 2)) * max(here.dispersion, 1.0))
 
 
 def _restarted(found: SearchState) -> SearchState | None:
@@ -177,7 +211,9 @@ def _restarted(found: SearchState) -> SearchState | None:
     p = start_beside_friction(here, found.train, found.spectra)
     if p is None:
         return None
-    run = partial(fit, here.layout, found.train, p, here.candidate, iterations=60, quick=True)
+    run = partial(
+        fit, here.layout, found.train, p, here.candidate, iterations=SETTLING_ITERATIONS, quick=True
+    )
     trial = evidence_if_finite(run, found.held)
     if trial is None or trial.fit.cost > (1.0 - SHARE) * here.cost:
         return None
@@ -187,17 +223,13 @@ def _restarted(found: SearchState) -> SearchState | None:
 def _refined(
     found: SearchState,
     measured: tuple[Sequence[SpectralRecord], Sequence[SpectralRecord]],
-    *,
-    is_fine: bool,
 ) -> SearchState:
     """The state with the motors' motion completed by its friction, and friction of the best shapes beside it.
 
     Both were found beside what was missing until now.
     """
     here = found.trial.fit
-    train, held = (
-        complete_motion(records if is_fine else _on_coarse_grid(records), here) for records in measured
-    )
+    train, held = (complete_motion(records, here) for records in measured)
     run = partial(fit, here.layout, train, here.p, here.candidate, iterations=SETTLING_ITERATIONS)
     trial = _finished(run, held)
     if trial is not None:
@@ -363,7 +395,7 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
     least_gain = chi2_isf(SIGNIFICANCE / len(terms), 1) * min(here.dispersion, 1.0)
     # No refit of what could not be accepted at three times its prediction.
     least_gain = max(least_gain, SHARE * (here.cost - here.dof))
-    scores = [s for s in scores if REACH * s.gain >= least_gain]
+    scores = [s for s in scores if REACH * s.gain >= least_gain and not _is_below_all_lines(s, here)]
     before = _predicted_chi2(current, held)
     trials: list[CandidateEvidence] = []
     reached = 0.0
@@ -373,7 +405,7 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
         trial = _refit_score(here, score, train, held)
         if trial is None or is_at_bound(trial.fit) or is_smaller_model(trial):
             continue
-        # A mode of no mass may ring on from a record's start: the gain is its ends', a tone of another origin.
+        # A mode of no mass may ring on from a record's start: the gain is its ends', a tone's.
         if is_size_significant(trial.fit, len(trial.fit.candidate.terms) - 1) is False:
             continue
         gain = here.cost - trial.fit.cost
@@ -408,6 +440,14 @@ def _joint_steps(before: CandidateEvidence, together: CandidateEvidence) -> tupl
     return tuple(out)
 
 
+def _is_below_all_lines(score: Score, here: JointFit) -> bool:
+    """Whether a screen puts a mode at the lowest frequency that it may have, where motion drifts."""
+    if score.term.effect.cause != "extra_mode":
+        return False
+    low = score.term.effect.limits(here.evaluation.views, score.term.place)[0][0]
+    return bool(score.x[-2] <= low + 1e-9)
+
+
 def _one_weight_an_axis(scores: Sequence[Score]) -> list[Score]:
     """The scores, best first, with gravity at one place of an axis alone: elsewhere on it it is the same
     cause."""
@@ -423,11 +463,11 @@ def _one_weight_an_axis(scores: Sequence[Score]) -> list[Score]:
 
 def _independent_causes(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) -> list[Score]:
     """Weights and ripples of other axes in the same screen; each is read from its own axis' motion alone."""
-    needed = 2.0 * np.log(max(here.dof, 2)) * max(best.fit.dispersion, 1.0)
+    least = _least_own_gain(best.fit)
     taken, out = {best.term.place.axis}, []
     for s in scores:
         is_own = s.term.effect.cause in ("cogging", "gravity") and s.term.place.kind == "mass"
-        if is_own and s.term.place.axis not in taken and s.gain > 3.0 * needed:
+        if is_own and s.term.place.axis not in taken and s.gain > least:
             taken.add(s.term.place.axis)
             out.append(s)
     return out
@@ -440,6 +480,8 @@ def _fit_together(
     held: Sequence[SpectralRecord],
 ) -> CandidateEvidence | None:
     """The fit with further causes at once, those that are significant; ``None`` where none is."""
+    if not beside:
+        return None
     candidate = best.fit.candidate
     for s in beside:
         candidate = candidate.plus(s.term, s.x)
