@@ -71,7 +71,7 @@ def fit_linear_model(
     if keys and (request.by_period or request.by_period_if_differing or not find_tones(first, held, spectra)):
         train, held = split_into_periods(recording, train, keys), split_into_periods(recording, held, keys)
         if not request.beside_friction:
-            train, held = ([r.on_coarse_grid() for r in records] for records in (train, held))
+            train, held = ([replace(r, fine=None) for r in records] for records in (train, held))
         if request.by_period and len(held) > 1 and held[0].alone:
             train, held = [*train, held[0]], held[1:]
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held

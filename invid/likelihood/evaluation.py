@@ -209,6 +209,7 @@ def _evaluate_record(
     if before is not None:
         view.end_motion, view.secants = before.end_motion, before.secants
         view.starts = dict(before.starts)
+        view.set_equivalents(before.equivalents)
         view.set_inner_motion(before.feedback, before.jumps)
     extra = contributions(view, candidate)
     extra, starting = solve_initial_states(view, candidate, extra, partial(_chi2_of, root, basis, r))

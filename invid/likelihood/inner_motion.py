@@ -26,6 +26,9 @@ NEWTON_STEPS, MOST_DIRECTIONS, DIRECTION_TOLERANCE = 16, 80, 0.05
 """Most Newton steps where substitutions found no agreement, directions for each (a gap as wide as the
 deflection takes one or two for every line below the clamped resonance), and the share of the disagreement
 that the directions may leave."""
+MOST_WORSE = 4
+"""Newton steps in a row that bring nothing, after which there is no solution near (empirical: past a corner
+of a gap one or two do)."""
 PROBE_LENGTH = 1e-5
 """Length of a finite difference along a direction, over the motion."""
 
@@ -87,17 +90,19 @@ def _solve_by_newton(view: View, forces: Forces, best: _State) -> _State:
     """
     scale = max(float(np.abs(view.base).max()), 1e-300)
     _, here, gap, _ = best
+    worse = 0
     for _ in range(NEWTON_STEPS):
         secants = _krylov_secants(view, forces, here, gap)
         here = here + secants.step(gap)
         _set_state(view, here)
         total, gap, largest_effect = _disagreement(view, forces)
         size = _largest_line(view, gap)
-        if not np.isfinite(size):
+        if not size < MOST_GROWTH * best[0]:
             break
-        if size < best[0]:
+        worse = 0 if size < best[0] else worse + 1
+        if not worse:
             best, view.secants = (size, here, gap, total), secants
-        if size < max(TOLERANCE * largest_effect, NEGLIGIBLE * scale):
+        if worse == MOST_WORSE or size < max(TOLERANCE * largest_effect, NEGLIGIBLE * scale):
             break
     return best
 
@@ -160,7 +165,8 @@ def _disagreement(view: View, forces: Forces) -> tuple[Complex128, Float64, floa
     effect."""
     total, back = forces()
     jumps = view.closing_jumps(total)
-    gap = np.concatenate((_flatten(back - view.feedback), (jumps - view.jumps) * _jump_unit(view)))
+    own = view.without_response(back - view.feedback)
+    gap = np.concatenate((_flatten(own), (jumps - view.jumps) * _jump_unit(view)))
     return total, gap, float(np.abs(back).max())
 
 

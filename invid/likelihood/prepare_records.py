@@ -24,8 +24,8 @@ BAND_FACTOR = 1.2
 """Highest line used, over the highest excited one: distortion falls off above, noise does not."""
 MOST_LINES = 3000
 SAMPLES_PER_PERIOD = 16
-"""Samples of a law of motion for each period of the highest line in use, on the coarse grid: what a law puts
-above an eighth of its grid's rate does not alias onto the lines (jumps are averaged over their sample)."""
+"""Samples of a law of motion for each period of the highest line in use: what a law puts above an eighth of
+its grid's rate does not alias onto the lines (jumps are averaged over their sample)."""
 
 
 def spectral_record(
@@ -99,7 +99,7 @@ def spectral_record(
     if command is not None:
         torque = torque - command[1]
     quiet = max((0.45 / step - 1.5 * top) * s.span_s / max(s.periods, 1), 1.0) * max(s.periods - 1, 1)
-    return SpectralRecord(
+    fine = SpectralRecord(
         key=s.key,
         omega=np.concatenate(([0.0], s.omega[used])),
         lines=np.concatenate(([0], index)),
@@ -130,6 +130,7 @@ def spectral_record(
         alone=alone and rows is not None,
         integrated=s.integrated,
     )
+    return fine.on_coarse_grid()
 
 
 def _waves_of_periods(

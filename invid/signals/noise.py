@@ -71,10 +71,10 @@ WINDOWS_PER_OCTAVE, LEAST_LINES = 4, 64
 """Width of the windows in which noise is looked at, and the least number of lines in one: their medians then
 scatter by a fifth."""
 FALLS = (4.0, 8.0)
-"""Factor by which the power of lines that show motion falls in an octave, at least; the second where none falls
-by less than the first. Physical: a torque on an inertia moves it with the second power of the period, sixteen
-in power; an error of the encoder or a white noise does not fall, and behind a filter of first order a noise
-falls by four; half way between, each."""
+"""Factor by which the power of lines that show motion falls in an octave, at least; the second where none
+falls by less than the first. Physical: a torque on an inertia moves it with the second power of the period,
+sixteen in power; an error of the encoder or a white noise does not fall, and behind a filter of first order a
+noise falls by four; half way between, each."""
 
 
 @dataclass(frozen=True)

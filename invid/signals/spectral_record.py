@@ -11,10 +11,10 @@ import numpy as np
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.standstill import is_seen_standing
 
-
 FINENESS = 4
-"""Points of the waves' grid for one of the coarse grid. Empirical (whole cells at their true parameters): on
-the coarse one reversals are misread by three to seven times the noise, on the fine one by less than it."""
+"""Points of the fine grid of a motor's motion for one of the waves' grid. Empirical (whole cells at their
+true parameters): on the latter reversals are misread by three to seven times the noise, on the fine one by
+less than it."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,8 +110,8 @@ class SpectralRecord(SpectralLines):
     """Whether it scatters from period to period far beyond the sensors' noise."""
     unseen: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
     """(n//2 + 1, M) share of each line of the waves above the band in use that was taken for noise."""
-    is_fine: bool = True
-    """Whether the waves are on the fine grid (``on_coarse_grid``)."""
+    fine: SpectralRecord | None = None
+    """The record with its waves on a finer grid, where laws at the motors are read from it."""
 
     @property
     def samples(self) -> int:
@@ -119,16 +119,14 @@ class SpectralRecord(SpectralLines):
         return int(self.motor_wave.shape[0])
 
     def on_coarse_grid(self) -> SpectralRecord:
-        """The record with its waves on a grid ``FINENESS`` times as wide."""
-        if not self.is_fine:
-            return self
+        """The record with its waves on a grid ``FINENESS`` times as wide, and itself beside them."""
         return replace(
             self,
-            is_fine=False,
             motor_wave=np.ascontiguousarray(self.motor_wave[::FINENESS]),
             motor_velocity=np.ascontiguousarray(self.motor_velocity[::FINENESS]),
             wave_step=self.wave_step * FINENESS,
             unseen=self.unseen[: self.samples // FINENESS // 2 + 1],
+            fine=self,
         )
 
     @cached_property

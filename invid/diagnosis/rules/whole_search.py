@@ -7,7 +7,7 @@ are searched in what that leaves. At the end the parts of the friction that are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,7 +18,6 @@ from invid.diagnosis.evidence import (
     CandidateEvidence,
     Step,
     evidence_if_finite,
-    fit_if_finite,
     is_at_bound,
     is_size_significant,
     refit_with_effect,
@@ -33,7 +32,7 @@ from invid.effects.laws.joint import LEAST_SLOW, JointFriction
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.evaluation import evaluate
-from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, pack, reorder_effects
+from invid.likelihood.joint_fit import JointFit, fit, pack, reorder_effects
 from invid.likelihood.nuisance.corner_motion import complete_motion
 from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
@@ -64,9 +63,11 @@ SHAPES = 7
 REFINED_BELOW = 0.5
 """Share of χ² below which friction's shapes and the motors' completed motion are found anew (empirical)."""
 COARSE_ABOVE = 30.0
-"""χ²/ν down to which a search is on the coarse grid: its errors are less (``signals.spectral_record``)."""
+"""χ²/ν down to which a search does without the fine grid (``signals.spectral_record``): errors are less."""
 SETTLING_ITERATIONS = 10
 """Iterations of the fit with an accepted cause (empirical: most end before)."""
+STRUCTURE = ("extra_mode", "coupling_stiffness")
+"""Causes that stand for another chain."""
 TIMING = ("torque_delay", "torque_lag")
 """Causes that the free time constants and offsets of the drives replace here."""
 
@@ -94,13 +95,13 @@ def search_beside_friction(  # noqa: PLR0913 - a fit, its records and where they
 
     ``known``: the friction that the identification found with the linear parameters ``start`` (n,).
     """
-    coarse = _on_coarse_grid(train), _on_coarse_grid(held)
+    coarse = _without_fine_grid(train), _without_fine_grid(held)
     null = _fit_with_friction(base, known, start, *coarse)
     if null is None:
         return None
     tell_causes(null)
     found = _with_weights(SearchState(null, (), *coarse, spectra), linear_axes)
-    found = _restarted(found.settled()) or found
+    found = found.settled()
     cut = False
     try:
         with budget.use_share(TIME_TO_FIND, 0.1, 0.7):
@@ -112,8 +113,9 @@ def search_beside_friction(  # noqa: PLR0913 - a fit, its records and where they
     return BesideFriction(replace(named, is_cut_short=cut or named.is_cut_short), found.train, found.held)
 
 
-def _on_coarse_grid(records: Sequence[SpectralRecord]) -> list[SpectralRecord]:
-    return [r.on_coarse_grid() for r in records]
+def _without_fine_grid(records: Sequence[SpectralRecord]) -> list[SpectralRecord]:
+    """The records with their waves alone, whose errors do not show far from the noise."""
+    return [replace(r, fine=None) for r in records]
 
 
 class _Cut(Exception):
@@ -149,10 +151,11 @@ def _find_causes(
                 if not found.rejects():
                     break
             more = _add_cause(found, linear_axes)
-            if more is not None:
+            if not is_restarted and (more is None or more.trial.term.effect.cause in STRUCTURE):
+                # Another minimum of the chain is excluded before a mode or a spring is believed.
+                more, is_restarted = _restarted(found) or more, True
+            elif more is not None:
                 is_restarted = False
-            elif not is_restarted:
-                more, is_restarted = _restarted(found), True
         except budget.BudgetSpent:
             raise _Cut(found) from None
         if more is not None:
@@ -181,7 +184,7 @@ def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
         if any(t.effect is GRAVITY and t.place.axis == place.axis for t in here.candidate.terms):
             continue
         score = Screen(here).best(PlacedEffect(GRAVITY, place), polish=True)
-        trial = _refit_score(here, score, found.train, found.held)
+        trial = _refit_score(found.trial, score, found.train, found.held)
         if trial is not None and here.cost - trial.fit.cost > _least_own_gain(trial.fit):
             step = Step(found.trial, trial, ((trial, trial.fit.cost),))
             found = replace(found, trial=trial, steps=(*found.steps, step))
@@ -211,10 +214,7 @@ def _restarted(found: SearchState) -> SearchState | None:
     p = start_beside_friction(here, found.train, found.spectra)
     if p is None:
         return None
-    run = partial(
-        fit, here.layout, found.train, p, here.candidate, iterations=SETTLING_ITERATIONS, quick=True
-    )
-    trial = evidence_if_finite(run, found.held)
+    trial = _refit(found.trial, found.train, found.held, p=p, iterations=SETTLING_ITERATIONS, quick=True)
     if trial is None or trial.fit.cost > (1.0 - SHARE) * here.cost:
         return None
     return replace(found, trial=trial)
@@ -228,10 +228,9 @@ def _refined(
 
     Both were found beside what was missing until now.
     """
-    here = found.trial.fit
-    train, held = (complete_motion(records, here) for records in measured)
-    run = partial(fit, here.layout, train, here.p, here.candidate, iterations=SETTLING_ITERATIONS)
-    trial = _finished(run, held)
+    train, held = (complete_motion(records, found.trial.fit) for records in measured)
+    quick = found.trial.fit.cost > FAR * found.trial.fit.dof
+    trial = _refit(found.trial, train, held, is_last=True, iterations=SETTLING_ITERATIONS, quick=quick)
     if trial is not None:
         found = replace(found, trial=trial, train=train, held=held)
     reshaped = _reshape_friction(found.trial, found.train, found.held)
@@ -247,9 +246,8 @@ def _find_with_held_out(found: SearchState, linear_axes: bool) -> SearchState:
     held = found.held
     if not null_test(_predicted_chi2(found.trial, held), found.trial.held.dof, held).rejects:
         return found
-    every, here = [*found.train, *held], found.trial.fit
-    run = partial(fit, here.layout, every, here.p, here.candidate, iterations=NAMING_ITERATIONS, quick=True)
-    start = evidence_if_finite(run, held)
+    every = [*found.train, *held]
+    start = _refit(found.trial, every, held, iterations=NAMING_ITERATIONS, quick=True)
     if start is None:
         return found
     state = replace(found, trial=start, train=every)
@@ -264,9 +262,7 @@ def _find_with_held_out(found: SearchState, linear_axes: bool) -> SearchState:
         state = more.settled()
     if len(state.steps) == len(found.steps):
         return found
-    last = state.trial.fit
-    run = partial(fit, last.layout, found.train, last.p, last.candidate, iterations=NAMING_ITERATIONS)
-    trained = _finished(run, held)
+    trained = _refit(state.trial, found.train, held, is_last=True, iterations=NAMING_ITERATIONS)
     if trained is None or trained.held.cost > found.trial.held.cost:
         return found
     return replace(found, trial=trained, steps=state.steps)
@@ -283,13 +279,12 @@ def _reshape_friction(
     for number, term in enumerate(trial.fit.candidate.terms):
         if term.effect is not LAW:
             continue
-        here = trial.fit if best is None else best.fit
-        without = fit_if_finite(
-            partial(fit, here.layout, train, here.p, here.candidate.without(number), iterations=0)
-        )
+        start = trial if best is None else best
+        here = start.fit
+        without = _refit(start, train, held, candidate=here.candidate.without(number), iterations=0)
         if without is None:
             continue
-        screen = Screen(without)
+        screen = Screen(without.fit)
         (low, high) = zip(*LAW.limits(screen.views, term.place), strict=True)
         own = screen.score_at_shape(term, here.candidate.x[number][-2:].tolist())[0]
         shapes = [
@@ -298,13 +293,12 @@ def _reshape_friction(
             for w in np.linspace(low[1], high[1], SHAPES)
         ]
         gain, x = max((screen.score_at_shape(term, s) for s in shapes), key=lambda r: r[0])
-        if gain <= own:  # not even here: a fit may lead further from the best of them
+        least = chi2_isf(SIGNIFICANCE, len(LAW.shapes)) * here.dispersion
+        if gain - own < least:
             continue
         xs = tuple(x if k == number else other for k, other in enumerate(here.candidate.x))
         candidate = Candidate(here.candidate.terms, xs)
-        run = partial(fit, here.layout, train, here.p, candidate, iterations=SETTLING_ITERATIONS, quick=True)
-        found = evidence_if_finite(run, held)
-        least = chi2_isf(SIGNIFICANCE, len(LAW.shapes)) * here.dispersion
+        found = _refit(start, train, held, candidate=candidate, iterations=SETTLING_ITERATIONS, quick=True)
         if found is not None and found.fit.cost < here.cost - least:
             best = found
     return best
@@ -354,8 +348,8 @@ class SearchState:
         here = self.trial.fit
         if here.converged:
             return self
-        run = partial(fit, here.layout, self.train, here.p, here.candidate, iterations=SETTLING_ITERATIONS)
-        found = evidence_if_finite(partial(run, quick=here.cost > FAR * here.dof), self.held)
+        quick = here.cost > FAR * here.dof
+        found = _refit(self.trial, self.train, self.held, iterations=SETTLING_ITERATIONS, quick=quick)
         return self if found is None or found.fit.cost > here.cost else replace(self, trial=found)
 
 
@@ -378,7 +372,7 @@ def _fit_with_friction(
         (shape,) = LAW.grid(base.fit.evaluation.views, place)
         candidate = candidate.plus(PlacedEffect(LAW, place), np.array([dry, wet, 0.0, 0.0, 0.0, 0.0, *shape]))
     starts = [p for p in (start, base.fit.p) if p.size == base.fit.p.size]
-    return _finished(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
+    return _refit(base, train, held, candidate=candidate, p=starts[0], is_last=True, iterations=60)
 
 
 def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
@@ -402,7 +396,7 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
     for score in _one_weight_an_axis(scores)[:MOST_TRIED]:
         if score.gain < NEAR_BEST * reached or len(trials) == MOST_FITS:
             break
-        trial = _refit_score(here, score, train, held)
+        trial = _refit_score(current, score, train, held)
         if trial is None or is_at_bound(trial.fit) or is_smaller_model(trial):
             continue
         # A mode of no mass may ring on from a record's start: the gain is its ends', a tone's.
@@ -485,10 +479,7 @@ def _fit_together(
     candidate = best.fit.candidate
     for s in beside:
         candidate = candidate.plus(s.term, s.x)
-    run = partial(
-        fit, best.fit.layout, train, best.fit.p, candidate, iterations=SETTLING_ITERATIONS, quick=True
-    )
-    found = evidence_if_finite(run, held)
+    found = _refit(best, train, held, candidate=candidate, iterations=SETTLING_ITERATIONS, quick=True)
     if found is None:
         return None
     first = len(best.fit.candidate.terms)
@@ -498,12 +489,42 @@ def _fit_together(
     return found if found.fit.cost < best.fit.cost else None
 
 
+def _refit(  # noqa: PLR0913 - what may differ from the fit that it starts at
+    trial: CandidateEvidence,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+    *,
+    candidate: Candidate | None = None,
+    p: Float64 | None = None,
+    is_last: bool = False,
+    iterations: int,
+    quick: bool = False,
+) -> CandidateEvidence | None:
+    """The fit from where another one ends, with other causes or parameters; ``None`` where it is not finite.
+
+    ``is_last``: however little time is left, for what was found is said.
+    """
+    here = trial.fit
+    own, kept = here.evaluation.views, trial.held.views
+    run = partial(
+        fit,
+        here.layout,
+        train,
+        here.p if p is None else p,
+        here.candidate if candidate is None else candidate,
+        iterations=iterations,
+        quick=quick,
+        near=own if len(train) == len(own) else (*own, *kept),
+    )
+    return evidence_if_finite(run, held, kept, always=is_last)
+
+
 def _refit_score(
-    here: JointFit, score: Score, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+    here: CandidateEvidence, score: Score, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> CandidateEvidence | None:
     """The joint fit from a screen's prediction after six iterations; ``None`` where it is not finite."""
-    found = fit_if_finite(partial(refit_with_effect, here, train, score.term, score.x, 6, score.shift))
-    return None if found is None else evidence_if_finite(lambda: found, held)
+    run = partial(refit_with_effect, here.fit, train, score.term, score.x, 6, score.shift)
+    return evidence_if_finite(run, held, here.held.views)
 
 
 def _predicted_chi2(trial: CandidateEvidence, held: Sequence[SpectralRecord]) -> float:
@@ -512,7 +533,7 @@ def _predicted_chi2(trial: CandidateEvidence, held: Sequence[SpectralRecord]) ->
     Records of another kind of motion depend on combinations of parameters that the training hardly
     determines; an error of those is no sign of a wrong law. min over δ of |r + Jδ|² + δᵀC⁻¹δ.
     """
-    part = evaluate(trial.fit.layout, held, trial.fit.p, trial.fit.candidate, near=(), jacobian=True)
+    part = evaluate(trial.fit.layout, held, trial.fit.p, trial.fit.candidate, near=trial.held.views)
     information = trial.fit.evaluation.jacobian
     both = np.concatenate((part.jacobian, information))
     scale = np.linalg.norm(both, axis=0)
@@ -543,9 +564,8 @@ def _name_friction(
         candidate = candidate.plus(term, x)
     for k in rest:
         candidate = candidate.plus(final.fit.candidate.terms[k], final.fit.candidate.x[k])
-    layout = final.fit.layout
-    run = partial(fit, layout, train, final.fit.p, candidate, iterations=NAMING_ITERATIONS, quick=True)
-    whole = _finished(run, held)
+    again = partial(_refit, train=train, held=held, is_last=True, iterations=NAMING_ITERATIONS, quick=True)
+    whole = again(final, candidate=candidate)
     if whole is None:
         return Selection(base, base)
     whole = _without_needless_rounding(whole, train, held)
@@ -558,8 +578,7 @@ def _name_friction(
             break
         kept = [n for n in range(len(all_steps)) if n not in weak]
         fewer = whole.fit.candidate.only([*range(known), *(known + n for n in kept)])
-        run = partial(fit, layout, train, whole.fit.p, fewer, iterations=NAMING_ITERATIONS, quick=True)
-        other = _finished(run, held)
+        other = again(whole, candidate=fewer)
         if other is None:
             break
         size = sum(t.size for t in whole.fit.candidate.terms) - sum(t.size for t in fewer.terms)
@@ -615,33 +634,23 @@ def _without_needless_rounding(
     }
     penalty = np.log(max(whole.fit.dof, 2)) * whole.fit.dispersion
 
-    def with_roundings(start: JointFit, kept: Sequence[int]) -> CandidateEvidence | None:
+    def with_roundings(start: CandidateEvidence, kept: Sequence[int]) -> CandidateEvidence | None:
         laws = tuple(t if k in kept else sharp.get(k, t) for k, t in enumerate(terms))
-        candidate = Candidate(laws, start.candidate.x)
-        run = partial(fit, start.layout, train, start.p, candidate, iterations=NAMING_ITERATIONS, quick=True)
-        return _finished(run, held)
+        candidate = Candidate(laws, start.fit.candidate.x)
+        again = partial(_refit, start, train, held, is_last=True, iterations=NAMING_ITERATIONS)
+        return again(candidate=candidate, quick=True)
 
-    best = with_roundings(whole.fit, ()) if sharp else None
+    best = with_roundings(whole, ()) if sharp else None
     if best is None:
         return whole
     kept: list[int] = []
     for k in sharp:
         if budget.is_spent():
             break
-        other = with_roundings(best.fit, [*kept, k])
+        other = with_roundings(best, [*kept, k])
         if other is not None and other.fit.cost + penalty < best.fit.cost:
             best, kept = other, [*kept, k]
     return best if best.fit.cost < whole.fit.cost + len(sharp) * penalty else whole
-
-
-def _finished(run: Callable[[], JointFit], held: Sequence[SpectralRecord]) -> CandidateEvidence | None:
-    """What ``run`` fits, with its held-out records, however little time is left: what was found is said."""
-    with np.errstate(all="ignore"):
-        try:
-            found = run()
-        except np.linalg.LinAlgError:
-            return None
-    return CandidateEvidence(found, evaluate_held_out(found, held)) if np.isfinite(found.cost) else None
 
 
 def _move_to_end(trial: CandidateEvidence, at: int) -> CandidateEvidence:
@@ -667,8 +676,7 @@ def _exchange_cause(
     budget.check()
     own, here = _move_to_end(whole, at), whole.fit
     # Two iterations: what is left to first order is projected out of the screen.
-    run = partial(fit, here.layout, train, here.p, here.candidate.without(at), iterations=2, quick=True)
-    rest = evidence_if_finite(run, held)
+    rest = _refit(whole, train, held, candidate=here.candidate.without(at), iterations=2, quick=True)
     if rest is None:
         return whole, step
     screen, term = Screen(rest.fit), own.term
@@ -686,20 +694,16 @@ def _exchange_cause(
     moved = [t for t in terms if is_mode and t.effect.cause == term.effect.cause]
     scores = screen_candidates(screen, [t for t in terms if t not in moved])
     scores = [s for s in scores if s.gain > NEAR_BEST * lost_chi2]
-    trials = [_refit_score(rest.fit, s, train, held) for s in scores[:MOST_FITS]]
+    trials = [_refit_score(rest, s, train, held) for s in scores[:MOST_FITS]]
     # Without it the others have bent to hide it, and the screen's order of its places is theirs.
     trials += [
-        evidence_if_finite(
-            partial(
-                fit,
-                here.layout,
-                train,
-                here.p,
-                here.candidate.without(at).plus(t, own.x),
-                iterations=MOVE_ITERATIONS,
-                quick=True,
-            ),
+        _refit(
+            whole,
+            train,
             held,
+            candidate=here.candidate.without(at).plus(t, own.x),
+            iterations=MOVE_ITERATIONS,
+            quick=True,
         )
         for t in moved
     ]

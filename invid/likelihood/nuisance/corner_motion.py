@@ -23,7 +23,13 @@ from invid.signals.spectral_record import SpectralRecord
 
 def complete_motion(records: Sequence[SpectralRecord], fitted: JointFit) -> list[SpectralRecord]:
     """The records with the motors' waves completed where noise hides them, by the friction of a fit."""
-    return [_complete(view, fitted) for view in record_views(fitted.layout, records, fitted.p)]
+    views = record_views(fitted.layout, records, fitted.p)
+    return [
+        _complete(v, fitted)
+        if v.record.fine is None
+        else _complete(v.on_fine_grid(), fitted).on_coarse_grid()
+        for v in views
+    ]
 
 
 def _complete(view: View, fitted: JointFit) -> SpectralRecord:
