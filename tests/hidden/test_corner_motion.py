@@ -30,7 +30,8 @@ def test_the_speed_at_reversals_is_nearer_the_truth_than_the_encoder_shows(seed,
     diagnose(recording)
     plant, run = simulated[-2]  # the last but one is the record that identifies
     errors = []
-    for record in (pair[0] for pair in seen[-2]):
+    for coarse in (pair[0] for pair in seen[-2]):
+        record = coarse if coarse.fine is None else coarse.fine
         samples = record.torque_wave.shape[0]
         speed = run[4][:, plant.motors[0]]
         speed = speed[: speed.size // samples * samples].reshape(-1, samples).mean(axis=0)  # of its periods
