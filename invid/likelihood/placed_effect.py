@@ -107,7 +107,8 @@ def _keep_equivalents(view: View, candidate: Candidate) -> None:
     for (term, x), pattern in zip(laws, places, strict=True):
         contribution, _ = term.effect.contribution(view, term.place, x.tolist())
         reach = view.condensed_force(pattern).conj()
-        force = np.einsum("fm,fm->f", reach, contribution) / np.sum(np.abs(reach) ** 2, axis=1)
+        reached = np.maximum(np.sum(np.abs(reach) ** 2, axis=1), 1e-300)
+        force = np.einsum("fm,fm->f", reach, contribution) / reached
         moved = view.spectrum(pattern)
         stiffness, damping = (
             float(np.vdot(m[1:], force[1:]).real) / max(float(np.vdot(m[1:], m[1:]).real), 1e-300)

@@ -181,14 +181,20 @@ def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
         here = found.trial.fit
         if not found.rejects():
             break
-        if any(t.effect is GRAVITY and t.place.axis == place.axis for t in here.candidate.terms):
+        if _has_weight(here, place.axis):
             continue
         score = Screen(here).best(PlacedEffect(GRAVITY, place), polish=True)
         trial = _refit_score(found.trial, score, found.train, found.held)
-        if trial is not None and here.cost - trial.fit.cost > _least_own_gain(trial.fit):
+        if trial is None or here.cost - trial.fit.cost < _least_own_gain(trial.fit):
+            continue
+        if trial.held.cost < found.trial.held.cost:
             step = Step(found.trial, trial, ((trial, trial.fit.cost),))
             found = replace(found, trial=trial, steps=(*found.steps, step))
     return found
+
+
+def _has_weight(here: JointFit, axis: int) -> bool:
+    return any(t.effect is GRAVITY and t.place.axis == axis for t in here.candidate.terms)
 
 
 def _end_places(here: JointFit) -> list[Place]:
@@ -384,6 +390,7 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
         t
         for t in terms_to_test(here.layout.structure, linear_axes=linear_axes, chosen=chosen)
         if t.effect.cause not in (*TIMING, *LARGER_FRICTION)
+        and not (t.effect is GRAVITY and _has_weight(here, t.place.axis))
     ]
     scores = screen_candidates(Screen(here), terms)
     least_gain = chi2_isf(SIGNIFICANCE / len(terms), 1) * min(here.dispersion, 1.0)
@@ -514,7 +521,7 @@ def _refit(  # noqa: PLR0913 - what may differ from the fit that it starts at
         here.candidate if candidate is None else candidate,
         iterations=iterations,
         quick=quick,
-        near=own if len(train) == len(own) else (*own, *kept),
+        near=(*own, *kept)[: len(train)],
     )
     return evidence_if_finite(run, held, kept, always=is_last)
 
@@ -612,6 +619,12 @@ def _weak_causes(found: JointFit, known: int, sure: Sequence[int]) -> list[int]:
     All of them where they are not together either, else the weakest, for each may stand for the next.
     """
     ratios = [_wald_ratio(found, known + n) for n in range(len(found.candidate.terms) - known)]
+    # Weights were taken unasked, and are named for what any other cause has to gain.
+    least = _least_own_gain(found) / max(found.dispersion, 1.0) / chi2_isf(SIGNIFICANCE, 2)
+    ratios = [
+        r / least if t.effect is GRAVITY else r
+        for r, t in zip(ratios, found.candidate.terms[known:], strict=True)
+    ]
     weak = [n for n, ratio in enumerate(ratios) if ratio <= 1.0 and n not in sure]
     if len(weak) < 2 or _wald_ratio(found, *(known + n for n in weak)) <= 1.0:
         return weak
