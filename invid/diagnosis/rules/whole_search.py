@@ -588,8 +588,11 @@ def _name_friction(
         other = again(whole, candidate=fewer)
         if other is None:
             break
-        size = sum(t.size for t in whole.fit.candidate.terms) - sum(t.size for t in fewer.terms)
-        if other.fit.cost - whole.fit.cost > chi2_isf(SIGNIFICANCE, size) * whole.fit.dispersion:
+        gone = [whole.fit.candidate.terms[known + n] for n in weak]
+        least = chi2_isf(SIGNIFICANCE, sum(t.size for t in gone)) * whole.fit.dispersion
+        if all(t.effect is GRAVITY for t in gone):
+            least = max(least, _least_own_gain(whole.fit))
+        if other.fit.cost - whole.fit.cost > least:
             needed += [all_steps[n] for n in weak]  # strong together with others, whatever its own size
             continue
         whole, all_steps = other, [all_steps[n] for n in kept]
