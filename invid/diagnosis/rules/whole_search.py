@@ -598,11 +598,12 @@ def _name_friction(
         whole, all_steps = other, [all_steps[n] for n in kept]
     out, cut = [], False
     # What is lost without each, beside the others.
-    losses = [_wald_ratio(whole.fit, known + n) for n, s in enumerate(all_steps) if s.chosen is null]
+    losses = [_wald_ratio(whole.fit, known + n) for n in range(len(all_steps))]
+    lost = max(sum(x for x in losses if np.isfinite(x)), 1e-300)
     for n, step in enumerate(all_steps):
         if step.chosen is null:
             own = _move_to_end(whole, known + n)
-            out.append(Step(base, own, ((own, own.cost),), losses[n] / max(sum(losses), 1e-300)))
+            out.append(Step(base, own, ((own, own.cost),), losses[n] / lost))
         elif step.chosen.term.effect.family == "position" and step.chosen.term.place.kind == "mass":
             out.append(step)  # a weight or a ripple is read from its own motor's motion
         else:
