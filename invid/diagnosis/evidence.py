@@ -9,6 +9,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from invid.effects.catalogue.extra_mode import is_frequency_known
+from invid.effects.motion import View
 from invid.likelihood.evaluation import Evaluation, count_per_line, evaluate
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, pack, parameter_bounds, unpack
@@ -138,15 +139,16 @@ class _HasCost(Protocol):
 T = TypeVar("T", bound=_HasCost)
 
 
-def fit_if_finite(run: Callable[[], T]) -> T | None:
-    """What ``run`` fits; ``None`` where its start leads to nothing finite.
+def fit_if_finite(run: Callable[[], T], *, always: bool = False) -> T | None:
+    """What ``run`` fits; ``None`` where its start leads to nothing finite. ``always``: without time, too.
 
     Raises
     ------
     BudgetSpent
         No time is left to begin.
     """
-    budget.check()
+    if not always:
+        budget.check()
     with np.errstate(all="ignore"):
         try:
             out = run()
@@ -156,9 +158,14 @@ def fit_if_finite(run: Callable[[], T]) -> T | None:
 
 
 def evidence_if_finite(
-    run: Callable[[], JointFit], held: Sequence[SpectralRecord]
+    run: Callable[[], JointFit],
+    held: Sequence[SpectralRecord],
+    near: Sequence[View] = (),
+    *,
+    always: bool = False,
 ) -> CandidateEvidence | None:
-    """What ``run`` fits, evaluated on the held-out records; ``None`` where its start leads to nothing finite.
+    """What ``run`` fits, evaluated on the held-out records (from the inner motion of the views ``near``);
+    ``None`` where its start leads to nothing finite. ``always``: without time, too.
 
     Raises
     ------
@@ -168,9 +175,9 @@ def evidence_if_finite(
 
     def trial() -> CandidateEvidence:
         found = run()
-        return CandidateEvidence(found, evaluate_held_out(found, held))
+        return CandidateEvidence(found, evaluate_held_out(found, held, near=near))
 
-    return fit_if_finite(trial)
+    return fit_if_finite(trial, always=always)
 
 
 def refit_with_effect(
@@ -223,7 +230,9 @@ def _choose_start(
         candidate = before.plus(term, trial)
         with np.errstate(all="ignore"):
             try:
-                evaluation = evaluate(layout, records, p[kept], candidate, jacobian=False)
+                evaluation = evaluate(
+                    layout, records, p[kept], candidate, jacobian=False, near=current.evaluation.views
+                )
             except np.linalg.LinAlgError:
                 continue
         if np.isfinite(evaluation.cost) and evaluation.cost < best:

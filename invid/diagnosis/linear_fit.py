@@ -49,8 +49,10 @@ def fit_linear_model(
     origin = min(float(e.time[0]) for e in recording.experiments)
     logged = train[0].command is not None
     holds = find_inside_holds(spectra, model, recording, with_command=logged)
-    smoothed = tuple(range(structure.motors)) if request.whole else axes_with_smoothed_torque(model)
-    layout = layout_of(structure, train, origin, holds, () if logged and not request.whole else smoothed)
+    smoothed = tuple(range(structure.motors)) if request.beside_friction else axes_with_smoothed_torque(model)
+    layout = layout_of(
+        structure, train, origin, holds, () if logged and not request.beside_friction else smoothed
+    )
     known_effects = known_effects_candidate(model, structure)
     delayed_axes = [t.place.axis for t in known_effects.terms if t.effect.cause == "torque_delay"]
     layout, _ = layout.without_delay(delayed_axes)
@@ -68,6 +70,8 @@ def fit_linear_model(
     # A tone that repeats with no period looks like a change from one to the next.
     if keys and (request.by_period or request.by_period_if_differing or not find_tones(first, held, spectra)):
         train, held = split_into_periods(recording, train, keys), split_into_periods(recording, held, keys)
+        if not request.beside_friction:
+            train, held = ([replace(r, fine=None) for r in records] for records in (train, held))
         if request.by_period and len(held) > 1 and held[0].alone:
             train, held = [*train, held[0]], held[1:]
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held

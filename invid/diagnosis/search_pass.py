@@ -19,7 +19,7 @@ from invid.diagnosis.linear_fit import (
 from invid.diagnosis.search import select_causes
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import find_slow_moves
-from invid.diagnosis.thresholds import AT_FLOOR, CLOSE, FAR, LEFT, NAMED_SHARE
+from invid.diagnosis.thresholds import AT_FLOOR, CLOSE, LEFT, NAMED_SHARE
 from invid.diagnosis.tone import Tone, remove_tones
 from invid.diagnosis.validation import (
     PLAIN,
@@ -47,6 +47,8 @@ BY_PERIODS = "every cause by itself, and what it may be mistaken for"
 """What a spent budget leaves out, in the words of the warning."""
 TIME_BESIDE_FRICTION = 0.9
 """Share of the search's time for the pass beside the friction of every motor (empirical)."""
+TIME_ONE_AXIS = 0.75
+"""The same of one axis, where the other pass tells rivals apart (empirical)."""
 SAME_MACHINE = 5.0
 """Ratio of held-out and training χ²/ν from which the held-out record counts as another machine's. Empirical:
 twice the amplitude of an unknown law is four times the power."""
@@ -119,7 +121,7 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     rivals; it is left out where the first is right on several motors (at the noise, or next to nothing is
     left of what was missing) or was ended by the budget, and else the better one counts.
     """
-    spectra, warnings, (base, _, train, held) = _fit_and_split(recording, model, PLAIN)
+    _, _, (base, _, train, held) = _fit_and_split(recording, model, PLAIN)
     scatter = scatter_ratio(base, held)
     start = CandidateEvidence(base, evaluate_held_out(base, held))
     first: SearchPass | None = None
@@ -129,9 +131,9 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     if start.rejects([*train, *held]):
         with budget.use_share(TIME_BESIDE_FRICTION, 0.05, 0.6):
             if is_whole and not budget.is_left_out(WHOLE_RECORDS):
-                first = _search_beside_friction(recording, model)
+                first = _search_beside_friction(recording, model, is_whole=True)
             else:
-                first = _beside_friction(recording, model, spectra, warnings, (base, train, held))
+                first = _search_beside_friction(recording, model, is_whole=False)
     if first is not None:
         final = first.selection.final
         if scatter and is_law_of_motion(final, scatter):
@@ -164,17 +166,19 @@ def _search_one_axis(recording: Recording, model: Model, scatter: float, is_whol
     it another law passes for a mode.
     """
     beside: SearchPass | None = None
-    search = partial(_search_beside_friction, recording, model)
+    search = partial(_search_beside_friction, recording, model, is_whole=scatter > 0.0)
     if is_whole:
-        with budget.use_share(0.5, 0.05, 0.4):  # the rest is for the other pass
+        with budget.use_share(TIME_ONE_AXIS, 0.05, 0.6):  # the rest is for the other pass
             beside = budget.or_else(WHOLE_RECORDS, search, None)
         if beside is not None and is_law_of_motion(beside.selection.final, scatter):
             return beside
-    result = _search_by_periods(recording, model)
+    # Where periods differ the pass beside friction may be the better one, even where they drift.
+    with budget.use_share(0.5 if scatter and beside is None else 1.0, 0.05, 0.9):
+        result = _search_by_periods(recording, model)
     final = result.selection.final
-    if result.tones or final.cost < FAR * final.dof:
+    if result.tones or final.cost < AT_FLOOR * final.dof:
         return result
-    if beside is None and not scatter:
+    if beside is None:
         beside = budget.or_else(WHOLE_RECORDS, search, None)
     if beside is None:
         return result
@@ -183,34 +187,27 @@ def _search_one_axis(recording: Recording, model: Model, scatter: float, is_whol
     return beside if is_nearer else result
 
 
-def _search_beside_friction(recording: Recording, model: Model) -> SearchPass | None:
-    """The pass over whole records beside the friction of every motor; ``None`` where it finds nothing."""
-    whole = unfold_periods(recording)
-    spectra, warnings, (base, _, train, held) = _fit_and_split(whole, model, ValidationRequest(whole=True))
-    return _beside_friction(whole, model, spectra, warnings, (base, train, held))
-
-
-def _beside_friction(
-    recording: Recording,
-    model: Model,
-    spectra: tuple[LineSpectra, ...],
-    warnings: list[str],
-    fitted: tuple[JointFit, list[SpectralRecord], list[SpectralRecord]],
-) -> SearchPass | None:
-    """The pass beside the friction of every motor over the records as they are."""
+def _search_beside_friction(recording: Recording, model: Model, *, is_whole: bool) -> SearchPass | None:
+    """The pass beside the friction of every motor, over whole records or the mean of their periods; ``None``
+    where it finds nothing."""
+    if is_whole:
+        recording = unfold_periods(recording)
+    request = ValidationRequest(beside_friction=True)
+    spectra, warnings, (base, _, train, held) = _fit_and_split(recording, model, request)
     current_context().searches += 1
-    base, train, held = fitted
-    selection = apply_rule(
+    found = apply_rule(
         "whole-records",
         CandidateEvidence(base, evaluate_held_out(base, held)),
         fitted_friction(model, base.layout.structure),
         start_vector(model, base.layout),
         train,
         held,
+        spectra,
         linear_axes=recording.linear,
     )
-    if selection is None or not selection.steps:
+    if found is None or not found.selection.steps:
         return None
+    selection, train, held = found.selection, found.train, found.held
     if selection.final.held.cost >= selection.base.held.cost:
         return None  # worse on the records kept out than without causes
     bare = refit_without_effects(base, train)
@@ -331,6 +328,8 @@ def _fit_and_split(
     train, held, warnings = split_records(recording, spectra, request)
     train, standing = leave_out_sticking_axes(train, spectra, model, recording)
     held, _ = leave_out_sticking_axes(held, spectra, model, recording)
+    if not request.beside_friction:
+        train, held = ([replace(r, fine=None) for r in records] for records in (train, held))
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
     budget.tell("fitting the linear model", 0.05)
     return spectra, warnings, fit_linear_model(model, recording, spectra, train, held, request)

@@ -41,16 +41,16 @@ class ValidationRequest:
         Every record is taken period by period; the first held-out one joins the training.
     by_period_if_differing
         Records whose periods differ far beyond the sensors' noise are taken period by period.
-    whole
-        The records have no periods (``unfold_periods``), and the time constant of reported torque is free:
-        the identification could not see it behind the scatter.
+    beside_friction
+        The time constant of each drive's reported torque is free, for the identification could not see it
+        behind friction; and waves are on the fine grid, where reversals show.
     """
 
     spare: bool = True
     split_every_record: bool = False
     by_period: bool = False
     by_period_if_differing: bool = False
-    whole: bool = False
+    beside_friction: bool = False
 
 
 PLAIN = ValidationRequest()

@@ -300,7 +300,10 @@ class ForceEffect(Effect):
 
     def force(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         """(F, L) lines of the resistance for each coefficient at one."""
-        if not (self.of_motor_motion and view.is_measured(place.pattern(view.structure))):
+        if not view.is_measured(place.pattern(view.structure)):
+            return view.to_lines(self.law(view, place, shape), smeared=self.smeared)
+        view = view.on_fine_grid()
+        if not self.of_motor_motion:
             return view.to_lines(self.law(view, place, shape), smeared=self.smeared)
         known, key = view.record.law_lines, (self.cause, place, tuple(shape))
         if key not in known:
@@ -318,7 +321,8 @@ class ForceEffect(Effect):
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
         if self.local and view.is_measured(place.pattern(view.structure)):
-            return view.cached((self, place, tuple(x)), lambda: self._contribution(view, place, x))
+            fine = view.on_fine_grid()
+            return view.cached((self, place, tuple(x)), lambda: self._contribution(fine, place, x))
         return self._contribution(view, place, x)
 
     def _contribution(self, view: View, place: Place, x: Sequence[float]) -> tuple[Complex128, Complex128]:

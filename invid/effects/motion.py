@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -69,6 +70,15 @@ class MotorLaw(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Equivalent:
+    """A spring and a damper in place of a law (equivalent linearisation): the law's mean slope."""
+
+    pattern: Pattern
+    stiffness: float
+    damping: float
+
+
 class View:
     """One record through one linear plant; its waves over time are computed once."""
 
@@ -115,6 +125,8 @@ class View:
         """(2ΣN,) end minus start of positions, then of velocities, of a record that does not close."""
         self.closing: Closing | None = None
         self.secants = Secants()
+        self.equivalents: tuple[Equivalent, ...] = ()
+        self._response: tuple[Complex128, list[Pattern]] | None = None
         self.starts: dict[Pattern, float] = {}
         """Initial displacements of sliders, over the displacement at which they slide."""
         self.missing: Complex128 | None = None
@@ -131,6 +143,7 @@ class View:
         self._condensed_forces: dict[Pattern, Complex128] = {}
         self._inner_receptances: dict[Pattern, Complex128] = {}
         self._cache: dict[Hashable, Any] = {}
+        self._fine_cache: dict[Hashable, Any] = {}
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:
         """The value of ``make()``, cached under ``key``.
@@ -147,6 +160,43 @@ class View:
     def clear_cache(self) -> None:
         """Clears the cache: its values may depend a little on the inner motion at that time."""
         self._cache.clear()
+        self._fine_cache.clear()
+
+    def set_equivalents(self, equivalents: tuple[Equivalent, ...]) -> None:
+        """Sets springs and dampers in place of the laws on inner motion (``without_response``)."""
+        self.equivalents = equivalents
+        if not equivalents:
+            return
+        patterns = [e.pattern for e in equivalents]
+        yields = np.stack([self.inner_receptance(p) for p in patterns], axis=-1)
+        force = np.stack([e.stiffness + 1j * self.omega * e.damping for e in equivalents], axis=-1)
+        rows = np.stack([along(p, yields) for p in patterns], axis=1) * force[:, None]
+        alone = np.linalg.inv(np.eye(len(patterns)) + rows)
+        self._response = (yields * force[:, None]) @ alone, patterns
+
+    def without_response(self, gap: Complex128) -> Complex128:
+        """(F, ΣN, …) inner motion from what forces and plant disagree by, less what the laws answer to it.
+
+        Exact for laws that are springs and dampers. Any other answers to a change nearly so, and far less of
+        the change is left than by substitution, which diverges where a law is stiffer than the chain.
+        """
+        if self._response is None:
+            return gap
+        answer, patterns = self._response
+        moved = np.stack([along(p, gap) for p in patterns], axis=1)
+        out: Complex128 = gap - (answer @ moved.reshape(*moved.shape[:2], -1)).reshape(gap.shape)
+        return out
+
+    def on_fine_grid(self) -> View:
+        """The view at its present inner motion with waves on the record's fine grid; itself where there is
+        none."""
+        if self.record.fine is None:
+            return self
+        other = copy.copy(self)
+        other.record, other._waves, other._hidden_motion = self.record.fine, {}, {}
+        other._cache, other._fine_cache = self._fine_cache, {}
+        other.__dict__.pop("averaging_gain", None)  # of the grid
+        return other
 
     def is_measured(self, pattern: Pattern) -> bool:
         """Return whether the motion along a pattern is that of one motor."""

@@ -160,7 +160,7 @@ def evaluate(  # noqa: PLR0913 - a fit's point and how it is taken
     ``near``: the views of an evaluation close by, whose inner motion is the start here. ``thorough``: the
     Jacobian contains how strong effects change with the inner motion that the linear parameters change.
     """
-    before = near if near and candidate.terms else [None] * len(records)
+    before = near if candidate.terms and len(near) == len(records) else [None] * len(records)
     acting = [acting_torque(r, layout, p) for r in records]
     views = record_views(layout, records, p, acting)
     parts = tuple(
@@ -207,9 +207,11 @@ def _evaluate_record(
     else:
         view.missing = r
     if before is not None:
-        view.end_motion, view.secants = before.end_motion, before.secants
-        view.starts = dict(before.starts)
-        view.set_inner_motion(before.feedback, before.jumps)
+        view.end_motion, view.starts = before.end_motion, dict(before.starts)
+        view.set_equivalents(before.equivalents)
+        is_alike = before.jumps.size == view.jumps.size  # a mass of an effect's own has jumps of its own
+        view.secants = before.secants if is_alike else view.secants
+        view.set_inner_motion(before.feedback, before.jumps if is_alike else view.jumps)
     extra = contributions(view, candidate)
     extra, starting = solve_initial_states(view, candidate, extra, partial(_chi2_of, root, basis, r))
     if starting.any():

@@ -26,6 +26,9 @@ NEWTON_STEPS, MOST_DIRECTIONS, DIRECTION_TOLERANCE = 16, 80, 0.05
 """Most Newton steps where substitutions found no agreement, directions for each (a gap as wide as the
 deflection takes one or two for every line below the clamped resonance), and the share of the disagreement
 that the directions may leave."""
+MOST_WORSE = 4
+"""Newton steps in a row that bring nothing, after which there is no solution near (empirical: past a corner
+of a gap one or two do)."""
 PROBE_LENGTH = 1e-5
 """Length of a finite difference along a direction, over the motion."""
 
@@ -50,9 +53,8 @@ def solve_inner_motion(view: View, forces: Forces, passes: int, *, early: bool =
     total: Complex128 = np.zeros_like(view.acting)
     tolerance = 0.0
     for number in range(passes):
-        total, gap, largest_effect = _disagreement(view, forces)
+        total, gap, size, largest_effect = _disagreement(view, forces)
         here = _pack_state(view)
-        size = _largest_line(view, gap)
         tolerance = max(TOLERANCE * largest_effect, NEGLIGIBLE * scale)
         if best is None or size < best[0]:
             best = (size, here, gap, total)
@@ -87,17 +89,18 @@ def _solve_by_newton(view: View, forces: Forces, best: _State) -> _State:
     """
     scale = max(float(np.abs(view.base).max()), 1e-300)
     _, here, gap, _ = best
+    worse = 0
     for _ in range(NEWTON_STEPS):
         secants = _krylov_secants(view, forces, here, gap)
         here = here + secants.step(gap)
         _set_state(view, here)
-        total, gap, largest_effect = _disagreement(view, forces)
-        size = _largest_line(view, gap)
-        if not np.isfinite(size):
+        total, gap, size, largest_effect = _disagreement(view, forces)
+        if not size < MOST_GROWTH * best[0]:
             break
-        if size < best[0]:
+        worse = 0 if size < best[0] else worse + 1
+        if not worse:
             best, view.secants = (size, here, gap, total), secants
-        if size < max(TOLERANCE * largest_effect, NEGLIGIBLE * scale):
+        if worse == MOST_WORSE or size < max(TOLERANCE * largest_effect, NEGLIGIBLE * scale):
             break
     return best
 
@@ -155,13 +158,15 @@ def _orthogonal(vector: Float64, frame: list[Float64]) -> Float64:
     return vector
 
 
-def _disagreement(view: View, forces: Forces) -> tuple[Complex128, Float64, float]:
-    """Contributions, disagreement in the units of ``_pack_state``, and the largest line of the forces'
-    effect."""
+def _disagreement(view: View, forces: Forces) -> tuple[Complex128, Float64, float, float]:
+    """Contributions, disagreement in the units of ``_pack_state`` less what the laws answer to it, and the
+    largest lines of the disagreement and of the forces' effect."""
     total, back = forces()
     jumps = view.closing_jumps(total)
-    gap = np.concatenate((_flatten(back - view.feedback), (jumps - view.jumps) * _jump_unit(view)))
-    return total, gap, float(np.abs(back).max())
+    apart, ends = back - view.feedback, (jumps - view.jumps) * _jump_unit(view)
+    size = max(float(np.abs(apart).max(initial=0.0)), float(np.abs(ends).max(initial=0.0)))
+    gap = np.concatenate((_flatten(view.without_response(apart)), ends))
+    return total, gap, size, float(np.abs(back).max())
 
 
 def _pack_state(view: View) -> Float64:
@@ -181,13 +186,6 @@ def _jump_unit(view: View) -> Float64 | float:
     if view.closing is None:
         return 1.0
     return view.closing.unit
-
-
-def _largest_line(view: View, gap: Float64) -> float:
-    """Largest line of a disagreement, jumps in units of motion."""
-    lines = 2 * view.feedback.size
-    both = (np.abs(gap[:lines].view(np.complex128)), np.abs(gap[lines:]))
-    return max(float(part.max(initial=0.0)) for part in both)
 
 
 def _flatten(values: Complex128) -> Float64:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from invid.effects.motion import View
 from invid.likelihood.covariance import inverse_normal
 from invid.likelihood.evaluation import Evaluation, add_jacobian, evaluate
 from invid.likelihood.hypothesis import Layout
@@ -102,20 +103,22 @@ def fit(  # noqa: PLR0913 - a fit's point and how it is taken
     strict: bool = True,
     quick: bool = False,
     known: Evaluation | None = None,
+    near: Sequence[View] = (),
 ) -> JointFit:
     """The joint fit from ``p`` (n,); converged when the predicted decrease of χ² is below ``tolerance``·χ²/ν.
 
     ``quick``: with a Jacobian that takes the effects' forces on inner masses as given. ``known``: the
-    evaluation at the start, if there is one.
+    evaluation at the start, if there is one; ``near``: views of the records close by, whose inner motion is
+    the start (a law as strong as a spring has several, and from rest another may be found, or none).
     """
     structure, thorough = layout.structure, not quick
     if known is None:
-        known = evaluate(layout, records, p, candidate, jacobian=False)
+        known = evaluate(layout, records, p, candidate, jacobian=False, near=near)
     low, high = parameter_bounds(layout, candidate, known, strict)
     v = np.clip(pack(p, candidate), low, high)
     if not np.array_equal(v, pack(p, candidate)):
         p, candidate = unpack(layout, candidate, v)
-        known = evaluate(layout, records, p, candidate, jacobian=False)
+        known = evaluate(layout, records, p, candidate, jacobian=False, near=near)
     limited = np.zeros(v.size, dtype=bool)
     limited[: structure.count] = structure.logarithmic
     at = layout.count
@@ -241,9 +244,11 @@ def _line_scores(here: Evaluation) -> Float64:
 
 
 def evaluate_held_out(
-    fitted: JointFit, records: Sequence[SpectralRecord], candidate: Candidate | None = None
+    fitted: JointFit,
+    records: Sequence[SpectralRecord],
+    candidate: Candidate | None = None,
+    near: Sequence[View] = (),
 ) -> Evaluation:
-    """The held-out records evaluated under a fit, nothing refitted."""
-    return evaluate(
-        fitted.layout, records, fitted.p, fitted.candidate if candidate is None else candidate, jacobian=False
-    )
+    """The held-out records evaluated under a fit, nothing refitted; ``near``: as in ``fit``."""
+    effects = fitted.candidate if candidate is None else candidate
+    return evaluate(fitted.layout, records, fitted.p, effects, jacobian=False, near=near)

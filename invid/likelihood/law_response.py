@@ -134,7 +134,7 @@ class LinearizedLaws:
         own, back = self._response_to(forces, change.missing)
         total, back = own + change.total, back + change.back
         gap = np.empty_like(state)
-        disagree = back - feedback
+        disagree = view.without_response(back - feedback)
         gap[:lines] = np.stack((disagree.real, disagree.imag), axis=2).reshape(lines, columns)
         if view.closing is not None:
             jumps_after = view.closing.jumps_of(change.missing + total)

@@ -9,9 +9,10 @@ import numpy as np
 
 from invid.effects.effect import Effect, ForceEffect, ImpedanceEffect
 from invid.effects.laws.sign import DryLaw
-from invid.effects.motion import View, along
+from invid.effects.motion import Equivalent, View, along
 from invid.likelihood.inner_motion import Forces, solve_inner_motion
 from invid.model.place import Pattern, Place
+from invid.numerics.anderson import Secants
 from invid.numerics.arrays import Complex128, Float64
 
 PASSES = 12
@@ -81,11 +82,40 @@ def contributions(
         total, back = forces()
         view.set_inner_motion(back)
         return total
+    if early:
+        _keep_equivalents(view, candidate)
     total = solve_inner_motion(view, forces, passes, early=early)
     if not early or not any(t.effect.stands(view, t.place) for t in candidate.terms):
         return total
     view.clear_cache()  # resistance of a standing motor depends on the inner motion just found
     return solve_inner_motion(view, forces, passes)
+
+
+def _keep_equivalents(view: View, candidate: Candidate) -> None:
+    """Gives the view a spring and a damper for each law on inner motion, as near to it as at the present
+    motion; keeps those that it has of the same laws."""
+    laws = [
+        (t, x)
+        for t, x in zip(candidate.terms, candidate.x, strict=True)
+        if t.inner and t.effect.along_pattern and not isinstance(t.effect, ImpedanceEffect)
+    ]
+    places = [t.place.pattern(view.structure) for t, _ in laws]
+    if [e.pattern for e in view.equivalents] == places:
+        return
+    view.secants = Secants()  # they are of other springs
+    out = []
+    for (term, x), pattern in zip(laws, places, strict=True):
+        contribution, _ = term.effect.contribution(view, term.place, x.tolist())
+        reach = view.condensed_force(pattern).conj()
+        reached = np.maximum(np.sum(np.abs(reach) ** 2, axis=1), 1e-300)
+        force = np.einsum("fm,fm->f", reach, contribution) / reached
+        moved = view.spectrum(pattern)
+        stiffness, damping = (
+            float(np.vdot(m[1:], force[1:]).real) / max(float(np.vdot(m[1:], m[1:]).real), 1e-300)
+            for m in (moved, 1j * view.omega * moved)
+        )
+        out.append(Equivalent(pattern, stiffness, damping))
+    view.set_equivalents(tuple(out))
 
 
 def is_linear_in_motion(candidate: Candidate) -> bool:

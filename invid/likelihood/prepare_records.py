@@ -13,9 +13,10 @@ from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Experiment, Recording
 from invid.signals.drive_torque import covers_demand, mean_demand
+from invid.signals.motor_motion import motor_motion
 from invid.signals.periods import fold, remove_drift
 from invid.signals.spectra import LineSpectra, spectra_of
-from invid.signals.spectral_record import SpectralRecord
+from invid.signals.spectral_record import FINENESS, SpectralRecord
 from invid.signals.standstill import standstill_velocity
 from invid.signals.timebase import resample_uniformly
 
@@ -64,26 +65,16 @@ def spectral_record(
     time = (np.arange(count) - (count - 1) / 2) * step
     closed = wave - time[:, None] * ramp
     spectrum = np.fft.rfft(closed, axis=0)
-    omega_all = 2 * np.pi * np.fft.rfftfreq(count, step)
     noise_all = s.floor[:motors] * (count / 2.0) ** 2
     power = np.abs(spectrum) ** 2
     # Lines within six times the noise power are taken for noise (1 line in 400 of pure noise passes).
     keep = np.where(power > 6.0 * noise_all, 1.0 - noise_all / np.maximum(power, 1e-300), 0.0)
     keep[0] = 1.0
     clean = spectrum * keep
-    grid = min(count, scipy.fft.next_fast_len(max(SAMPLES_PER_PERIOD * int(index[-1]), 256), real=True))
-    bins = grid // 2 + 1
-    coarse = clean[:bins] * (grid / count)
-    if grid < count and grid % 2 == 0:
-        coarse[-1] = 0.0
-    unseen = np.where(np.arange(bins)[:, None] > index[-1], 1.0 - keep[:bins], 0.0)
-    if grid % 2 == 0:
-        unseen[-1] = 0.0
-    wave_step = count * step / grid
-    wave_time = np.arange(grid) * wave_step - (count - 1) / 2 * step
-    velocity = np.fft.irfft(1j * omega_all[:bins, None] * coarse, grid, axis=0) + ramp
-    motor_wave = np.fft.irfft(coarse, grid, axis=0) + wave_time[:, None] * ramp
-    left = (omega_all[:, None] ** 2 * noise_all * (keep > 0))[:bins].sum(axis=0) * 2 / count**2
+    grid = FINENESS * scipy.fft.next_fast_len(max(SAMPLES_PER_PERIOD * int(index[-1]), 256), real=True)
+    moved = motor_motion(
+        wave, step, s.floor[:motors], int(index[-1]), grid, closes=not (s.transient or alone)
+    )
     filtered = clean[index] * (2.0 / count)
     floor = np.maximum(s.floor, 1e-300) * share
     # A torque without noise is a command: with none at all every error of the model would count as
@@ -108,7 +99,7 @@ def spectral_record(
     if command is not None:
         torque = torque - command[1]
     quiet = max((0.45 / step - 1.5 * top) * s.span_s / max(s.periods, 1), 1.0) * max(s.periods - 1, 1)
-    return SpectralRecord(
+    fine = SpectralRecord(
         key=s.key,
         omega=np.concatenate(([0.0], s.omega[used])),
         lines=np.concatenate(([0], index)),
@@ -122,11 +113,11 @@ def spectral_record(
         span=span,
         transient=transient,
         step=step,
-        motor_wave=motor_wave,
-        motor_velocity=velocity,
-        velocity_noise=np.sqrt(left),
+        motor_wave=moved.position,
+        motor_velocity=moved.velocity,
+        velocity_noise=moved.noise,
         torque_wave=torque_wave,
-        wave_step=wave_step,
+        wave_step=count * step / grid,
         ramp=ramp,
         staircase=np.asarray(s.staircase),
         start_time=start,
@@ -134,11 +125,12 @@ def spectral_record(
         period_time=s.span_s / max(s.periods, 1),
         excited=np.concatenate(([False], s.excited[used])),
         command=None if command is None else command[0],
-        unseen=unseen,
+        unseen=moved.unseen,
         ends_in=s.transient and s.periods <= 1 and rows is None,
         alone=alone and rows is not None,
         integrated=s.integrated,
     )
+    return fine.on_coarse_grid()
 
 
 def _waves_of_periods(

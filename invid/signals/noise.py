@@ -7,9 +7,12 @@ more times the white density, repeats with the motion, and the quiet lines above
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import pairwise
+
 import numpy as np
 
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.numerics.linear_algebra import least_squares, real_rows
 
 
@@ -62,6 +65,68 @@ def quiet_power(spectrum: Complex128, quiet: np.ndarray) -> tuple[Float64, float
     level: Float64 = np.median(power, axis=0) / np.log(2.0)
     # The median of an exponential has 1/ln²2 times the variance of the mean.
     return level, 2.0 * power.shape[0] * float(np.log(2.0) ** 2)
+
+
+WINDOWS_PER_OCTAVE, LEAST_LINES = 4, 64
+"""Width of the windows in which noise is looked at, and the least number of lines in one: their medians then
+scatter by a fifth."""
+FALLS = (4.0, 8.0)
+"""Factor by which the power of lines that show motion falls in an octave, at least; the second where none
+falls by less than the first. Physical: a torque on an inertia moves it with the second power of the period,
+sixteen in power; an error of the encoder or a white noise does not fall, and behind a filter of first order a
+noise falls by four; half way between, each."""
+
+
+@dataclass(frozen=True)
+class NoisePlateau:
+    """Noise ``level`` of one line above the motion's band, its real ``dof``, and where it was read [Hz].
+
+    Beyond ``high`` a filter, or the fastest passage of an encoder's lines, leaves less of it.
+    """
+
+    level: float
+    dof: float
+    low: float
+    high: float
+
+    def lines(self, hz: Float64) -> Bool:
+        """(F,) the lines on the plateau."""
+        inside: Bool = (hz >= self.low) & (hz <= self.high)
+        return inside
+
+
+def noise_plateau(power: Float64, hz: Float64) -> NoisePlateau:
+    """The noise nearest above the band of the motion, from the power (F,) of quiet lines at ``hz`` (F,); the
+    median of all where they reach over less than an octave.
+
+    The median over all lines up to half the sampling rate is right for white noise alone. An encoder's error
+    within its lines reaches as far as the lines pass in a second, a filter's noise to its corner: the band
+    sees their level, forty and more times the median. Motion falls off steeply, so the noise begins where the
+    levels fall no more, and goes on while they stay above half of that.
+    """
+    if power.size < 2 * LEAST_LINES or hz[-1] < 2.0 * hz[0]:
+        whole, dof = quiet_power(np.sqrt(power)[:, None], np.ones(power.size, dtype=bool))
+        return NoisePlateau(float(whole[0]), dof, float(hz[0]), float(hz[-1]))
+    edges, at = [0], 0
+    while at < power.size:
+        end = int(np.searchsorted(hz, hz[at] * 2.0 ** (1.0 / WINDOWS_PER_OCTAVE)))
+        at = max(end, at + LEAST_LINES)
+        edges.append(at if power.size - at >= LEAST_LINES else power.size)
+        at = edges[-1]
+    levels = np.array([np.median(power[a:b]) for a, b in pairwise(edges)]) / np.log(2.0)
+    octave, half = WINDOWS_PER_OCTAVE, WINDOWS_PER_OCTAVE // 2
+    last = levels.size - 1
+    falls = levels[:-octave] / levels[octave:]
+    flat = (int(k) for least in FALLS for k in np.flatnonzero(falls < least))
+    # Half an octave on: in the first such window there still is motion.
+    first = min(next(flat, last) + half, last)
+    end = first
+    while end < last and levels[end + 1] > 0.5 * levels[first]:
+        end += 1
+    rows = slice(edges[first], edges[end + 1])
+    level = float(np.median(power[rows])) / float(np.log(2.0))
+    dof = 2.0 * (rows.stop - rows.start) * float(np.log(2.0) ** 2)
+    return NoisePlateau(level, dof, float(hz[rows.start]), float(hz[rows.stop - 1]))
 
 
 def quantisation_step(values: Float64) -> Float64:

@@ -19,7 +19,9 @@ from invid.recording.plausibility import held_sentence
 from invid.signals.lines import band_of, driven_axes, excited_lines, held_torque, highest_excited
 from invid.signals.noise import (
     ENOUGH,
+    NoisePlateau,
     flat_covariance,
+    noise_plateau,
     pooled_covariance,
     quantisation_step,
     quiet_power,
@@ -260,7 +262,8 @@ def _periodic_spectra(
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
     if not quiet.any():
         quiet = hz > 0.9 * hz[-1]
-    floor, floor_dof, share = _noise_floor(data, quiet, hz, period)
+    plateaus, floor, share = _noise_floor(data, quiet, hz, period)
+    floor_dof = min(p.dof for p in plateaus)
     band = band_of(hz, top, band_hz)
     settling = find_settled_periods(spectra[:, : top + 1], floor, floor_dof)
     first = settling.first if drop_transient else 0
@@ -275,8 +278,12 @@ def _periodic_spectra(
     odd = np.arange(1, nyquist + 1) % 2 == 1
     repeating, own = floor / used, floor / used * share
     if settling.settled:
-        parities = [quiet & odd, quiet & ~odd]
-        repeating = np.max([quiet_power(mean, p)[0] for p in parities if p.any()], axis=0)
+        repeating = np.array(
+            [
+                max(quiet_power(mean[:, [c]], p.lines(hz) & parity)[0][0] for parity in (odd, ~odd))
+                for c, p in enumerate(plateaus)
+            ]
+        )
         own = np.maximum(own, repeating * sensor_noise_share(mean[None, quiet], hz[quiet], data.step))
     step = np.concatenate((quantisation_step(data.position), quantisation_step(data.torque)))
     single = sum(np.abs(one) ** 2 for one in spectra) / used
@@ -329,8 +336,8 @@ def _whole_spectra(
     if quiet.sum() < 16:
         quiet = hz > 0.9 * hz[-1]
     single = np.empty((nyquist, 2 * motors))
-    floor, _, share = _quiet_noise([wave[:count]], hz, quiet, data.step, single)
-    floor *= share
+    plateaus, share = _quiet_noise([wave[:count]], hz, quiet, data.step, single)
+    floor = np.array([p.level for p in plateaus]) * share
     step = quantisation_step(wave)
     band = band_of(hz, top, band_hz)
     rounding = _rounding_power(single, single, step, band)
@@ -386,16 +393,16 @@ def _position_of_velocity(position: Float64, step: float, hz: Float64) -> Comple
 
 def _noise_floor(
     data: UniformRecord, quiet: Bool, hz: Float64, period: int
-) -> tuple[Float64, float, Float64]:
-    """(2M,) noise power of one line of one period, its dof, and the sensors' own share of it; from the quiet
-    band of the whole record, windowed: what is left of a transient leaks there otherwise."""
+) -> tuple[list[NoisePlateau], Float64, Float64]:
+    """The noise of the whole record above the band, (2M,) its power on a line of one period, and the sensors'
+    own share of it; windowed, for what is left of a transient leaks there otherwise."""
     count = data.samples
     lines = (count - 1) // 2
     fine = np.arange(1, lines + 1) / (count * data.step)
     band = hz[quiet]
     inside = (fine >= band[0]) & (fine <= band[-1]) if band.size else fine > 0.9 * fine[-1]
-    power, dof, share = _quiet_noise([data.position, data.torque], fine, inside, data.step)
-    return power * (count / period), dof, share
+    plateaus, share = _quiet_noise([data.position, data.torque], fine, inside, data.step)
+    return plateaus, np.array([p.level for p in plateaus]) * (count / period), share
 
 
 def _rounding_power(single: Float64, mean: Float64, step: Float64, band: Bool) -> Float64:
@@ -409,23 +416,21 @@ def _rounding_power(single: Float64, mean: Float64, step: Float64, band: Bool) -
 
 def _quiet_noise(
     parts: Sequence[Float64], hz: Float64, quiet: Bool, step: float, single: Float64 | None = None
-) -> tuple[Float64, float, Float64]:
-    """(2M,) noise power on the ``quiet`` lines of (n, …) samples of 2M channels, its dof, and the sensors'
-    own share of it; through a window that lets nothing leak into them. ``single`` (F, 2M) gets the power of
-    every line.
+) -> tuple[list[NoisePlateau], Float64]:
+    """The noise of (n, …) samples of 2M channels from their ``quiet`` lines, and (2M,) the sensors' own share
+    of it; through a window that lets nothing leak into them. ``single`` (F, 2M) gets the power of every line.
     """
     channels, means = _channels(*parts), np.concatenate([part.mean(axis=0) for part in parts])
     every = max(int(quiet.sum()) // ENOUGH, 1)
-    power, kept, dof = np.zeros(len(channels)), [], 0.0
+    plateaus, kept = list[NoisePlateau](), []
     for c, values in enumerate(channels):
         windowed = _windowed_spectrum(values - means[c], hz.size)
-        level, dof = quiet_power(windowed[:, None], quiet)
-        power[c] = level[0]
+        plateaus.append(noise_plateau(np.abs(windowed[quiet]) ** 2, hz[quiet]))
         if single is not None:
             single[:, c] = np.abs(windowed) ** 2
         kept.append(windowed[quiet][::every].copy())  # or a view keeps all of it
     share = sensor_noise_share(np.stack(kept, axis=1)[None], hz[quiet][::every], step)
-    return power, dof, share
+    return plateaus, share
 
 
 def _windowed_spectrum(values: Float64, lines: int) -> Complex128:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.standstill import is_seen_standing
+
+FINENESS = 4
+"""Points of the fine grid of a motor's motion for one of the waves' grid. Empirical (whole cells at their
+true parameters): on the latter reversals are misread by three to seven times the noise, on the fine one by
+less than it."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -105,11 +110,24 @@ class SpectralRecord(SpectralLines):
     """Whether it scatters from period to period far beyond the sensors' noise."""
     unseen: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
     """(n//2 + 1, M) share of each line of the waves above the band in use that was taken for noise."""
+    fine: SpectralRecord | None = None
+    """The record with its waves on a finer grid, where laws at the motors are read from it."""
 
     @property
     def samples(self) -> int:
         """n, of the waves of motion."""
         return int(self.motor_wave.shape[0])
+
+    def on_coarse_grid(self) -> SpectralRecord:
+        """The record with its waves on a grid ``FINENESS`` times as wide, and itself beside them."""
+        return replace(
+            self,
+            motor_wave=np.ascontiguousarray(self.motor_wave[::FINENESS]),
+            motor_velocity=np.ascontiguousarray(self.motor_velocity[::FINENESS]),
+            wave_step=self.wave_step * FINENESS,
+            unseen=self.unseen[: self.samples // FINENESS // 2 + 1],
+            fine=self,
+        )
 
     @cached_property
     def wave_omega(self) -> Float64:

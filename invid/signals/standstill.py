@@ -17,7 +17,7 @@ STOP_RATIO = 2.0
 
 def sign_threshold(velocity: Float64, noise: float) -> float:
     """Velocity below which the sign of ``velocity`` (n,) is not known."""
-    return max(1.5 * noise, 1e-3 * float(np.sqrt(np.mean(velocity**2))), 1e-300)
+    return max(1.5 * noise, 1e-4 * float(np.sqrt(np.mean(velocity**2))), 1e-300)
 
 
 def standstill_velocity(velocity: Float64, noise: float) -> float:

@@ -116,6 +116,9 @@ def march(
                         x, xv = x - qs[b], xv - vs[b]
                     one = force(laws[j], par[j], x, xv, qs[a], vs[a])
                     f[a] -= one
+                    if laws[j] == 4:  # no gear makes energy: its motor side feels the slope of the error
+                        slope = par[j, 0] * par[j, 1] * np.cos(par[j, 1] * qs[a] + par[j, 2])
+                        f[a] += (par[j, 3] * x + par[j, 4] * xv + one) * slope
                     if b >= 0:
                         f[b] += one
                 for d in range(dofs):

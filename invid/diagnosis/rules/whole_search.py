@@ -7,7 +7,7 @@ are searched in what that leaves. At the end the parts of the friction that are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,29 +18,32 @@ from invid.diagnosis.evidence import (
     CandidateEvidence,
     Step,
     evidence_if_finite,
-    fit_if_finite,
     is_at_bound,
+    is_size_significant,
     refit_with_effect,
     schwarz_penalty,
 )
 from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.thresholds import HELD_OUT, SHARE, SIGNIFICANCE
+from invid.diagnosis.structure_start import start_beside_friction
+from invid.diagnosis.thresholds import FAR, HELD_OUT, MOST, SHARE, SIGNIFICANCE
 from invid.effects.catalogue.asymmetric_friction import AsymmetricStribeck
-from invid.effects.laws.joint import JointFriction
+from invid.effects.laws.joint import LEAST_SLOW, JointFriction
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.evaluation import evaluate
-from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, pack, reorder_effects
+from invid.likelihood.joint_fit import JointFit, fit, pack, reorder_effects
+from invid.likelihood.nuisance.corner_motion import complete_motion
 from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
+from invid.signals.spectra import LineSpectra
 from invid.signals.spectral_record import SpectralRecord
 
-LAW = JointFriction()
+LAW, GRAVITY = JointFriction(), BY_CAUSE["gravity"]
 MOST_FITS, MOST_TRIED = 3, 5
 """Most candidates of a screen that compete, and most that are fitted to find them (empirical)."""
 NEAR_BEST = 0.5
@@ -55,42 +58,256 @@ LARGER_FRICTION = ("presliding_friction", "stribeck_friction", "asymmetric_frict
 asked once that is found."""
 NAMING_ITERATIONS = 10
 """Iterations of a fit with the friction's parts, or without causes: it starts where it ends, almost."""
+SHAPES = 7
+"""Widths and Stribeck velocities that are tried anew, each (empirical: a factor of three apart)."""
+REFINED_BELOW = 0.5
+"""Share of χ² below which friction's shapes and the motors' completed motion are found anew (empirical)."""
+COARSE_ABOVE = 30.0
+"""χ²/ν down to which a search does without the fine grid (``signals.spectral_record``): errors are less."""
+SETTLING_ITERATIONS = 10
+"""Iterations of the fit with an accepted cause (empirical: most end before)."""
+STRUCTURE = ("extra_mode", "coupling_stiffness")
+"""Causes that stand for another chain."""
 TIMING = ("torque_delay", "torque_lag")
 """Causes that the free time constants and offsets of the drives replace here."""
 
 
-def search_beside_friction(
+@dataclass(frozen=True, eq=False)
+class BesideFriction:
+    """What the search found, and its records with the motors' motion completed (``complete_motion``)."""
+
+    selection: Selection
+    train: Sequence[SpectralRecord]
+    held: Sequence[SpectralRecord]
+
+
+def search_beside_friction(  # noqa: PLR0913 - a fit, its records and where they come from
     base: CandidateEvidence,
     known: Candidate,
     start: Float64,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
+    spectra: Sequence[LineSpectra],
     *,
     linear_axes: bool,
-) -> Selection | None:
-    """Selection of the friction of every motor and further causes; ``None`` where no fit of it is finite.
+) -> BesideFriction | None:
+    """The friction of every motor and further causes; ``None`` where no fit of it is finite.
 
     ``known``: the friction that the identification found with the linear parameters ``start`` (n,).
     """
-    null = _fit_with_friction(base, known, start, train, held)
+    coarse = _without_fine_grid(train), _without_fine_grid(held)
+    null = _fit_with_friction(base, known, start, *coarse)
     if null is None:
         return None
-    found = SearchState(null, ())
     tell_causes(null)
+    found = _with_weights(SearchState(null, (), *coarse, spectra), linear_axes)
+    found = found.settled()
     cut = False
     try:
         with budget.use_share(TIME_TO_FIND, 0.1, 0.7):
-            while null_test(found.trial.fit.cost, found.trial.fit.dof, train).rejects:
-                more = _add_cause(found, train, held, linear_axes)
-                if more is None:
-                    break
-                found = more
-                tell_causes(found.trial)
-    except budget.BudgetSpent:
+            found = _find_with_held_out(_find_causes(found, (train, held), linear_axes), linear_axes)
+    except _Cut as stopped:
+        found, cut = stopped.found, True
         budget.leave_out(f"causes beside {len(found.steps)} found and the friction of every motor")
-        cut = True
-    named = _name_friction(base, null, found, train, held, linear_axes)
-    return replace(named, is_cut_short=cut or named.is_cut_short)
+    named = _name_friction(base, null, found, linear_axes)
+    return BesideFriction(replace(named, is_cut_short=cut or named.is_cut_short), found.train, found.held)
+
+
+def _without_fine_grid(records: Sequence[SpectralRecord]) -> list[SpectralRecord]:
+    """The records with their waves alone, whose errors do not show far from the noise."""
+    return [replace(r, fine=None) for r in records]
+
+
+class _Cut(Exception):
+    """The budget ended the search; ``found`` is what it had."""
+
+    def __init__(self, found: SearchState) -> None:
+        super().__init__()
+        self.found = found
+
+
+def _find_causes(
+    found: SearchState,
+    measured: tuple[Sequence[SpectralRecord], Sequence[SpectralRecord]],
+    linear_axes: bool,
+) -> SearchState:
+    """The state with causes added while the training records reject it and one is accepted.
+
+    ``measured``: the records before their motion was completed.
+
+    Raises
+    ------
+    _Cut
+        The budget is spent.
+    """
+    refined_at, is_fine, is_restarted = np.inf, False, False
+    while found.rejects():
+        here = found.trial.fit
+        is_fine = is_fine or here.cost < COARSE_ABOVE * here.dof
+        try:
+            if is_fine and here.cost < REFINED_BELOW * refined_at:
+                found = _refined(found, measured)
+                refined_at = found.trial.fit.cost
+                if not found.rejects():
+                    break
+            more = _add_cause(found, linear_axes)
+            if not is_restarted and (more is None or more.trial.term.effect.cause in STRUCTURE):
+                # Another minimum of the chain is excluded before a mode or a spring is believed.
+                more, is_restarted = _restarted(found) or more, True
+            elif more is not None:
+                is_restarted = False
+        except budget.BudgetSpent:
+            raise _Cut(found) from None
+        if more is not None:
+            # What is found anew next is fitted to the end there.
+            is_next = is_fine and more.trial.fit.cost < REFINED_BELOW * refined_at
+            found = more if is_next else more.settled()
+            tell_causes(found.trial)
+        elif not is_fine or found.trial.fit.cost < refined_at:
+            is_fine, refined_at = True, np.inf
+        else:
+            break
+    return found
+
+
+def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
+    """The state with the weights of all axes that are significant: they are there before any fault.
+
+    In a screen of all causes a ripple of the motor may pass for a weight.
+    """
+    if linear_axes:
+        return found
+    for place in _end_places(found.trial.fit):
+        here = found.trial.fit
+        if not found.rejects():
+            break
+        if _has_weight(here, place.axis):
+            continue
+        score = Screen(here).best(PlacedEffect(GRAVITY, place), polish=True)
+        trial = _refit_score(found.trial, score, found.train, found.held)
+        if trial is None or here.cost - trial.fit.cost < _least_own_gain(trial.fit):
+            continue
+        if trial.held.cost < found.trial.held.cost:
+            step = Step(found.trial, trial, ((trial, trial.fit.cost),))
+            found = replace(found, trial=trial, steps=(*found.steps, step))
+    return found
+
+
+def _has_weight(here: JointFit, axis: int) -> bool:
+    return any(t.effect is GRAVITY and t.place.axis == axis for t in here.candidate.terms)
+
+
+def _end_places(here: JointFit) -> list[Place]:
+    """The place of each axis where a weight hangs."""
+    places = GRAVITY.places(here.layout.structure)
+    return [next(p for p in places if p.axis == i) for i in range(here.layout.structure.motors)]
+
+
+def _least_own_gain(here: JointFit) -> float:
+    """Least gain of χ² of a cause that is added beside others (three times what Schwarz' criterion asks)."""
+    return float(6.0 * np.log(max(here.dof, 2)) * max(here.dispersion, 1.0))
+
+
+def _restarted(found: SearchState) -> SearchState | None:
+    """The state with its chain identified anew beside its friction; ``None`` where it is near the noise or
+    that is no nearer.
+
+    The chain was found beside what was missing then, and may lie in another minimum.
+    """
+    here = found.trial.fit
+    if here.cost < FAR * here.dof:
+        return None
+    p = start_beside_friction(here, found.train, found.spectra)
+    if p is None:
+        return None
+    trial = _refit(found.trial, found.train, found.held, p=p, iterations=SETTLING_ITERATIONS, quick=True)
+    if trial is None or trial.fit.cost > (1.0 - SHARE) * here.cost:
+        return None
+    return replace(found, trial=trial)
+
+
+def _refined(
+    found: SearchState,
+    measured: tuple[Sequence[SpectralRecord], Sequence[SpectralRecord]],
+) -> SearchState:
+    """The state with the motors' motion completed by its friction, and friction of the best shapes beside it.
+
+    Both were found beside what was missing until now.
+    """
+    train, held = (complete_motion(records, found.trial.fit) for records in measured)
+    quick = found.trial.fit.cost > FAR * found.trial.fit.dof
+    trial = _refit(found.trial, train, held, is_last=True, iterations=SETTLING_ITERATIONS, quick=quick)
+    if trial is not None:
+        found = replace(found, trial=trial, train=train, held=held)
+    reshaped = _reshape_friction(found.trial, found.train, found.held)
+    return found if reshaped is None else replace(found, trial=reshaped)
+
+
+def _find_with_held_out(found: SearchState, linear_axes: bool) -> SearchState:
+    """The state with the causes that only the records kept out show, in the parameters of the others alone.
+
+    A ripple moves a motor by little where its speed hides it, and by much in another experiment: the training
+    is at the noise, and the records kept out are not, whatever the parameters that the training leaves open.
+    """
+    held = found.held
+    if not null_test(_predicted_chi2(found.trial, held), found.trial.held.dof, held).rejects:
+        return found
+    every = [*found.train, *held]
+    start = _refit(found.trial, every, held, iterations=NAMING_ITERATIONS, quick=True)
+    if start is None:
+        return found
+    state = replace(found, trial=start, train=every)
+    while state.rejects():
+        before = state.trial.fit
+        try:
+            more = _add_cause(state, linear_axes)
+        except budget.BudgetSpent:
+            raise _Cut(found) from None
+        if more is None or before.cost - more.trial.fit.cost < MOST * (before.cost - before.dof):
+            break  # small beside what is missing: it may be an error of another law
+        state = more.settled()
+    if len(state.steps) == len(found.steps):
+        return found
+    trained = _refit(state.trial, found.train, held, is_last=True, iterations=NAMING_ITERATIONS)
+    if trained is None or trained.held.cost > found.trial.held.cost:
+        return found
+    return replace(found, trial=trained, steps=state.steps)
+
+
+def _reshape_friction(
+    trial: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> CandidateEvidence | None:
+    """The fit from other widths and Stribeck velocities of a motor's friction; ``None`` where none is better.
+
+    Both are shapes with several minima: what is missing beside them may be their own.
+    """
+    best: CandidateEvidence | None = None
+    for number, term in enumerate(trial.fit.candidate.terms):
+        if term.effect is not LAW:
+            continue
+        start = trial if best is None else best
+        here = start.fit
+        without = _refit(start, train, held, candidate=here.candidate.without(number), iterations=0)
+        if without is None:
+            continue
+        screen = Screen(without.fit)
+        (low, high) = zip(*LAW.limits(screen.views, term.place), strict=True)
+        own = screen.score_at_shape(term, here.candidate.x[number][-2:].tolist())[0]
+        shapes = [
+            (float(v), float(w))
+            for v in np.linspace(low[0], high[0], SHAPES)
+            for w in np.linspace(low[1], high[1], SHAPES)
+        ]
+        gain, x = max((screen.score_at_shape(term, s) for s in shapes), key=lambda r: r[0])
+        least = chi2_isf(SIGNIFICANCE, len(LAW.shapes)) * here.dispersion
+        if gain - own < least:
+            continue
+        xs = tuple(x if k == number else other for k, other in enumerate(here.candidate.x))
+        candidate = Candidate(here.candidate.terms, xs)
+        found = _refit(start, train, held, candidate=candidate, iterations=SETTLING_ITERATIONS, quick=True)
+        if found is not None and found.fit.cost < here.cost - least:
+            best = found
+    return best
 
 
 def tell_causes(found: CandidateEvidence) -> None:
@@ -115,10 +332,31 @@ def tell_causes(found: CandidateEvidence) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """The fit that the search has reached, and its steps."""
+    """The fit that the search has reached, its steps, the records that it was fitted to and judged on, and
+    the ``spectra`` that all of them come from."""
 
     trial: CandidateEvidence
     steps: tuple[Step, ...]
+    train: Sequence[SpectralRecord]
+    held: Sequence[SpectralRecord]
+    spectra: Sequence[LineSpectra]
+
+    def rejects(self) -> bool:
+        """Whether the training records reject the fit."""
+        return null_test(self.trial.fit.cost, self.trial.fit.dof, self.train).rejects
+
+    def settled(self) -> SearchState:
+        """The state with its fit taken to the end: scores mean something at a minimum only.
+
+        Far from the noise without the Jacobian that knows how strong effects change inner motion: what is
+        missing bends the fit more.
+        """
+        here = self.trial.fit
+        if here.converged:
+            return self
+        quick = here.cost > FAR * here.dof
+        found = _refit(self.trial, self.train, self.held, iterations=SETTLING_ITERATIONS, quick=quick)
+        return self if found is None or found.fit.cost > here.cost else replace(self, trial=found)
 
 
 def _fit_with_friction(
@@ -140,34 +378,36 @@ def _fit_with_friction(
         (shape,) = LAW.grid(base.fit.evaluation.views, place)
         candidate = candidate.plus(PlacedEffect(LAW, place), np.array([dry, wet, 0.0, 0.0, 0.0, 0.0, *shape]))
     starts = [p for p in (start, base.fit.p) if p.size == base.fit.p.size]
-    return _finished(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
+    return _refit(base, train, held, candidate=candidate, p=starts[0], is_last=True, iterations=60)
 
 
-def _add_cause(
-    found: SearchState, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], linear_axes: bool
-) -> SearchState | None:
+def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
     """The state with one cause more, the best of a screen and a few fits; ``None`` where none is accepted."""
-    current = found.trial
+    current, train, held = found.trial, found.train, found.held
     here, rows = current.fit, current.fit.dof
     chosen = here.candidate.terms
     terms = [
         t
         for t in terms_to_test(here.layout.structure, linear_axes=linear_axes, chosen=chosen)
         if t.effect.cause not in (*TIMING, *LARGER_FRICTION)
+        and not (t.effect is GRAVITY and _has_weight(here, t.place.axis))
     ]
     scores = screen_candidates(Screen(here), terms)
     least_gain = chi2_isf(SIGNIFICANCE / len(terms), 1) * min(here.dispersion, 1.0)
     # No refit of what could not be accepted at three times its prediction.
     least_gain = max(least_gain, SHARE * (here.cost - here.dof))
-    scores = [s for s in scores if REACH * s.gain >= least_gain]
+    scores = [s for s in scores if REACH * s.gain >= least_gain and not _is_below_all_lines(s, here)]
     before = _predicted_chi2(current, held)
     trials: list[CandidateEvidence] = []
     reached = 0.0
     for score in _one_weight_an_axis(scores)[:MOST_TRIED]:
         if score.gain < NEAR_BEST * reached or len(trials) == MOST_FITS:
             break
-        trial = _refit_score(here, score, train, held)
+        trial = _refit_score(current, score, train, held)
         if trial is None or is_at_bound(trial.fit) or is_smaller_model(trial):
+            continue
+        # A mode of no mass may ring on from a record's start: the gain is its ends', a tone's.
+        if is_size_significant(trial.fit, len(trial.fit.candidate.terms) - 1) is False:
             continue
         gain = here.cost - trial.fit.cost
         needed = chi2_isf(SIGNIFICANCE / len(terms), max(trial.term.size, 1))
@@ -184,17 +424,29 @@ def _add_cause(
     ranked = sorted(((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in trials), key=lambda r: r[1])
     best = ranked[0][0]
     steps = (*found.steps, Step(current, best, tuple(ranked)))
-    ripples = _independent_ripples(best, scores, here)
-    if ripples:
-        together = _fit_together(best, ripples, train, held)
+    beside = _independent_causes(best, scores, here)
+    if beside:
+        together = _fit_together(best, beside, train, held)
         if together is not None:
-            count = len(best.fit.candidate.terms)
-            for n in range(len(ripples)):
-                order = [*(k for k in range(count + len(ripples)) if k != count + n), count + n]
-                one = CandidateEvidence(reorder_effects(together.fit, order), together.held)
-                steps = (*steps, Step(best, one, ((one, one.cost),)))
-            best = together
-    return SearchState(best, steps)
+            steps, best = (*steps, *_joint_steps(best, together)), together
+    return replace(found, trial=best, steps=steps)
+
+
+def _joint_steps(before: CandidateEvidence, together: CandidateEvidence) -> tuple[Step, ...]:
+    """A step for each cause of a fit that found them at once."""
+    out = []
+    for n in range(len(before.fit.candidate.terms), len(together.fit.candidate.terms)):
+        one = _move_to_end(together, n)
+        out.append(Step(before, one, ((one, one.cost),)))
+    return tuple(out)
+
+
+def _is_below_all_lines(score: Score, here: JointFit) -> bool:
+    """Whether a screen puts a mode at the lowest frequency that it may have, where motion drifts."""
+    if score.term.effect.cause != "extra_mode":
+        return False
+    low = score.term.effect.limits(here.evaluation.views, score.term.place)[0][0]
+    return bool(score.x[-2] <= low + 1e-9)
 
 
 def _one_weight_an_axis(scores: Sequence[Score]) -> list[Score]:
@@ -210,13 +462,14 @@ def _one_weight_an_axis(scores: Sequence[Score]) -> list[Score]:
     return out
 
 
-def _independent_ripples(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) -> list[Score]:
-    """Ripples of other motors in the same screen; each is read from its own motor's motion alone."""
-    needed = 2.0 * np.log(max(here.dof, 2)) * max(best.fit.dispersion, 1.0)
-    taken, out = {best.term.place}, []
+def _independent_causes(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) -> list[Score]:
+    """Weights and ripples of other axes in the same screen; each is read from its own axis' motion alone."""
+    least = _least_own_gain(best.fit)
+    taken, out = {best.term.place.axis}, []
     for s in scores:
-        if s.term.effect.cause == "cogging" and s.term.place not in taken and s.gain > 3.0 * needed:
-            taken.add(s.term.place)
+        is_own = s.term.effect.cause in ("cogging", "gravity") and s.term.place.kind == "mass"
+        if is_own and s.term.place.axis not in taken and s.gain > least:
+            taken.add(s.term.place.axis)
             out.append(s)
     return out
 
@@ -227,26 +480,58 @@ def _fit_together(
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
 ) -> CandidateEvidence | None:
-    """The fit with further causes at once; ``None`` where one of them is not significant."""
+    """The fit with further causes at once, those that are significant; ``None`` where none is."""
+    if not beside:
+        return None
     candidate = best.fit.candidate
     for s in beside:
         candidate = candidate.plus(s.term, s.x)
-    found = evidence_if_finite(
-        partial(fit, best.fit.layout, train, best.fit.p, candidate, iterations=6, quick=True), held
-    )
+    found = _refit(best, train, held, candidate=candidate, iterations=SETTLING_ITERATIONS, quick=True)
     if found is None:
         return None
     first = len(best.fit.candidate.terms)
-    sure = all(_wald_ratio(found.fit, first + n) > 1.0 for n in range(len(beside)))
-    return found if sure and found.fit.cost < best.fit.cost else None
+    sure = [n for n in range(len(beside)) if _wald_ratio(found.fit, first + n) > 1.0]
+    if len(sure) < len(beside):
+        return _fit_together(best, [beside[n] for n in sure], train, held) if sure else None
+    return found if found.fit.cost < best.fit.cost else None
+
+
+def _refit(  # noqa: PLR0913 - what may differ from the fit that it starts at
+    trial: CandidateEvidence,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+    *,
+    candidate: Candidate | None = None,
+    p: Float64 | None = None,
+    is_last: bool = False,
+    iterations: int,
+    quick: bool = False,
+) -> CandidateEvidence | None:
+    """The fit from where another one ends, with other causes or parameters; ``None`` where it is not finite.
+
+    ``is_last``: however little time is left, for what was found is said.
+    """
+    here = trial.fit
+    own, kept = here.evaluation.views, trial.held.views
+    run = partial(
+        fit,
+        here.layout,
+        train,
+        here.p if p is None else p,
+        here.candidate if candidate is None else candidate,
+        iterations=iterations,
+        quick=quick,
+        near=(*own, *kept)[: len(train)],
+    )
+    return evidence_if_finite(run, held, kept, always=is_last)
 
 
 def _refit_score(
-    here: JointFit, score: Score, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+    here: CandidateEvidence, score: Score, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> CandidateEvidence | None:
     """The joint fit from a screen's prediction after six iterations; ``None`` where it is not finite."""
-    found = fit_if_finite(partial(refit_with_effect, here, train, score.term, score.x, 6, score.shift))
-    return None if found is None else evidence_if_finite(lambda: found, held)
+    run = partial(refit_with_effect, here.fit, train, score.term, score.x, 6, score.shift)
+    return evidence_if_finite(run, held, here.held.views)
 
 
 def _predicted_chi2(trial: CandidateEvidence, held: Sequence[SpectralRecord]) -> float:
@@ -255,7 +540,7 @@ def _predicted_chi2(trial: CandidateEvidence, held: Sequence[SpectralRecord]) ->
     Records of another kind of motion depend on combinations of parameters that the training hardly
     determines; an error of those is no sign of a wrong law. min over δ of |r + Jδ|² + δᵀC⁻¹δ.
     """
-    part = evaluate(trial.fit.layout, held, trial.fit.p, trial.fit.candidate, near=(), jacobian=True)
+    part = evaluate(trial.fit.layout, held, trial.fit.p, trial.fit.candidate, near=trial.held.views)
     information = trial.fit.evaluation.jacobian
     both = np.concatenate((part.jacobian, information))
     scale = np.linalg.norm(both, axis=0)
@@ -270,13 +555,11 @@ def _name_friction(
     base: CandidateEvidence,
     null: CandidateEvidence,
     found: SearchState,
-    train: Sequence[SpectralRecord],
-    held: Sequence[SpectralRecord],
     linear_axes: bool,
 ) -> Selection:
     """The selection with the friction named by its parts, and without causes that are not significant."""
     known = len(base.fit.candidate.terms)
-    final = found.trial
+    final, train, held = found.trial, found.train, found.held
     steps = list(found.steps)
     friction: list[tuple[PlacedEffect, Float64]] = []
     motors = [k for k, t in enumerate(final.fit.candidate.terms) if t.effect is LAW]
@@ -288,9 +571,8 @@ def _name_friction(
         candidate = candidate.plus(term, x)
     for k in rest:
         candidate = candidate.plus(final.fit.candidate.terms[k], final.fit.candidate.x[k])
-    layout = final.fit.layout
-    run = partial(fit, layout, train, final.fit.p, candidate, iterations=NAMING_ITERATIONS, quick=True)
-    whole = _finished(run, held)
+    again = partial(_refit, train=train, held=held, is_last=True, iterations=NAMING_ITERATIONS, quick=True)
+    whole = again(final, candidate=candidate)
     if whole is None:
         return Selection(base, base)
     whole = _without_needless_rounding(whole, train, held)
@@ -303,22 +585,25 @@ def _name_friction(
             break
         kept = [n for n in range(len(all_steps)) if n not in weak]
         fewer = whole.fit.candidate.only([*range(known), *(known + n for n in kept)])
-        run = partial(fit, layout, train, whole.fit.p, fewer, iterations=NAMING_ITERATIONS, quick=True)
-        other = _finished(run, held)
+        other = again(whole, candidate=fewer)
         if other is None:
             break
-        size = sum(t.size for t in whole.fit.candidate.terms) - sum(t.size for t in fewer.terms)
-        if other.fit.cost - whole.fit.cost > chi2_isf(SIGNIFICANCE, size) * whole.fit.dispersion:
+        gone = [whole.fit.candidate.terms[known + n] for n in weak]
+        least = chi2_isf(SIGNIFICANCE, sum(t.size for t in gone)) * whole.fit.dispersion
+        if all(t.effect is GRAVITY for t in gone):
+            least = max(least, _least_own_gain(whole.fit))
+        if other.fit.cost - whole.fit.cost > least:
             needed += [all_steps[n] for n in weak]  # strong together with others, whatever its own size
             continue
         whole, all_steps = other, [all_steps[n] for n in kept]
     out, cut = [], False
     # What is lost without each, beside the others.
-    losses = [_wald_ratio(whole.fit, known + n) for n, s in enumerate(all_steps) if s.chosen is null]
+    losses = [_wald_ratio(whole.fit, known + n) for n in range(len(all_steps))]
+    lost = max(sum(x for x in losses if np.isfinite(x)), 1e-300)
     for n, step in enumerate(all_steps):
         if step.chosen is null:
             own = _move_to_end(whole, known + n)
-            out.append(Step(base, own, ((own, own.cost),), losses[n] / max(sum(losses), 1e-300)))
+            out.append(Step(base, own, ((own, own.cost),), losses[n] / lost))
         elif step.chosen.term.effect.family == "position" and step.chosen.term.place.kind == "mass":
             out.append(step)  # a weight or a ripple is read from its own motor's motion
         else:
@@ -338,6 +623,12 @@ def _weak_causes(found: JointFit, known: int, sure: Sequence[int]) -> list[int]:
     All of them where they are not together either, else the weakest, for each may stand for the next.
     """
     ratios = [_wald_ratio(found, known + n) for n in range(len(found.candidate.terms) - known)]
+    # Weights were taken unasked, and are named for what any other cause has to gain.
+    least = _least_own_gain(found) / max(found.dispersion, 1.0) / chi2_isf(SIGNIFICANCE, 2)
+    ratios = [
+        r / least if t.effect is GRAVITY else r
+        for r, t in zip(ratios, found.candidate.terms[known:], strict=True)
+    ]
     weak = [n for n, ratio in enumerate(ratios) if ratio <= 1.0 and n not in sure]
     if len(weak) < 2 or _wald_ratio(found, *(known + n for n in weak)) <= 1.0:
         return weak
@@ -360,33 +651,23 @@ def _without_needless_rounding(
     }
     penalty = np.log(max(whole.fit.dof, 2)) * whole.fit.dispersion
 
-    def with_roundings(start: JointFit, kept: Sequence[int]) -> CandidateEvidence | None:
+    def with_roundings(start: CandidateEvidence, kept: Sequence[int]) -> CandidateEvidence | None:
         laws = tuple(t if k in kept else sharp.get(k, t) for k, t in enumerate(terms))
-        candidate = Candidate(laws, start.candidate.x)
-        run = partial(fit, start.layout, train, start.p, candidate, iterations=NAMING_ITERATIONS, quick=True)
-        return _finished(run, held)
+        candidate = Candidate(laws, start.fit.candidate.x)
+        again = partial(_refit, start, train, held, is_last=True, iterations=NAMING_ITERATIONS)
+        return again(candidate=candidate, quick=True)
 
-    best = with_roundings(whole.fit, ()) if sharp else None
+    best = with_roundings(whole, ()) if sharp else None
     if best is None:
         return whole
     kept: list[int] = []
     for k in sharp:
         if budget.is_spent():
             break
-        other = with_roundings(best.fit, [*kept, k])
+        other = with_roundings(best, [*kept, k])
         if other is not None and other.fit.cost + penalty < best.fit.cost:
             best, kept = other, [*kept, k]
     return best if best.fit.cost < whole.fit.cost + len(sharp) * penalty else whole
-
-
-def _finished(run: Callable[[], JointFit], held: Sequence[SpectralRecord]) -> CandidateEvidence | None:
-    """What ``run`` fits, with its held-out records, however little time is left: what was found is said."""
-    with np.errstate(all="ignore"):
-        try:
-            found = run()
-        except np.linalg.LinAlgError:
-            return None
-    return CandidateEvidence(found, evaluate_held_out(found, held)) if np.isfinite(found.cost) else None
 
 
 def _move_to_end(trial: CandidateEvidence, at: int) -> CandidateEvidence:
@@ -412,8 +693,7 @@ def _exchange_cause(
     budget.check()
     own, here = _move_to_end(whole, at), whole.fit
     # Two iterations: what is left to first order is projected out of the screen.
-    run = partial(fit, here.layout, train, here.p, here.candidate.without(at), iterations=2, quick=True)
-    rest = evidence_if_finite(run, held)
+    rest = _refit(whole, train, held, candidate=here.candidate.without(at), iterations=2, quick=True)
     if rest is None:
         return whole, step
     screen, term = Screen(rest.fit), own.term
@@ -431,20 +711,16 @@ def _exchange_cause(
     moved = [t for t in terms if is_mode and t.effect.cause == term.effect.cause]
     scores = screen_candidates(screen, [t for t in terms if t not in moved])
     scores = [s for s in scores if s.gain > NEAR_BEST * lost_chi2]
-    trials = [_refit_score(rest.fit, s, train, held) for s in scores[:MOST_FITS]]
+    trials = [_refit_score(rest, s, train, held) for s in scores[:MOST_FITS]]
     # Without it the others have bent to hide it, and the screen's order of its places is theirs.
     trials += [
-        evidence_if_finite(
-            partial(
-                fit,
-                here.layout,
-                train,
-                here.p,
-                here.candidate.without(at).plus(t, own.x),
-                iterations=MOVE_ITERATIONS,
-                quick=True,
-            ),
+        _refit(
+            whole,
+            train,
             held,
+            candidate=here.candidate.without(at).plus(t, own.x),
+            iterations=MOVE_ITERATIONS,
+            quick=True,
         )
         for t in moved
     ]
@@ -493,7 +769,8 @@ def _friction_parts(found: JointFit, number: int) -> list[tuple[PlacedEffect, Fl
     x, covariance = found.candidate.x[number], found.covariance_of(number)
     place = found.candidate.terms[number].place
     dry, wet, slow, uneven, uneven_wet, uneven_slow = (float(v) for v in x[:6])
-    velocity, width = float(x[6]), float(np.exp(x[7]))
+    width = float(np.exp(x[7]))
+    velocity = max(float(x[6]), float(x[7]) + float(np.log(LEAST_SLOW)))
 
     def is_present(parts: list[int], chance: float = SIGNIFICANCE) -> bool:
         block = covariance[np.ix_(parts, parts)]

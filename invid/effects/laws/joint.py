@@ -19,9 +19,11 @@ from invid.numerics.arrays import Float64
 from invid.numerics.compiled import compiled
 from invid.signals.standstill import sign_threshold
 
-STRIBECK_START, STRIBECK_BOUNDS = 0.2, (0.02, 1.5)
+STRIBECK_START, STRIBECK_BOUNDS = 0.2, (0.01, 1.5)
 """Stribeck velocity, and width of a reversal, over the rms velocity: where they start, and their bounds."""
-WIDTH_START, WIDTH_BOUNDS = 0.03, (1e-3, 0.3)
+WIDTH_START, WIDTH_BOUNDS = 0.03, (1e-4, 0.3)
+LEAST_SLOW = 3.0
+"""Least Stribeck velocity over the width of a reversal: a rise within it is another width."""
 
 
 class JointFriction(ForceEffect):
@@ -52,7 +54,7 @@ class JointFriction(ForceEffect):
         v = view.velocity(place.pattern(view.structure))
         slow, width = float(np.exp(shape[0])), float(np.exp(shape[1]))
         soft = max(sign_threshold(v, float(view.record.velocity_noise[place.axis])), width)
-        out: Float64 = _mean_parts(np.ascontiguousarray(v), soft, slow)
+        out: Float64 = _mean_parts(np.ascontiguousarray(v), soft, max(slow, LEAST_SLOW * soft))
         return out
 
 

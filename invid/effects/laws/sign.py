@@ -85,15 +85,15 @@ class DryLaw(ForceEffect):
     ) -> tuple[Complex128, Complex128 | None]:
         if not self._is_followed(view, place):
             return super().contribution(view, place, x)
-        pattern = place.pattern(view.structure)
+        pattern, fine = place.pattern(view.structure), view.on_fine_grid()
         if self.stands(view, place):
-            mean, _ = self._balance(view, place, x)
+            mean, _ = self._balance(fine, place, x)
         else:  # when it turns round hardly changes with inner motion
             key = (self, place, tuple(x), view.beside)
-            mean, _ = view.cached(key, lambda: self._balance(view, place, x))
+            mean, _ = view.cached(key, lambda: self._balance(fine, place, x))
         # A mean over the two intervals around each sample.
-        spread = np.sinc(view.omega * view.record.wave_step / np.pi)
-        force = view.to_lines(centred(mean, view)[:, None]) / spread[:, None]
+        spread = np.sinc(view.omega * fine.record.wave_step / np.pi)
+        force = fine.to_lines(centred(mean, fine)[:, None]) / spread[:, None]
         return view.condensed_force(pattern) * force, -view.inner_receptance(pattern) * force
 
     def _balance(self, view: View, place: Place, x: Sequence[float]) -> tuple[Float64, Float64]:

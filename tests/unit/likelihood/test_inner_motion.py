@@ -19,6 +19,9 @@ class _View(SimpleNamespace):
     def closing_jumps(self, extra: np.ndarray) -> np.ndarray:
         return np.zeros(0)
 
+    def without_response(self, gap: np.ndarray) -> np.ndarray:
+        return gap
+
 
 def _view(lines: int) -> _View:
     base = np.ones((lines, 1), dtype=complex)
