@@ -13,6 +13,7 @@ Written independently of ``invid.simulate`` and of the estimators.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -322,50 +323,11 @@ def sample(
 
 @compiled
 def advance_and_sample(
-    q: Float64,
-    steps: int,
-    h: float,
-    phi: Float64,
-    gamma: Float64,
-    ramp: Float64,
-    motors: Int64,
-    command: Float64,
-    state: Float64,
-    ring: Float64,
-    slot: int,
-    external: Float64,
-    elements: Float64,
-    memory: Float64,
-    friction: Float64,
-    level: Float64,
-    work: Float64,
-    blend: float,
-    rest: float,
-    noise: Float64,
-    out: Int64,
+    rest: float, noise: Float64, out: Int64, *march: Any
 ) -> int:  # pragma: no cover - compiled
     """``advance`` and ``sample`` in one call: the crossing into compiled code costs as much as a step."""
-    slot = advance(
-        q,
-        steps,
-        h,
-        phi,
-        gamma,
-        ramp,
-        motors,
-        command,
-        state,
-        ring,
-        slot,
-        external,
-        elements,
-        memory,
-        friction,
-        level,
-        work,
-        blend,
-    )
-    sample(q, rest, motors, command, state, noise, out)
+    slot = advance(*march)
+    sample(march[0], rest, march[6], march[7], march[8], noise, out)
     return slot
 
 

@@ -42,18 +42,8 @@ class Entry:
     """One value of the dictionary: type, access, limits, and what happens when it is written."""
 
     __slots__ = (
-        "access",
-        "code",
-        "default",
-        "high",
-        "index",
-        "low",
-        "mappable",
-        "on_write",
-        "size",
-        "sub",
-        "value",
-    )
+        "access", "code", "default", "high", "index", "low", "mappable", "on_write", "size", "sub", "value",
+    )  # fmt: skip
 
     def __init__(
         self, index: int, sub: int, code: str, access: str, value: int | str, mappable: str = ""
@@ -224,33 +214,27 @@ def drive_dictionary(
     return od
 
 
+_RECEIVED = {1: [0x60400010], 2: [0x60400010, 0x60600008], 3: [0x60400010, 0x60710010], 4: [0x607A0020]}
+_SENT = {1: [0x60410010], 2: [0x60410010, 0x60610008], 3: [0x60410010, 0x60640020], 4: [0x606C0020]}
+"""What the first PDOs map: index, subindex, bits."""
+
+
 def _add_pdos(od: ObjectDictionary, node_id: int, profile: Profile) -> None:
-    maps = {1: [0x60400010], 2: [0x60400010, 0x60600008], 3: [0x60400010, 0x60710010], 4: [0x607A0020]}
-    for number in range(1, profile.rpdos + 1):
-        base = 0x100 + 0x100 * number + node_id if number <= 4 else 0x80000000
-        invalid = 0 if number == 1 else 0x80000000
-        od.add(0x13FF + number, 0, "B", "const", 5)
-        od.add(0x13FF + number, 1, "I", "rw", base | invalid)
-        od.add(0x13FF + number, 2, "B", "rw", 255)
-        od.add(0x13FF + number, 3, "H", "rw", 0)
-        od.add(0x13FF + number, 5, "H", "rw", 0)
-        _add_map(od, 0x15FF + number, maps.get(number, []))
-    maps = {1: [0x60410010], 2: [0x60410010, 0x60610008], 3: [0x60410010, 0x60640020], 4: [0x606C0020]}
-    for number in range(1, profile.tpdos + 1):
-        base = 0x80 + 0x100 * number + node_id if number <= 4 else 0x80000000
-        invalid = 0 if number == 1 else 0x80000000
-        od.add(0x17FF + number, 0, "B", "const", 5)
-        od.add(0x17FF + number, 1, "I", "rw", base | invalid)
-        od.add(0x17FF + number, 2, "B", "rw", 255)
-        od.add(0x17FF + number, 3, "H", "rw", 0)
-        od.add(0x17FF + number, 5, "H", "rw", 0)
-        _add_map(od, 0x19FF + number, maps.get(number, []))
-
-
-def _add_map(od: ObjectDictionary, index: int, mapped: list[int]) -> None:
-    od.add(index, 0, "B", "rw", len(mapped))
-    for sub in range(1, 9):
-        od.add(index, sub, "I", "rw", mapped[sub - 1] if sub <= len(mapped) else 0)
+    for first, mapping, can_id, count, maps in (
+        (0x1400, 0x1600, 0x200, profile.rpdos, _RECEIVED),
+        (0x1800, 0x1A00, 0x180, profile.tpdos, _SENT),
+    ):
+        for n in range(count):
+            cob = can_id + 0x100 * n + node_id if n < 4 else 0x80000000
+            od.add(first + n, 0, "B", "const", 5)
+            od.add(first + n, 1, "I", "rw", cob | (0x80000000 if n else 0))
+            od.add(first + n, 2, "B", "rw", 255)
+            od.add(first + n, 3, "H", "rw", 0)
+            od.add(first + n, 5, "H", "rw", 0)
+            mapped = maps.get(n + 1, [])
+            od.add(mapping + n, 0, "B", "rw", len(mapped))
+            for sub in range(1, 9):
+                od.add(mapping + n, sub, "I", "rw", mapped[sub - 1] if sub <= len(mapped) else 0)
 
 
 def _add_drive_profile(

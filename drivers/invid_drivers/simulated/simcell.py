@@ -6,7 +6,7 @@ import gc
 import os
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import can
@@ -43,19 +43,7 @@ class SimcellStatistics:
 
     def to_json(self) -> dict[str, Any]:
         """Document of ``invid simcell --json``."""
-        return {
-            "format": "invid-simcell",
-            "format_version": 1,
-            "simulated": True,
-            "duration_s": self.duration_s,
-            "frames_received": self.frames_received,
-            "frames_sent": self.frames_sent,
-            "frames_not_sent": self.frames_not_sent,
-            "syncs": self.syncs,
-            "late_max_s": self.late_max_s,
-            "realtime": self.realtime,
-            "drives": self.drives,
-        }
+        return {"format": "invid-simcell", "format_version": 1, "simulated": True, **asdict(self)}
 
 
 def open_cell_bus(config: CellConfig) -> BusABC:
