@@ -94,7 +94,7 @@ class _Cycles:
 
     @property
     def rows(self) -> Float64:
-        """(n, signals)."""
+        """Values so far, (n, signals)."""
         return np.array(self.values, dtype=np.float64).reshape(len(self.numbers), len(self.names))
 
     def read(self, path: Path, choice: Choice | None, *, once: float | None) -> Traffic:
@@ -255,7 +255,7 @@ def _reader(path: Path, lines: Lines | None) -> Any:
 
 
 def _is_text(path: Path) -> bool:
-    """Whether ``Lines`` reads it; python-can's readers take the others by their ending."""
+    """Whether a log is text, which ``Lines`` reads; python-can's readers take the others by their ending."""
     ending = path.suffix.lower()
     if ending in _TEXT:
         return True
@@ -287,7 +287,7 @@ def _frames(path: Path, broken: list[BrokenRow] | None = None) -> Iterator[tuple
 
 
 def first_pdos(path: Path, sync_id: int | None) -> Guess:
-    """What the frames of a log look like, where no map says what they carry."""
+    """PDOs guessed from the frames of a log, where no map says what they carry."""
     return guess_pdos(_payloads(path), sync_id)
 
 

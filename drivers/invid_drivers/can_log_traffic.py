@@ -27,7 +27,7 @@ class Traffic:
     frames: Counter[tuple[int, str, bool]] = field(default_factory=Counter)
 
     def add(self, frame: Any) -> None:
-        """Count one."""
+        """Count one frame."""
         self.frames[frame.arbitration_id, str(frame.channel), bool(frame.is_rx)] += 1
 
     def channels(self, identifier: int) -> dict[str, int]:
@@ -60,12 +60,12 @@ class Choice:
         )
 
     def leaves_out(self, traffic: Traffic) -> bool:
-        """Whether any frame counted is not read."""
+        """Whether any of the frames counted is not read."""
         return any(self.channel.get(i, c) != c or self.received.get(i, w) != w for i, c, w in traffic.frames)
 
 
 def choose(traffic: Traffic, source: Source, pdos: Collection[int], clock: int, path: Path) -> Choice:
-    """Which frames are read.
+    """Choose the channel, and the direction, of every identifier that is read.
 
     Raises
     ------

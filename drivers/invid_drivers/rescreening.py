@@ -59,7 +59,7 @@ class Rescreening:
 
 
 def screening_plan(config: CellConfig, belief: Belief, noise: Noise) -> GoalPlan:
-    """One block on all axes."""
+    """The plan of a screening: one block on all axes."""
     design = plan_for_goal(config, belief, noise, SCREEN_GOAL)
     plan = design.plan.first(design.needed)
     return replace(design, plan=plan, amplitudes=design.amplitudes[: design.needed])

@@ -130,7 +130,7 @@ class Drive(Access):
 
     # --- preflight -----------------------------------------------------------------------------
     def check(self, said: Sequence[str] = ()) -> DriveReport:
-        """Capabilities of the drive; DriveError in plain words where it cannot do the job.
+        """Ask the drive what it can do; DriveError in plain words where it cannot do the job.
 
         ``said``: what is known of it already, for the report's warnings.
         """
@@ -175,7 +175,7 @@ class Drive(Access):
         )
 
     def _require_servo(self, who: str, device: int, warnings: list[str]) -> None:
-        """0x1000: profile in the low word, kinds of drive in bits 16 to 23 (CiA 402-1)."""
+        """Refuse what is no servo drive by 0x1000: profile in the low word, kinds in bits 16 to 23."""
         said = f"{who}: 0x1000 is 0x{device:08X}"
         profile, kinds = device & 0xFFFF, device >> 16 & 0xFF
         if device == 0:  # no profile by CiA 301; what a drive must have is asked for one by one
@@ -207,7 +207,7 @@ class Drive(Access):
             )
 
     def _compare_identity(self, who: str, warnings: list[str]) -> None:
-        """An EDS of another device is not believed."""
+        """Drop an EDS that is of another vendor or product than the drive says, with a warning."""
         declared = self.declared
         if declared is None:
             return
@@ -222,7 +222,7 @@ class Drive(Access):
                 return
 
     def _takes_offset(self) -> bool:
-        """No torque mode, but cyclic synchronous position with a torque offset."""
+        """Whether the drive has no torque mode, but cyclic synchronous position with a torque offset."""
         modes = self.find(od.SUPPORTED_MODES)
         if modes is None or not modes & OperationMode.CYCLIC_POSITION.supported_bit:
             return False
@@ -271,7 +271,7 @@ class Drive(Access):
         )
 
     def _tried_modes(self) -> int:
-        """0x6502 of a drive that lacks it: each mode is set without power; what it does not refuse counts."""
+        """Modes as in 0x6502, by setting each without power: what the drive does not refuse counts."""
         state = state_of(self.read(od.STATUSWORD))
         found = self.find(od.MODE)
         supported = 0
@@ -369,7 +369,7 @@ class Drive(Access):
                 ) from None
 
     def _write_timer(self) -> None:
-        """RPDOs that stay away are noticed sooner than heartbeats; a drive that refuses has its heartbeat."""
+        """Write 0x1400:5, by which missing RPDOs stop the drive; one that refuses has its heartbeat watch."""
         if self._timer is None:
             return
         try:
@@ -386,7 +386,7 @@ class Drive(Access):
         return min(8, declared.rpdos if kind == "RPDO" else declared.tpdos)
 
     def set_mode(self, mode: OperationMode, longest_s: float) -> ModeSet:
-        """0x6060 without power, and wait until 0x6061 shows it; what came of it.
+        """Write 0x6060 without power, wait until 0x6061 shows it, and return what came of it.
 
         WrongMode where it shows another one.
         """
@@ -411,7 +411,7 @@ class Drive(Access):
 
     # --- on the way out ------------------------------------------------------------------------
     def quiet_command(self, what: Object, value: int) -> None:
-        """A command that tries."""
+        """Write an object that is part of running; ignore a drive that refuses or does not answer."""
         with contextlib.suppress(BusError, SdoError):
             self.download(what, what.pack(value))
 
@@ -423,7 +423,7 @@ class Drive(Access):
             return None
 
     def shout(self, what: Object, value: int) -> None:
-        """A command to a drive that is not heard: sent once, no answer awaited."""
+        """Write an object of a drive that is not heard: sent once, no answer awaited."""
         data = what.pack(value)
         head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, what.index, what.sub)
         self.link.send(0x600 + self.node_id, (head + data).ljust(8, b"\0"))

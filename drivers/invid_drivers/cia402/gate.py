@@ -98,7 +98,7 @@ class Known:
 
 
 class Gate:
-    """What may leave now, and what has left."""
+    """Judges each frame before it leaves, by what is known of every node; keeps what has left."""
 
     def __init__(self) -> None:
         self.nodes: dict[int, Known] = {}
@@ -110,7 +110,7 @@ class Gate:
 
     # --- what is known -------------------------------------------------------------------------
     def heard(self, cob: int, data: bytes) -> None:
-        """An SDO answer or a heartbeat came."""
+        """Note what an SDO answer or a heartbeat says of its node."""
         node = self.nodes.get(cob & NODE)
         if node is None or not data:
             return
@@ -126,27 +126,27 @@ class Gate:
                 node.found[at] = KNOWN[at].unpack(data[4:8])
 
     def saw(self, node_id: int, status: int) -> None:
-        """A statusword came in the cycle."""
+        """Note the state in a statusword that came in the cycle."""
         self.nodes[node_id].state = state_of(status)
 
     def take(self, node_id: int) -> None:
-        """This master commands the node from here on."""
+        """Note that this master commands the node from here on."""
         self.nodes[node_id].ours = True
         self._sync_ours = True
 
     def permit(self, node_id: int, what: Object, value: int) -> None:
-        """A weight was told from a runaway: the limit may be that much."""
+        """Let a limit be that much: a weight was told from a runaway."""
         self.nodes[node_id].found[what.index, what.sub] = value
 
     def may_let_go(self, node_id: int) -> bool:
-        """Whether a node may be set pre-operational and written to: no torque would be lost by it."""
+        """Whether a node may be set pre-operational and written to: it would lose no torque by it."""
         node = self.nodes[node_id]
         off = node.state is None or not is_energised(node.state)
         return off and not node.why_not and (node.ours or not self.disputed)
 
     @property
     def said(self) -> str:
-        """What has left so far, for a person."""
+        """What has left so far, in words."""
         if self._sync_ours:
             return "the axes were stopped"
         if self._told:
@@ -155,7 +155,7 @@ class Gate:
 
     # --- what leaves ---------------------------------------------------------------------------
     def pass_out(self, message: can.Message) -> None:
-        """NotPermitted where a frame may not leave now."""
+        """Raise NotPermitted where a frame may not leave now."""
         cob = message.arbitration_id
         function = cob & FUNCTION
         if function == RPDO:

@@ -106,12 +106,12 @@ class Reported(Protocol):
 
     @property
     def axis(self) -> str:
-        """Its name."""
+        """Name of the axis."""
         ...
 
     @property
     def limits(self) -> EffectiveLimits:
-        """The tightest of drive, config and EDS."""
+        """The tightest limits of drive, config and EDS."""
         ...
 
 

@@ -103,20 +103,20 @@ TPDO_MAP = (POSITION, TORQUE, STATUSWORD)
 
 
 def rpdo_communication(number: int, sub: int) -> Object:
-    """0x1400 + number − 1."""
+    """Communication object of an RPDO: 0x1400 + number − 1."""
     return Object(0x13FF + number, sub, "I" if sub == 1 else "B", f"RPDO {number} communication")
 
 
 def rpdo_mapping(number: int, sub: int) -> Object:
-    """0x1600 + number − 1."""
+    """Mapping object of an RPDO: 0x1600 + number − 1."""
     return Object(0x15FF + number, sub, "I" if sub else "B", f"RPDO {number} mapping")
 
 
 def tpdo_communication(number: int, sub: int) -> Object:
-    """0x1800 + number − 1."""
+    """Communication object of a TPDO: 0x1800 + number − 1."""
     return Object(0x17FF + number, sub, "I" if sub == 1 else "B", f"TPDO {number} communication")
 
 
 def tpdo_mapping(number: int, sub: int) -> Object:
-    """0x1A00 + number − 1."""
+    """Mapping object of a TPDO: 0x1A00 + number − 1."""
     return Object(0x19FF + number, sub, "I" if sub else "B", f"TPDO {number} mapping")

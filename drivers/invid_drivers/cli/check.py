@@ -23,7 +23,7 @@ IN_TIME = "the way that the axis needs to come to rest"
 
 
 def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared, dict[str, Any]]:
-    """Config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
+    """Check config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
 
     ``cleared``: axes at which an earlier run ended and of which a person has found the cause.
 

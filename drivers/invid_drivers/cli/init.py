@@ -43,7 +43,7 @@ def quiet_link(bus: can.BusABC) -> Link:
 
 
 def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
-    """Who answers on a link."""
+    """The nodes that answer on a link, and what each says of itself."""
     link.answer_s = ANSWER_S
     found = []
     for node_id in range(first, last + 1):

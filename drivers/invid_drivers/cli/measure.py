@@ -67,14 +67,14 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 
 class ProgressLine:
-    """A line on stderr for every phase and every five seconds of robot time."""
+    """Prints a line on stderr for every phase and every five seconds of robot time."""
 
     def __init__(self) -> None:
         self._phase = ""
         self._eta = float("inf")
 
     def __call__(self, progress: Progress) -> None:
-        """Show where it is."""
+        """Print the line where one is due."""
         if progress.phase == self._phase and self._eta - progress.eta_s < 5.0:
             return
         self._phase, self._eta = progress.phase, progress.eta_s
@@ -85,7 +85,7 @@ class ProgressLine:
 
 
 def plan_text(plan: Plan, robot: str) -> str:
-    """A dry run for a person."""
+    """The plan as text for a person: experiments, torque, travel, velocity, power."""
     lines = [
         f"{robot}: {len(plan.experiments)} experiments, {plan.duration_s:.0f} s of robot time; "
         f"bus load {plan.budget.load:.0%} of at most {plan.budget.max_load:.0%}",
@@ -119,7 +119,7 @@ def plan_text(plan: Plan, robot: str) -> str:
 
 
 def budget_lines(budgets: Sequence[StoppingBudget], *, linear: bool) -> list[str]:
-    """How each axis comes to rest, for a person."""
+    """Lines for a person on how each axis comes to rest."""
     if not budgets:
         return []
     head = "  to rest, beyond the window, at most:"
@@ -127,7 +127,7 @@ def budget_lines(budgets: Sequence[StoppingBudget], *, linear: bool) -> list[str
 
 
 def result_text(result: MeasurementResult) -> str:
-    """A finished measurement for a person."""
+    """A finished measurement as text for a person."""
     lines = [
         f"{result.path}: {result.duration_s:.0f} s of robot time, {result.outcome}"
         + (" (simulated: no hardware moved)" if result.simulated else "")
@@ -196,7 +196,7 @@ def parse_goal(text: str) -> float:
 
 
 def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
-    """A dry run of a goal: 3 where it is not expected to be reached."""
+    """Print the dry run of a goal; return 3 where it is not expected to be reached."""
     timing = timing_of(cell)
     document = {
         "dry_run": True,
@@ -216,7 +216,7 @@ def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
 
 
 def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) -> int:
-    """Measure to the goal: 3 where the measured covariance did not reach it."""
+    """Measure to the goal; return 3 where the measured covariance did not reach it."""
     note(f"invid measure: {design.sentence}")
 
     def tell(found: Reached) -> None:
@@ -255,7 +255,7 @@ def run_screening(
     *,
     as_json: bool,
 ) -> int:
-    """Screen and measure again what changed: 3 where the record cannot tell or the goal was not reached."""
+    """Screen, measure again what changed; return 3 where nothing can be told or the goal was missed."""
     with stop_on_signals() as stop:
         try:
             found = screen_cell(

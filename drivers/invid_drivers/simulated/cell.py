@@ -227,7 +227,7 @@ class SimulatedCell:
 
     # --- host of the nodes ---------------------------------------------------------------------
     def emit(self, node: Node, can_id: int, data: bytes, delay_ns: int = 0) -> None:
-        """A node sends."""
+        """Put a frame of a node on the bus, with the faults that are at work on it."""
         if node.silent:
             return
         self.frames_out += 1
@@ -238,7 +238,7 @@ class SimulatedCell:
             self.transmit(can_id, data, delay_ns)
 
     def hear(self, can_id: int, data: bytes) -> None:
-        """A frame of somebody who is neither the master nor one of the cell's nodes."""
+        """Take in a frame of somebody who is neither the master nor one of the cell's nodes."""
         self.transmit(can_id, data, 0)
         if not self.loops_back:
             self.deliver(can_id, data, self.now_ns)
@@ -255,7 +255,7 @@ class SimulatedCell:
 
     # --- in from the bus -----------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes, now_ns: int) -> None:
-        """A frame from the master, complete on the wire at ``now_ns``."""
+        """Take in a frame from the master, complete on the wire at ``now_ns``."""
         self.now_ns = now_ns
         self.frames_in += 1
         if self.frame_faults:
@@ -329,7 +329,7 @@ class SimulatedCell:
         self.due_ns = timers[0][0] if timers else NEVER
 
     def _watchdog(self, now_ns: int) -> None:
-        """The drives' own control period: act where no SYNC has come."""
+        """Let the drives act by their own control period where no SYNC has come."""
         if now_ns - self._tick_ns >= _TICK_NS + _TICK_NS // 2:
             self._observe(now_ns)
             self._tick_ns = now_ns - _TICK_NS // 2  # next own tick one period from now

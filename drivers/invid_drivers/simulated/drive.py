@@ -136,7 +136,7 @@ class Drive:
 
     # --- life ----------------------------------------------------------------------------------
     def reset(self, now_ns: int) -> None:
-        """Power-on: nothing energised, no command remembered."""
+        """Return to power-on: nothing energised, no command remembered."""
         self._forget()
         self._enter(State.SWITCH_ON_DISABLED)
 
@@ -148,7 +148,7 @@ class Drive:
 
     @property
     def _modes(self) -> int:
-        """0x6502; a drive that lacks it has its modes all the same."""
+        """Bits of 0x6502; a drive that lacks it has its modes all the same."""
         return self.node.od.number(0x6502, missing=sum(_MODE_BITS.values()))
 
     def _enter(self, state: State) -> None:
@@ -173,7 +173,7 @@ class Drive:
 
     # --- one step --------------------------------------------------------------------------------
     def tick(self, now_ns: int) -> None:
-        """Feedback, commands, modes, supervision, statusword."""
+        """Act on time gone by: feedback, commands, modes, supervision, statusword."""
         self._e_position.value, self._e_velocity.value, permille, _ = self.measured
         shown = self._lagged(permille) if self._lag else permille
         self._e_torque.value = shown if self.torque_lie is None else self.torque_lie
@@ -197,7 +197,7 @@ class Drive:
         self.synchronous = False
 
     def _step(self, word: int, now_ns: int) -> None:
-        """A tick in which something may change."""
+        """Do a tick in which something may change."""
         if word != self._controlword:
             self._control(word, now_ns)
         if self._enable_due_ns is not None and now_ns >= self._enable_due_ns:
@@ -252,7 +252,7 @@ class Drive:
                 self._enable(now_ns)
 
     def _enable(self, now_ns: int) -> None:
-        """Transition 4, as fast as the drive is."""
+        """Do transition 4, as fast as the drive is."""
         if self._enable_ns:
             self._steady = False
             self._enable_due_ns = now_ns + self._enable_ns
@@ -275,7 +275,7 @@ class Drive:
 
     # --- modes -----------------------------------------------------------------------------------
     def _limit_torque(self, *, by_loop: bool) -> int:
-        """Put the limit in force into the plant's table; the limit in thousandths.
+        """Put the limit in force into the plant's table; return it in thousandths.
 
         ``by_loop``: the drive's own position loop asks for the torque, not the master.
         """
@@ -392,7 +392,7 @@ class Drive:
                 self._enter(target)
 
     def _ramp(self, index: int) -> int:
-        """A ramp in the drive's unit; without its object the drive has one all the same."""
+        """A ramp in the drive's unit; its own where the object is missing."""
         return self.node.od.number(index, missing=self._scales.own_ramp)
 
     def _quick_stop(self, now_ns: int) -> None:
@@ -408,7 +408,7 @@ class Drive:
         self._begin_stop(target, ramp, now_ns)
 
     def fail(self, code: int, register: int, now_ns: int) -> None:
-        """Transition 13: fault reaction by 0x605E, then fault."""
+        """Do transition 13: fault reaction by 0x605E, then fault."""
         if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             return
         od = self.node.od
@@ -423,7 +423,7 @@ class Drive:
         self._show()
 
     def connection_lost(self, now_ns: int) -> None:
-        """React by 0x6007: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
+        """Do what 0x6007 says: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
         option = self.node.od.number(0x6007, missing=0)
         if option == 1:
             self.fail(HEARTBEAT, 0x10, now_ns)
@@ -474,7 +474,7 @@ class Drive:
                 self._lost_ns = None
 
     def _show(self) -> None:
-        """Statusword and mode display."""
+        """Write statusword and mode display."""
         state = self.state
         self._shown_nmt = self.node.state
         word = state | 0x10  # voltage enabled

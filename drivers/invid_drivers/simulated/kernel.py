@@ -215,7 +215,7 @@ def _friction(
 def _propagate(
     free: Float64, q: Float64, force: Float64, phi: Float64, gamma: Float64
 ) -> None:  # pragma: no cover - compiled
-    """Into ``free`` what the linear part makes of ``q`` under the forces held over the sub-step."""
+    """Put into ``free`` what the linear part makes of ``q`` under the forces held over the sub-step."""
     # column by column: the inner loops are then vectorised without reordering any sum
     for k in range(q.size):
         free[k] = 0.0

@@ -41,7 +41,7 @@ class Host(Protocol):
         """Call back once at a time."""
 
     def rewire(self) -> None:
-        """The identifiers that a node listens to have changed."""
+        """Learn that the identifiers that a node listens to have changed."""
 
 
 class Application(Protocol):
@@ -51,13 +51,13 @@ class Application(Protocol):
         """Act on the values received."""
 
     def configured(self) -> None:
-        """Values of the object dictionary may have changed other than by a PDO."""
+        """Learn that the object dictionary may have changed other than by a PDO."""
 
     def connection_lost(self, now_ns: int) -> None:
-        """Heartbeat lost, bus-off, or NMT took the node out of operation."""
+        """React to a lost heartbeat, to bus-off, or to NMT taking the node out of operation."""
 
     def reset(self, now_ns: int) -> None:
-        """Power-on state."""
+        """Return to the power-on state."""
 
 
 class Node:
@@ -79,7 +79,7 @@ class Node:
 
     # --- start and reset ---------------------------------------------------------------------
     def power_on(self, now_ns: int) -> None:
-        """Boot: values from the store, boot-up message after the boot time."""
+        """Boot: values from the store, then the boot-up message after the boot time."""
         self._epoch += 1
         epoch = self._epoch
         self.state = Nmt.INITIALISING
@@ -237,7 +237,7 @@ class Node:
 
     # --- NMT -----------------------------------------------------------------------------------
     def on_nmt(self, data: bytes, now_ns: int) -> None:
-        """NMT command frame."""
+        """Obey an NMT command frame."""
         if len(data) != 2 or data[1] not in (0, self.node_id) or self.state is Nmt.INITIALISING:
             return
         command = data[0]
@@ -266,7 +266,7 @@ class Node:
         self._host.rewire()
 
     def _pdo_numbers(self, communication: int) -> Iterator[int]:
-        """0, 1, … for every PDO that the drive has."""
+        """Numbers 0, 1, … of the PDOs that the drive has."""
         return takewhile(lambda n: self.od.find(communication + n, 1) is not None, count())
 
     def _valid_pdos(
@@ -323,7 +323,7 @@ class Node:
         return take
 
     def _expect_next(self, received: pdo.ReceivePdo, now_ns: int) -> None:
-        """CiA 301's time-out of a receive PDO: it counts from the first one on."""
+        """Watch for the next receive PDO within CiA 301's time-out, from the first one on."""
         watched, received.due_ns = received.due_ns is not None, now_ns + received.event_ns
 
         def look(at_ns: int) -> None:

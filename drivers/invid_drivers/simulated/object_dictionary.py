@@ -61,19 +61,19 @@ class Entry:
         """Called before a value is stored; raises SdoAbort to refuse."""
 
     def encode(self) -> bytes:
-        """The value as it goes over the bus."""
+        """Bytes of the value as they go over the bus."""
         if isinstance(self.value, str):
             return self.value.encode("ascii", "replace")
         return struct.pack("<" + self.code, self.value)
 
     def read(self) -> bytes:
-        """SDO upload."""
+        """Bytes that an SDO upload gets."""
         if self.access == "wo":
             raise SdoAbort(SdoAbort.WRITE_ONLY)
         return self.encode()
 
     def write(self, data: bytes) -> None:
-        """SDO download."""
+        """Store what an SDO download brings, or refuse it."""
         if self.access in ("ro", "const"):
             raise SdoAbort(SdoAbort.READ_ONLY)
         if len(data) != self.size:
@@ -97,13 +97,13 @@ class ObjectDictionary:
     def add(
         self, index: int, sub: int, code: str, access: str, value: int | str = 0, mappable: str = ""
     ) -> Entry:
-        """New entry."""
+        """Add an entry and return it."""
         entry = Entry(index, sub, code, access, value, mappable)
         self._entries.setdefault(index, {})[sub] = entry
         return entry
 
     def add_record(self, index: int, *subs: tuple[str, str, int]) -> None:
-        """Sub 0 with the highest subindex, then one entry per (code, access, value)."""
+        """Add sub 0 with the highest subindex, then one entry per (code, access, value)."""
         self.add(index, 0, "B", "const", len(subs))
         for number, (code, access, value) in enumerate(subs, start=1):
             self.add(index, number, code, access, value)
@@ -128,13 +128,13 @@ class ObjectDictionary:
         return missing if entry is None or isinstance(entry.value, str) else entry.value
 
     def put(self, index: int, sub: int, value: int) -> None:
-        """The drive's own doing: a value, where it has the object."""
+        """Set a value by the drive's own doing, where it has the object."""
         entry = self.find(index, sub)
         if entry is not None:
             entry.value = value
 
     def guard(self, index: int, sub: int, on_write: Callable[[int], None]) -> None:
-        """What a write does, where the drive has the object."""
+        """Set what a write does, where the drive has the object."""
         entry = self.find(index, sub)
         if entry is not None:
             entry.on_write = on_write
@@ -171,7 +171,7 @@ class Nameplate:
 def drive_dictionary(
     node_id: int, plate: Nameplate, profile: Profile, ramps: tuple[int, int] | None = None
 ) -> ObjectDictionary:
-    """The generic drive with one vendor's departures applied.
+    """The object dictionary of the generic drive with one vendor's departures applied.
 
     Velocities are in counts per second. ``ramps``: 0x6084 and 0x6085 as the drive counts them; default 2 and
     10 rad/s² (m/s²) in counts.

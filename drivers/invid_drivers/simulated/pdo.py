@@ -45,7 +45,7 @@ class TransmitPdo:
         self.sent_ns = -(1 << 62)
 
     def pack(self) -> bytes:
-        """The data now."""
+        """The data to send now."""
         return self.packing.pack(*[e.value for e in self.entries])
 
 

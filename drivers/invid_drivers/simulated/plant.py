@@ -109,7 +109,7 @@ class Plant:
         self._blend = 0.0
 
     def _march(self, steps: int, h: float, matrices: tuple[Float64, Float64, Float64]) -> tuple[Any, ...]:
-        """What ``kernel.advance`` takes."""
+        """The arguments of ``kernel.advance``."""
         structure = self.structure
         return (
             self.state, steps, h, *matrices, structure.motors, self.command, self.motor_state, self._ring,

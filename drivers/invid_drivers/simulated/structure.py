@@ -70,7 +70,7 @@ class Structure:
         return float(np.sqrt(max(eigh(self.stiffness, self.mass, eigvals_only=True)[-1], 0.0)))
 
     def add_element(self, kind: int, a: int, b: int, *parameters: float) -> None:
-        """One nonlinear element."""
+        """Add one nonlinear element."""
         row = np.zeros(kernel.ELEMENT_COLUMNS)
         row[: 3 + len(parameters)] = (kind, a, b, *parameters)
         self.elements = np.vstack([self.elements, row])
@@ -85,12 +85,12 @@ class Structure:
         stribeck_velocity: float = 1.0,
         brake_of: int = -1,
     ) -> None:
-        """One dry friction row."""
+        """Add one dry friction row."""
         row = np.array([dof, positive, negative, excess, stribeck_velocity, brake_of], dtype=float)
         self.friction = np.vstack([self.friction, row])
 
     def add_mass(self, dof: int, mass: float, stiffness: float) -> None:
-        """A further mass on a spring, with 1 % damping."""
+        """Add a further mass on a spring, with 1 % damping."""
         n = self.dofs
         for name in ("mass", "damping", "stiffness"):
             grown = np.zeros((n + 1, n + 1))
@@ -101,7 +101,7 @@ class Structure:
         self.add_link("damping", dof, n, 2.0 * _EXTRA_DAMPING * math.sqrt(stiffness * mass))
 
     def add_link(self, name: str, a: int, b: int, value: float) -> None:
-        """A spring or damper between two coordinates."""
+        """Add a spring or damper between two coordinates."""
         _link(getattr(self, name), a, b, value)
 
 
@@ -152,7 +152,7 @@ def build_structure(
 
 
 class _Place:
-    """An effect's parameters and place, looked up with messages."""
+    """An effect's parameters and place, looked up with messages where something is missing."""
 
     def __init__(self, structure: Structure, effect: EffectConfig, names: tuple[str, ...]) -> None:
         self.effect, self.names = effect, names
@@ -176,7 +176,7 @@ class _Place:
         return self.get(name, _MAY_BE_LEFT_OUT[name]) if name in _MAY_BE_LEFT_OUT else self[name]
 
     def get(self, name: str, default: float) -> float:
-        """Optional parameter."""
+        """A parameter that may be left out."""
         return self.effect.parameters.get(name, default)
 
     def _number(self, kind: str, count: int, default: int) -> int:
