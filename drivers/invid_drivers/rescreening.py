@@ -151,7 +151,7 @@ def part_axes(part: str, axes: Sequence[str]) -> tuple[str, ...]:
 
 
 def joined(first: Recording, second: Recording) -> Recording:
-    """The experiments of both, numbered through."""
+    """One recording with the experiments of both, numbered anew."""
     experiments = tuple(
         replace(e, key=f"{k:03d}") for k, e in enumerate((*first.experiments, *second.experiments))
     )
