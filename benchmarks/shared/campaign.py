@@ -107,7 +107,7 @@ def judged_runs(
 
 
 def each(jobs: Sequence[Any], task: Callable[[Any], Any], keep: Callable[[Any], None], workers: int) -> None:
-    """Hand what ``task`` makes of every job to ``keep``; in processes of their own, where several are wanted."""
+    """Hand what ``task`` makes of every job to ``keep``; in several processes where that is wanted."""
     if workers > 1:
         with multiprocessing.get_context("spawn").Pool(workers) as pool:
             for row in pool.imap_unordered(task, jobs):
