@@ -160,8 +160,8 @@ def _read_cycles(path: Path, source: Source, cycles: _Cycles) -> _Cycles:
         apart = 1e3 * float(np.median(np.sort(d)[: d.size // 2]))
         raise InputError(
             f"{path}: SYNC (0x{cycles.clock:X}) comes in pairs, {apart:.3g} ms apart: frames are logged "
-            f"twice, as "
-            "sent and as heard; say 'echo: first' in the map's 'source' to read the first of each pair"
+            "twice, as sent and as heard; say 'echo: first' in the map's 'source' to read the first of each "
+            "pair"
         )
     return cycles
 
@@ -240,10 +240,8 @@ def _refuse_wrong_bytes(
                 other = "little" if now == "big" else "big"
                 raise InputError(
                     f"{path}: {name!r} leaps from row to row read as {now}-endian, and moves smoothly with "
-                    f"its "
-                    f"bytes the other way round; say 'byte_order: {other}' beside its 'type' (or for all in "
-                    f"the "
-                    f"map's 'source'), 'byte_order: {now}' there if it leaps indeed"
+                    f"its bytes the other way round; say 'byte_order: {other}' beside its 'type' (or for all "
+                    f"in the map's 'source'), 'byte_order: {now}' there if it leaps indeed"
                 )
 
 

@@ -284,9 +284,8 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
 
 def _not_off(axes: tuple[str, ...]) -> str:
     return (
-        f"Axis {', '.join(axes)} was not seen to switch off (its heartbeat watch should stop it): make "
-        "sure of "
-        "it, with the emergency stop if need be"
+        f"Axis {', '.join(axes)} was not seen to switch off (its heartbeat watch should stop it): make sure "
+        "of it, with the emergency stop if need be"
     )
 
 

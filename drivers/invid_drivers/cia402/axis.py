@@ -149,9 +149,8 @@ class Drive(Access):
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             code = self.find(od.ERROR_CODE) or 0
             raise DriveError(
-                f"{who}: in fault (error 0x{code:04X}); find the cause, then reset it at the drive or "
-                "with its "
-                "tool: this service never resets a fault by itself"
+                f"{who}: in fault (error 0x{code:04X}); find the cause, then reset it at the drive or with "
+                "its tool: this service never resets a fault by itself"
             )
         limits = self.protection.limits(scaling, warnings)
         if (
@@ -240,8 +239,7 @@ class Drive(Access):
             if self.find(what) is None:
                 raise DriveError(
                     f"{who}: the drive has no {what.address} ({what.name}): {why}; this drive cannot be "
-                    "shaken. "
-                    "Log its motion with another tool and use `invid import`"
+                    "shaken. Log its motion with another tool and use `invid import`"
                 )
 
     def _modes(self, who: str, warnings: list[str]) -> tuple[OperationMode, bool]:
@@ -295,8 +293,7 @@ class Drive(Access):
             if not self.config.allow_missing_heartbeat:
                 raise DriveError(
                     f"{who}: the drive cannot watch the master's heartbeat (0x1016 is missing): if this "
-                    "computer "
-                    "dies, the axis keeps its last torque. Where another device stops it then, set "
+                    "computer dies, the axis keeps its last torque. Where another device stops it then, set "
                     "allow_missing_heartbeat: true for the axis"
                 )
             lacks.append("0x1016 consumer heartbeat: the drive does not notice when the master dies")

@@ -272,10 +272,9 @@ class Protection:
         if entry is None:
             if not drive.config.allow_missing_heartbeat:
                 raise DriveError(
-                    f"{drive.who}: every entry of 0x1016 watches another node, none is free to watch "
-                    "this computer: if it dies, the axis keeps its last torque. Free one with the drive's "
-                    "tool, or, where another device stops the axis then, set allow_missing_heartbeat: "
-                    "true for it"
+                    f"{drive.who}: every entry of 0x1016 watches another node, none is free to watch this "
+                    "computer: if it dies, the axis keeps its last torque. Free one with the drive's tool, "
+                    "or, where another device stops the axis then, set allow_missing_heartbeat: true for it"
                 )
             return ["0x1016 consumer heartbeat: every entry watches another node, none this master"]
         node, ms = watched(entry[1])

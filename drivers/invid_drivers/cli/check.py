@@ -104,8 +104,8 @@ def _text(config: CellConfig, within: Prepared, document: dict[str, Any]) -> str
         lines.append(
             f"  {drive['axis']}: node {drive['node_id']}, {drive['torque_mode'].replace('_', ' ')}, rated "
             f"{drive['rated_torque']:g} {torque}, one count is {drive['position_per_count']:.3g} {unit}; "
-            "limits "
-            f"{limit['torque']:g} {torque}, ±{limit['position']:g} {unit}, {limit['velocity']:g} {unit}/s"
+            f"limits {limit['torque']:g} {torque}, ±{limit['position']:g} {unit}, {limit['velocity']:g} "
+            f"{unit}/s"
         )
         lines += [f"    {what} limited by {source}" for what, source in limit["sources"].items()]
         lines += [f"    lacks {what}" for what in drive["lacks"]]
