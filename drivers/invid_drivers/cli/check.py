@@ -73,7 +73,7 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared
                 "velocity": a.limits.velocity,
                 "hold": a.hold.mode,
                 "sources": {
-                    **{what: limit["source"] for what, limit in r.limits.to_json().items()},
+                    **{what: limit["source"] for what, limit in asdict(r.limits).items()},
                     **({"velocity": IN_TIME} if b.permitted < b.case.velocity else {}),
                 },
             }
