@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import sys
 import time
 import traceback
@@ -20,6 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from benchmarks.shared.campaign import each
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -248,13 +249,7 @@ def main() -> int:
             with arguments.json.open("a") as file:
                 file.write(json.dumps(row, ensure_ascii=False, default=float) + "\n")
 
-    if arguments.jobs > 1:
-        with multiprocessing.get_context("spawn").Pool(arguments.jobs) as pool:
-            for row in pool.imap_unordered(trial, jobs):
-                keep(row)
-    else:
-        for job in jobs:
-            keep(trial(job))
+    each(jobs, trial, keep, arguments.jobs)
     rows.sort(key=lambda r: r["seed"])
     report(rows)
     print(f"\n{len(rows)} trials in {time.perf_counter() - started:.0f} s")

@@ -19,13 +19,14 @@ from __future__ import annotations
 import argparse
 import inspect
 import json
-import multiprocessing
 import os
 import sys
 import time
 from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
+
+from benchmarks.shared.campaign import each
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -240,13 +241,7 @@ def main() -> int:
             with arguments.json.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row, ensure_ascii=False, default=float) + "\n")
 
-    if arguments.jobs > 1:
-        with multiprocessing.get_context("spawn").Pool(arguments.jobs) as pool:
-            for row in pool.imap_unordered(case, jobs):
-                keep(row)
-    else:
-        for job in jobs:
-            keep(case(job))
+    each(jobs, case, keep, arguments.jobs)
     report(rows)
     return 0
 

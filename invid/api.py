@@ -105,14 +105,11 @@ def import_recording(
     return immutable(result.recording)
 
 
-def identify(  # noqa: PLR0913 - the contract: each is one option of the command
+def identify(
     recording: Recording | Sequence[Recording],
     *,
     masses: Masses = None,
     method: Method = "refined",
-    profile: bool = False,
-    bootstrap: int = 0,
-    workers: int = 1,
     budget: float | None = None,
     progress: Callable[[Progress], None] | None = None,
     effects: Effects = (),
@@ -128,8 +125,6 @@ def identify(  # noqa: PLR0913 - the contract: each is one option of the command
         names, else "auto".
     method
         "refined" (maximum likelihood) or "paper" (the inverse eigenvalue method alone).
-    profile, bootstrap, workers
-        Profile-likelihood intervals; draws of a parametric bootstrap, on so many processes. Refined only.
     budget
         Seconds of processor time, helper processes included (and at most twice as many that go by), after
         which the best answer so far is given, with a warning that says what was not looked at; ``None``: as
@@ -159,16 +154,7 @@ def identify(  # noqa: PLR0913 - the contract: each is one option of the command
     one = _one(recording)
     arguments.one_of(method, "method", ("refined", "paper"))
     with _using(effects), _limits(budget, progress):
-        return immutable(
-            identified(
-                one,
-                masses=arguments.mass_counts(masses, one.axes),
-                method=method,
-                profile=profile,
-                bootstrap=arguments.a_count(bootstrap, "bootstrap", 0),
-                workers=arguments.a_count(workers, "workers", 1),
-            )
-        )
+        return immutable(identified(one, masses=arguments.mass_counts(masses, one.axes), method=method))
 
 
 def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command

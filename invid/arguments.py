@@ -95,13 +95,6 @@ def a_number(value: object, name: str, needed: str, *, above: float = -math.inf)
         raise _refused(name, value, needed)
 
 
-def a_count(value: object, name: str, least: int) -> int:
-    """A whole number from ``least`` on."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
-        raise _refused(name, value, f"give a whole number ≥ {least}")
-    return int(value)
-
-
 def a_time(value: object, name: str) -> None:
     """An ISO 8601 time, or ``None``."""
     needed = "give an ISO 8601 time such as '2026-01-31T12:00:00Z'"

@@ -15,19 +15,15 @@ the plant and the drives, not on what the master believes:
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-import tempfile
-import time
-from collections import defaultdict
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from benchmarks.shared.campaign import judged_runs
 from invid.config import CellConfig, parse_config
 from invid.errors import InvidError
 from invid.planning import make_plan
@@ -310,84 +306,5 @@ def _recording(out: Path, given: int, status: int, complaints: list[str]) -> int
     return rows
 
 
-def campaign(
-    runs: int, seed: int, *, seconds: float = float("inf"), results: Path | None = None
-) -> list[RunOutcome]:
-    """``runs`` measurements, kinds in turn, everything else drawn; fewer when ``seconds`` are over.
-
-    Each run draws from its own seed, so that what stands in ``results`` already need not be run again.
-    """
-    kinds = list(EXPECTED)
-    outcomes = _done(results, seed)[:runs]
-    started = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
-        for n in range(len(outcomes), runs):
-            if time.monotonic() - started > seconds:
-                break
-            rng = np.random.default_rng([seed, n])
-            outcome = run_one(kinds[n % len(kinds)], rng, Path(folder))
-            outcomes.append(outcome)
-            if results is not None:
-                with results.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"seed": seed, **asdict(outcome)}) + "\n")
-    return outcomes
-
-
-def _done(results: Path | None, seed: int) -> list[RunOutcome]:
-    if results is None or not results.exists():
-        return []
-    rows = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
-    if any(row.pop("seed") != seed for row in rows):
-        raise SystemExit(f"{results}: holds runs of another seed than {seed}; name another file")
-    return [RunOutcome(**{**row, "complaints": tuple(row["complaints"])}) for row in rows]
-
-
-def table(outcomes: list[RunOutcome], *, markdown: bool = False) -> str:
-    """Faults × outcomes."""
-    groups: dict[str, list[RunOutcome]] = defaultdict(list)
-    for o in outcomes:
-        groups[o.kind].append(o)
-    head = ("fault", "runs", "survived (0)", "safety (4)", "bus/drive (5)", "worst excess", "violations")
-    rows: list[tuple[str, ...]] = [head]
-    for kind in EXPECTED:
-        group = groups.get(kind, [])
-        if group:
-            counts = [sum(o.status == s for o in group) for s in (0, 4, 5)]
-            worst = max(o.excess for o in group)
-            bad = sum(bool(o.complaints) for o in group)
-            rows.append((kind, str(len(group)), *map(str, counts), f"{worst:.2f}", str(bad)))
-    widths = [max(len(r[i]) for r in rows) for i in range(len(head))]
-    bar = " | " if markdown else "  "
-    lines = [bar.join(c.ljust(w) for c, w in zip(r, widths, strict=True)) for r in rows]
-    if markdown:
-        lines = [f"| {line} |" for line in lines]
-        lines.insert(1, "|" + "|".join(" --- " for _ in head) + "|")
-    return "\n".join(lines)
-
-
-def main() -> int:
-    """Run the campaign and print the table; the exit status is 1 where a requirement was broken."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after so long")
-    parser.add_argument("--markdown", action="store_true")
-    parser.add_argument("--results", type=Path, help="keep each run in this file and resume from it")
-    arguments, _ = parser.parse_known_args()
-    started = time.monotonic()
-    outcomes = campaign(arguments.runs, arguments.seed, seconds=arguments.seconds, results=arguments.results)
-    print(table(outcomes, markdown=arguments.markdown))
-    bad = [(n, o) for n, o in enumerate(outcomes) if o.complaints]
-    for n, o in bad[:20]:
-        print(f"run {n} ({o.kind}): {'; '.join(o.complaints)}")
-    print(
-        f"{len(outcomes)} runs, {len(bad)} violations, "
-        f"{time.monotonic() - started:.0f} s; "
-        "worst excess is the travel beyond the window as a share of what a few cycles and the quick stop "
-        "allow"
-    )
-    return 1 if bad else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(judged_runs(__doc__, EXPECTED, run_one, RunOutcome))

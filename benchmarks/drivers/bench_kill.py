@@ -16,15 +16,15 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from benchmarks.shared.campaign import aligned, resumed
 from benchmarks.shared.processes import children, start, wait_for
 from invid.errors import InvidError
 from invid.recording import Outcome, read_recording
@@ -214,22 +214,6 @@ def _judge_record(
     return rows, max(lost, 0.0)
 
 
-def campaign(victims: tuple[str, ...], runs: int, seed: int, results: Path | None) -> list[Kill]:
-    """``runs`` kills of each victim; what stands in ``results`` is not run again."""
-    done: list[Kill] = []
-    if results is not None and results.exists():
-        rows = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
-        done = [Kill(**{**row, "complaints": tuple(row["complaints"])}) for row in rows]
-    for n in range(len(done), runs * len(victims)):
-        with tempfile.TemporaryDirectory() as folder:
-            kill = run_one(victims[n % len(victims)], np.random.default_rng([seed, n]), Path(folder))
-        done.append(kill)
-        if results is not None:
-            with results.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(asdict(kill)) + "\n")
-    return done
-
-
 def table(kills: list[Kill], *, markdown: bool) -> str:
     """Victims × outcomes."""
     head = ("killed", "runs", "exit", "with a recording", "most of it lost [s]", "violations")
@@ -242,12 +226,7 @@ def table(kills: list[Kill], *, markdown: bool) -> str:
             lost = max((k.lost_s for k in kept), default=0.0)
             bad = sum(bool(k.complaints) for k in group)
             rows.append((victim, str(len(group)), status, str(len(kept)), f"{lost:.2f}", str(bad)))
-    widths = [max(len(r[i]) for r in rows) for i in range(len(head))]
-    lines = [" | ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)) for r in rows]
-    if markdown:
-        lines = [f"| {line} |" for line in lines]
-        lines.insert(1, "|" + " --- |" * len(head))
-    return "\n".join(lines)
+    return aligned(rows, markdown=markdown)
 
 
 def main() -> int:
@@ -261,7 +240,12 @@ def main() -> int:
     arguments, _ = parser.parse_known_args()
     began = time.monotonic()
     victims = (arguments.victim,) if arguments.victim else VICTIMS
-    kills = campaign(victims, arguments.runs, arguments.seed, arguments.results)
+
+    def one(n: int, folder: Path) -> Kill:
+        return run_one(victims[n % len(victims)], np.random.default_rng([arguments.seed, n]), folder)
+
+    runs = arguments.runs * len(victims)
+    kills = resumed(runs, one, Kill, seed=arguments.seed, results=arguments.results)
     print(table(kills, markdown=arguments.markdown))
     bad = [(n, k) for n, k in enumerate(kills) if k.complaints]
     for n, k in bad:

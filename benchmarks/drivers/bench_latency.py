@@ -33,6 +33,7 @@ import numpy as np
 import yaml
 
 from benchmarks.drivers.bench_kill import STALL
+from benchmarks.shared.campaign import aligned
 from benchmarks.shared.processes import children, start, wait_for
 from invid.config import CellConfig, load_config, parse_config
 from invid.errors import InvidError
@@ -332,12 +333,7 @@ def table(found: dict[str, list[float]], *, markdown: bool) -> tuple[str, int]:
                 f"{max(beyond) * 1e3:.1f} ms", str(late),
             )
         )  # fmt: skip
-    widths = [max(len(r[i]) for r in rows) for i in range(len(head))]
-    lines = [" | ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)) for r in rows]
-    if markdown:
-        lines = [f"| {line} |" for line in lines]
-        lines.insert(1, "|" + " --- |" * len(head))
-    return "\n".join(lines), bad
+    return aligned(rows, markdown=markdown), bad
 
 
 def main() -> int:

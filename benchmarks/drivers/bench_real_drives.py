@@ -11,18 +11,14 @@ that is stopped on request as soon as the axes are held. `plant_judge.py` judges
 
 from __future__ import annotations
 
-import argparse
 import inspect
-import json
 import os
 import sys
-import tempfile
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +29,7 @@ from benchmarks.drivers.bench_faults import CONFIG, CYCLE_S, all_of, draw
 from benchmarks.drivers.bench_faults import EXPECTED as OLD
 from benchmarks.drivers.bench_faults import RUN_S as OLD_RUN_S
 from benchmarks.drivers.plant_judge import SAFE, Judge, writes
+from benchmarks.shared.campaign import judged_runs
 from invid.config import CellConfig, parse_config
 from invid.errors import DriveError, InvidError
 from invid.planning import make_plan
@@ -515,82 +512,5 @@ def _recording(out: Path, status: int) -> list[str]:
     return []
 
 
-def campaign(
-    kinds: list[str], runs: int, seed: int, *, seconds: float = float("inf"), results: Path | None = None
-) -> list[RunOutcome]:
-    """``runs`` cells, kinds in turn; each draws from its own seed, so that none need be run twice."""
-    outcomes = _done(results, seed)[:runs]
-    started = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
-        for n in range(len(outcomes), runs):
-            if time.monotonic() - started > seconds:
-                break
-            outcome = run_one(kinds[n % len(kinds)], np.random.default_rng([seed, n]), Path(folder))
-            outcomes.append(outcome)
-            if results is not None:
-                with results.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"seed": seed, **asdict(outcome)}) + "\n")
-    return outcomes
-
-
-def _done(results: Path | None, seed: int) -> list[RunOutcome]:
-    if results is None or not results.exists():
-        return []
-    rows = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
-    if any(row.pop("seed") != seed for row in rows):
-        raise SystemExit(f"{results}: holds runs of another seed than {seed}; name another file")
-    return [
-        RunOutcome(**{**row, "then": tuple(row["then"]), "complaints": tuple(row["complaints"])})
-        for row in rows
-    ]
-
-
-def table(outcomes: list[RunOutcome], *, markdown: bool = False) -> str:
-    """Kinds × outcomes."""
-    groups: dict[str, list[RunOutcome]] = defaultdict(list)
-    for o in outcomes:
-        groups[o.kind].append(o)
-    head = ("wrong", "runs", "done (0)", "refused (2)", "safety (4)", "bus/drive (5)", "worst", "violations")
-    rows: list[tuple[str, ...]] = [head]
-    for kind, group in groups.items():
-        counts = [sum(o.status == s for o in group) for s in (0, 2, 4, 5)]
-        worst = max(o.excess for o in group)
-        bad = sum(bool(o.complaints) for o in group)
-        rows.append((kind, str(len(group)), *map(str, counts), f"{worst:.2f}", str(bad)))
-    widths = [max(len(r[i]) for r in rows) for i in range(len(head))]
-    bar = " | " if markdown else "  "
-    lines = [bar.join(c.ljust(w) for c, w in zip(r, widths, strict=True)) for r in rows]
-    if markdown:
-        lines = [f"| {line} |" for line in lines]
-        lines.insert(1, "|" + "|".join(" --- " for _ in head) + "|")
-    return "\n".join(lines)
-
-
-def main() -> int:
-    """Run the campaign and print the table; the exit status is 1 where a requirement was broken."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--runs", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after so long")
-    parser.add_argument("--kind", choices=sorted(EXPECTED), help="this kind alone")
-    parser.add_argument("--markdown", action="store_true")
-    parser.add_argument("--results", type=Path, help="keep each run in this file and resume from it")
-    arguments, _ = parser.parse_known_args()
-    started = time.monotonic()
-    kinds = [arguments.kind] if arguments.kind else list(EXPECTED)
-    outcomes = campaign(
-        kinds, arguments.runs, arguments.seed, seconds=arguments.seconds, results=arguments.results
-    )
-    print(table(outcomes, markdown=arguments.markdown))
-    bad = [(n, o) for n, o in enumerate(outcomes) if o.complaints]
-    for n, o in bad[:40]:
-        print(f"run {n} ({o.kind}, exit {o.status}, then {o.then}): {'; '.join(o.complaints)}")
-    print(
-        f"{len(outcomes)} runs, {len(bad)} violations, {time.monotonic() - started:.0f} s; worst: the way "
-        "beyond the window as a share of what the reaction and the stop at the permitted speed allow"
-    )
-    return 1 if bad else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(judged_runs(__doc__, EXPECTED, run_one, RunOutcome))

@@ -185,9 +185,8 @@ def covered(name: str, z: np.ndarray, e: np.ndarray) -> bool:
     slack = 3 * np.sqrt(0.22 / z.size)  # three standard deviations of a share of 0.68 of z.size
     over, bar = float(np.sqrt(np.mean(e**2))), 3 / np.sqrt(2 * e.size)
     print(
-        f"{name}: {z.shape[0]} seeds: error/CRB {over:.3f} (bar 1.1 ± {bar:.2f}), "
-        f"±1σ {one:.3f} (0.63–0.73 ± {slack:.2f}), "
-        f"±2σ {two:.3f} (0.92–0.98 ± {slack / 2:.2f}), z rms {np.sqrt(np.mean(z**2)):.2f}"
+        f"{name}: {z.shape[0]} seeds: error/CRB {over:.3f} (bar 1.1 ± {bar:.2f}), ±1σ {one:.3f} (0.63–0.73 ± "
+        f"{slack:.2f}), ±2σ {two:.3f} (0.92–0.98 ± {slack / 2:.2f}), z rms {np.sqrt(np.mean(z**2)):.2f}"
     )
     inside = 0.63 - slack < one < 0.73 + slack and 0.92 - slack / 2 < two < 0.98 + slack / 2
     return over < 1.1 + bar and inside

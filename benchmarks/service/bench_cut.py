@@ -13,9 +13,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
 import os
 import random
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -29,7 +31,6 @@ import h5py
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "system"))
 from service_process import ENDED, SMALL_CELL, Serving, serving
 
-from benchmarks.service.bench_service import consistent
 from benchmarks.shared.processes import INVID
 from invid.errors import InvidError
 from invid.recording import Outcome, Recording, read_recording
@@ -53,6 +54,22 @@ class Cut:
     outcome: str
     analysis: str
     complaints: tuple[str, ...]
+
+
+def consistent(folder: Path) -> list[str]:
+    """What is wrong with a store that nobody has open."""
+    wrong = []
+    database = sqlite3.connect(folder / "data" / "store.sqlite")
+    if database.execute("PRAGMA integrity_check").fetchone() != ("ok",):
+        wrong.append("the database is damaged")
+    if database.execute("PRAGMA foreign_key_check").fetchall():
+        wrong.append("rows point nowhere")
+    for path, sha256 in database.execute("SELECT path, sha256 FROM artefacts WHERE deleted IS NULL"):
+        file = folder / "data" / "files" / path
+        if not file.exists() or hashlib.sha256(file.read_bytes()).hexdigest() != sha256:
+            wrong.append(f"{path} is missing or differs from its checksum")
+    database.close()
+    return wrong
 
 
 def kill(process: int) -> None:

@@ -1,12 +1,10 @@
-"""The service under load and under the axe.
+"""The service under load, and its change test.
 
-    python benchmarks/service/bench_service.py [--poll-seconds 20] [--kills 30]
-                                               [--changes 200] [--first-seed 0] [--keep DIR]
+    python benchmarks/service/bench_service.py [--poll-seconds 20] [--changes 200] [--first-seed 0]
+                                                [--keep DIR]
 
 - Polling at 200 requests/s from 20 clients during a run: latency from each request's due time (a late
   server cannot hide behind its clients).
-- kill -9 of the service at random moments of a run: every run ends ``interrupted`` or was stored whole, no
-  runner is left, the store is consistent, the next run starts.
 - The change test on an unchanged simulated cell, each start with its own noise: measured, identified and
   diagnosed as the runner does it, compared with the run before by what the service uses (``invid.compare``
   with the cell's history). Then the same starts with one parameter changed by three standard deviations of
@@ -16,13 +14,9 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
-import random
-import sqlite3
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +40,6 @@ SIDES = ((1, 1), (2, 1), (8, 1), (5, 3), (8, 3))
 """Runs that the old and the new side may be the mean of."""
 PROMISED = 0.02
 """False alarms over all parameters."""
-STATES = ("queued", "checking", "running", "running", "analysing", "awaiting_accept")
 
 
 def processor_s(process: int) -> float:
@@ -71,54 +64,6 @@ def poll(seconds: float) -> bool:
         f"on {os.cpu_count()} cores"
     )
     return load.p99 < 0.05 and not load.failures
-
-
-def consistent(folder: Path) -> list[str]:
-    """What is wrong with a store that nobody has open."""
-    wrong = []
-    database = sqlite3.connect(folder / "data" / "store.sqlite")
-    if database.execute("PRAGMA integrity_check").fetchone() != ("ok",):
-        wrong.append("the database is damaged")
-    if database.execute("PRAGMA foreign_key_check").fetchall():
-        wrong.append("rows point nowhere")
-    for path, sha256 in database.execute("SELECT path, sha256 FROM artefacts WHERE deleted IS NULL"):
-        file = folder / "data" / "files" / path
-        if not file.exists() or hashlib.sha256(file.read_bytes()).hexdigest() != sha256:
-            wrong.append(f"{path} is missing or differs from its checksum")
-    database.close()
-    return wrong
-
-
-def kill(times: int, seed: int = 1) -> bool:
-    """kill -9 at random moments."""
-    rng = random.Random(seed)
-    wrong: list[str] = []
-    seen: dict[str, int] = {}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        previous: str | None = None
-        for n in range(times + 1):
-            with serving(folder) as service:
-                if service.runners():
-                    wrong.append(f"kill {n}: a runner lives on")
-                if previous is not None:
-                    body: dict[str, Any] = service.client.get(previous).json()
-                    if body["state"] not in ("interrupted", "awaiting_accept"):
-                        wrong.append(f"kill {n}: the run is {body['state']}")
-                if n == times:
-                    break
-                previous = service.start()
-                # A state first and then a moment in it: the same spread on a slow machine as on a fast one.
-                aimed, moment = rng.choice(STATES), rng.uniform(0.0, 2.0)
-                service.wait(previous, *STATES[STATES.index(aimed) :], timeout=300.0)
-                time.sleep(moment)
-                state = service.client.get(previous).json()["state"]
-                seen[state] = seen.get(state, 0) + 1
-                service.kill()
-                print(f"kill {n + 1}: {moment:.1f} s into {aimed}, {state}", file=sys.stderr, flush=True)
-            wrong += [f"kill {n}: {w}" for w in consistent(folder)]
-    print(f"kill -9: {times} times, in states {seen}: {len(wrong)} wrong {wrong[:5]}")
-    return not wrong
 
 
 # --- the change test ---------------------------------------------------------------------------------
@@ -255,7 +200,6 @@ def main() -> int:
     """Run the campaigns; the exit status is the number that missed their promise."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--poll-seconds", type=float, default=20.0)
-    parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--changes", type=int, default=200)
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, default=None)
@@ -263,8 +207,6 @@ def main() -> int:
     kept = []
     if given.poll_seconds > 0:
         kept.append(poll(given.poll_seconds))
-    if given.kills > 0:
-        kept.append(kill(given.kills))
     if given.changes > 0:
         kept.append(changes(given.changes, given.keep, given.first_seed))
     return kept.count(False)

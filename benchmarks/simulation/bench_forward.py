@@ -118,9 +118,8 @@ def plant() -> None:
     accepted = calls / 6  # RK45: six evaluations a step
     error = np.max(np.abs(out[::4, :, 0] - answer.y[chains.motor_dofs].T)) / np.max(np.abs(out[:, :, 0]))
     print(
-        f"plant, case study, 10 s: compiled {steps / fast:.3g} steps/s, "
-        f"solve_ivp {accepted / slow:.3g} steps/s, "
-        f"ratio {steps / fast / (accepted / slow):.0f}; whole run {slow / fast:.0f} times faster; "
+        f"plant, case study, 10 s: compiled {steps / fast:.3g} steps/s, solve_ivp {accepted / slow:.3g} "
+        f"steps/s, ratio {steps / fast / (accepted / slow):.0f}; whole run {slow / fast:.0f} times faster; "
         f"largest difference {error:.1e}"
     )
     exact = out[::4, :, 0].copy()

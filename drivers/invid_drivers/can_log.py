@@ -94,7 +94,7 @@ class _Cycles:
 
     @property
     def rows(self) -> Float64:
-        """(n, signals)."""
+        """Values so far, (n, signals)."""
         return np.array(self.values, dtype=np.float64).reshape(len(self.numbers), len(self.names))
 
     def read(self, path: Path, choice: Choice | None, *, once: float | None) -> Traffic:
@@ -160,8 +160,8 @@ def _read_cycles(path: Path, source: Source, cycles: _Cycles) -> _Cycles:
         apart = 1e3 * float(np.median(np.sort(d)[: d.size // 2]))
         raise InputError(
             f"{path}: SYNC (0x{cycles.clock:X}) comes in pairs, {apart:.3g} ms apart: frames are logged "
-            f"twice, as "
-            "sent and as heard; say 'echo: first' in the map's 'source' to read the first of each pair"
+            "twice, as sent and as heard; say 'echo: first' in the map's 'source' to read the first of each "
+            "pair"
         )
     return cycles
 
@@ -240,10 +240,8 @@ def _refuse_wrong_bytes(
                 other = "little" if now == "big" else "big"
                 raise InputError(
                     f"{path}: {name!r} leaps from row to row read as {now}-endian, and moves smoothly with "
-                    f"its "
-                    f"bytes the other way round; say 'byte_order: {other}' beside its 'type' (or for all in "
-                    f"the "
-                    f"map's 'source'), 'byte_order: {now}' there if it leaps indeed"
+                    f"its bytes the other way round; say 'byte_order: {other}' beside its 'type' (or for all "
+                    f"in the map's 'source'), 'byte_order: {now}' there if it leaps indeed"
                 )
 
 
@@ -255,7 +253,7 @@ def _reader(path: Path, lines: Lines | None) -> Any:
 
 
 def _is_text(path: Path) -> bool:
-    """Whether ``Lines`` reads it; python-can's readers take the others by their ending."""
+    """Whether a log is text, which ``Lines`` reads; python-can's readers take the others by their ending."""
     ending = path.suffix.lower()
     if ending in _TEXT:
         return True
@@ -287,7 +285,7 @@ def _frames(path: Path, broken: list[BrokenRow] | None = None) -> Iterator[tuple
 
 
 def first_pdos(path: Path, sync_id: int | None) -> Guess:
-    """What the frames of a log look like, where no map says what they carry."""
+    """PDOs guessed from the frames of a log, where no map says what they carry."""
     return guess_pdos(_payloads(path), sync_id)
 
 

@@ -15,8 +15,7 @@ from invid.recording.tables import BrokenRow
 MAX_BROKEN = 100_000
 READ = (
     "candump (-L, or its screen with -t a, z, d), Vector ASC, SavvyCAN/GVRET CSV, BUSMASTER, and the binary "
-    "BLF and "
-    "PEAK TRC"
+    "BLF and PEAK TRC"
 )
 _CANDUMP = re.compile(
     r"\s*\(\d+(\.\d+)?\)\s+\S+\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"

@@ -27,7 +27,7 @@ class Traffic:
     frames: Counter[tuple[int, str, bool]] = field(default_factory=Counter)
 
     def add(self, frame: Any) -> None:
-        """Count one."""
+        """Count one frame."""
         self.frames[frame.arbitration_id, str(frame.channel), bool(frame.is_rx)] += 1
 
     def channels(self, identifier: int) -> dict[str, int]:
@@ -60,12 +60,12 @@ class Choice:
         )
 
     def leaves_out(self, traffic: Traffic) -> bool:
-        """Whether any frame counted is not read."""
+        """Whether any of the frames counted is not read."""
         return any(self.channel.get(i, c) != c or self.received.get(i, w) != w for i, c, w in traffic.frames)
 
 
 def choose(traffic: Traffic, source: Source, pdos: Collection[int], clock: int, path: Path) -> Choice:
-    """Which frames are read.
+    """Choose the channel, and the direction, of every identifier that is read.
 
     Raises
     ------
@@ -92,8 +92,7 @@ def choose(traffic: Traffic, source: Source, pdos: Collection[int], clock: int, 
             raise ChoiceNeeded(
                 f"{path}: 0x{identifier:X} is logged as received ({ways[True]} frames) and as sent "
                 f"({ways[False]}): one of the two is the echo of the other; say 'echo: received' or 'echo: "
-                f"sent' in "
-                f"the map's 'source', which of them is to be read",
+                "sent' in the map's 'source', which of them is to be read",
                 "echo",
                 "received",
             )
@@ -107,16 +106,14 @@ def _channel(traffic: Traffic, identifier: int, said: str | int | None, path: Pa
         if there and str(said) not in there:
             raise InputError(
                 f"{path}: 0x{identifier:X} does not come on channel {said!r}; it comes on {_listed(there)}: "
-                f"say so in "
-                f"'channel' of the map's 'source', or of the PDO"
+                "say so in 'channel' of the map's 'source', or of the PDO"
             )
         return {identifier: str(said)}
     if len(there) > 1:
         first = next(iter(there))
         raise ChoiceNeeded(
             f"{path}: 0x{identifier:X} comes on several channels: {_listed(there)}; say which robot's is "
-            f"meant: "
-            f"'channel: {first}' in the map's 'source' (or in one of its 'pdos')",
+            f"meant: 'channel: {first}' in the map's 'source' (or in one of its 'pdos')",
             "channel",
             first,
         )

@@ -30,19 +30,19 @@ class CollectingWriter(RecordingWriter):
         return replace(self._header, experiments=tuple(self._finished))
 
     def begin(self, **settings: Any) -> str:
-        """As ``RecordingWriter.begin``."""
+        """Open the next experiment and return its key, as ``RecordingWriter.begin`` does."""
         key = super().begin(**settings)
         self._key, self._settings, self._kept = key, settings, []
         return key
 
     def append(self, time: Any, position: Any, torque: Any, demand: Any = None, status: Any = None) -> None:
-        """As ``RecordingWriter.append``."""
+        """Add rows, as ``RecordingWriter.append`` does."""
         super().append(time, position, torque, demand, status)
         parts = (time, position, torque, demand)
         self._kept.append(tuple(None if p is None else np.array(p, dtype=float) for p in parts))
 
     def end(self) -> None:
-        """As ``RecordingWriter.end``."""
+        """Close the experiment, as ``RecordingWriter.end`` does."""
         super().end()
         if not self._key or not self._kept:
             return
@@ -72,14 +72,14 @@ class CollectingWriter(RecordingWriter):
 
 
 class Judged:
-    """A file in the making and whoever judges it."""
+    """A recording that is being written, and the judge who says whether it needs another experiment."""
 
     def __init__(self, out: Path, header: Recording, go_on: Callable[[Recording], bool]) -> None:
         self._out, self._header, self._go_on = out, header, go_on
         self._writer: CollectingWriter | None = None
 
     def open(self) -> CollectingWriter:
-        """The file, with the first row."""
+        """Open the file, with the first row."""
         self._writer = CollectingWriter(self._out, self._header)
         return self._writer
 

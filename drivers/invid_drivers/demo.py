@@ -159,7 +159,7 @@ def run_demo(out: Path) -> tuple[dict[str, Any], str, int]:
 
 
 class _ProgressLine:
-    """Prints a line on stderr at every tenth of the way."""
+    """Prints a line of progress on stderr at every tenth of the way."""
 
     def __init__(self) -> None:
         self._shown = -1

@@ -22,7 +22,7 @@ from invid.recording.text_format import decode_text
 
 @dataclass(frozen=True)
 class Variable:
-    """One entry."""
+    """One entry of an EDS: its type, access, default and limits."""
 
     index: int
     sub: int
@@ -89,7 +89,7 @@ def parse_eds(path: Path, node_id: int) -> Declared:
 
 
 def load_dictionary(path: Path, node_id: int) -> ObjectDictionary:
-    """What canopen reads of an EDS or DCF file; ``node_id`` stands for $NODEID in it.
+    """The object dictionary that canopen reads from an EDS or DCF file; ``node_id`` stands for $NODEID.
 
     Vendors write what the library takes no number from: other encodings than UTF-8, marks before the first
     line, zeros before a decimal number. What it logs of the file carries the file's name.

@@ -23,7 +23,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class Match:
-    """``file`` is ``None`` where none fits or several do; ``why`` is the reason in words."""
+    """A drive's file: ``file`` is ``None`` where none fits or several do; ``why`` is the reason in words."""
 
     file: Path | None
     why: str

@@ -29,7 +29,7 @@ def row_format(axes: int) -> np.dtype[Any]:
 
 
 class Filing:
-    """Messages of the cycle process to the recording, in their order and without making anybody wait.
+    """Thread that writes the messages of the cycle process to the recording, in their order.
 
     ``error`` is set where the disk takes no more, or not fast enough; rows that come after that are dropped.
     """
@@ -50,7 +50,7 @@ class Filing:
         self._thread.start()
 
     def put(self, message: tuple[Any, ...]) -> None:
-        """A message for the file; never waits."""
+        """Queue a message for the file; never waits."""
         if message[0] == "rows":
             if self.error is not None:
                 return
@@ -131,7 +131,7 @@ class Filing:
         self._recorder = Recorder(self._judged.open, cycle_s, count)
 
     def _judge(self, number: int) -> None:
-        """Answer whether the next experiment is needed; a judge that fails ends nothing."""
+        """Ask the judge whether the next experiment is needed; a judge that fails ends nothing."""
         needed = True
         try:
             needed = self._judged is None or self._judged.ask(number)
@@ -148,7 +148,7 @@ class Filing:
 
 
 class Teller:
-    """Tells whoever wants to know how far it is: a terminal that stands makes nobody wait."""
+    """Thread that passes progress to whoever wants to know: a terminal that stands makes nobody wait."""
 
     def __init__(self, progress: Callable[[Progress], None] | None) -> None:
         self._progress = progress
@@ -158,12 +158,12 @@ class Teller:
             self._thread.start()
 
     def tell(self, progress: Progress) -> None:
-        """Never waits; what nobody takes is not kept for long."""
+        """Queue progress; never waits, and what nobody takes is not kept for long."""
         if self._news.qsize() < MOST_NEWS:
             self._news.put(progress)
 
     def end(self) -> None:
-        """What is left is told where that takes no longer than a moment."""
+        """Pass on what is left where that takes no longer than a moment."""
         self._news.put(None)
         if self._thread.is_alive():
             self._thread.join(LAST_NEWS_S)

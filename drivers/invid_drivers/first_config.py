@@ -217,6 +217,6 @@ def _from(folder: Path, file: Path) -> str:
 
 
 def _cycle(drives: int, bitrate: int, round_trip_s: float) -> float:
-    """Not below 1 ms, which few drives take."""
+    """Cycle time [s] for the drives found; not below 1 ms, which few drives take."""
     loaded = next((c for c in CYCLES if bus_load(drives, cycle_s=c, bitrate=bitrate) <= MAX_LOAD), CYCLES[-1])
     return shortest_cycle(round_trip_s, drives, bitrate, loaded)

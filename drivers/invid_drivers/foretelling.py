@@ -11,7 +11,7 @@ from invid_drivers.simulated import simulation_of
 
 
 def sensor_noise(config: CellConfig) -> Noise:
-    """Noise and lattice of every axis: of the simulated drives where they are simulated, else assumed."""
+    """Noise and lattice of every axis: those of the simulated drives, else assumed ones."""
     if not config.simulated:
         return assumed_noise(config)
     simulation = simulation_of(config)

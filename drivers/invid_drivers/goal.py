@@ -23,7 +23,7 @@ from invid_drivers.measurement import MeasurementResult, measure_to_file
 
 @dataclass(frozen=True)
 class Reached:
-    """What the records so far tell."""
+    """How well the records so far tell the parameters."""
 
     blocks: int
     worst: str
@@ -33,7 +33,7 @@ class Reached:
     reason: str = ""
 
     def meets(self, goal: float) -> bool:
-        """Whether that is enough."""
+        """Whether the records reach the goal, a relative standard deviation."""
         return self.trustworthy and self.relative <= goal
 
     def to_json(self) -> dict[str, Any]:
@@ -50,7 +50,7 @@ class Reached:
 
 
 def reached(recording: Recording, masses: Masses = None) -> Reached:
-    """Identify what is there; data that carry no model yet are a reason to go on, not an error."""
+    """Identify the records so far; data that carry no model yet are a reason to go on, not an error."""
     blocks = len(recording.experiments)
     try:
         model: Model = identify(recording, masses=masses)

@@ -125,10 +125,10 @@ def measure_to_file(  # noqa: PLR0913 - what a person may wish of a run
 
 
 class ClosingSink(Sink, Protocol):
-    """Where the samples of one measurement go."""
+    """A sink of samples that is told at the end how the measurement ended."""
 
     def close(self, outcome: Outcome) -> None:
-        """How it ended."""
+        """Mark how the measurement ended, and close."""
         ...
 
 
@@ -139,7 +139,7 @@ def start_measurement(
     model: CoupledChains | Belief | None,
     plan: Plan | None = None,
 ) -> tuple[Plan, Cia402Cell]:
-    """Plan (the given one, if any) and connected cell, whose drives were asked for their limits.
+    """Return the plan (the given one, if any) and the connected cell, its drives asked for their limits.
 
     The plan is made with the tightest of the drives', the config's and the EDS files' limits; a given one is
     scaled down to them.
@@ -188,13 +188,13 @@ def ask_drives(
 def _unasked(
     config: CellConfig, wish: Wish, why: str
 ) -> tuple[Plan, CellConfig, tuple[StoppingBudget, ...], list[str]]:
-    """The answer of drives that nobody could ask, taken at their best."""
+    """Plan, config, budgets and notes as of ``ask_drives``, the drives taken at their best."""
     found = plan_within(config, None, wish)
     return found.plan, found.config, found.budgets, [why, *found.said]
 
 
 def _require_file(out: Path) -> None:
-    """Refuse before anything moves what could not be written afterwards, or would replace a device."""
+    """Refuse a path that could not be written after the measurement, or would replace a device."""
     if out.is_dir():
         raise ConfigError(f"{out}: is a folder; name a file for the recording")
     if out.exists() and not out.is_file():
@@ -284,14 +284,13 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
 
 def _not_off(axes: tuple[str, ...]) -> str:
     return (
-        f"Axis {', '.join(axes)} was not seen to switch off (its heartbeat watch should stop it): make "
-        "sure of "
-        "it, with the emergency stop if need be"
+        f"Axis {', '.join(axes)} was not seen to switch off (its heartbeat watch should stop it): make sure "
+        "of it, with the emergency stop if need be"
     )
 
 
 def _ending(cell: Cia402Cell) -> str:
-    """After any end: the drives stopped, which of them are on and what to do; empty where all are off."""
+    """Stop the drives after any end; return which of them are on and what to do, empty where all are off."""
     cell.stop()
     not_off = (_not_off(cell.not_off),) if cell.not_off else ()
     return ". ".join((*not_off, *cell.endings))

@@ -21,7 +21,7 @@ from invid_drivers.stopping_budgets import Budgets, Wish, plan_within
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a measurement starts with: everything that is known before a drive is enabled."""
+    """Plan, config and budgets of a measurement, with all that is known before a drive is enabled."""
 
     plan: Plan
     config: CellConfig
@@ -65,7 +65,7 @@ def prepare(
 
 
 def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
-    """The same without touching a bus that hardware may be on: its drives are taken at their best.
+    """Do as ``prepare``, but touch no bus that hardware may be on: its drives are taken at their best.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def support_sentence(axes: Sequence[str]) -> str:
 
 
 def not_ready(config: CellConfig) -> tuple[Reason, ...]:
-    """Axes that an earlier run left energised, or ended at; empty: none.
+    """Reasons of axes that an earlier run left energised, or at which it ended; empty: none.
 
     The bus is opened only where there was one: then the drives say whether they still are, as in ``check``.
     """

@@ -57,7 +57,7 @@ SECOND_LOOK_S = 0.1
 
 
 def make_realtime() -> tuple[str, ...]:
-    """SCHED_FIFO, locked memory, no garbage collection; what the system did not allow, in words."""
+    """Ask for SCHED_FIFO, locked memory, no garbage collection; return in words what was not allowed."""
     notes = []
     gc.collect()
     gc.freeze()
@@ -80,7 +80,7 @@ def make_realtime() -> tuple[str, ...]:
 
 
 def die_with_parent(parent: int) -> None:
-    """SIGTERM from the kernel when the parent dies, however it dies."""
+    """Ask the kernel for SIGTERM when the parent dies, however it dies."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:  # it died before the line above
@@ -88,7 +88,7 @@ def die_with_parent(parent: int) -> None:
 
 
 def leave_by(stop: StopFlag) -> None:
-    """What a terminal or the system may send ends in an orderly stop, never in the sudden end of the cycle.
+    """Turn what a terminal or the system may send into an orderly stop, never a sudden end of the cycle.
 
     A terminal sends to the whole group, so here too: Ctrl-C, Ctrl-Z, Ctrl-\\, and hanging up (a closed
     terminal, a lost SSH connection). The parent, which relays them as well, may hang in a disk or have ended.
@@ -112,12 +112,12 @@ class RemoteSink:
         self._most = max(1, round(POST_S / cycle_s))
 
     def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
-        """As ``Recorder.begin``; the planned torque stays here."""
+        """Send the start of an experiment to the parent; the planned torque stays here."""
         none = frozen_float(np.zeros((0, len(hold_gain))))
         self._send(("begin", replace(experiment, torque=none, reference=None), list(hold_gain), scale))
 
     def row(self, sample: Sample, demand: Sequence[float]) -> None:
-        """As ``Recorder.row``."""
+        """Pack one row, and send the rows that have gathered."""
         self._rows.append(
             self._pack(
                 sample.slot,
@@ -138,12 +138,12 @@ class RemoteSink:
             self._rows.clear()
 
     def end(self) -> None:
-        """As ``Recorder.end``."""
+        """Send the rows that are left and the end of the experiment."""
         self._post()
         self._send(("end",))
 
     def close(self, outcome: Outcome) -> None:
-        """The parent closes, when it knows how the run ended."""
+        """Send the rows that are left; the parent closes, when it knows how the run ended."""
         self._post()
 
 

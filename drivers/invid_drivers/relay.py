@@ -41,7 +41,7 @@ def measure_in_process(  # noqa: PLR0913 - as measure_to_file
     plan: Plan | None = None,
     go_on: Callable[[Recording], bool] | None = None,
 ) -> Any:
-    """``MeasurementResult`` of a measurement whose cycle runs in its own process.
+    """Measure with the cycle in a process of its own; return its ``MeasurementResult``.
 
     ``go_on`` runs here, beside the relay, while the cycle process holds the axes.
     """
@@ -90,7 +90,7 @@ def measure_in_process(  # noqa: PLR0913 - as measure_to_file
 
 
 def _end(relay: Relay, connection: Connection, child: subprocess.Popen[bytes]) -> InvidError | None:
-    """The drives first: closing the socket stops the child if it still runs; then the file."""
+    """Let the child stop the drives by closing the socket, then close the file."""
     relay.end()
     connection.close()
     try:
@@ -102,12 +102,12 @@ def _end(relay: Relay, connection: Connection, child: subprocess.Popen[bytes]) -
 
 
 def _with_file(error: InvidError, failure: InvidError | None) -> InvidError:
-    """What ended the run, and what became of its file where that failed too."""
+    """The error that ended the run, with what became of its file where that failed too."""
     return error if failure is None or failure is error else error.saying(f"{error}. {failure}")
 
 
 class Relay:
-    """The parent's side: a stop to the cycle process, what comes from it to file, progress and result.
+    """The parent's side: tells the cycle process to stop, and passes on its rows, progress and result.
 
     Nothing here waits for disk, judge or terminal: the file has its own thread, and so has who is told.
     """
@@ -152,7 +152,7 @@ class Relay:
             raise self._filing.error
 
     def _speak(self, connection: Connection) -> None:
-        """Say that this process is there, and what it has to say, until all is over."""
+        """Tell the cycle process that this one is there, of a stop, and what the judge answers."""
         asked = False
         with contextlib.suppress(OSError):  # the cycle process has gone: the receiving end notices
             while not self._over.is_set():
@@ -168,7 +168,7 @@ class Relay:
                     self._stop.wait(SPEAK_S)
 
     def end(self) -> None:
-        """Nothing more is said."""
+        """Say nothing more to the cycle process, and tell what progress is left."""
         self._over.set()
         if self._speaker is not None:
             self._speaker.join(2 * SPEAK_S)

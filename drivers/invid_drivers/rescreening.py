@@ -59,7 +59,7 @@ class Rescreening:
 
 
 def screening_plan(config: CellConfig, belief: Belief, noise: Noise) -> GoalPlan:
-    """One block on all axes."""
+    """The plan of a screening: one block on all axes."""
     design = plan_for_goal(config, belief, noise, SCREEN_GOAL)
     plan = design.plan.first(design.needed)
     return replace(design, plan=plan, amplitudes=design.amplitudes[: design.needed])
@@ -151,7 +151,7 @@ def part_axes(part: str, axes: Sequence[str]) -> tuple[str, ...]:
 
 
 def joined(first: Recording, second: Recording) -> Recording:
-    """The experiments of both, numbered through."""
+    """One recording with the experiments of both, numbered anew."""
     experiments = tuple(
         replace(e, key=f"{k:03d}") for k, e in enumerate((*first.experiments, *second.experiments))
     )

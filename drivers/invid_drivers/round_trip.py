@@ -88,7 +88,7 @@ def probe(
 
 
 def require(found: RoundTrip, config: CellConfig) -> list[str]:
-    """What to say of a round trip; ConfigError where the config's cycle is not carried by hardware.
+    """Return what to say of a round trip; ConfigError where hardware does not carry the config's cycle.
 
     Behind a simulated cell stands this computer, which is late at times, and no drive that would move.
     """

@@ -9,7 +9,7 @@ import threading
 
 
 class StopFlag(threading.Event):
-    """As ``threading.Event``, set for good.
+    """A flag as ``threading.Event``, but set for good.
 
     ``Event.set`` holds a lock. A handler that is interrupted there by a second signal, as the kernel sends
     several when a parent of several threads dies, waits for itself for ever, and the cycle with it. Here a
@@ -23,27 +23,27 @@ class StopFlag(threading.Event):
         os.set_blocking(self._in, False)
 
     def set(self) -> None:
-        """From any thread, and from handlers within handlers."""
+        """Set the flag, from any thread and from handlers within handlers."""
         self._asked = True
         with contextlib.suppress(OSError):  # full: whoever waits is awake already
             os.write(self._in, b"\0")
 
     def is_set(self) -> bool:
-        """Whether it was set."""
+        """Whether the flag was set."""
         return self._asked
 
     def clear(self) -> None:
-        """A stop is never taken back."""
+        """Refuse: a stop is never taken back."""
         raise NotImplementedError("a stop is never taken back")
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Until it is set, or the timeout is over; whether it is set."""
+        """Wait until the flag is set or the timeout is over; return whether it is set."""
         if not self._asked:
             select.select([self._out], [], [], timeout)
         return self._asked
 
     def __del__(self) -> None:
-        """The pipe goes with it."""
+        """Close the pipe."""
         for end in (self._out, self._in):
             with contextlib.suppress(OSError):
                 os.close(end)

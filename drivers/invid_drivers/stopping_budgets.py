@@ -37,7 +37,7 @@ SafetyStop where there is none."""
 
 @dataclass(frozen=True)
 class Budgeted:
-    """A plan and what it stands on."""
+    """A plan, with the config and the budgets under which it may run."""
 
     plan: Plan
     config: CellConfig
@@ -49,7 +49,7 @@ class Budgeted:
 
 @dataclass(frozen=True)
 class Wish:
-    """What is to be measured."""
+    """The measurement that is asked for: axes, amplitude, and model or plan."""
 
     axes: Sequence[str] | None = None
     """Axes to excite; ``None``: as each experiment says."""
@@ -141,7 +141,7 @@ def lowered_torque(config: CellConfig, shares: Sequence[float], peaks: Sequence[
 
 
 def unasked(axis: AxisConfig, config: CellConfig) -> StoppingFacts:
-    """The stop of a drive that nobody has asked: as short as the config allows it to be."""
+    """How a drive that nobody has asked is taken to stop: as short as the config allows it to be."""
     stated = axis.quick_stop_deceleration
     watched = not axis.allow_missing_heartbeat
     return StoppingFacts(
@@ -160,7 +160,7 @@ def _fastest(
     made: Callable[[Budgets], Plan],
     budgeted: Callable[[Plan], Budgets],
 ) -> tuple[Plan, Budgets]:
-    """The plan for the highest speeds that its own torque permits, between two budgets; with what it permits.
+    """The plan for the highest speeds that its own torque permits, and the budgets for it.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def _fastest(
 
 
 def _between(slow: Budgets, fast: Budgets, share: float) -> Budgets:
-    """Speeds so far on the way from ``slow`` to ``fast``."""
+    """Budgets whose speeds lie a share of the way from ``slow`` to ``fast``."""
     return tuple(
         replace(f, permitted=s.permitted + share * (f.permitted - s.permitted))
         for s, f in zip(slow, fast, strict=True)
@@ -207,7 +207,7 @@ def _inertia(config: CellConfig, plan: Plan) -> list[float | None]:
 
 
 def measured_budgets(config: CellConfig, reports: Sequence[DriveReport], plan: Plan) -> Measured:
-    """The budgets anew, when trials have measured what was stated."""
+    """Return the function that makes the budgets anew from what the trials measured."""
 
     facts, peaks = [r.stopping for r in reports], plan.peak_torque
 

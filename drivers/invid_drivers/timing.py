@@ -24,7 +24,7 @@ PROBE_PRIORITY = 45
 
 @dataclass(frozen=True)
 class Timing:
-    """How this computer keeps a cycle."""
+    """How well this computer keeps a cycle."""
 
     cycle_s: float
     jitter_s: float | None
@@ -50,7 +50,7 @@ class Timing:
         }
 
     def text(self) -> str:
-        """For a person."""
+        """The frequencies that can be trusted and why, as a sentence."""
         cycle = f"a cycle of {self.cycle_s * 1e3:g} ms"
         what = f"frequencies up to {self.highest_hz:.3g} Hz can be trusted at {cycle}"
         if self.jitter_s is None:
@@ -61,7 +61,7 @@ class Timing:
         )
 
     def warnings(self, plan: Plan) -> list[str]:
-        """What of a plan goes beyond it."""
+        """A sentence where the plan has lines beyond the frequencies that can be trusted."""
         planned = max(
             (float(e.frequencies_hz.max()) for e in plan.experiments if e.frequencies_hz.size), default=0.0
         )
@@ -86,7 +86,7 @@ def timing_of(config: CellConfig) -> Timing:
 
 @contextlib.contextmanager
 def priority() -> Iterator[bool]:
-    """SCHED_FIFO for this thread meanwhile, where the system allows it: the cycle has it too."""
+    """Give this thread SCHED_FIFO meanwhile, where the system allows it: the cycle has it too."""
     thread = threading.get_native_id()
     try:
         before, given = os.sched_getscheduler(thread), os.sched_getparam(thread)

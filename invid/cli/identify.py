@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,16 +34,6 @@ def register(app: typer.Typer) -> None:
             typer.Option(help="Masses of each axis, as 3,3,3; or auto. Default: what the recording says."),
         ] = None,
         method: Annotated[str, typer.Option(help="refined or paper.")] = "refined",
-        profile: Annotated[
-            bool,
-            typer.Option("--profile", help="Profile-likelihood intervals of masses, springs, couplings."),
-        ] = False,
-        bootstrap: Annotated[
-            int,
-            typer.Option(
-                min=0, help="Draws of a parametric bootstrap, on all cores; 200 tell a spread to 5 %."
-            ),
-        ] = 0,
         budget: Budget = BUDGET,
         effects: Effects = None,
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
@@ -54,10 +43,6 @@ def register(app: typer.Typer) -> None:
 
         if method not in ("refined", "paper"):
             raise InputError(f"--method {method}: there are refined and paper")
-        if profile and method == "paper":
-            raise InputError("--profile needs a likelihood: use it with --method refined")
-        if bootstrap and method == "paper":
-            raise InputError("--bootstrap fits the likelihood again: use it with --method refined")
         use_effects(context, effects)
         wanted = parse_masses(masses)
         data = read_recording(recording)
@@ -67,9 +52,6 @@ def register(app: typer.Typer) -> None:
                     data,
                     masses=wanted,
                     method="paper" if method == "paper" else "refined",
-                    profile=profile,
-                    bootstrap=bootstrap,
-                    workers=os.cpu_count() or 1,
                     budget=budget,
                     progress=progress,
                 )
@@ -79,8 +61,6 @@ def register(app: typer.Typer) -> None:
             note(f"invid: {error}")
             emit(no_model_to_json(data, method, str(error)), "", as_json=True)
             return error.exit_code
-        if bootstrap and "bootstrap" not in model.fit:
-            note("invid: --bootstrap: these axes are rigid; their fit is linear, its deviations exact")
         if output is not None:
             model.save(output)
             note(f"model written to {output}")
@@ -149,12 +129,6 @@ def model_text(model: Model) -> str:
             f"(against sensor noise alone {model.fit['noise_chi2_per_dof']:.3g}), "
             f"band {model.fit['band_hz'][0]:.3g} … {model.fit['band_hz'][1]:.3g} Hz"
         )
-    for name, interval in model.fit.get("profile", {}).items():
-        low, high = (f"{v:.5g}" if v is not None else "open" for v in (interval["low"], interval["high"]))
-        lines.append(f"  {name:<18} 68 % profile interval {low} … {high}")
-    again = model.fit.get("bootstrap", {})
-    for name, spread in again.get("parameters", {}).items():
-        lines.append(f"  {name:<18} bootstrap ± {spread['std']:.2g}, bias {spread['bias']:+.2g}")
     lines += [f"warning: {w}" for w in model.warnings]
     if not model.fit.get("trustworthy", True):
         lines.append("not trustworthy: see the warnings")

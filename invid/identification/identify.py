@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -26,9 +26,7 @@ from invid.identification.starts import chain_starts, fit_sizes, measured_frf
 from invid.identification.stated_inertia import against_stated
 from invid.identification.torque_timing import refit_with_late_torque
 from invid.inverse import PaperResult, identify_paper
-from invid.likelihood.bootstrap import bootstrap as bootstrap_of
 from invid.likelihood.fit import AT_NOISE, Fit, fit_structure
-from invid.likelihood.profile import profiles
 from invid.model.chains import CoupledChains
 from invid.model.document import Model
 from invid.model.parameters import ChainStructure
@@ -51,15 +49,7 @@ Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["paper", "refined"]
 
 
-def identify(
-    recording: Recording,
-    *,
-    masses: Masses = None,
-    method: Method = "refined",
-    profile: bool = False,
-    bootstrap: int = 0,
-    workers: int = 1,
-) -> Model:
+def identify(recording: Recording, *, masses: Masses = None, method: Method = "refined") -> Model:
     """Masses, springs, dampers and couplings of every branch with their covariance.
 
     Parameters
@@ -69,12 +59,6 @@ def identify(
         "auto" lets the data choose.
     method
         "refined" (maximum likelihood) or "paper" (the inverse eigenvalue method alone).
-    profile
-        Profile-likelihood intervals of masses, springs and couplings in ``fit["profile"]`` (refined only;
-        some hundred further fits).
-    bootstrap
-        Draws of a parametric bootstrap in ``fit["bootstrap"]`` (refined only), on ``workers`` processes; 0
-        for none.
 
     Returns
     -------
@@ -97,7 +81,7 @@ def identify(
     # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
     with budget.use_share(TIME_TO_SEARCH), np.errstate(all="ignore"):
         try:
-            model = _identify_kind(recording, masses, method, profile, (bootstrap, workers))
+            model = _identify_kind(recording, masses, method)
         except np.linalg.LinAlgError as error:
             raise NotIdentifiableError(
                 f"{recording.source}: no chain of masses and springs fits these records to any finite error "
@@ -109,31 +93,19 @@ def identify(
     return against_stated(model, whole)
 
 
-def _identify_kind(
-    recording: Recording, masses: Masses, method: Method, profile: bool, draws: tuple[int, int]
-) -> Model:
+def _identify_kind(recording: Recording, masses: Masses, method: Method) -> Model:
     """Model of rigid inertias or of chains, by the kind of the recording."""
     if method == "refined":
         kind = machine_kind(recording, masses, lambda: identify_chains(recording, masses))
         if kind.rigid:
             return rigid_model(recording, kind)
-        if kind.model is not None and not (profile or draws[0]):
+        if kind.model is not None:
             return kind.model
-    return _identify_chains(recording, masses, method, profile, draws)
+    return identify_chains(recording, masses, method)
 
 
-def identify_chains(recording: Recording, masses: Masses) -> Model:
-    """``identify`` for a machine that is known to be elastic, without profile or bootstrap."""
-    return _identify_chains(recording, masses, "refined", False)
-
-
-def _identify_chains(
-    recording: Recording,
-    masses: Masses,
-    method: Method,
-    profile: bool,
-    draws_and_workers: tuple[int, int] = (0, 1),
-) -> Model:
+def identify_chains(recording: Recording, masses: Masses, method: Method = "refined") -> Model:
+    """``identify`` for a machine that is known to be elastic."""
     budget.tell("reading spectra", 0.0)
     spectra = all_spectra(recording, Role.IDENTIFY)
     _check_excitation(recording, spectra)
@@ -167,16 +139,7 @@ def _identify_chains(
         other = other if other is not fit else fit_ground_springs(spectra, fit, starts_for)
         fit, paper = other, paper if other is fit else second_route(spectra, other)
     warnings += fewer_masses_warnings(sizes, fit)
-    model = refined_model(recording, spectra, fit, paper, warnings, order)
-    further_facts: dict[str, Any] = {}
-    if profile:
-        further_facts["profile"] = {name: {"low": i.low, "high": i.high} for name, i in profiles(fit).items()}
-    draws, workers = draws_and_workers
-    if draws:
-        spreads = bootstrap_of(fit, draws, workers=workers)
-        parameters = {name: asdict(spread) for name, spread in spreads.items()}
-        further_facts["bootstrap"] = {"draws": draws, "parameters": parameters}
-    return replace(model, fit={**model.fit, **further_facts}) if further_facts else model
+    return refined_model(recording, spectra, fit, paper, warnings, order)
 
 
 def restart_from_second_route(

@@ -90,9 +90,8 @@ def checked_spectrum(lambda_: npt.ArrayLike, lambda0: npt.ArrayLike, *, axis: st
         if zero <= poles[k]:
             before = _hertz(zeros[k - 1]) if k else "0 Hz"
             raise NotIdentifiableError(
-                f"branch {axis}: antiresonance {_hertz(zero)} lies below resonance {_hertz(poles[k])}; "
-                f"the peak between {before} and {_hertz(zero)} was missed; measure longer or raise the "
-                "amplitude"
+                f"branch {axis}: antiresonance {_hertz(zero)} lies below resonance {_hertz(poles[k])}; the "
+                f"peak between {before} and {_hertz(zero)} was missed; measure longer or raise the amplitude"
             )
     return Spectrum(poles, zeros, np.array(cancelled))
 

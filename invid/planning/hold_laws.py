@@ -36,11 +36,9 @@ def require_stable_p(axis: str, stiffness: float, friction: float, cycle_s: floa
     needed = stiffness * (DELAY_CYCLES + 0.5) * cycle_s
     if needed >= friction:
         raise ConfigError(
-            f"axis {axis}: a master P hold of {stiffness:g} is unstable: gain·(d+½)·cycle = {needed:.3g} "
-            "is not "
-            f"below the motor's viscous friction of {friction:.3g} (hold.damping); use mode 'drive' or "
-            "'master_pd', "
-            f"or a gain below {friction / ((DELAY_CYCLES + 0.5) * cycle_s):.3g}"
+            f"axis {axis}: a master P hold of {stiffness:g} is unstable: gain·(d+½)·cycle = {needed:.3g} is "
+            f"not below the motor's viscous friction of {friction:.3g} (hold.damping); use mode 'drive' or "
+            f"'master_pd', or a gain below {friction / ((DELAY_CYCLES + 0.5) * cycle_s):.3g}"
         )
 
 

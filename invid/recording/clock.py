@@ -267,8 +267,7 @@ def _sentence(slots: Slots) -> str:
     if not slots.even:
         return (
             f"the rows come at events, at no rate ({1 / slots.step:.4g} a second on the mean): what lies "
-            f"between "
-            "them is interpolated"
+            "between them is interpolated"
         )
     text = f"even clock of {1 / slots.step:.6g} Hz"
     jitter = slots.jitter
@@ -324,10 +323,9 @@ def _refuse_no_instants(stamps: Float64, how: StampsRead, where: str) -> None:
     rate = 1.0 / step if sums else 0.0
     doubt = 3e-3
     lines = (
-        f"if each is the time since the one before, write 'differences: true' beside 'column' in the map's "
+        "if each is the time since the one before, write 'differences: true' beside 'column' in the map's "
         f"'time' (about {float(nice_rate(rate, doubt)):.9g} rows a second), or '{_rate_line(rate, doubt)}' "
-        f"where no "
-        f"row is missing"
+        "where no row is missing"
         if rate
         else "write 'time: {sample_rate_hz: …}' with the rate at which the rows were taken (for a CAN log "
         "that of SYNC) in place of the column; the file is then read row by row"
@@ -356,8 +354,8 @@ def _coarse(stamps: Float64, same: float) -> str:
     doubt = min(0.01, tick / max(float(stamps[-1] - stamps[0]), tick))
     text = (
         f"repeat ({same:.0%} equal the one before): they count in steps of {tick:.3g} s, coarser than the "
-        f"rows; "
-        f"write '{_rate_line(1 / slots.step, doubt)}' in place of the column, which takes the rows as even"
+        f"rows; write '{_rate_line(1 / slots.step, doubt)}' in place of the column, which takes the rows as "
+        "even"
     )
     if gaps.size and slots.even:
         text += (
@@ -380,11 +378,9 @@ def _unwrapped(stamps: Float64, how: StampsRead, where: str) -> tuple[Float64, l
         raise InputError(
             f"{where}: the stamps in {how.column!r} fall by {-d[k] / how.unit:.9g} after row {k} "
             f"({stamps[k] / how.unit:.9g}, then {stamps[k + 1] / how.unit:.9g}): a counter that wraps, a "
-            f"clock that "
-            f"was set back, or two records in one file; write 'wraps_at' (in the column's unit) beside "
-            f"'column' in "
-            f"the map's 'time', or make two experiments of it: 'rows: [0, {k + 1}]' and 'rows: [{k + 1}, "
-            f"null]'"
+            "clock that was set back, or two records in one file; write 'wraps_at' (in the column's unit) "
+            f"beside 'column' in the map's 'time', or make two experiments of it: 'rows: [0, {k + 1}]' and "
+            f"'rows: [{k + 1}, null]'"
         )
     out = stamps.copy()
     for k in jumps:
@@ -423,9 +419,8 @@ def _in_order(stamps: Float64, how: StampsRead, where: str) -> tuple[Float64, li
         k = int(np.argmax(np.diff(slots.index)))
         raise InputError(
             f"{where}: {d[k]:.4g} s lie between row {k} and row {k + 1} by {how.column!r}, longer than all "
-            f"rows "
-            f"take: two records, so make two experiments of them: 'rows: [0, {k + 1}]' and 'rows: [{k + 1}, "
-            f"null]'"
+            f"rows take: two records, so make two experiments of them: 'rows: [0, {k + 1}]' and 'rows: "
+            f"[{k + 1}, null]'"
         )
     if (d > 0).all() or not slots.even:
         return stamps, []
@@ -436,8 +431,7 @@ def _in_order(stamps: Float64, how: StampsRead, where: str) -> tuple[Float64, li
     even = stamps[0] + slots.step * (slots.index - slots.index[0] - slots.late[0])
     return np.where(near, even, stamps), [
         f"{int((wrong & near).sum())} stamps are out of order, which samples cannot be: the instants are "
-        f"those of "
-        "the even clock that the rows keep"
+        "those of the even clock that the rows keep"
     ]
 
 

@@ -177,10 +177,8 @@ def doubts(recording: Recording) -> list[str]:
         if rated is not None and torque > PEAK_OVER_RATED * rated:
             said.append(
                 f"axis {axis}: torque reaches {torque:.4g} {recording.torque_unit}, {torque / rated:.3g} "
-                f"times its "
-                f"rated torque; see 'unit', 'scale' and 'rated_torque' of the axis in the map: masses and "
-                f"springs "
-                f"come out by the same factor"
+                "times its rated torque; see 'unit', 'scale' and 'rated_torque' of the axis in the map: "
+                "masses and springs come out by the same factor"
             )
         fastest = max(_speed(e, i) for e in recording.experiments)
         limit = FASTEST[recording.position_unit]
@@ -188,9 +186,8 @@ def doubts(recording: Recording) -> list[str]:
             unit = recording.position_unit
             said.append(
                 f"axis {axis}: its position moves at {fastest:.4g} {unit}/s, faster than any drive "
-                f"({limit:g} "
-                f"{unit}/s); see 'unit' and 'per_count' of its position in the map, and the unit of 'time': "
-                f"masses and springs come out by the square of the factor"
+                f"({limit:g} {unit}/s); see 'unit' and 'per_count' of its position in the map, and the unit "
+                "of 'time': masses and springs come out by the square of the factor"
             )
     for e in recording.experiments:
         hold = _hold_of(e)
@@ -231,10 +228,9 @@ def doubt_of_sides(axis: str, torque: str, motion: str) -> str | None:
         return None
     return (
         f"axis {axis}: {torque!r} is by its name of the {min(sides[0])} side and {motion!r} of the "
-        f"{min(sides[1])} "
-        f"side; torque and motion must be of one side (in the map 'column' of position or torque, or "
-        f"'scale' with "
-        f"the gear ratio where it is a name only): across a spring there is no mass to be found"
+        f"{min(sides[1])} side; torque and motion must be of one side (in the map 'column' of position or "
+        "torque, or 'scale' with the gear ratio where it is a name only): across a spring there is no mass "
+        "to be found"
     )
 
 

@@ -154,8 +154,7 @@ def decode_text(raw: bytes, encoding: str | None, where: str) -> tuple[str, str]
             return text, guess
     raise InputError(
         f"{where}: is no text that can be read as {encoding or 'UTF-8 or what else is usual'}; where it is "
-        f"text, "
-        "name its 'encoding' in the map's 'source', else its 'kind'"
+        "text, name its 'encoding' in the map's 'source', else its 'kind'"
     )
 
 

@@ -96,8 +96,6 @@ EXAMPLES: dict[str, Any] = {
             "recording": f"/api/v1/identifications/{_RUN}/recording",
         },
     },
-    "StartBody": {"mode": "full", "axes": ["A1", "A2"], "arm": True},
-    "ActionBody": {"type": "accept"},
     "StopAnswer": {
         "cell": "robot",
         "stopping": True,

@@ -1,5 +1,5 @@
-"""One list of promises, kept by every adapter: our simulated drives, foreign `durand` nodes, a replayed
-recording, and real hardware where INVID_HARDWARE names a config."""
+"""One list of promises, kept by every adapter: our simulated drives, foreign `durand` nodes,
+and real hardware where INVID_HARDWARE names a config."""
 
 from __future__ import annotations
 
@@ -16,14 +16,11 @@ from hypothesis import strategies as st
 
 from invid.config import CellConfig, load_config
 from invid.errors import BusError, DriveError, InvidError
-from invid.numerics.arrays import frozen_float
-from invid.recording import Experiment, Kind, Recording, Role
 from invid.sweep import Cell, Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.link import SdoAbortedError
 from invid_drivers.connect import connect
-from invid_drivers.replay import ReplayCell
 from invid_drivers.simulated import open_virtual_bus
 
 CYCLE = 0.002
@@ -59,17 +56,6 @@ def foreign() -> Cia402Cell:
     return Cia402Cell(DurandBus({1: 1.0, 2: 2.0}), config())
 
 
-def replayed() -> ReplayCell:
-    n = 400
-    t = np.arange(n) * CYCLE
-    x = np.column_stack([np.sin(t), np.cos(t)])
-    experiment = Experiment(
-        "000", Kind.OTHER, Role.IDENTIFY, -1, frozen_float([0, 0]), 0, frozen_float([]), 1 / CYCLE,
-        frozen_float(t), frozen_float(x), frozen_float(x),
-    )  # fmt: skip
-    return ReplayCell(Recording("r", ("A1", "A2"), "rad", "N·m", "2026-01-01T00:00:00+00:00", (experiment,)))
-
-
 def hardware() -> Cia402Cell:
     path = os.environ.get("INVID_HARDWARE")
     if not path:
@@ -80,20 +66,17 @@ def hardware() -> Cia402Cell:
 ADAPTERS = [
     pytest.param(simulated, id="simulated drives"),
     pytest.param(foreign, id="durand nodes"),
-    pytest.param(replayed, id="replayed recording"),
     pytest.param(hardware, id="hardware", marks=pytest.mark.hardware),
 ]
 
 
 @pytest.fixture(params=ADAPTERS)
-def cell(request: pytest.FixtureRequest) -> Iterator[Any]:
+def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
     made = request.param()
-    if isinstance(made, Cia402Cell):
-        made.check()
+    made.check()
     yield made
     made.stop()
-    if isinstance(made, Cia402Cell):
-        made.close()
+    made.close()
 
 
 def held(cell: Cell) -> list[Mode]:
@@ -354,15 +337,6 @@ def test_a_bus_that_dies_is_an_error_of_the_bus_and_stop_still_returns() -> None
     cell.stop()
     cell.close()
     assert set(cell.not_off) == {"A1", "A2"}
-
-
-def test_a_replayed_recording_gives_every_sample_once_and_then_says_that_it_ended() -> None:
-    cell = replayed()
-    cell.energise([Mode.HOLD, Mode.HOLD])
-    seen = [list(cell.exchange([0, 0]).position) for _ in range(400)]
-    np.testing.assert_array_equal(seen, cell.experiment.position)
-    with pytest.raises(BusError, match="ended"):
-        cell.exchange([0, 0])
 
 
 def test_a_late_answer_to_the_cycles_question_is_not_taken_for_another_objects() -> None:

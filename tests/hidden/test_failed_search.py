@@ -18,7 +18,7 @@ def test_a_search_that_ends_in_no_number_is_a_plain_error(monkeypatch: pytest.Mo
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
     recording, _ = make(None, seed=3, masses=(2,), noise=0.003)
-    monkeypatch.setattr(identification, "_identify_chains", lost)
+    monkeypatch.setattr(identification, "fit_sizes", lost)
     with pytest.raises(NotIdentifiableError, match="no chain of masses and springs"):
         identification.identify(replace(recording, source="cell.h5"))
     with pytest.raises(NotIdentifiableError):

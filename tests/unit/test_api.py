@@ -214,9 +214,6 @@ def test_arguments_of_the_wrong_kind_are_said_with_the_way_out(
             (r"masses is .*give one whole number ≥ 1", lambda m=m: anything.identify(recording, masses=m))
             for m in ("three", "2", 2, [0], [-2], [2, 2], [2.5], ["2"], [True], [], np.array([2.0]))
         ),
-        (r"bootstrap is -1; .* ≥ 0", lambda: anything.identify(recording, bootstrap=-1)),
-        (r"bootstrap is '9'", lambda: anything.identify(recording, bootstrap="9")),
-        (r"workers is 0; .* ≥ 1", lambda: anything.identify(recording, workers=0)),
         (r"budget is '5'; give a number", lambda: anything.identify(recording, budget="5")),
         (r"budget is nan; give a number", lambda: anything.identify(recording, budget=float("nan"))),
         (r"budget is 0; give a number", lambda: anything.diagnose(recording, budget=0)),

@@ -116,11 +116,11 @@ class Access:
             raise self.silence(what, error) from None
 
     def command(self, what: Object, value: int) -> None:
-        """Write an object that is part of running (controlword, mode, targets): not journalled."""
+        """Write an object that is part of running (controlword, mode, targets), without journal."""
         self.download(what, what.pack(value))
 
     def silence(self, what: Object, error: Exception) -> ObjectError:
-        """The error of a drive that does not answer, or not as SDO has it."""
+        """The error to raise of a drive that does not answer, or not as SDO has it."""
         if isinstance(error, SdoCommunicationError):
             said = (
                 f"node {self.node_id} does not answer ({what.address} {what.name}); check that the drive has "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
 
@@ -99,7 +99,7 @@ class DriveReport:
             "by_offset": self.by_offset,
             "lacks": list(self.lacks),
             "warnings": list(self.warnings),
-            "limits": self.limits.to_json(),
+            "limits": asdict(self.limits),
         }
 
 
@@ -130,28 +130,26 @@ class Drive(Access):
 
     # --- preflight -----------------------------------------------------------------------------
     def check(self, said: Sequence[str] = ()) -> DriveReport:
-        """Capabilities of the drive; DriveError in plain words where it cannot do the job.
+        """Ask the drive what it can do; DriveError in plain words where it cannot do the job.
 
         ``said``: what is known of it already, for the report's warnings.
         """
-        who = f"axis {self.name} (node {self.node_id})"
         warnings: list[str] = [*said, *self.eds_warnings]
         self.refuse_declared()
-        self._require_servo(who, self.read(od.DEVICE_TYPE), warnings)
+        self._require_servo(self.read(od.DEVICE_TYPE), warnings)
         self.serial = self.find(od.SERIAL_NUMBER) or 0
-        self._compare_identity(who, warnings)
+        self._compare_identity(warnings)
         self.by_offset = self._takes_offset()
-        self._require_objects(who)
-        mode, can_hold = self._modes(who, warnings)
+        self._require_objects()
+        mode, can_hold = self._modes(warnings)
         scaling = read_scaling(self, warnings)
         lacks = self._lacks(can_hold)
         state = state_of(self.read(od.STATUSWORD))
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             code = self.find(od.ERROR_CODE) or 0
             raise DriveError(
-                f"{who}: in fault (error 0x{code:04X}); find the cause, then reset it at the drive or "
-                "with its "
-                "tool: this service never resets a fault by itself"
+                f"{self.who}: in fault (error 0x{code:04X}); find the cause, then reset it at the drive or "
+                "with its tool: this service never resets a fault by itself"
             )
         limits = self.protection.limits(scaling, warnings)
         if (
@@ -174,12 +172,12 @@ class Drive(Access):
             stopping=self.protection.stopping(scaling, limits, self._timer_ms()),
         )
 
-    def _require_servo(self, who: str, device: int, warnings: list[str]) -> None:
-        """0x1000: profile in the low word, kinds of drive in bits 16 to 23 (CiA 402-1)."""
-        said = f"{who}: 0x1000 is 0x{device:08X}"
+    def _require_servo(self, device: int, warnings: list[str]) -> None:
+        """Refuse what is no servo drive by 0x1000: profile in the low word, kinds in bits 16 to 23."""
+        said = f"{self.who}: 0x1000 is 0x{device:08X}"
         profile, kinds = device & 0xFFFF, device >> 16 & 0xFF
         if device == 0:  # no profile by CiA 301; what a drive must have is asked for one by one
-            warnings.append(f"{who}: 0x1000 is 0: it does not say that it is a drive")
+            warnings.append(f"{self.who}: 0x1000 is 0: it does not say that it is a drive")
         elif profile != PROFILE:
             name = PROFILES.get(profile, f"a device of profile {profile}")
             raise DriveError(f"{said}: {name}, no CiA 402 drive; is node_id that of this axis's drive?")
@@ -206,8 +204,8 @@ class Drive(Access):
                 "drive's, leave eds out and the drive itself is asked"
             )
 
-    def _compare_identity(self, who: str, warnings: list[str]) -> None:
-        """An EDS of another device is not believed."""
+    def _compare_identity(self, warnings: list[str]) -> None:
+        """Drop an EDS that is of another vendor or product than the drive says, with a warning."""
         declared = self.declared
         if declared is None:
             return
@@ -215,14 +213,14 @@ class Drive(Access):
             found = self.find(what)
             if said and found is not None and found != said:
                 warnings.append(
-                    f"{who}: EDS {declared.path.name} is of {what.name} 0x{said:X}, the drive says "
+                    f"{self.who}: EDS {declared.path.name} is of {what.name} 0x{said:X}, the drive says "
                     f"0x{found:X}; the drive itself is asked for everything"
                 )
                 self.declared = None
                 return
 
     def _takes_offset(self) -> bool:
-        """No torque mode, but cyclic synchronous position with a torque offset."""
+        """Whether the drive has no torque mode, but cyclic synchronous position with a torque offset."""
         modes = self.find(od.SUPPORTED_MODES)
         if modes is None or not modes & OperationMode.CYCLIC_POSITION.supported_bit:
             return False
@@ -230,7 +228,7 @@ class Drive(Access):
         takes = not modes & torque and self.vendor.takes_offset
         return takes and self.find(od.TORQUE_OFFSET) is not None
 
-    def _require_objects(self, who: str) -> None:
+    def _require_objects(self) -> None:
         command = od.TORQUE_OFFSET if self.by_offset else od.TARGET_TORQUE
         for what, why in (
             (command, "torque cannot be commanded"),
@@ -239,39 +237,39 @@ class Drive(Access):
         ):
             if self.find(what) is None:
                 raise DriveError(
-                    f"{who}: the drive has no {what.address} ({what.name}): {why}; this drive cannot be "
-                    "shaken. "
-                    "Log its motion with another tool and use `invid import`"
+                    f"{self.who}: the drive has no {what.address} ({what.name}): {why}; this drive cannot be "
+                    "shaken. Log its motion with another tool and use `invid import`"
                 )
 
-    def _modes(self, who: str, warnings: list[str]) -> tuple[OperationMode, bool]:
+    def _modes(self, warnings: list[str]) -> tuple[OperationMode, bool]:
         supported = self.find(od.SUPPORTED_MODES)
         if supported is None:
             supported = self._tried_modes()
-            warnings.append(f"{who}: 0x6502 is missing; its modes are those that it takes in 0x6060")
+            warnings.append(f"{self.who}: 0x6502 is missing; its modes are those that it takes in 0x6060")
         can_hold = bool(supported & OperationMode.CYCLIC_POSITION.supported_bit)
         if self.by_offset:
             warnings.append(
-                f"{who}: no torque mode; it is shaken by its torque offset (0x60B2) in cyclic synchronous "
-                "position: its own loop stays closed, and stiffens the axis below its bandwidth"
+                f"{self.who}: no torque mode; it is shaken by its torque offset (0x60B2) in cyclic "
+                "synchronous position: its own loop stays closed, and stiffens the axis below its bandwidth"
             )
             return OperationMode.CYCLIC_POSITION, True
         for mode in (OperationMode.CYCLIC_TORQUE, OperationMode.PROFILE_TORQUE):
             if supported & mode.supported_bit:
                 if mode is OperationMode.PROFILE_TORQUE:
                     warnings.append(
-                        f"{who}: only profile torque; its torque slope (0x6087) may distort the excitation"
+                        f"{self.who}: only profile torque; its torque slope (0x6087) may distort the "
+                        "excitation"
                     )
                 return mode, can_hold
         raise DriveError(
-            f"{who}: the drive has no torque mode (0x6502 is 0x{supported:08X}, bits 9 and 3 are clear); "
-            "it cannot be shaken. Choose a drive or firmware with cyclic synchronous torque, or with cyclic "
-            "synchronous position and a torque offset (0x60B2), or record with its own tool and use "
+            f"{self.who}: the drive has no torque mode (0x6502 is 0x{supported:08X}, bits 9 and 3 are "
+            "clear); it cannot be shaken. Choose a drive or firmware with cyclic synchronous torque, or with "
+            "cyclic synchronous position and a torque offset (0x60B2), or record with its own tool and use "
             "`invid import`"
         )
 
     def _tried_modes(self) -> int:
-        """0x6502 of a drive that lacks it: each mode is set without power; what it does not refuse counts."""
+        """Modes as in 0x6502, by setting each without power: what the drive does not refuse counts."""
         state = state_of(self.read(od.STATUSWORD))
         found = self.find(od.MODE)
         supported = 0
@@ -289,14 +287,12 @@ class Drive(Access):
         return supported
 
     def _lacks(self, can_hold: bool) -> list[str]:
-        who = f"axis {self.name} (node {self.node_id})"
         lacks = []
         if self.find(od.CONSUMER_HEARTBEAT) is None:
             if not self.config.allow_missing_heartbeat:
                 raise DriveError(
-                    f"{who}: the drive cannot watch the master's heartbeat (0x1016 is missing): if this "
-                    "computer "
-                    "dies, the axis keeps its last torque. Where another device stops it then, set "
+                    f"{self.who}: the drive cannot watch the master's heartbeat (0x1016 is missing): if this "
+                    "computer dies, the axis keeps its last torque. Where another device stops it then, set "
                     "allow_missing_heartbeat: true for the axis"
                 )
             lacks.append("0x1016 consumer heartbeat: the drive does not notice when the master dies")
@@ -340,36 +336,35 @@ class Drive(Access):
         A drive that is shaken by its torque offset has that in place of the target torque.
         """
         targets = od.OFFSET_MAP if self.by_offset else od.RPDO_MAP
-        who = f"axis {self.name} (node {self.node_id})"
-        for kind, communication, mapping, wanted, cob in (
-            ("RPDO", od.rpdo_communication, od.rpdo_mapping, targets, 0x200 + self.node_id),
-            ("TPDO", od.tpdo_communication, od.tpdo_mapping, od.TPDO_MAP, 0x180 + self.node_id),
+        for kind, wanted, cob in (
+            ("RPDO", targets, 0x200 + self.node_id),
+            ("TPDO", od.TPDO_MAP, 0x180 + self.node_id),
         ):
             for number in range(2, self._pdos(kind) + 1):
-                other = communication(number, 1)
+                other = od.pdo_communication(kind, number, 1)
                 value = self.find(other)
                 if value is not None and not value & INVALID:
                     self.write(other, value | INVALID)
             try:
-                present = self.read(communication(1, 1))
-                self.write(communication(1, 1), present | INVALID)
-                self.write(mapping(1, 0), 0)
+                present = self.read(od.pdo_communication(kind, 1, 1))
+                self.write(od.pdo_communication(kind, 1, 1), present | INVALID)
+                self.write(od.pdo_mapping(kind, 1, 0), 0)
                 for sub, what in enumerate(wanted, start=1):
-                    self.write(mapping(1, sub), what.mapping)
-                self.write(mapping(1, 0), len(wanted))
-                self.write(communication(1, 2), SYNCHRONOUS)
+                    self.write(od.pdo_mapping(kind, 1, sub), what.mapping)
+                self.write(od.pdo_mapping(kind, 1, 0), len(wanted))
+                self.write(od.pdo_communication(kind, 1, 2), SYNCHRONOUS)
                 if kind == "RPDO":
                     self._write_timer()
-                self.write(communication(1, 1), cob | present & NO_RTR)
+                self.write(od.pdo_communication(kind, 1, 1), cob | present & NO_RTR)
             except (ReadRefused, WriteRefused) as error:
                 names = ", ".join(f"{o.address} {o.name}" for o in wanted)
                 raise DriveError(
-                    f"{who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
+                    f"{self.who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
                     "the cycle"
                 ) from None
 
     def _write_timer(self) -> None:
-        """RPDOs that stay away are noticed sooner than heartbeats; a drive that refuses has its heartbeat."""
+        """Write 0x1400:5, by which missing RPDOs stop the drive; one that refuses has its heartbeat watch."""
         if self._timer is None:
             return
         try:
@@ -386,7 +381,7 @@ class Drive(Access):
         return min(8, declared.rpdos if kind == "RPDO" else declared.tpdos)
 
     def set_mode(self, mode: OperationMode, longest_s: float) -> ModeSet:
-        """0x6060 without power, and wait until 0x6061 shows it; what came of it.
+        """Write 0x6060 without power, wait until 0x6061 shows it, and return what came of it.
 
         WrongMode where it shows another one.
         """
@@ -411,7 +406,7 @@ class Drive(Access):
 
     # --- on the way out ------------------------------------------------------------------------
     def quiet_command(self, what: Object, value: int) -> None:
-        """A command that tries."""
+        """Write an object that is part of running; ignore a drive that refuses or does not answer."""
         with contextlib.suppress(BusError, SdoError):
             self.download(what, what.pack(value))
 
@@ -423,7 +418,7 @@ class Drive(Access):
             return None
 
     def shout(self, what: Object, value: int) -> None:
-        """A command to a drive that is not heard: sent once, no answer awaited."""
+        """Write an object of a drive that is not heard: sent once, no answer awaited."""
         data = what.pack(value)
         head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, what.index, what.sub)
         self.link.send(0x600 + self.node_id, (head + data).ljust(8, b"\0"))

@@ -104,7 +104,7 @@ class Cycle:
         self._next_mode_poll = 0.0
 
     def scale(self, axis: int, *, position: float, torque: float, most: int = 32767) -> None:
-        """Position of one count [rad or m] and torque of one thousandth [N·m or N], signs included.
+        """Set the position of one count [rad or m] and the torque of one thousandth [N·m or N], with signs.
 
         ``most``: thousandths that are never exceeded; a target rounded up would pass its limit.
         """
@@ -144,7 +144,7 @@ class Cycle:
         return write
 
     def restart_slots(self) -> None:
-        """The next SYNC is at the next whole slot from now: SDO traffic took time of its own."""
+        """Let the next SYNC be at the next whole slot from now, after SDO traffic that took its time."""
         now = self._link.clock.now()
         self.paused = True
         if self._slot < 0:
@@ -155,7 +155,7 @@ class Cycle:
         self._doubt = False
 
     def exchange(self, torque: Sequence[float]) -> Sample:
-        """Targets out, SYNC at its slot, samples in."""
+        """Send the targets, SYNC at its slot, and return the samples that answer it."""
         link, clock = self._link, self._link.clock
         sample, put = self.sample, link.put
         hold = Mode.HOLD
@@ -196,7 +196,7 @@ class Cycle:
         return sample
 
     def _collect(self, instant: float, end: float) -> None:
-        """TPDOs of the SYNC at ``instant`` until all came or ``end``.
+        """Take in the TPDOs of the SYNC at ``instant`` until all came or ``end``.
 
         Where an earlier one has not come, it was lost or is still under way (a simulated drive on a busy
         computer, a slow gateway). What comes then is this SYNC's only if it comes alone and as fast as
@@ -251,7 +251,7 @@ class Cycle:
             self._behind = [False] * len(fresh)  # nothing was owed, and every answer came in its own cycle
 
     def _listen(self) -> None:
-        """Slots without SYNC, until one passes in which no TPDO comes: whose comes then has fallen behind.
+        """Pass slots without SYNC until one brings no TPDO: a drive whose TPDO comes then has fallen behind.
 
         From there on nothing is owed, and a drive that was behind is believed again when it has answered a
         SYNC in its own cycle. The drives go on with their last targets meanwhile.
@@ -351,7 +351,7 @@ class Cycle:
                 self._link.events.append(Event(Severity.DRIVE, text, name))
 
     def _drain(self) -> None:
-        """Before a SYNC: what is there belongs to an earlier one and would pass for this one's."""
+        """Take in all that waits before a SYNC: it is of an earlier one and would pass for this one's."""
         left = MOST_WAITING
         while (message := self._link.get(0)) is not None:
             left -= 1
@@ -364,7 +364,7 @@ class Cycle:
                 self._owed[axis] -= 1
 
     def _go_on_changing(self, now: float) -> None:
-        """What came of the changes of mode, and the next request of one of them."""
+        """Conclude the changes of mode that are done or failed; send the next request of one of them."""
         for axis, change in list(self._changes.items()):
             why = change.failure(now)
             if self.leaving and change.operation is not None:
@@ -392,7 +392,7 @@ class Cycle:
                 return
 
     def _watch_slowly(self, now: float) -> None:
-        """Heartbeats and bus state; 0x6061 of one axis after another."""
+        """Check heartbeats and the state of the bus; ask one axis after another for 0x6061."""
         self._next_mode_poll = now + MODE_POLL_S
         self._link.require_bus()
         limit = HEARTBEAT_PERIODS * self._config.safety.heartbeat_s

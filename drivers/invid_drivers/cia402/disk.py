@@ -29,7 +29,7 @@ class Disk:
         self._deferred = False
 
     def put(self, write: Callable[[], None]) -> None:
-        """A write, in turn; waited for unless deferred. BusError where it failed or takes too long."""
+        """Queue a write and wait for it unless deferred. BusError where it failed or takes too long."""
         with self._lock:
             if not self._left:
                 threading.Thread(target=self._work, name="disk", daemon=True).start()
@@ -40,11 +40,11 @@ class Disk:
             self.settle()
 
     def defer(self) -> None:
-        """From here on nobody waits until ``settle``."""
+        """Queue writes without waiting for them, until ``settle``."""
         self._deferred = True
 
     def settle(self) -> None:
-        """Every write is done; BusError where one failed or takes too long. Later ones are waited for."""
+        """Wait until every write is done; BusError where one failed or takes too long."""
         self._deferred = False
         if not self._idle.wait(PATIENCE_S):
             raise BusError(
@@ -69,7 +69,7 @@ class Disk:
 
 
 def shared_folder() -> Path:
-    """Where the journal and the memory of a bus stand, whoever measures on it.
+    """Folder of the journal and the memory of a bus, for whoever measures on it.
 
     ``XDG_STATE_HOME`` overrides it.
     """
@@ -80,7 +80,7 @@ def shared_folder() -> Path:
 
 
 def open_folder(folder: Path) -> None:
-    """Make a folder; the shared one for every user."""
+    """Make a folder; the shared one writable for every user."""
     if not folder.is_dir():
         folder.mkdir(parents=True, exist_ok=True)
         if folder == SHARED:

@@ -43,25 +43,25 @@ class ObjectError(DriveError):
 
 
 class NoAnswer(ObjectError):
-    """It does not answer."""
+    """The drive does not answer."""
 
     says_node = True
 
 
 class ProtocolError(ObjectError):
-    """It answers, but not as SDO has it."""
+    """The drive answers, but not as SDO has it."""
 
 
 class ReadRefused(ObjectError):
-    """It does not show the object."""
+    """The drive does not show the object."""
 
 
 class WriteRefused(ObjectError):
-    """It does not take the value."""
+    """The drive does not take the value."""
 
 
 class WrongMode(ObjectError):
-    """It shows another mode of operation than was asked for."""
+    """The drive shows another mode of operation than was asked for."""
 
 
 def abort_in_words(abort: int) -> str:

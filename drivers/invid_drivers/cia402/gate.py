@@ -11,30 +11,8 @@ from dataclasses import dataclass, field
 import can
 
 from invid.errors import BusError
-from invid_drivers.cia402.objects import (
-    ABORT_CONNECTION,
-    CONSUMER_HEARTBEAT,
-    CONTROLWORD,
-    FOLLOWING_TIME,
-    FOLLOWING_WINDOW,
-    KNOWN,
-    MAX_CURRENT,
-    MAX_MOTOR_SPEED,
-    MAX_TORQUE,
-    MAX_VELOCITY,
-    MODE,
-    POSITION_LIMIT_HIGH,
-    POSITION_LIMIT_LOW,
-    PRODUCER_HEARTBEAT,
-    PROFILE_DECELERATION,
-    QUICK_STOP_DECELERATION,
-    QUICK_STOP_OPTION,
-    RPDO_EVENT_TIMER,
-    STATUSWORD,
-    TARGET_POSITION,
-    TARGET_TORQUE,
-    TORQUE_OFFSET,
-)  # fmt: skip
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402.objects import KNOWN
 from invid_drivers.cia402.states import DriveState, is_energised, state_of
 
 NMT, SYNC, SDO_ANSWER, RPDO, SDO, HEARTBEAT = 0x000, 0x080, 0x580, 0x200, 0x600, 0x700
@@ -45,20 +23,25 @@ NMT_STOPPED = 4
 """In a heartbeat: the node answers no SDO until it is set pre-operational."""
 COMMANDS = frozenset(
     what.index
-    for what in (CONTROLWORD, MODE, QUICK_STOP_OPTION, TARGET_POSITION, TARGET_TORQUE, TORQUE_OFFSET)
-)
+    for what in (
+        od.CONTROLWORD, od.MODE, od.QUICK_STOP_OPTION, od.TARGET_POSITION, od.TARGET_TORQUE, od.TORQUE_OFFSET,
+    )
+)  # fmt: skip
 """Objects that command an energised drive: none of them is a limit."""
 UPPER = frozenset(
     (what.index, what.sub)
     for what in (
-        MAX_TORQUE, MAX_CURRENT, POSITION_LIMIT_HIGH, MAX_VELOCITY, MAX_MOTOR_SPEED, FOLLOWING_WINDOW,
-        FOLLOWING_TIME, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT, RPDO_EVENT_TIMER,
+        od.MAX_TORQUE, od.MAX_CURRENT, od.POSITION_LIMIT_HIGH, od.MAX_VELOCITY, od.MAX_MOTOR_SPEED,
+        od.FOLLOWING_WINDOW, od.FOLLOWING_TIME, od.CONSUMER_HEARTBEAT, od.PRODUCER_HEARTBEAT,
+        od.RPDO_EVENT_TIMER,
     )
 )  # fmt: skip
 LOWER = frozenset(
     (what.index, what.sub)
-    for what in (POSITION_LIMIT_LOW, ABORT_CONNECTION, QUICK_STOP_DECELERATION, PROFILE_DECELERATION)
-)
+    for what in (
+        od.POSITION_LIMIT_LOW, od.ABORT_CONNECTION, od.QUICK_STOP_DECELERATION, od.PROFILE_DECELERATION,
+    )
+)  # fmt: skip
 """Objects that permit the less the smaller, and the larger, they are; written under power only that way."""
 ZERO_IS_NONE = frozenset({0x1016, 0x1017, 0x1400, 0x607D})
 """Of these 0 limits nothing."""
@@ -97,7 +80,7 @@ class Known:
 
 
 class Gate:
-    """What may leave now, and what has left."""
+    """Judges each frame before it leaves, by what is known of every node; keeps what has left."""
 
     def __init__(self) -> None:
         self.nodes: dict[int, Known] = {}
@@ -109,7 +92,7 @@ class Gate:
 
     # --- what is known -------------------------------------------------------------------------
     def heard(self, cob: int, data: bytes) -> None:
-        """An SDO answer or a heartbeat came."""
+        """Note what an SDO answer or a heartbeat says of its node."""
         node = self.nodes.get(cob & NODE)
         if node is None or not data:
             return
@@ -119,29 +102,29 @@ class Gate:
                 node.state = None  # it has restarted
         elif data[0] >> 5 == UPLOAD and len(data) == 8:
             at = int.from_bytes(data[1:3], "little"), data[3]
-            if at == (STATUSWORD.index, STATUSWORD.sub):
+            if at == (od.STATUSWORD.index, od.STATUSWORD.sub):
                 node.state = state_of(int.from_bytes(data[4:6], "little"))
             elif at in UPPER or at in LOWER:
                 node.found[at] = KNOWN[at].unpack(data[4:8])
 
     def saw(self, node_id: int, status: int) -> None:
-        """A statusword came in the cycle."""
+        """Note the state in a statusword that came in the cycle."""
         self.nodes[node_id].state = state_of(status)
 
     def take(self, node_id: int) -> None:
-        """This master commands the node from here on."""
+        """Note that this master commands the node from here on."""
         self.nodes[node_id].ours = True
         self._sync_ours = True
 
     def may_let_go(self, node_id: int) -> bool:
-        """Whether a node may be set pre-operational and written to: no torque would be lost by it."""
+        """Whether a node may be set pre-operational and written to: it would lose no torque by it."""
         node = self.nodes[node_id]
         off = node.state is None or not is_energised(node.state)
         return off and not node.why_not and (node.ours or not self.disputed)
 
     @property
     def said(self) -> str:
-        """What has left so far, for a person."""
+        """What has left so far, in words."""
         if self._sync_ours:
             return "the axes were stopped"
         if self._told:
@@ -150,7 +133,7 @@ class Gate:
 
     # --- what leaves ---------------------------------------------------------------------------
     def pass_out(self, message: can.Message) -> None:
-        """NotPermitted where a frame may not leave now."""
+        """Raise NotPermitted where a frame may not leave now."""
         cob = message.arbitration_id
         function = cob & FUNCTION
         if function == RPDO:

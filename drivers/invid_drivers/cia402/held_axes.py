@@ -35,7 +35,7 @@ DEAD_PERMILLE = 5
 
 
 class HeldAxes:
-    """What is known of every axis of one cell."""
+    """How each axis of a cell is held, and what is written and remembered for it."""
 
     def __init__(self, drives: Sequence[Drive], journal: Journal) -> None:
         self._drives, self._journal = drives, journal
@@ -45,7 +45,7 @@ class HeldAxes:
         self._settled = False
 
     def find(self, reports: Sequence[DriveReport], powered: Mapping[str, DriveState]) -> None:
-        """Ask each drive; DriveError where nothing would hold an axis that is or may be loaded.
+        """Ask each drive how it holds; DriveError where nothing would hold an axis that is or may be loaded.
 
         ``powered``: states of drives that were not sent anything.
         """
@@ -61,7 +61,7 @@ class HeldAxes:
 
     @property
     def not_ready(self) -> tuple[Reason, ...]:
-        """Axes that are energised though nobody measures, or at which the last run ended; empty: none."""
+        """Reasons against measuring: axes that are energised, and axes at which the last run ended."""
         powered = (
             energised_reason(h.config.name, h.config.node_id, h.state, h.seen.resumes)
             for h in self.holdings
@@ -75,13 +75,13 @@ class HeldAxes:
         return (*suspects, *powered)
 
     def clear(self, names: Sequence[str]) -> None:
-        """A person has found the cause: these axes may be enabled again."""
+        """Let these axes be enabled again: a person has found the cause."""
         for drive in self._drives:
             if drive.name in names:
                 self.memory.clear(drive.node_id)
 
     def suspect(self, why: str) -> None:
-        """A run ended for a reason that names axes: remembered where any axis carries a load.
+        """Remember the axes that the reason of a run's end names, where any axis carries a load.
 
         What moves an axis that carries nothing moves the loaded ones that are coupled to it.
         """
@@ -100,7 +100,7 @@ class HeldAxes:
 
     # --- at rest -------------------------------------------------------------------------------
     def weigh_at_once(self, sample: Sample, rated: Sequence[float], modes: Sequence[Mode]) -> bool:
-        """Whether an axis stays for what it shows at a stop before the torque at rest was judged.
+        """Whether an axis stays held for the torque it shows at a stop before the one at rest was judged.
 
         That counts where the drive holds the axis, for nobody else commands it.
         """
@@ -132,7 +132,7 @@ class HeldAxes:
         return free
 
     def settle(self, loaded: Sequence[bool], weights: Sequence[int]) -> None:
-        """What the torque at rest said; DriveError where nothing will hold an axis that is loaded."""
+        """Take over what the torque at rest said; DriveError where nothing will hold a loaded axis."""
         self._settled = True
         settle(self.holdings, loaded, weights, self.memory)
         for drive, holding in zip(self._drives, self.holdings, strict=True):
@@ -152,7 +152,7 @@ class HeldAxes:
                 )
 
     def foresee_options(self) -> None:
-        """Before power: both values that 0x605A may come to have are in the journal."""
+        """Put both values that 0x605A may come to have into the journal, before power."""
         what = od.QUICK_STOP_OPTION
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             shown = drive.find(what) if holding.can_stay and holding.option_writable else None
@@ -169,7 +169,7 @@ class HeldAxes:
         exchange: Callable[[Sequence[float]], Sample],
         longest_s: float = CHANGE_S,
     ) -> None:
-        """0x605A as what each axis carries asks for; written between two SYNCs."""
+        """Write 0x605A as what each axis carries asks for, between two SYNCs."""
         for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
             wanted = STAY if holding.stays or holding.needs_brake_test else SWITCH_OFF
             if drive.protection.quick_stop_option == wanted:

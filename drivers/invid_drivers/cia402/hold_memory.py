@@ -41,7 +41,7 @@ LOST = "unreadable"
 
 
 class HoldMemory:
-    """Drives and places of one bus; ``path`` ``None`` keeps them in memory.
+    """What was seen of the drives and places of one bus; ``path`` ``None`` keeps it in memory.
 
     Where it is there and cannot be read, every axis waits for a person until that one has cleared it.
     """
@@ -58,7 +58,7 @@ class HoldMemory:
 
     @property
     def seen(self) -> Mapping[str, Seen]:
-        """By identity of the drive, or by node where it has none."""
+        """What was seen, by identity of the drive, or by node where it has none."""
         return self._seen
 
     def of(self, identity: str, node_id: int) -> Seen:
@@ -80,20 +80,20 @@ class HoldMemory:
         )
 
     def of_node(self, node_id: int) -> Seen | None:
-        """The drive last seen at a node, for whoever has not asked it who it is."""
+        """What was seen of the last drive at a node, for whoever has not asked it who it is."""
         lost = self._seen.get(LOST)
         unknown = None if lost is None else replace(lost, node_id=node_id)
         return next((s for s in self._seen.values() if s.node_id == node_id), unknown)
 
     def clear(self, node_id: int) -> None:
-        """A person has found the cause of what is remembered against a node."""
+        """Forget what is remembered against a node: a person has found the cause."""
         seen = self.of_node(node_id)
         if seen is not None and seen.suspect:
             name = next((k for k, s in self._seen.items() if s.node_id == node_id), "")
             self.keep(name, replace(seen, suspect=""))
 
     def keep(self, identity: str, seen: Seen) -> None:
-        """Note what was seen: on disk at once, or soon where axes are energised; BusError where it fails."""
+        """Remember what was seen: on disk at once, or later under power; BusError where it fails."""
         name = identity or f"node {seen.node_id}"
         if self._seen.get(name) == seen:
             return
@@ -104,11 +104,11 @@ class HoldMemory:
             self._disk.put(partial(_write, self.path, text))
 
     def defer(self) -> None:
-        """From here on nobody waits for the disk: axes are energised."""
+        """Wait for the disk no longer from here on: axes are energised."""
         self._disk.defer()
 
     def settle(self) -> None:
-        """What was noted is on disk; BusError where it is not."""
+        """Wait until what was noted is on disk; BusError where it is not."""
         self._disk.settle()
 
 
@@ -135,7 +135,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _read(path: Path) -> dict[str, Seen]:
-    """By name."""
+    """What the file holds, by name; one entry for every node where it cannot be read."""
     try:
         document: Any = json.loads(path.read_text(encoding="utf-8"))
         return {str(k): Seen(**v) for k, v in document.items()}

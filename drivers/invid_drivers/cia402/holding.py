@@ -58,7 +58,7 @@ class AxisHolding:
 
     @property
     def brake_in_time(self) -> bool | None:
-        """``None``: there is none, or nobody has measured it."""
+        """Whether its brake closes before it falls too far; ``None``: no brake, or not measured."""
         if self.config.brake != "drive" or self.seen.brake_drop is None:
             return None
         return self.seen.brake_drop <= self.most_drop
@@ -85,12 +85,12 @@ class AxisHolding:
 
     @property
     def needs_brake_test(self) -> bool:
-        """A loaded axis whose brake was never measured."""
+        """Whether it is loaded and its brake was never measured."""
         return bool(self.loaded) and self.config.brake == "drive" and self.seen.brake_drop is None
 
     @property
     def needs_stop_test(self) -> bool:
-        """A loaded axis that its drive must hold and was not seen to hold."""
+        """Whether it is loaded and its drive, which must hold it, was not seen to do so."""
         return bool(self.loaded) and self.stays and self.seen.holds is not True
 
     def note(self, memory: HoldMemory, **seen: bool | float | str | None) -> None:
@@ -110,7 +110,7 @@ class AxisHolding:
 
     @property
     def held_by(self) -> str:
-        """ "nothing needed", "drive", "brake", or "not known"."""
+        """What holds it: "nothing needed", "drive", "brake", or "not known"."""
         if self.loaded is False:
             return "nothing needed"
         if self.brake_in_time:
@@ -119,11 +119,11 @@ class AxisHolding:
 
     @property
     def is_left_alone(self) -> bool:
-        """Under power, or perhaps: what it shows may not be believed. Nothing is sent to it."""
+        """Whether nothing is sent to it: it is under power, or what it shows may not be believed."""
         return is_energised(self.state) or bool(self.seen.suspect)
 
     def said(self, who: str) -> str:
-        """How it is held, for ``check``; empty where it carries nothing."""
+        """How it is held, as a sentence for ``check``; empty where it carries nothing."""
         if self.loaded is False:
             return ""
         carries = (
@@ -150,7 +150,7 @@ class AxisHolding:
 
 
 def found_holding(drive: Drive, state: DriveState, memory: HoldMemory, report: DriveReport) -> AxisHolding:
-    """What stands in the drive and in the memory; writes nothing under power."""
+    """How a drive holds its axis, by what stands in it and in the memory; writes nothing under power."""
     name = identity(report.vendor_id, report.product_code, report.serial)
     option = drive.find(od.QUICK_STOP_OPTION)
     writable = option is not None and (
@@ -170,7 +170,7 @@ def found_holding(drive: Drive, state: DriveState, memory: HoldMemory, report: D
 
 
 def _writable(drive: Access, option: int) -> bool:
-    """By writing what stands there."""
+    """Whether 0x605A can be written, tried with the value that stands there."""
     declared = None if drive.declared is None else drive.declared.find(od.QUICK_STOP_OPTION.index, 0)
     if declared is not None and declared.access in ("ro", "const"):
         return False
@@ -232,7 +232,7 @@ class Reason:
 
 
 def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool | None) -> Reason:
-    """An axis that is under power before anybody asked for it."""
+    """The reason of an axis that is under power before anybody asked for it."""
     if state is DriveState.QUICK_STOP_ACTIVE:
         then = (
             "its drive does not go back to operation from there (transition 16)"
@@ -259,7 +259,7 @@ def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool |
 
 
 def suspect_reason(name: str, node_id: int, why: str) -> Reason:
-    """An axis of a cell with a load, at which the last run ended."""
+    """The reason of an axis at which the last run ended beside a load."""
     return Reason(
         "axis_suspect",
         f"the last run ended at axis {name} (node {node_id}), beside a load or under one ({why}): what was "
@@ -271,7 +271,7 @@ def suspect_reason(name: str, node_id: int, why: str) -> Reason:
 
 
 def remembered(config: CellConfig, memory: HoldMemory) -> tuple[Reason, ...]:
-    """What the memory alone says: axes left energised and not seen off since; axes under suspicion."""
+    """Reasons by the memory alone: axes left energised and not seen off since; axes under suspicion."""
     found = []
     for axis in config.axes:
         seen = memory.of_node(axis.node_id)
@@ -304,7 +304,7 @@ def _late(axis: AxisConfig, seen: Seen) -> bool:
 def settle(
     holdings: Sequence[AxisHolding], loaded: Sequence[bool], weights: Sequence[int], memory: HoldMemory
 ) -> None:
-    """What the torque at rest said: from now on it is known which axes are loaded.
+    """Note which axes are loaded, as the torque at rest said.
 
     ``weights``: thousandths of rated torque that hold each axis.
     """

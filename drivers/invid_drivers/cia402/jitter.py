@@ -7,14 +7,14 @@ BUCKETS = 24
 
 
 class Jitter:
-    """Lateness of SYNC against its slot."""
+    """Histogram of how late SYNC was against its slot."""
 
     def __init__(self) -> None:
         self.counts = [0] * BUCKETS
         self.worst_s = 0.0
 
     def add(self, seconds: float) -> None:
-        """One SYNC."""
+        """Count the lateness of one SYNC."""
         if seconds > self.worst_s:
             self.worst_s = seconds
         bucket = int(seconds * 1e6).bit_length() if seconds > 0 else 0
@@ -35,5 +35,5 @@ class Jitter:
         return found
 
     def to_json(self) -> dict[str, int]:
-        """Counts by upper bound."""
+        """Counts by their upper bound."""
         return {f"{1 << b} us": n for b, n in enumerate(self.counts) if n}

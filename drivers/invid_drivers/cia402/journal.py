@@ -46,7 +46,7 @@ class Journal:
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """In the order written."""
+        """All entries, in the order written."""
         return tuple(self._entries)
 
     def of_node(self, node_id: int) -> tuple[Entry, ...]:
@@ -65,20 +65,20 @@ class Journal:
         self.add(entry)
 
     def settle(self) -> None:
-        """What was noted is on disk; BusError where it is not."""
+        """Wait until what was noted is on disk; BusError where it is not."""
         self._disk.settle()
 
     def release(self) -> None:
-        """The bus is free for the next."""
+        """Give the bus free for the next process."""
         if self.reservation is not None:
             self.reservation.release()
 
     def forget(self, node_id: int) -> None:
-        """A node is as it was."""
+        """Drop the entries of a node that is as it was."""
         self.keep(node_id, ())
 
     def keep(self, node_id: int, entries: Collection[Entry]) -> None:
-        """Of a node, only these entries are not undone yet."""
+        """Drop the entries of a node but for these, which are not undone yet."""
         kept = set(map(id, entries))  # a value may be written twice: equal entries are two
         self._entries = [e for e in self._entries if e.node_id != node_id or id(e) in kept]
         if self.path is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from invid.config import CellConfig
 from invid_drivers.cia402 import objects as od
@@ -63,10 +63,6 @@ class Limit:
     """[N·m, rad, rad/s; N, m, m/s]"""
     source: str
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {"value": self.value, "source": self.source}
-
 
 def tightest(first: Limit, others: Sequence[Limit]) -> Limit:
     """The smallest; of equal ones the first, which is the config's."""
@@ -81,14 +77,6 @@ class EffectiveLimits:
     position: Limit
     """Distance from where the axis stands, the smaller of both sides."""
     velocity: Limit
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "torque": self.torque.to_json(),
-            "position": self.position.to_json(),
-            "velocity": self.velocity.to_json(),
-        }
 
 
 def distance_to_edge(here: int, low: int, high: int) -> int:
@@ -106,12 +94,12 @@ class Reported(Protocol):
 
     @property
     def axis(self) -> str:
-        """Its name."""
+        """Name of the axis."""
         ...
 
     @property
     def limits(self) -> EffectiveLimits:
-        """The tightest of drive, config and EDS."""
+        """The tightest limits of drive, config and EDS."""
         ...
 
 

@@ -23,14 +23,14 @@ EVERY_CYCLES = 2
 
 
 def download(what: Object, value: int) -> bytes:
-    """An expedited SDO write (CiA 301)."""
+    """Bytes of an expedited SDO write (CiA 301)."""
     data = what.pack(value)
     head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, what.index, what.sub)
     return (head + data).ljust(8, b"\0")
 
 
 def upload(what: Object) -> bytes:
-    """An SDO read (CiA 301)."""
+    """Bytes of an SDO read (CiA 301)."""
     return struct.pack("<BHB", 0x40, what.index, what.sub).ljust(8, b"\0")
 
 
@@ -47,11 +47,11 @@ class SettingWrite:
         """What the drive refused."""
 
     def request(self, now: float, counts: int) -> bytes | None:
-        """The request, until it is answered."""
+        """The request to send; ``None`` once it is answered."""
         return None if self.done else download(self._what, self._value)
 
     def answered(self, data: bytes, now: float) -> None:
-        """An SDO answer of the drive."""
+        """Take in an SDO answer of the drive."""
         named = len(data) == 8 and data[1:4] == struct.pack("<HB", self._what.index, self._what.sub)
         if len(data) == 8 and data[0] == 0x80 and (named or not any(data[1:4])):
             self.refused = f"SDO abort 0x{int.from_bytes(data[4:8], 'little'):08X}"
@@ -60,14 +60,14 @@ class SettingWrite:
             self.done = True
 
     def failure(self, now: float) -> str | None:
-        """Why it will not come about; ``None`` while it may."""
+        """Why the write will not come about; ``None`` while it may."""
         if now < self._deadline:
             return None
         return f"the drive does not answer ({self._what.address}) for {CHANGE_S:g} s"
 
 
 class ModeChange:
-    """One axis on its way: its place as target where it is to be held, 0x6060, then 0x6061 until it shows."""
+    """A change of mode: where the axis is to be held its place as target, then 0x6060, then 0x6061."""
 
     def __init__(self, operation: OperationMode, began: float, *, held: bool, taken: bool = False) -> None:
         """``held``: at its place; ``taken``: 0x6060 is set, and 0x6061 is to show it."""
@@ -90,7 +90,7 @@ class ModeChange:
         return not self._steps
 
     def request(self, now: float, counts: int) -> bytes | None:
-        """The next request; ``None`` where none is due. ``counts``: where the axis is."""
+        """The next request to send; ``None`` where none is due. ``counts``: where the axis is."""
         if self.done or now < self._next:
             return None
         step = self._steps[0]
@@ -99,7 +99,7 @@ class ModeChange:
         return download(step, counts if step is od.TARGET_POSITION else int(self.operation))
 
     def answered(self, data: bytes, now: float) -> None:
-        """An SDO answer of the drive; of another object it is not this one's."""
+        """Take in an SDO answer of the drive; one of another object is not for this change."""
         if self.done or len(data) != 8:
             return
         step = self._steps[0]
@@ -116,7 +116,7 @@ class ModeChange:
             self._steps.pop(0)
 
     def failure(self, now: float) -> str | None:
-        """Why it will not come about; ``None`` while it may."""
+        """Why the change will not come about; ``None`` while it may."""
         if self.refused is not None:
             why = self.refused
         elif now < self._deadline:

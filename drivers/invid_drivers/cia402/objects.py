@@ -102,21 +102,16 @@ OFFSET_MAP = (CONTROLWORD, TORQUE_OFFSET)
 TPDO_MAP = (POSITION, TORQUE, STATUSWORD)
 
 
-def rpdo_communication(number: int, sub: int) -> Object:
-    """0x1400 + number − 1."""
-    return Object(0x13FF + number, sub, "I" if sub == 1 else "B", f"RPDO {number} communication")
+_FIRST = {"RPDO": (0x1400, 0x1600), "TPDO": (0x1800, 0x1A00)}
+"""Communication and mapping object of the first PDO of a kind."""
 
 
-def rpdo_mapping(number: int, sub: int) -> Object:
-    """0x1600 + number − 1."""
-    return Object(0x15FF + number, sub, "I" if sub else "B", f"RPDO {number} mapping")
+def pdo_communication(kind: str, number: int, sub: int) -> Object:
+    """Communication object of a PDO, counted from 1."""
+    index = _FIRST[kind][0] + number - 1
+    return Object(index, sub, "I" if sub == 1 else "B", f"{kind} {number} communication")
 
 
-def tpdo_communication(number: int, sub: int) -> Object:
-    """0x1800 + number − 1."""
-    return Object(0x17FF + number, sub, "I" if sub == 1 else "B", f"TPDO {number} communication")
-
-
-def tpdo_mapping(number: int, sub: int) -> Object:
-    """0x1A00 + number − 1."""
-    return Object(0x19FF + number, sub, "I" if sub else "B", f"TPDO {number} mapping")
+def pdo_mapping(kind: str, number: int, sub: int) -> Object:
+    """Mapping object of a PDO, counted from 1."""
+    return Object(_FIRST[kind][1] + number - 1, sub, "I" if sub else "B", f"{kind} {number} mapping")

@@ -48,7 +48,7 @@ WATCHED = {
 
 
 class Protection:
-    """What one drive does by itself, whatever becomes of the master."""
+    """Reads and writes what one drive does by itself, whatever becomes of the master."""
 
     def __init__(self, drive: Access, heartbeat_s: float) -> None:
         self._drive = drive
@@ -116,7 +116,7 @@ class Protection:
         return found
 
     def _require_shipped_zero(self, what: Object, warnings: list[str]) -> None:
-        """A limit of 0 is raised only where nobody commissioned it, and the config says so."""
+        """Raise a limit of 0 only where nobody commissioned it and the config says so; else DriveError."""
         drive = self._drive
         declared = None if drive.declared is None else drive.declared.find(what.index, what.sub)
         shipped = what.address in drive.vendor.zero_as_shipped or (
@@ -176,7 +176,7 @@ class Protection:
         return found
 
     def _per_velocity(self, scaling: Scaling) -> float:
-        """Velocity of one in 0x607F."""
+        """Velocity [rad/s or m/s] of one unit of 0x607F."""
         drive = self._drive
         if drive.vendor.velocity_in_rpm:
             return (1.0 if drive.linear else 2 * math.pi) / 60
@@ -266,16 +266,15 @@ class Protection:
         return free
 
     def heartbeat_lacks(self) -> list[str]:
-        """What of the master's death the drive would not notice; DriveError where it must."""
+        """Where the drive would not notice the master's death, in words; DriveError where it must notice."""
         drive = self._drive
         entry = self._heartbeat_entry()
         if entry is None:
             if not drive.config.allow_missing_heartbeat:
                 raise DriveError(
-                    f"{drive.who}: every entry of 0x1016 watches another node, none is free to watch "
-                    "this computer: if it dies, the axis keeps its last torque. Free one with the drive's "
-                    "tool, or, where another device stops the axis then, set allow_missing_heartbeat: "
-                    "true for it"
+                    f"{drive.who}: every entry of 0x1016 watches another node, none is free to watch this "
+                    "computer: if it dies, the axis keeps its last torque. Free one with the drive's tool, "
+                    "or, where another device stops the axis then, set allow_missing_heartbeat: true for it"
                 )
             return ["0x1016 consumer heartbeat: every entry watches another node, none this master"]
         node, ms = watched(entry[1])
@@ -306,7 +305,7 @@ class Protection:
         return stopping_facts(drive, scaling, stop, stays=stays, watch_ms=watch_ms, timer_ms=timer_ms)
 
     def write(self, scaling: Scaling, limits: EffectiveLimits) -> None:
-        """Never less than the drive has; what turned out not to be writable is in ``notes``."""
+        """Write the limits, never less than the drive has; those it does not take are in ``notes``."""
         drive = self._drive
         self.notes = ()
         entry = None if drive.find(od.CONSUMER_HEARTBEAT) is None else self._heartbeat_entry()
@@ -332,7 +331,7 @@ class Protection:
                 self.notes += (f"axis {drive.name}: {_only_the_master(what, found, wanted)}",)
 
     def _write_quick_stop_option(self) -> None:
-        """Stop on the ramp, then stay or switch off; another way to stay does as well."""
+        """Write 0x605A: stop on the ramp, then stay or switch off; another way to stay does as well."""
         drive, what, wanted = self._drive, od.QUICK_STOP_OPTION, self.quick_stop_option
         found = drive.find(what)
         if found is None or (wanted == STAY and found in STAYING):
@@ -345,7 +344,7 @@ class Protection:
             self.notes += (f"axis {drive.name}: {what.address} is {found} and cannot be written",)
 
     def _write_ramp(self, scaling: Scaling, limits: EffectiveLimits) -> None:
-        """The deceleration of the quick stop that was stated before."""
+        """Write the deceleration of the quick stop that was stated before."""
         _, stop = self._stop(scaling, limits)
         if stop.write is None:
             return

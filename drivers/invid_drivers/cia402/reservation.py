@@ -80,7 +80,7 @@ class Reservation:
         self._held = held
 
     def release(self) -> None:
-        """Safe to call twice."""
+        """Give the bus free; safe to call twice."""
         held, self._held = self._held, None
         if isinstance(held, int):
             os.close(held)

@@ -66,7 +66,7 @@ def same(a: bytes, b: bytes) -> bool:
 
 
 def _together(e: Entry) -> int | Address:
-    """0x1400 and 0x1600 (0x1800 and 0x1A00) are one PDO: its map only changes while it is off."""
+    """Key of entries that are undone together: those of one PDO and its map, or of one object."""
     return e.index & 0xFDFF if 0x1400 <= e.index <= 0x1BFF else (e.index, e.sub)
 
 
@@ -145,7 +145,7 @@ def _said_of_others(drive: Access, entries: tuple[Entry, ...]) -> tuple[str, ...
 
 
 def _undo(drive: Access, group: Group) -> tuple[str, tuple[Entry, ...]]:
-    """What to say of a group and what of it stays in the journal."""
+    """Write back what a group stood at before; return what to say of it and what stays in the journal."""
     if group.verdict is Verdict.UNDO:
         for n, step in enumerate(group.undo):
             try:

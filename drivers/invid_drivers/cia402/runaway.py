@@ -1,4 +1,4 @@
-"""What is watched while the drives do their quick stop."""
+"""Which axes run away or fall silent while the drives do their quick stop."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class RunawayGuard:
         self._quiet = [0] * count
 
     def silent(self, sample: Sample) -> list[int]:
-        """Axes that have said nothing for three samples."""
+        """Axes that have not answered for three samples."""
         for i, fresh in enumerate(sample.fresh):
             self._quiet[i] = 0 if fresh else self._quiet[i] + 1
         return [i for i, n in enumerate(self._quiet) if n >= 3]

@@ -165,7 +165,7 @@ def _rated(drive: Access, warnings: list[str]) -> float:
 
 
 def _compare_limit(drive: Access, rated: float, warnings: list[str]) -> None:
-    """A torque limit in another unit, or of another motor, would be believed by nobody who reads it."""
+    """Refuse a torque limit that cannot be commanded, question one far above the rated torque."""
     limit = drive.config.limits.torque
     key, unit = ("force_N", "N") if drive.linear else ("torque_Nm", "N·m")
     said = f"{drive.who}: limits.{key} is {limit:g}, {limit / rated:.3g} times the rated {rated:g} {unit}"

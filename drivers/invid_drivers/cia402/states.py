@@ -20,12 +20,12 @@ class DriveState(IntEnum):
 
     @property
     def words(self) -> str:
-        """For messages."""
+        """Name of the state for messages."""
         return self.name.replace("_", " ").lower()
 
 
 class OperationMode(IntEnum):
-    """0x6060 and 0x6061."""
+    """Modes of operation, as in 0x6060 and 0x6061."""
 
     PROFILE_TORQUE = 4
     CYCLIC_POSITION = 8
@@ -33,7 +33,7 @@ class OperationMode(IntEnum):
 
     @property
     def supported_bit(self) -> int:
-        """Bit of 0x6502."""
+        """Bit of the mode in 0x6502."""
         return 1 << (self - 1)
 
 

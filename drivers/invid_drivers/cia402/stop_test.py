@@ -80,7 +80,7 @@ class StopTest:
         return bool(brakes or stops)
 
     def _await_rest(self, axes: Sequence[int]) -> None:
-        """What an axis does that moved before the test says nothing of its brake or drive."""
+        """Wait until axes rest: one that moved before the test says nothing of its brake or drive."""
         standing, sample = Standstill(self._still), self._exchange()
         end = sample.time + SETTLE_S
         while not standing.all(sample, axes):
@@ -94,7 +94,7 @@ class StopTest:
 
     # --- brakes --------------------------------------------------------------------------------
     def _try_brakes(self, axes: Sequence[int]) -> None:
-        """Voltage off, and the last motion after it."""
+        """Switch the drives off and measure when and how far each axis moved last."""
         sample = self._exchange()
         start, began = list(sample.position), sample.time
         place, moved_at = list(start), [began] * len(start)
@@ -125,7 +125,7 @@ class StopTest:
 
     # --- drives --------------------------------------------------------------------------------
     def _try_stop(self, axes: Sequence[int]) -> None:
-        """Quick stop, silence, back, silence, back; the other axes are off during the silences."""
+        """Try quick stop, silence, back, silence, back; the other axes are off during the silences."""
         others = [i for i in range(len(self._drives)) if i not in axes]
         start = list(self._exchange().position)
         for i in axes:
@@ -146,7 +146,7 @@ class StopTest:
         self._enable(others)
 
     def _watch(self, seconds: float, axes: Sequence[int], start: Sequence[float], when: str) -> None:
-        """Each axis stays in quick stop active and in place; SafetyStop where one does not.
+        """Watch that each axis stays in quick stop active and in place; SafetyStop where one does not.
 
         Each is judged by an answer of its own after that time: one that was late says nothing about its hold.
         """
@@ -169,7 +169,7 @@ class StopTest:
             raise BusError(f"axis {names}: no answer for {ANSWER_S:g} s {when}, in the stop test")
 
     def _require_power(self, sample: Sample, axes: Sequence[int], when: str) -> None:
-        """A drive that lets go is seen in the cycle in which it does, before its load has got anywhere."""
+        """Catch a drive that lets go in the cycle in which it does, before its load has got anywhere."""
         for i in axes:
             state = state_of(sample.status[i])
             if sample.fresh[i] and not is_energised(state):
@@ -177,7 +177,7 @@ class StopTest:
                 self._lets_go(i, f"{when} its drive is in {state.words}")
 
     def _catch(self, axis: int) -> None:
-        """Enabled again at once, where it stood, and held until the load is seen to be supported.
+        """Enable an axis again where it stood, and hold it until its load is seen to be supported.
 
         The sign of that is the torque that holds it falling to what an axis without load takes. Whoever does
         not support it in time has a load that nothing holds.
@@ -247,7 +247,7 @@ class StopTest:
         return [i for i, s in zip(axes, known, strict=True) if s is not None and not is_energised(s)]
 
     def _state_of(self, axis: int) -> DriveState:
-        """By SDO; BusError where no answer comes, which says nothing of its hold."""
+        """State of a drive by SDO; BusError where no answer comes, which says nothing of its hold."""
         end = self._link.clock.now() + ANSWER_S
         while self._link.clock.now() < end:
             state = self._drives[axis].quiet_state()
@@ -260,7 +260,7 @@ class StopTest:
 
     # --- back ----------------------------------------------------------------------------------
     def _resume(self, axes: Sequence[int]) -> None:
-        """Transition 16, position mode and present place first."""
+        """Go back to operation by transition 16, position mode and present place first."""
         self._hold_here(axes)
         for i in axes:
             self._cycle.control[i] = states.ENABLE_OPERATION
@@ -276,7 +276,7 @@ class StopTest:
             )
 
     def _enable(self, axes: Sequence[int]) -> None:
-        """Axes that were switched off, or are in quick stop active, enabled and held where they stand."""
+        """Enable axes that are off or in quick stop active, held where they stand."""
         if not axes:
             return
         self._hold_here(axes)

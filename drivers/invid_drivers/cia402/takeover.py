@@ -71,14 +71,15 @@ def require_ours(drive: Drive, holding: AxisHolding) -> None:
 
 def _is_mapped(drive: Drive) -> bool:
     """Whether PDO 1 both ways is as ``map_pdos`` leaves it."""
-    for communication, mapping, wanted, cob in (
-        (od.rpdo_communication, od.rpdo_mapping, od.RPDO_MAP, 0x200 + drive.node_id),
-        (od.tpdo_communication, od.tpdo_mapping, od.TPDO_MAP, 0x180 + drive.node_id),
+    for kind, wanted, cob in (
+        ("RPDO", od.RPDO_MAP, 0x200 + drive.node_id),
+        ("TPDO", od.TPDO_MAP, 0x180 + drive.node_id),
     ):
-        if (drive.find(communication(1, 1)) or 0) & 0xBFFFFFFF != cob:
+        if (drive.find(od.pdo_communication(kind, 1, 1)) or 0) & 0xBFFFFFFF != cob:
             return False
-        if drive.find(mapping(1, 0)) != len(wanted):
+        if drive.find(od.pdo_mapping(kind, 1, 0)) != len(wanted):
             return False
-        if any(drive.find(mapping(1, n)) != what.mapping for n, what in enumerate(wanted, start=1)):
+        shown = (drive.find(od.pdo_mapping(kind, 1, n)) for n in range(1, len(wanted) + 1))
+        if any(found != what.mapping for found, what in zip(shown, wanted, strict=True)):
             return False
     return True

@@ -23,7 +23,7 @@ IN_TIME = "the way that the axis needs to come to rest"
 
 
 def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared, dict[str, Any]]:
-    """Config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
+    """Check config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
 
     ``cleared``: axes at which an earlier run ended and of which a person has found the cause.
 
@@ -73,7 +73,7 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared
                 "velocity": a.limits.velocity,
                 "hold": a.hold.mode,
                 "sources": {
-                    **{what: limit["source"] for what, limit in r.limits.to_json().items()},
+                    **{what: limit["source"] for what, limit in asdict(r.limits).items()},
                     **({"velocity": IN_TIME} if b.permitted < b.case.velocity else {}),
                 },
             }
@@ -104,8 +104,8 @@ def _text(config: CellConfig, within: Prepared, document: dict[str, Any]) -> str
         lines.append(
             f"  {drive['axis']}: node {drive['node_id']}, {drive['torque_mode'].replace('_', ' ')}, rated "
             f"{drive['rated_torque']:g} {torque}, one count is {drive['position_per_count']:.3g} {unit}; "
-            "limits "
-            f"{limit['torque']:g} {torque}, ±{limit['position']:g} {unit}, {limit['velocity']:g} {unit}/s"
+            f"limits {limit['torque']:g} {torque}, ±{limit['position']:g} {unit}, {limit['velocity']:g} "
+            f"{unit}/s"
         )
         lines += [f"    {what} limited by {source}" for what, source in limit["sources"].items()]
         lines += [f"    lacks {what}" for what in drive["lacks"]]

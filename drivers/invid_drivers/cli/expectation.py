@@ -22,7 +22,7 @@ NOTHING = (
 
 
 def belief_of(config: CellConfig, model: Path | None) -> Belief | None:
-    """The last model, or a guess that says so; ``None`` where there is nothing to guess from."""
+    """The plant by the last model, or a guess that says so; ``None`` where there is nothing to guess from."""
     if model is None:
         return guess(config)
     return from_model(load_model(model), config, source=f"the model {model}")
@@ -52,7 +52,7 @@ def expectation(config: CellConfig, plan: Plan, belief: Belief | None, noise: No
 
 
 def expected_text(found: Expected, *, linear: bool) -> str:
-    """Expected standard deviations for a person."""
+    """Expected standard deviations as text for a person."""
     unit = units(linear)
     of = {
         "mass": unit["mass"],

@@ -43,7 +43,7 @@ def quiet_link(bus: can.BusABC) -> Link:
 
 
 def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
-    """Who answers on a link."""
+    """The nodes that answer on a link, and what each says of itself."""
     link.answer_s = ANSWER_S
     found = []
     for node_id in range(first, last + 1):
@@ -116,10 +116,9 @@ def register(app: typer.Typer) -> None:
             note(f"warning: {sentence}")
         note(f"asking node ids 1…127 on {interface} {channel}")
         probe = parse_config(
-            "format: invid-config\nrobot: scan\n"
-            f"bus: {{interface: '{interface}', channel: '{channel}', bitrate_bit_per_s: {bitrate}}}\n"
-            "axes: [{name: A1, node_id: 1, "
-            "limits: {torque_Nm: 1, position_window_rad: 1, velocity_rad_per_s: 1}}]\n",
+            f"format: invid-config\nrobot: scan\nbus: {{interface: '{interface}', channel: '{channel}', "
+            f"bitrate_bit_per_s: {bitrate}}}\naxes: [{{name: A1, node_id: 1, limits: {{torque_Nm: 1, "
+            "position_window_rad: 1, velocity_rad_per_s: 1}}]\n",
             source="scan",
         )
         reservation = Reservation(interface, channel)

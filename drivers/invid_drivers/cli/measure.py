@@ -29,6 +29,7 @@ from invid_drivers.goal import Reached, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, ask_drives, measure_to_file
 from invid_drivers.rescreening import screen_cell, screening_plan
 from invid_drivers.stop_flag import StopFlag
+from invid_drivers.stopping_budgets import Wish
 from invid_drivers.timing import timing_of
 
 STDERR = 2
@@ -61,20 +62,22 @@ def stop_on_signals() -> Iterator[threading.Event]:
             before[number] = signal.signal(number, ask)
     try:
         yield stop
+    except KeyboardInterrupt:
+        raise SafetyStop("stopped at once on request; the drives were told to switch off") from None
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
 class ProgressLine:
-    """A line on stderr for every phase and every five seconds of robot time."""
+    """Prints a line on stderr for every phase and every five seconds of robot time."""
 
     def __init__(self) -> None:
         self._phase = ""
         self._eta = float("inf")
 
     def __call__(self, progress: Progress) -> None:
-        """Show where it is."""
+        """Print the line where one is due."""
         if progress.phase == self._phase and self._eta - progress.eta_s < 5.0:
             return
         self._phase, self._eta = progress.phase, progress.eta_s
@@ -85,7 +88,7 @@ class ProgressLine:
 
 
 def plan_text(plan: Plan, robot: str) -> str:
-    """A dry run for a person."""
+    """The plan as text for a person: experiments, torque, travel, velocity, power."""
     lines = [
         f"{robot}: {len(plan.experiments)} experiments, {plan.duration_s:.0f} s of robot time; "
         f"bus load {plan.budget.load:.0%} of at most {plan.budget.max_load:.0%}",
@@ -119,7 +122,7 @@ def plan_text(plan: Plan, robot: str) -> str:
 
 
 def budget_lines(budgets: Sequence[StoppingBudget], *, linear: bool) -> list[str]:
-    """How each axis comes to rest, for a person."""
+    """Lines for a person on how each axis comes to rest."""
     if not budgets:
         return []
     head = "  to rest, beyond the window, at most:"
@@ -127,7 +130,7 @@ def budget_lines(budgets: Sequence[StoppingBudget], *, linear: bool) -> list[str
 
 
 def result_text(result: MeasurementResult) -> str:
-    """A finished measurement for a person."""
+    """A finished measurement as text for a person."""
     lines = [
         f"{result.path}: {result.duration_s:.0f} s of robot time, {result.outcome}"
         + (" (simulated: no hardware moved)" if result.simulated else "")
@@ -195,8 +198,36 @@ def parse_goal(text: str) -> float:
     return value
 
 
+def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, noise: Noise, *, as_json: bool) -> int:
+    """Print the dry run of a plan, within what the drives that are there leave."""
+    plan, cell, budgets, limited = ask_drives(
+        cell, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model
+    )
+    found, timing = expectation(cell, plan, belief, noise), timing_of(cell)
+    beyond = [*limited, *timing.warnings(plan)]
+    document = {
+        "dry_run": True,
+        "robot": cell.robot,
+        "simulated": cell.simulated,
+        **plan.to_json(),
+        "budgets": [b.to_json() for b in budgets],
+        "expected": None if found is None else found.to_json(),
+        "timing": timing.to_json(),
+    }
+    document["warnings"] = [*document["warnings"], *beyond]
+    shown = [
+        plan_text(plan, cell.robot),
+        *budget_lines(budgets, linear=cell.linear),
+        f"  {timing.text()}",
+        *(f"  note: {w}" for w in beyond),
+        f"  note: {NOTHING}" if found is None else expected_text(found, linear=cell.linear),
+    ]
+    emit(document, "\n".join(shown), as_json=as_json)
+    return EXIT_OK
+
+
 def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
-    """A dry run of a goal: 3 where it is not expected to be reached."""
+    """Print the dry run of a goal; return 3 where it is not expected to be reached."""
     timing = timing_of(cell)
     document = {
         "dry_run": True,
@@ -216,7 +247,7 @@ def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
 
 
 def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) -> int:
-    """Measure to the goal: 3 where the measured covariance did not reach it."""
+    """Measure to the goal; return 3 where the measured covariance did not reach it."""
     note(f"invid measure: {design.sentence}")
 
     def tell(found: Reached) -> None:
@@ -224,10 +255,7 @@ def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) 
         note(f"  after {found.blocks} block{'s' * (found.blocks > 1)}: {worst}")
 
     with stop_on_signals() as stop:
-        try:
-            result, found = measure_to_goal(cell, design, out, progress=ProgressLine(), stop=stop, tell=tell)
-        except KeyboardInterrupt:
-            raise SafetyStop("stopped at once on request; the drives were told to switch off") from None
+        result, found = measure_to_goal(cell, design, out, progress=ProgressLine(), stop=stop, tell=tell)
     there = found.meets(design.goal)
     sentence = (
         f"goal of {design.goal:.2g} reached after {found.blocks} of {len(design.plan.experiments)} blocks: "
@@ -255,22 +283,19 @@ def run_screening(
     *,
     as_json: bool,
 ) -> int:
-    """Screen and measure again what changed: 3 where the record cannot tell or the goal was not reached."""
+    """Screen, measure again what changed; return 3 where nothing can be told or the goal was missed."""
     with stop_on_signals() as stop:
-        try:
-            found = screen_cell(
-                cell,
-                model,
-                out,
-                noise=noise,
-                goal=goal,
-                max_duration_s=max_duration_s,
-                progress=ProgressLine(),
-                stop=stop,
-                tell=lambda text: note(f"invid measure: {text}"),
-            )
-        except KeyboardInterrupt:
-            raise SafetyStop("stopped at once on request; the drives were told to switch off") from None
+        found = screen_cell(
+            cell,
+            model,
+            out,
+            noise=noise,
+            goal=goal,
+            max_duration_s=max_duration_s,
+            progress=ProgressLine(),
+            stop=stop,
+            tell=lambda text: note(f"invid measure: {text}"),
+        )
     lines = [result_text(found.result), f"  {found.screening.sentence}"]
     document = {**found.result.to_json(), "screening": found.to_json()}
     code = EXIT_OK
@@ -394,46 +419,20 @@ def register(app: typer.Typer) -> None:
             confirm(cell, confirmed=confirmed)
             return run_design(cell, design, out, as_json=as_json)
         if dry_run:
-            plan, cell, budgets, limited = ask_drives(
-                cell, axes=chosen, amplitude_scale=amplitude, model=known
+            return tell_plan(
+                cell, Wish(chosen, amplitude, known), belief, noise_of(cell, noise_from), as_json=as_json
             )
-            found = expectation(cell, plan, belief, noise_of(cell, noise_from))
-            timing = timing_of(cell)
-            document = {
-                "dry_run": True,
-                "robot": cell.robot,
-                "simulated": cell.simulated,
-                **plan.to_json(),
-                "budgets": [b.to_json() for b in budgets],
-                "expected": None if found is None else found.to_json(),
-                "timing": timing.to_json(),
-            }
-            beyond = [*limited, *timing.warnings(plan)]
-            document["warnings"] = [*document["warnings"], *beyond]
-            said = f"  note: {NOTHING}" if found is None else expected_text(found, linear=cell.linear)
-            shown = [
-                plan_text(plan, cell.robot),
-                *budget_lines(budgets, linear=cell.linear),
-                f"  {timing.text()}",
-                *(f"  note: {w}" for w in beyond),
-                said,
-            ]
-            emit(document, "\n".join(shown), as_json=as_json)
-            return EXIT_OK
         out = _required(out)
         confirm(cell, confirmed=confirmed)
         with stop_on_signals() as stop:
-            try:
-                result = measure_to_file(
-                    cell,
-                    out,
-                    axes=chosen,
-                    amplitude_scale=amplitude,
-                    progress=ProgressLine(),
-                    stop=stop,
-                    model=known,
-                )
-            except KeyboardInterrupt:
-                raise SafetyStop("stopped at once on request; the drives were told to switch off") from None
+            result = measure_to_file(
+                cell,
+                out,
+                axes=chosen,
+                amplitude_scale=amplitude,
+                progress=ProgressLine(),
+                stop=stop,
+                model=known,
+            )
         emit(result.to_json(), result_text(result), as_json=as_json)
         return EXIT_OK

@@ -51,7 +51,7 @@ class Brake:
         self._show()
 
     def follow(self, energised: bool) -> None:
-        """The drive gives torque, or gives none any more."""
+        """Open or close as the drive gives torque, or gives none any more."""
         if energised is self._energised:
             return
         self._energised = energised
@@ -64,7 +64,7 @@ class Brake:
         self._show()
 
     def prop(self) -> None:
-        """Somebody puts the prop under the load again, until the drive is enabled next."""
+        """Put the prop under the load again, until the drive is enabled next."""
         self._propped = self._prop > 0.0
         self._show()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,6 @@ from invid.config.schema import AxisConfig, CellConfig
 from invid.errors import ConfigError
 from invid.numerics.arrays import Float64
 from invid_drivers.simulated import kernel
-from invid_drivers.simulated.behaviour import Behaviour
 from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
 from invid_drivers.simulated.drive import Drive, Scales
@@ -29,7 +29,7 @@ from invid_drivers.simulated.node import Handler, Node
 from invid_drivers.simulated.object_dictionary import Nameplate, drive_dictionary
 from invid_drivers.simulated.plant import Plant
 from invid_drivers.simulated.structure import build_structure
-from invid_drivers.simulated.vendors import PROFILES, Profile
+from invid_drivers.simulated.vendors import PROFILES
 
 NEVER = 1 << 62
 _NS = 1_000_000_000
@@ -112,11 +112,10 @@ class SimulatedCell:
         linear = self.config.motion == "linear"
         objects = settings.objects
         known = PROFILES[objects.profile]
-        profile = Profile(
+        profile = replace(
+            known,
             lacks=known.lacks | {int(name, 0) for name in objects.lacks},
             values={**known.values, **{_address(k): v for k, v in objects.values.items()}},
-            rpdos=known.rpdos,
-            tpdos=known.tpdos,
             dummy_mapping=known.dummy_mapping if objects.dummy_mapping is None else objects.dummy_mapping,
         )
         rated = settings.rated_torque or axis.rated_torque or 100.0
@@ -159,23 +158,19 @@ class SimulatedCell:
             node,
             self.plant,
             brake,
-            Scales(rated, counts_per_unit, axis.direction, linear, known.velocity_in_rpm),
-            Behaviour(
+            Scales(
+                rated,
+                counts_per_unit,
+                axis.direction,
+                linear,
+                known.velocity_in_rpm,
                 # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
                 gains=(motor * bandwidth**2, 1.4 * motor * bandwidth),
                 cycle_s=self.config.bus.cycle_s,
-                delay_cycles=settings.command_delay_cycles,
-                lag_cycles=settings.actual_torque_lag_cycles,
-                limits_in_torque_mode=settings.limits_in_torque_mode,
-                enable_ns=round(settings.enable_s * _NS),
-                mode_change_ns=round(settings.mode_change_s * _NS),
-                mode_display_ns=round(settings.mode_display_s * _NS),
-                mode_shown_enabled=settings.mode_shown_enabled,
-                mode_from_switched_on=settings.mode_from_switched_on,
-                sync_timeout_ns=round(settings.sync_timeout_s * _NS),
                 ramp_counts=ramp_counts,
                 own_ramp=ramps[1],
             ),
+            settings,
         )
         node.application = drive
         command = self.plant.command[row]
@@ -232,7 +227,7 @@ class SimulatedCell:
 
     # --- host of the nodes ---------------------------------------------------------------------
     def emit(self, node: Node, can_id: int, data: bytes, delay_ns: int = 0) -> None:
-        """A node sends."""
+        """Put a frame of a node on the bus, with the faults that are at work on it."""
         if node.silent:
             return
         self.frames_out += 1
@@ -243,7 +238,7 @@ class SimulatedCell:
             self.transmit(can_id, data, delay_ns)
 
     def hear(self, can_id: int, data: bytes) -> None:
-        """A frame of somebody who is neither the master nor one of the cell's nodes."""
+        """Take in a frame of somebody who is neither the master nor one of the cell's nodes."""
         self.transmit(can_id, data, 0)
         if not self.loops_back:
             self.deliver(can_id, data, self.now_ns)
@@ -260,7 +255,7 @@ class SimulatedCell:
 
     # --- in from the bus -----------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes, now_ns: int) -> None:
-        """A frame from the master, complete on the wire at ``now_ns``."""
+        """Take in a frame from the master, complete on the wire at ``now_ns``."""
         self.now_ns = now_ns
         self.frames_in += 1
         if self.frame_faults:
@@ -334,7 +329,7 @@ class SimulatedCell:
         self.due_ns = timers[0][0] if timers else NEVER
 
     def _watchdog(self, now_ns: int) -> None:
-        """The drives' own control period: act where no SYNC has come."""
+        """Let the drives act by their own control period where no SYNC has come."""
         if now_ns - self._tick_ns >= _TICK_NS + _TICK_NS // 2:
             self._observe(now_ns)
             self._tick_ns = now_ns - _TICK_NS // 2  # next own tick one period from now

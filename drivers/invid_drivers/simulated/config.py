@@ -177,7 +177,7 @@ class AxisSimulation(Strict):
     """Longest gap between SYNCs in a cyclic mode before the drive's error 0x8700; 0: any."""
     sdo_response_s: float = Field(default=0.0002, ge=0, le=1)
     mode_change_s: float = Field(default=0.0, ge=0, le=10)
-    """From 0x6060 to the mode acting."""
+    """From 0x6060 to the mode acting; the old one acts meanwhile."""
     mode_display_s: float = Field(default=0.0, ge=0, le=10)
     """From the mode acting to 0x6061 showing it."""
     mode_shown_enabled: bool = False

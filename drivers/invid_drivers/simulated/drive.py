@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from invid.errors import ConfigError
 from invid_drivers.simulated import kernel
-from invid_drivers.simulated.behaviour import Behaviour
 from invid_drivers.simulated.brake import Brake
+from invid_drivers.simulated.config import AxisSimulation
 from invid_drivers.simulated.limits import Limits
 from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
@@ -24,6 +24,7 @@ _MODE_BITS = {PROFILE_TORQUE: 1 << 3, CYCLIC_POSITION: 1 << 7, CYCLIC_TORQUE: 1 
 _ENERGISED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 _MODE_STATES = (*_ENERGISED, State.SWITCHED_ON)
 
+_NS = 1_000_000_000
 _UNLIMITED = 0xFFFF
 """Thousandths: twice what 0x6071 can ask for."""
 
@@ -43,7 +44,15 @@ class Scales:
     direction: int
     """1, or −1 where it counts against the plant."""
     linear: bool
-    velocity_in_rpm: bool = False
+    velocity_in_rpm: bool
+    gains: tuple[float, float]
+    """Stiffness and damping of its position loop [N·m/rad, N·m·s/rad, or N/m, N·s/m]."""
+    cycle_s: float
+    """Of the bus: it interpolates targets over so long [s]."""
+    ramp_counts: float
+    """Counts/s² in one unit of 0x6084 and 0x6085."""
+    own_ramp: int
+    """Ramp of a drive that lacks 0x6084 or 0x6085, in their unit."""
 
 
 class Drive:
@@ -56,17 +65,22 @@ class Drive:
         plant: Plant,
         brake: Brake,
         scales: Scales,
-        behaviour: Behaviour,
+        settings: AxisSimulation,
     ) -> None:
         if scales.rated_torque <= 0 or scales.counts_per_unit <= 0:
             raise ConfigError("simulation: rated torque and encoder counts must be positive")
         self.node, self._plant, self.row = node, plant, row
         self.rated_torque, self.counts_per_unit = scales.rated_torque, scales.counts_per_unit
         self.direction, self.brake = scales.direction, brake
-        self._behaviour = behaviour
+        self._scales, self._settings = scales, settings
+        self._enable_ns, self._sync_timeout_ns = (
+            round(settings.enable_s * _NS),
+            round(settings.sync_timeout_s * _NS),
+        )
+        self._limits_in_torque_mode = settings.limits_in_torque_mode
         self._counts_per_rev = 0.0 if scales.linear else 2.0 * math.pi * scales.counts_per_unit
-        self._delay: deque[float] = deque([0.0] * behaviour.delay_cycles)
-        self._lag: deque[int] = deque([0] * behaviour.lag_cycles)
+        self._delay: deque[float] = deque([0.0] * settings.command_delay_cycles)
+        self._lag: deque[int] = deque([0] * settings.actual_torque_lag_cycles)
         self._command = plant.command[row]
         self.state = State.SWITCH_ON_DISABLED
         self.measured = [0, 0, 0, 0]
@@ -92,7 +106,6 @@ class Drive:
         self._e_following = entry(od, 0x60F4, "i")
         self._e_max_torque = entry(od, 0x6072, "H", 3000)
         od.guard(0x6060, 0, self._check_mode)
-        self._velocity_in_rpm = scales.velocity_in_rpm
         self.configured()
         self._torque_unit = scales.direction * scales.rated_torque / 1000.0
         self._limit = -1
@@ -124,19 +137,19 @@ class Drive:
 
     # --- life ----------------------------------------------------------------------------------
     def reset(self, now_ns: int) -> None:
-        """Power-on: nothing energised, no command remembered."""
+        """Return to power-on: nothing energised, no command remembered."""
         self._forget()
         self._enter(State.SWITCH_ON_DISABLED)
 
     def _check_mode(self, value: int) -> None:
         if value and not self._modes & _MODE_BITS.get(value, 0):
             raise SdoAbort(SdoAbort.RANGE)
-        if self._behaviour.mode_from_switched_on and self.state not in _MODE_STATES:
+        if self._settings.mode_from_switched_on and self.state not in _MODE_STATES:
             raise SdoAbort(SdoAbort.STATE)
 
     @property
     def _modes(self) -> int:
-        """0x6502; a drive that lacks it has its modes all the same."""
+        """Bits of 0x6502; a drive that lacks it has its modes all the same."""
         return self.node.od.number(0x6502, missing=sum(_MODE_BITS.values()))
 
     def _enter(self, state: State) -> None:
@@ -161,7 +174,7 @@ class Drive:
 
     # --- one step --------------------------------------------------------------------------------
     def tick(self, now_ns: int) -> None:
-        """Feedback, commands, modes, supervision, statusword."""
+        """Act on time gone by: feedback, commands, modes, supervision, statusword."""
         self._e_position.value, self._e_velocity.value, permille, _ = self.measured
         shown = self._lagged(permille) if self._lag else permille
         if self.torque_gain != 1.0:
@@ -187,7 +200,7 @@ class Drive:
         self.synchronous = False
 
     def _step(self, word: int, now_ns: int) -> None:
-        """A tick in which something may change."""
+        """Do a tick in which something may change."""
         if word != self._controlword:
             self._control(word, now_ns)
         if self._enable_due_ns is not None and now_ns >= self._enable_due_ns:
@@ -242,22 +255,22 @@ class Drive:
                 self._enable(now_ns)
 
     def _enable(self, now_ns: int) -> None:
-        """Transition 4, as fast as the drive is."""
-        if self._behaviour.enable_ns:
+        """Do transition 4, as fast as the drive is."""
+        if self._enable_ns:
             self._steady = False
-            self._enable_due_ns = now_ns + self._behaviour.enable_ns
+            self._enable_due_ns = now_ns + self._enable_ns
         else:
             self._enter(State.OPERATION_ENABLED)
 
     def _select_mode(self, now_ns: int) -> None:
         wanted = int(self._e_mode.value)
         if wanted != self._wanted_mode:
-            self._wanted_mode, self._mode_due_ns = wanted, now_ns + self._behaviour.mode_change_ns
+            self._wanted_mode, self._mode_due_ns = wanted, now_ns + round(self._settings.mode_change_s * _NS)
         if wanted != self.mode and now_ns >= self._mode_due_ns:
             self._steady = False
             if wanted == 0 or self._modes & _MODE_BITS.get(wanted, 0):
                 self.mode = wanted
-                self._shown_due_ns = now_ns + self._behaviour.mode_display_ns
+                self._shown_due_ns = now_ns + round(self._settings.mode_display_s * _NS)
                 self._target_counts = None
                 self._demand = 0.0
         if now_ns >= self._shown_due_ns:
@@ -265,12 +278,12 @@ class Drive:
 
     # --- modes -----------------------------------------------------------------------------------
     def _limit_torque(self, *, by_loop: bool) -> int:
-        """Put the limit in force into the plant's table; the limit in thousandths.
+        """Put the limit in force into the plant's table; return it in thousandths.
 
         ``by_loop``: the drive's own position loop asks for the torque, not the master.
         """
         limit = _UNLIMITED
-        if by_loop or self._behaviour.limits_in_torque_mode:
+        if by_loop or self._limits_in_torque_mode:
             limit = self._e_max_torque.value  # type: ignore[assignment]
         if limit != self._limit:
             self._limit = limit
@@ -323,7 +336,7 @@ class Drive:
     def _hold_here(self, speed: float = 0.0, deceleration: float = 0.0) -> None:
         command = self._command
         self._limit_torque(by_loop=True)
-        command[kernel.GAIN_P], command[kernel.GAIN_D] = self._behaviour.gains
+        command[kernel.GAIN_P], command[kernel.GAIN_D] = self._scales.gains
         command[kernel.POSITION] = self._here()
         command[kernel.VELOCITY] = speed
         command[kernel.DECELERATION] = deceleration
@@ -347,7 +360,7 @@ class Drive:
         if target != self._target_counts:
             self._target_counts = target
             goal = self.direction * target / self.counts_per_unit
-            steps = max(1.0, round(self._behaviour.cycle_s / self._plant.h))
+            steps = max(1.0, round(self._scales.cycle_s / self._plant.h))
             command[kernel.VELOCITY] = (goal - command[kernel.POSITION]) / (steps * self._plant.h)
             command[kernel.INTERPOLATE] = steps
             command[kernel.DECELERATION] = 0.0  # a ramp of an earlier stop is over
@@ -359,7 +372,7 @@ class Drive:
     def _begin_stop(self, target: State, deceleration_counts: int, now_ns: int) -> None:
         """Decelerate under position control; enter ``target`` at standstill."""
         speed = self.direction * self.measured[1] / self.counts_per_unit
-        deceleration = deceleration_counts * self._behaviour.ramp_counts / self.counts_per_unit
+        deceleration = deceleration_counts * self._scales.ramp_counts / self.counts_per_unit
         if deceleration <= 0.0:
             self._enter(target)
             if target in _ENERGISED:
@@ -382,8 +395,8 @@ class Drive:
                 self._enter(target)
 
     def _ramp(self, index: int) -> int:
-        """A ramp in the drive's unit; without its object the drive has one all the same."""
-        return self.node.od.number(index, missing=self._behaviour.own_ramp)
+        """A ramp in the drive's unit; its own where the object is missing."""
+        return self.node.od.number(index, missing=self._scales.own_ramp)
 
     def _quick_stop(self, now_ns: int) -> None:
         od = self.node.od
@@ -398,7 +411,7 @@ class Drive:
         self._begin_stop(target, ramp, now_ns)
 
     def fail(self, code: int, register: int, now_ns: int) -> None:
-        """Transition 13: fault reaction by 0x605E, then fault."""
+        """Do transition 13: fault reaction by 0x605E, then fault."""
         if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             return
         od = self.node.od
@@ -413,7 +426,7 @@ class Drive:
         self._show()
 
     def connection_lost(self, now_ns: int) -> None:
-        """React by 0x6007: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
+        """Do what 0x6007 says: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
         option = self.node.od.number(0x6007, missing=0)
         if option == 1:
             self.fail(HEARTBEAT, 0x10, now_ns)
@@ -429,18 +442,17 @@ class Drive:
     # --- supervision -----------------------------------------------------------------------------
     def configured(self) -> None:
         """Take over limits that may have been written."""
-        self._limits = Limits.of(self.node.od, self._counts_per_rev, rpm=self._velocity_in_rpm)
+        self._limits = Limits.of(self.node.od, self._counts_per_rev, rpm=self._scales.velocity_in_rpm)
 
     def _supervise(self, now_ns: int) -> None:
-        behaviour = self._behaviour
         if (
-            behaviour.sync_timeout_ns
+            self._sync_timeout_ns
             and self.mode in (CYCLIC_POSITION, CYCLIC_TORQUE)
-            and now_ns - self._sync_ns > behaviour.sync_timeout_ns
+            and now_ns - self._sync_ns > self._sync_timeout_ns
         ):
             self.fail(SYNC_LOST, 0x10, now_ns)
             return
-        if self.mode != CYCLIC_POSITION and not behaviour.limits_in_torque_mode:
+        if self.mode != CYCLIC_POSITION and not self._limits_in_torque_mode:
             self._following = False
             return
         position, speed, _, _ = self.measured
@@ -465,7 +477,7 @@ class Drive:
                 self._lost_ns = None
 
     def _show(self) -> None:
-        """Statusword and mode display."""
+        """Write statusword and mode display."""
         state = self.state
         self._shown_nmt = self.node.state
         word = state | 0x10  # voltage enabled
@@ -481,6 +493,6 @@ class Drive:
             elif self.mode == PROFILE_TORQUE and self._demand == self._e_target_torque.value:
                 word |= 0x400
         self._e_statusword.value = word if self.statusword_lie is None else self.statusword_lie
-        blank = self._behaviour.mode_shown_enabled and state not in _ENERGISED
+        blank = self._settings.mode_shown_enabled and state not in _ENERGISED
         shown = 0 if blank else self._shown_mode
         self._e_display.value = shown if self.mode_lie is None else self.mode_lie

@@ -159,7 +159,7 @@ def main(folder: Path) -> None:
 
 
 def twice(text: str) -> str:
-    """With an option given twice, which some vendors' files have and which no parser takes."""
+    """The text with an option given twice, which some vendors' files have and no parser takes."""
     return text.replace("DataType=0x0006\n", "DataType=0x0006\nDataType=0x0006\n", 1)
 
 

@@ -8,65 +8,27 @@ frames are drawn from the cell's seed, so that a run repeats.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from invid.config.experiments import Strict
 
-FRAME_FAULTS = ("drop", "delay", "duplicate", "corrupt")
-DRIVE_FAULTS = (
-    "node_reset",
-    "node_silent",
-    "bus_off",
-    "emcy",
-    "drive_fault",
-    "ignore_quick_stop",
-    "ignore_controlword",
-    "encoder_jump",
-    "encoder_stuck",
-    "sign_flip",
-    "brake_stuck",
-    "torque_saturation",
-    "push",
-    "statusword",
-    "mode_display",
-    "torque_display",
-    "torque_scale",
-    "ignore_target",
-    "other_master",
-)
+FrameFaultKind = Literal["drop", "delay", "duplicate", "corrupt"]
+DriveFaultKind = Literal[
+    "node_reset", "node_silent", "bus_off", "emcy", "drive_fault", "ignore_quick_stop", "ignore_controlword",
+    "encoder_jump", "encoder_stuck", "sign_flip", "brake_stuck", "torque_saturation", "push", "statusword",
+    "mode_display", "torque_display", "torque_scale", "ignore_target", "other_master",
+]  # fmt: skip
+FRAME_FAULTS: tuple[str, ...] = get_args(FrameFaultKind)
+DRIVE_FAULTS: tuple[str, ...] = get_args(DriveFaultKind)
 
 
 class FaultConfig(Strict):
     """One injected fault; the fields that a kind does not use must be left out."""
 
-    kind: Literal[
-        "drop",
-        "delay",
-        "duplicate",
-        "corrupt",
-        "node_reset",
-        "node_silent",
-        "bus_off",
-        "emcy",
-        "drive_fault",
-        "ignore_quick_stop",
-        "ignore_controlword",
-        "encoder_jump",
-        "encoder_stuck",
-        "sign_flip",
-        "brake_stuck",
-        "torque_saturation",
-        "push",
-        "statusword",
-        "mode_display",
-        "torque_display",
-        "torque_scale",
-        "ignore_target",
-        "other_master",
-    ]
+    kind: FrameFaultKind | DriveFaultKind
     axis: str | None = None
     """None: the master's own port for bus_off, every frame for faults on frames."""
     at_s: float | None = Field(default=None, ge=0)

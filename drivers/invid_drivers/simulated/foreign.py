@@ -10,12 +10,12 @@ _MS = 1000.0
 
 
 class ForeignNode(Node):
-    """Operational from the start; every change of its NMT state is noted."""
+    """A node that is operational from the start and notes every change of its NMT state."""
 
     nmt_changes: list[Nmt]
 
     def power_on(self, now_ns: int) -> None:
-        """A reset by anybody is noted too."""
+        """Note a reset by anybody, and boot."""
         self.nmt_changes.append(Nmt.INITIALISING)
         super().power_on(now_ns)
 
@@ -26,19 +26,19 @@ class ForeignNode(Node):
 
 
 class _Device:
-    """Nothing that moves."""
+    """An application that does nothing."""
 
     def tick(self, now_ns: int) -> None:
-        """Nothing to act on."""
+        """Do nothing: there is nothing to act on."""
 
     def configured(self) -> None:
-        """Nothing to take over."""
+        """Do nothing: there is nothing to take over."""
 
     def connection_lost(self, now_ns: int) -> None:
-        """Nothing to stop."""
+        """Do nothing: there is nothing to stop."""
 
     def reset(self, now_ns: int) -> None:
-        """Nothing to forget."""
+        """Do nothing: there is nothing to forget."""
 
 
 def foreign_node(node_id: int, host: Host, *, heartbeat_s: float) -> ForeignNode:

@@ -20,7 +20,7 @@ _LOOK_NS = 1_000_000  # how often an awaited state is looked for: the drives' ow
 
 
 class FaultInjector:
-    """Faults of one cell."""
+    """Begins and ends the faults of one cell."""
 
     def __init__(self, cell: SimulatedCell) -> None:
         self._cell = cell
@@ -92,7 +92,7 @@ class FaultInjector:
         return None
 
     def _speak(self, fault: FaultConfig, node_id: int) -> Callable[[int], None]:
-        """Another master's frames, once or every ``period_s``."""
+        """Send another master's frames, once or every ``period_s``."""
         can_id, data = {
             "sync": (0x80, b""),
             "nmt": (0x000, bytes([fault.value & 0xFF, 0])),

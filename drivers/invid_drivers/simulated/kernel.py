@@ -13,6 +13,7 @@ Written independently of ``invid.simulate`` and of the estimators.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -214,7 +215,7 @@ def _friction(
 def _propagate(
     free: Float64, q: Float64, force: Float64, phi: Float64, gamma: Float64
 ) -> None:  # pragma: no cover - compiled
-    """Into ``free`` what the linear part makes of ``q`` under the forces held over the sub-step."""
+    """Put into ``free`` what the linear part makes of ``q`` under the forces held over the sub-step."""
     # column by column: the inner loops are then vectorised without reordering any sum
     for k in range(q.size):
         free[k] = 0.0
@@ -322,50 +323,11 @@ def sample(
 
 @compiled
 def advance_and_sample(
-    q: Float64,
-    steps: int,
-    h: float,
-    phi: Float64,
-    gamma: Float64,
-    ramp: Float64,
-    motors: Int64,
-    command: Float64,
-    state: Float64,
-    ring: Float64,
-    slot: int,
-    external: Float64,
-    elements: Float64,
-    memory: Float64,
-    friction: Float64,
-    level: Float64,
-    work: Float64,
-    blend: float,
-    rest: float,
-    noise: Float64,
-    out: Int64,
+    rest: float, noise: Float64, out: Int64, *march: Any
 ) -> int:  # pragma: no cover - compiled
     """``advance`` and ``sample`` in one call: the crossing into compiled code costs as much as a step."""
-    slot = advance(
-        q,
-        steps,
-        h,
-        phi,
-        gamma,
-        ramp,
-        motors,
-        command,
-        state,
-        ring,
-        slot,
-        external,
-        elements,
-        memory,
-        friction,
-        level,
-        work,
-        blend,
-    )
-    sample(q, rest, motors, command, state, noise, out)
+    slot = advance(*march)
+    sample(march[0], rest, march[6], march[7], march[8], noise, out)
     return slot
 
 

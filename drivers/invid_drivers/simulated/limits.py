@@ -13,7 +13,7 @@ _LOWEST, _HIGHEST = -(1 << 31), (1 << 31) - 1
 
 @dataclass(frozen=True)
 class Limits:
-    """In counts and counts per second; infinite where the drive has or was given no limit."""
+    """Limits in counts and counts per second; infinite where the drive has or was given none."""
 
     fastest: float
     low: int
@@ -25,7 +25,7 @@ class Limits:
 
     @classmethod
     def of(cls, od: ObjectDictionary, counts_per_rev: float, *, rpm: bool = False) -> Limits:
-        """From 0x607F, 0x6080, 0x607D, 0x6065 and 0x6066; ``counts_per_rev`` 0 for a linear axis.
+        """Read 0x607F, 0x6080, 0x607D, 0x6065 and 0x6066; ``counts_per_rev`` 0 for a linear axis.
 
         ``rpm``: 0x607F counts revolutions per minute, as some vendors have it.
         """

@@ -6,16 +6,19 @@ The node is driven from outside: frames through ``handlers``, time through callb
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import IntEnum
+from itertools import count, takewhile
 from typing import Protocol
 
 from invid_drivers.simulated import pdo
-from invid_drivers.simulated.object_dictionary import ObjectDictionary, SdoAbort
+from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 from invid_drivers.simulated.sdo import SdoServer
 
 _MS = 1_000_000
 SAVE, LOAD = 0x65766173, 0x64616F6C
+_PDOS = ((0x1400, 0x1600, "w"), (0x1800, 0x1A00, "r"))
+"""First communication and mapping object of the received and of the sent PDOs, and which way they go."""
 Handler = Callable[[bytes, int], None]
 
 
@@ -38,7 +41,7 @@ class Host(Protocol):
         """Call back once at a time."""
 
     def rewire(self) -> None:
-        """The identifiers that a node listens to have changed."""
+        """Learn that the identifiers that a node listens to have changed."""
 
 
 class Application(Protocol):
@@ -48,13 +51,13 @@ class Application(Protocol):
         """Act on the values received."""
 
     def configured(self) -> None:
-        """Values of the object dictionary may have changed other than by a PDO."""
+        """Learn that the object dictionary may have changed other than by a PDO."""
 
     def connection_lost(self, now_ns: int) -> None:
-        """Heartbeat lost, bus-off, or NMT took the node out of operation."""
+        """React to a lost heartbeat, to bus-off, or to NMT taking the node out of operation."""
 
     def reset(self, now_ns: int) -> None:
-        """Power-on state."""
+        """Return to the power-on state."""
 
 
 class Node:
@@ -76,7 +79,7 @@ class Node:
 
     # --- start and reset ---------------------------------------------------------------------
     def power_on(self, now_ns: int) -> None:
-        """Boot: values from the store, boot-up message after the boot time."""
+        """Boot: values from the store, then the boot-up message after the boot time."""
         self._epoch += 1
         epoch = self._epoch
         self.state = Nmt.INITIALISING
@@ -115,18 +118,11 @@ class Node:
 
     def _guard_objects(self) -> None:
         od = self.od
-        number = 1
-        while od.find(0x13FF + number, 1):
-            pdo.guard_configuration(
-                od, communication=0x13FF + number, mapping=0x15FF + number, way="w", changed=self._rebuild
-            )
-            number += 1
-        number = 1
-        while od.find(0x17FF + number, 1):
-            pdo.guard_configuration(
-                od, communication=0x17FF + number, mapping=0x19FF + number, way="r", changed=self._rebuild
-            )
-            number += 1
+        for communication, mapping, way in _PDOS:
+            for n in self._pdo_numbers(communication):
+                pdo.guard_configuration(
+                    od, communication=communication + n, mapping=mapping + n, way=way, changed=self._rebuild
+                )
         od.guard(0x1003, 0, self._clear_history)
         od.guard(0x1005, 0, self._write_sync_id)
         od.guard(0x1017, 0, self._write_producer)
@@ -214,10 +210,9 @@ class Node:
                 return
             del self._heard[producer]  # watching resumes with the next heartbeat
             self.emergency(0x8130, 0x10, bytes([producer]))
-            if self.state is Nmt.OPERATIONAL and self.od.number(0x1029, 1) == 0:
-                self._set_state(Nmt.PRE_OPERATIONAL, at_ns)
-            elif self.state is Nmt.OPERATIONAL and self.od.number(0x1029, 1) == 2:
-                self._set_state(Nmt.STOPPED, at_ns)
+            state = {0: Nmt.PRE_OPERATIONAL, 2: Nmt.STOPPED}.get(self.od.number(0x1029, 1))
+            if self.state is Nmt.OPERATIONAL and state is not None:
+                self._set_state(state, at_ns)
             else:
                 self.application.connection_lost(at_ns)
 
@@ -242,16 +237,13 @@ class Node:
 
     # --- NMT -----------------------------------------------------------------------------------
     def on_nmt(self, data: bytes, now_ns: int) -> None:
-        """NMT command frame."""
+        """Obey an NMT command frame."""
         if len(data) != 2 or data[1] not in (0, self.node_id) or self.state is Nmt.INITIALISING:
             return
         command = data[0]
-        if command == 1:
-            self._set_state(Nmt.OPERATIONAL, now_ns)
-        elif command == 2:
-            self._set_state(Nmt.STOPPED, now_ns)
-        elif command == 128:
-            self._set_state(Nmt.PRE_OPERATIONAL, now_ns)
+        state = {1: Nmt.OPERATIONAL, 2: Nmt.STOPPED, 128: Nmt.PRE_OPERATIONAL}.get(command)
+        if state is not None:
+            self._set_state(state, now_ns)
         elif command == 129:
             self.power_on(now_ns)
         elif command == 130:
@@ -273,41 +265,36 @@ class Node:
             self._build_pdos()
         self._host.rewire()
 
+    def _pdo_numbers(self, communication: int) -> Iterator[int]:
+        """Numbers 0, 1, … of the PDOs that the drive has."""
+        return takewhile(lambda n: self.od.find(communication + n, 1) is not None, count())
+
+    def _valid_pdos(
+        self, communication: int, mapping: int, way: str
+    ) -> Iterator[tuple[int, int, list[Entry]]]:
+        """(index of the communication object, identifier, what is mapped) of every PDO that is in force."""
+        for n in self._pdo_numbers(communication):
+            cob = self.od.number(communication + n, 1, missing=pdo.INVALID)
+            if not cob & pdo.INVALID:
+                try:
+                    entries = pdo.mapped_entries(self.od, mapping + n, way)
+                except SdoAbort:
+                    entries = []
+                yield communication + n, cob & 0x7FF, entries
+
     def _build_pdos(self) -> None:
-        od = self.od
-        number = 1
-        while (cob := od.find(0x13FF + number, 1)) is not None:
-            value = int(cob.value)
-            if not value & pdo.INVALID:
-                try:
-                    entries = pdo.mapped_entries(od, 0x15FF + number, "w")
-                except SdoAbort:
-                    entries = []
-                kind = od.number(0x13FF + number, 2)
-                event_ns = od.number(0x13FF + number, 5) * _MS
-                self._rpdos.append(pdo.ReceivePdo(number, value & 0x7FF, kind, entries, event_ns))
-            number += 1
-        number = 1
-        while (cob := od.find(0x17FF + number, 1)) is not None:
-            value = int(cob.value)
-            if not value & pdo.INVALID:
-                try:
-                    entries = pdo.mapped_entries(od, 0x19FF + number, "r")
-                except SdoAbort:
-                    entries = []
+        number = self.od.number
+        received, sent = _PDOS
+        for at, can_id, entries in self._valid_pdos(*received):
+            self._rpdos.append(pdo.ReceivePdo(can_id, number(at, 2), entries, number(at, 5) * _MS))
+        for at, can_id, entries in self._valid_pdos(*sent):
+            if entries:
                 made = pdo.TransmitPdo(
-                    number,
-                    value & 0x7FF,
-                    od.number(0x17FF + number, 2),
-                    entries,
-                    od.number(0x17FF + number, 3) * 100_000,
-                    od.number(0x17FF + number, 5) * _MS,
+                    can_id, number(at, 2), entries, number(at, 3) * 100_000, number(at, 5) * _MS
                 )
-                if entries:
-                    self._tpdos.append(made)
-                    if made.kind >= 254 and made.event_ns:
-                        self._start_event_timer(made)
-            number += 1
+                self._tpdos.append(made)
+                if made.kind >= 254 and made.event_ns:
+                    self._start_event_timer(made)
 
     def _start_event_timer(self, made: pdo.TransmitPdo) -> None:
         def fire(at_ns: int) -> None:
@@ -336,7 +323,7 @@ class Node:
         return take
 
     def _expect_next(self, received: pdo.ReceivePdo, now_ns: int) -> None:
-        """CiA 301's time-out of a receive PDO: it counts from the first one on."""
+        """Watch for the next receive PDO within CiA 301's time-out, from the first one on."""
         watched, received.due_ns = received.due_ns is not None, now_ns + received.event_ns
 
         def look(at_ns: int) -> None:

@@ -42,18 +42,8 @@ class Entry:
     """One value of the dictionary: type, access, limits, and what happens when it is written."""
 
     __slots__ = (
-        "access",
-        "code",
-        "default",
-        "high",
-        "index",
-        "low",
-        "mappable",
-        "on_write",
-        "size",
-        "sub",
-        "value",
-    )
+        "access", "code", "default", "high", "index", "low", "mappable", "on_write", "size", "sub", "value",
+    )  # fmt: skip
 
     def __init__(
         self, index: int, sub: int, code: str, access: str, value: int | str, mappable: str = ""
@@ -71,19 +61,19 @@ class Entry:
         """Called before a value is stored; raises SdoAbort to refuse."""
 
     def encode(self) -> bytes:
-        """The value as it goes over the bus."""
+        """Bytes of the value as they go over the bus."""
         if isinstance(self.value, str):
             return self.value.encode("ascii", "replace")
         return struct.pack("<" + self.code, self.value)
 
     def read(self) -> bytes:
-        """SDO upload."""
+        """Bytes that an SDO upload gets."""
         if self.access == "wo":
             raise SdoAbort(SdoAbort.WRITE_ONLY)
         return self.encode()
 
     def write(self, data: bytes) -> None:
-        """SDO download."""
+        """Store what an SDO download brings, or refuse it."""
         if self.access in ("ro", "const"):
             raise SdoAbort(SdoAbort.READ_ONLY)
         if len(data) != self.size:
@@ -107,13 +97,13 @@ class ObjectDictionary:
     def add(
         self, index: int, sub: int, code: str, access: str, value: int | str = 0, mappable: str = ""
     ) -> Entry:
-        """New entry."""
+        """Add an entry and return it."""
         entry = Entry(index, sub, code, access, value, mappable)
         self._entries.setdefault(index, {})[sub] = entry
         return entry
 
     def add_record(self, index: int, *subs: tuple[str, str, int]) -> None:
-        """Sub 0 with the highest subindex, then one entry per (code, access, value)."""
+        """Add sub 0 with the highest subindex, then one entry per (code, access, value)."""
         self.add(index, 0, "B", "const", len(subs))
         for number, (code, access, value) in enumerate(subs, start=1):
             self.add(index, number, code, access, value)
@@ -138,13 +128,13 @@ class ObjectDictionary:
         return missing if entry is None or isinstance(entry.value, str) else entry.value
 
     def put(self, index: int, sub: int, value: int) -> None:
-        """The drive's own doing: a value, where it has the object."""
+        """Set a value by the drive's own doing, where it has the object."""
         entry = self.find(index, sub)
         if entry is not None:
             entry.value = value
 
     def guard(self, index: int, sub: int, on_write: Callable[[int], None]) -> None:
-        """What a write does, where the drive has the object."""
+        """Set what a write does, where the drive has the object."""
         entry = self.find(index, sub)
         if entry is not None:
             entry.on_write = on_write
@@ -181,7 +171,7 @@ class Nameplate:
 def drive_dictionary(
     node_id: int, plate: Nameplate, profile: Profile, ramps: tuple[int, int] | None = None
 ) -> ObjectDictionary:
-    """The generic drive with one vendor's departures applied.
+    """The object dictionary of the generic drive with one vendor's departures applied.
 
     Velocities are in counts per second. ``ramps``: 0x6084 and 0x6085 as the drive counts them; default 2 and
     10 rad/s² (m/s²) in counts.
@@ -224,33 +214,27 @@ def drive_dictionary(
     return od
 
 
+_RECEIVED = {1: [0x60400010], 2: [0x60400010, 0x60600008], 3: [0x60400010, 0x60710010], 4: [0x607A0020]}
+_SENT = {1: [0x60410010], 2: [0x60410010, 0x60610008], 3: [0x60410010, 0x60640020], 4: [0x606C0020]}
+"""What the first PDOs map: index, subindex, bits."""
+
+
 def _add_pdos(od: ObjectDictionary, node_id: int, profile: Profile) -> None:
-    maps = {1: [0x60400010], 2: [0x60400010, 0x60600008], 3: [0x60400010, 0x60710010], 4: [0x607A0020]}
-    for number in range(1, profile.rpdos + 1):
-        base = 0x100 + 0x100 * number + node_id if number <= 4 else 0x80000000
-        invalid = 0 if number == 1 else 0x80000000
-        od.add(0x13FF + number, 0, "B", "const", 5)
-        od.add(0x13FF + number, 1, "I", "rw", base | invalid)
-        od.add(0x13FF + number, 2, "B", "rw", 255)
-        od.add(0x13FF + number, 3, "H", "rw", 0)
-        od.add(0x13FF + number, 5, "H", "rw", 0)
-        _add_map(od, 0x15FF + number, maps.get(number, []))
-    maps = {1: [0x60410010], 2: [0x60410010, 0x60610008], 3: [0x60410010, 0x60640020], 4: [0x606C0020]}
-    for number in range(1, profile.tpdos + 1):
-        base = 0x80 + 0x100 * number + node_id if number <= 4 else 0x80000000
-        invalid = 0 if number == 1 else 0x80000000
-        od.add(0x17FF + number, 0, "B", "const", 5)
-        od.add(0x17FF + number, 1, "I", "rw", base | invalid)
-        od.add(0x17FF + number, 2, "B", "rw", 255)
-        od.add(0x17FF + number, 3, "H", "rw", 0)
-        od.add(0x17FF + number, 5, "H", "rw", 0)
-        _add_map(od, 0x19FF + number, maps.get(number, []))
-
-
-def _add_map(od: ObjectDictionary, index: int, mapped: list[int]) -> None:
-    od.add(index, 0, "B", "rw", len(mapped))
-    for sub in range(1, 9):
-        od.add(index, sub, "I", "rw", mapped[sub - 1] if sub <= len(mapped) else 0)
+    for first, mapping, can_id, count, maps in (
+        (0x1400, 0x1600, 0x200, profile.rpdos, _RECEIVED),
+        (0x1800, 0x1A00, 0x180, profile.tpdos, _SENT),
+    ):
+        for n in range(count):
+            cob = can_id + 0x100 * n + node_id if n < 4 else 0x80000000
+            od.add(first + n, 0, "B", "const", 5)
+            od.add(first + n, 1, "I", "rw", cob | (0x80000000 if n else 0))
+            od.add(first + n, 2, "B", "rw", 255)
+            od.add(first + n, 3, "H", "rw", 0)
+            od.add(first + n, 5, "H", "rw", 0)
+            mapped = maps.get(n + 1, [])
+            od.add(mapping + n, 0, "B", "rw", len(mapped))
+            for sub in range(1, 9):
+                od.add(mapping + n, sub, "I", "rw", mapped[sub - 1] if sub <= len(mapped) else 0)
 
 
 def _add_drive_profile(

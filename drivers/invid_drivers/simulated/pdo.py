@@ -14,10 +14,10 @@ INVALID, NO_RTR = 0x80000000, 0x40000000
 class ReceivePdo:
     """A PDO that the node receives; synchronous ones take effect at the next SYNC."""
 
-    __slots__ = ("can_id", "due_ns", "entries", "event_ns", "number", "packing", "pending", "synchronous")
+    __slots__ = ("can_id", "due_ns", "entries", "event_ns", "packing", "pending", "synchronous")
 
-    def __init__(self, number: int, can_id: int, kind: int, entries: list[Entry], event_ns: int = 0) -> None:
-        self.number, self.can_id, self.entries = number, can_id, entries
+    def __init__(self, can_id: int, kind: int, entries: list[Entry], event_ns: int) -> None:
+        self.can_id, self.entries = can_id, entries
         self.event_ns = event_ns
         """Longest time to the next one, by sub 5 of its communication object; 0: any."""
         self.due_ns: int | None = None
@@ -34,24 +34,10 @@ class ReceivePdo:
 class TransmitPdo:
     """A PDO that the node sends."""
 
-    __slots__ = (
-        "can_id",
-        "due",
-        "entries",
-        "event_ns",
-        "inhibit_ns",
-        "kind",
-        "last",
-        "number",
-        "packing",
-        "seen",
-        "sent_ns",
-    )
+    __slots__ = ("can_id", "entries", "event_ns", "inhibit_ns", "kind", "last", "packing", "seen", "sent_ns")
 
-    def __init__(
-        self, number: int, can_id: int, kind: int, entries: list[Entry], inhibit_ns: int, event_ns: int
-    ) -> None:
-        self.number, self.can_id, self.kind, self.entries = number, can_id, kind, entries
+    def __init__(self, can_id: int, kind: int, entries: list[Entry], inhibit_ns: int, event_ns: int) -> None:
+        self.can_id, self.kind, self.entries = can_id, kind, entries
         self.packing = struct.Struct("<" + "".join(e.code for e in entries))
         self.inhibit_ns, self.event_ns = inhibit_ns, event_ns
         self.seen = 0
@@ -59,7 +45,7 @@ class TransmitPdo:
         self.sent_ns = -(1 << 62)
 
     def pack(self) -> bytes:
-        """The data now."""
+        """The data to send now."""
         return self.packing.pack(*[e.value for e in self.entries])
 
 

@@ -7,6 +7,7 @@ would measure from ``measure``; time goes forward only through ``advance_to``.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -104,59 +105,32 @@ class Plant:
             self._time_ns = now_ns
 
     def _run(self, steps: int, h: float, matrices: tuple[Float64, Float64, Float64]) -> None:
-        self._slot = kernel.advance(
-            self.state,
-            steps,
-            h,
-            *matrices,
-            self.structure.motors,
-            self.command,
-            self.motor_state,
-            self._ring,
-            self._slot,
-            self.external,
-            self.structure.elements,
-            self._memory,
-            self.structure.friction,
-            self._level,
-            self._work,
-            self._blend,
-        )
+        self._slot = kernel.advance(*self._march(steps, h, matrices))
         self._blend = 0.0
+
+    def _march(self, steps: int, h: float, matrices: tuple[Float64, Float64, Float64]) -> tuple[Any, ...]:
+        """The arguments of ``kernel.advance``."""
+        structure = self.structure
+        return (
+            self.state, steps, h, *matrices, structure.motors, self.command, self.motor_state, self._ring,
+            self._slot, self.external, structure.elements, self._memory, structure.friction, self._level,
+            self._work, self._blend,
+        )  # fmt: skip
 
     def observe(self, now_ns: int, noise: Float64) -> list[list[int]]:
         """Advance to ``now_ns`` and return what ``kernel.sample`` gives for every drive.
 
         ``noise`` (M, 2): counts and thousandths of rated torque.
         """
-        structure = self.structure
         whole, rest_ns = divmod(now_ns - self._time_ns, self._h_ns)
         if self._next_change_ns <= now_ns or (rest_ns and self.exact_instants):
             self.advance_to(now_ns)
             whole, rest_ns = divmod(now_ns - self._time_ns, self._h_ns)
-        phi, gamma, ramp = self._whole
         self._slot = kernel.advance_and_sample(
-            self.state,
-            max(whole, 0),
-            self.h,
-            phi,
-            gamma,
-            ramp,
-            structure.motors,
-            self.command,
-            self.motor_state,
-            self._ring,
-            self._slot,
-            self.external,
-            structure.elements,
-            self._memory,
-            structure.friction,
-            self._level,
-            self._work,
-            self._blend,
             rest_ns / _NS if whole >= 0 else 0.0,
             noise,
             self.measured,
+            *self._march(max(whole, 0), self.h, self._whole),
         )
         if whole >= 0:
             self._time_ns += whole * self._h_ns

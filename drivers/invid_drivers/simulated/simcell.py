@@ -6,7 +6,7 @@ import gc
 import os
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import can
@@ -43,19 +43,7 @@ class SimcellStatistics:
 
     def to_json(self) -> dict[str, Any]:
         """Document of ``invid simcell --json``."""
-        return {
-            "format": "invid-simcell",
-            "format_version": 1,
-            "simulated": True,
-            "duration_s": self.duration_s,
-            "frames_received": self.frames_received,
-            "frames_sent": self.frames_sent,
-            "frames_not_sent": self.frames_not_sent,
-            "syncs": self.syncs,
-            "late_max_s": self.late_max_s,
-            "realtime": self.realtime,
-            "drives": self.drives,
-        }
+        return {"format": "invid-simcell", "format_version": 1, "simulated": True, **asdict(self)}
 
 
 def open_cell_bus(config: CellConfig) -> BusABC:
@@ -130,7 +118,7 @@ def run_simcell(
 
 
 def _take_priority() -> bool:
-    """SCHED_FIFO below any master's priority: the loop sleeps in ``recv``, so it cannot starve others."""
+    """Ask for SCHED_FIFO below any master's priority: the loop sleeps in ``recv`` and starves nobody."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
     except (OSError, AttributeError):
@@ -140,7 +128,7 @@ def _take_priority() -> bool:
 
 
 class _Loop:
-    """Frames and timers against the monotonic clock."""
+    """Passes frames and timers to the cell against the monotonic clock."""
 
     def __init__(self, cell: SimulatedCell, bus: BusABC) -> None:
         self._cell, self._bus = cell, bus
@@ -176,7 +164,7 @@ class _Loop:
             self._not_sent += 1
 
     def run(self, stop_event: threading.Event, ready: threading.Event | None) -> None:
-        """Until stopped; ``ready`` is set once every drive has booted.
+        """Run until stopped; ``ready`` is set once every drive has booted.
 
         Frames and timers take effect in the order and at the instants at which they were sent and due,
         even where this process woke late: a real drive samples when SYNC is on the wire. Only its answers
@@ -229,7 +217,7 @@ class _Loop:
         return sent if 0 <= now - sent < _OLDEST_NS else now
 
     def _compare_clocks(self) -> None:
-        """Wall clock at the start of the cell; the closest of a few, because the system may pause between."""
+        """Set the wall clock at the cell's start, by the closest of a few looks."""
         best = _NS
         for _ in range(10):
             before = time.monotonic_ns()

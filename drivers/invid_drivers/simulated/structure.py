@@ -25,6 +25,10 @@ _EXTRA_DAMPING = 0.01
 _MOST_DRIFT = 0.5
 """A drift stops at half of the parameter, so that couplings keep the mass matrix positive in most plants."""
 
+_MAY_BE_LEFT_OUT = {"phase": 0.0, "angle": 0.0, "1": 1.0}
+"""Parameters with a value of their own, and the constant one."""
+_RIPPLE, _ERROR = ("torque", "cycles_per_rev", "phase"), ("amplitude", "cycles_per_rev", "phase")
+
 Matrices = tuple[Float64, Float64, Float64]
 
 
@@ -66,7 +70,7 @@ class Structure:
         return float(np.sqrt(max(eigh(self.stiffness, self.mass, eigvals_only=True)[-1], 0.0)))
 
     def add_element(self, kind: int, a: int, b: int, *parameters: float) -> None:
-        """One nonlinear element."""
+        """Add one nonlinear element."""
         row = np.zeros(kernel.ELEMENT_COLUMNS)
         row[: 3 + len(parameters)] = (kind, a, b, *parameters)
         self.elements = np.vstack([self.elements, row])
@@ -81,12 +85,12 @@ class Structure:
         stribeck_velocity: float = 1.0,
         brake_of: int = -1,
     ) -> None:
-        """One dry friction row."""
+        """Add one dry friction row."""
         row = np.array([dof, positive, negative, excess, stribeck_velocity, brake_of], dtype=float)
         self.friction = np.vstack([self.friction, row])
 
     def add_mass(self, dof: int, mass: float, stiffness: float) -> None:
-        """A further mass on a spring, with 1 % damping."""
+        """Add a further mass on a spring, with 1 % damping."""
         n = self.dofs
         for name in ("mass", "damping", "stiffness"):
             grown = np.zeros((n + 1, n + 1))
@@ -97,7 +101,7 @@ class Structure:
         self.add_link("damping", dof, n, 2.0 * _EXTRA_DAMPING * math.sqrt(stiffness * mass))
 
     def add_link(self, name: str, a: int, b: int, value: float) -> None:
-        """A spring or damper between two coordinates."""
+        """Add a spring or damper between two coordinates."""
         _link(getattr(self, name), a, b, value)
 
 
@@ -148,10 +152,10 @@ def build_structure(
 
 
 class _Place:
-    """An effect's parameters and place, looked up with messages."""
+    """An effect's parameters and place, looked up with messages where something is missing."""
 
     def __init__(self, structure: Structure, effect: EffectConfig, names: tuple[str, ...]) -> None:
-        self.effect = effect
+        self.effect, self.names = effect, names
         self.where = f"simulation.effects: {effect.cause} on {effect.axis}"
         unknown = sorted(set(effect.parameters) - set(names))
         if unknown:
@@ -167,8 +171,12 @@ class _Place:
         except KeyError:
             raise ConfigError(f"{self.where}: parameter {name!r} is missing") from None
 
+    def value(self, name: str) -> float:
+        """A parameter, or the constant that stands for it where it may be left out."""
+        return self.get(name, _MAY_BE_LEFT_OUT[name]) if name in _MAY_BE_LEFT_OUT else self[name]
+
     def get(self, name: str, default: float) -> float:
-        """Optional parameter."""
+        """A parameter that may be left out."""
         return self.effect.parameters.get(name, default)
 
     def _number(self, kind: str, count: int, default: int) -> int:
@@ -193,165 +201,139 @@ class _Place:
         return s, self.start + s, self.start + s + 1
 
 
-MOTOR_CAUSES: dict[str, tuple[str, ...]] = {
-    "torque_delay": ("delay",),
-    "torque_lag": ("time_constant",),
-    "torque_gain": ("gain",),
-    "torque_saturation": ("limit",),
-    "encoder_eccentricity": ("amplitude", "phase"),
-    "dropped_samples": ("fraction",),
-}
-
-_STRUCTURE_CAUSES: dict[str, tuple[str, ...]] = {
-    "coulomb_friction": ("torque",),
-    "viscous_friction": ("coefficient",),
-    "stribeck_friction": ("static", "coulomb", "velocity"),
-    "presliding_friction": ("stiffness", "torque"),
-    "asymmetric_friction": (
-        "coulomb_positive",
-        "coulomb_negative",
-        "viscous_positive",
-        "viscous_negative",
-    ),
-    "torque_offset": ("torque",),
-    "cogging": ("torque", "cycles_per_rev", "phase"),
-    "spring_damping": ("coefficient",),
-    "cubic_stiffness": ("coefficient",),
-    "backlash": ("gap",),
-    "spring_hysteresis": ("stiffness", "torque"),
-    "transmission_error": ("amplitude", "cycles_per_rev", "phase"),
-    "gravity": ("torque", "angle"),
-    "extra_mode": ("mass", "stiffness"),
-    "coupling_stiffness": ("stiffness",),
-    "payload_change": ("mass", "time"),
-    "parameter_drift": ("rate", "parameter"),
-}
-
-CAUSES = tuple(_STRUCTURE_CAUSES) + tuple(MOTOR_CAUSES)
+Build = Callable[[Structure, _Place], None]
 
 
-def _apply(structure: Structure, effect: EffectConfig) -> None:
-    cause = effect.cause
-    if cause in MOTOR_CAUSES:
-        place = _Place(structure, effect, MOTOR_CAUSES[cause])
-        for name in MOTOR_CAUSES[cause]:
-            if name != "phase":
-                _ = place[name]
-        structure.motor_effects.append(effect)
-        return
-    if cause not in _STRUCTURE_CAUSES:
-        raise ConfigError(f"simulation.effects: unknown cause {cause!r}; known are {list(CAUSES)}")
-    place = _Place(structure, effect, _STRUCTURE_CAUSES[cause])
-    if cause in ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "presliding_friction"):
-        _apply_friction(structure, place)
-    elif cause in ("payload_change", "parameter_drift"):
-        _apply_change(structure, place)
-    elif cause in (
-        "cubic_stiffness",
-        "backlash",
-        "spring_hysteresis",
-        "transmission_error",
-        "spring_damping",
-    ):
-        _apply_spring(structure, place)
-    elif cause == "viscous_friction":
-        a = place.mass()
-        structure.damping[a, a] += place["coefficient"]
-    elif cause == "torque_offset":
-        structure.add_element(kernel.OFFSET, place.mass(), -1, place["torque"])
-    elif cause == "cogging":
-        structure.add_element(
-            kernel.SINE, place.mass(), -1, place["torque"], place["cycles_per_rev"], place.get("phase", 0.0)
-        )
-    elif cause == "gravity":
-        structure.add_element(
-            kernel.SINE, place.mass(last=True), -1, place["torque"], 1.0, place.get("angle", 0.0)
-        )
-    elif cause == "extra_mode":
-        structure.add_mass(place.mass(last=True), place["mass"], place["stiffness"])
-    elif cause == "coupling_stiffness":
-        if effect.other_axis is None or effect.other_axis == effect.axis:
-            raise ConfigError(f"{place.where}: give other_axis, the second of the two axes")
-        ends = structure.chains.end_dofs
-        other = structure.chains.axes.index(effect.other_axis)
-        structure.add_link("stiffness", int(ends[place.branch]), int(ends[other]), place["stiffness"])
-
-
-def _apply_friction(structure: Structure, place: _Place) -> None:
+def _viscous(structure: Structure, place: _Place) -> None:
     a = place.mass()
-    cause = place.effect.cause
-    if cause == "coulomb_friction":
-        structure.add_friction(a, place["torque"], place["torque"])
-    elif cause == "stribeck_friction":
-        structure.add_friction(
-            a,
-            place["coulomb"],
-            place["coulomb"],
-            excess=max(place["static"] - place["coulomb"], 0.0),
-            stribeck_velocity=place["velocity"],
-        )
-    elif cause == "presliding_friction":
-        structure.add_element(kernel.JENKINS, a, -1, place["stiffness"], place["torque"])
-    else:
-        structure.add_friction(a, place["coulomb_positive"], place["coulomb_negative"])
-        positive, negative = place.get("viscous_positive", 0.0), place.get("viscous_negative", 0.0)
-        structure.damping[a, a] += 0.5 * (positive + negative)
-        structure.add_element(kernel.ABSOLUTE, a, -1, 0.5 * (positive - negative))
+    structure.damping[a, a] += place["coefficient"]
 
 
-def _apply_spring(structure: Structure, place: _Place) -> None:
-    s, a, b = place.spring()
-    k = float(structure.chains.springs[place.branch][s])
-    d = float(structure.chains.dampers[place.branch][s])
-    cause = place.effect.cause
-    if cause == "spring_damping":
-        structure.add_link("damping", a, b, place["coefficient"])
-    elif cause == "cubic_stiffness":
-        structure.add_element(kernel.CUBIC, a, b, place["coefficient"])
-    elif cause == "backlash":
-        structure.add_element(kernel.BACKLASH, a, b, k, d, place["gap"])
-    elif cause == "spring_hysteresis":
-        structure.add_element(kernel.JENKINS, a, b, place["stiffness"], place["torque"])
-    else:
-        structure.add_element(
-            kernel.TRANSMISSION,
-            a,
-            b,
-            k,
-            place["amplitude"],
-            place["cycles_per_rev"],
-            place.get("phase", 0.0),
-        )
+def _coulomb(structure: Structure, place: _Place) -> None:
+    structure.add_friction(place.mass(), place["torque"], place["torque"])
 
 
-def _apply_change(structure: Structure, place: _Place) -> None:
-    effect = place.effect
-    if effect.cause == "payload_change":
-        end, extra, instant = place.mass(last=True), place["mass"], place["time"]
+def _stribeck(structure: Structure, place: _Place) -> None:
+    coulomb, excess = place["coulomb"], max(place["static"] - place["coulomb"], 0.0)
+    structure.add_friction(place.mass(), coulomb, coulomb, excess=excess, stribeck_velocity=place["velocity"])
 
-        def payload(time_s: float, mass: Float64, damping: Float64, stiffness: Float64) -> None:
-            if time_s >= instant - 1e-9:
-                mass[end, end] += extra
 
-        structure.in_time.append(payload)
-        structure.changes.append(instant)
-        return
+def _asymmetric(structure: Structure, place: _Place) -> None:
+    a = place.mass()
+    structure.add_friction(a, place["coulomb_positive"], place["coulomb_negative"])
+    positive, negative = place.get("viscous_positive", 0.0), place.get("viscous_negative", 0.0)
+    structure.damping[a, a] += 0.5 * (positive + negative)
+    structure.add_element(kernel.ABSOLUTE, a, -1, 0.5 * (positive - negative))
+
+
+def _at_mass(kind: int, *names: str, last: bool = False) -> Build:
+    """A nonlinear element between a mass and ground; a parameter "1" is one, an angle may be left out."""
+
+    def build(structure: Structure, place: _Place) -> None:
+        structure.add_element(kind, place.mass(last=last), -1, *map(place.value, names))
+
+    return build
+
+
+def _at_spring(kind: int, *names: str) -> Build:
+    """A nonlinear element across a spring; "k" and "d" are the spring's own stiffness and damper."""
+
+    def build(structure: Structure, place: _Place) -> None:
+        s, a, b = place.spring()
+        own = {"k": structure.chains.springs[place.branch][s], "d": structure.chains.dampers[place.branch][s]}
+        structure.add_element(kind, a, b, *(float(own[n]) if n in own else place.value(n) for n in names))
+
+    return build
+
+
+def _spring_damping(structure: Structure, place: _Place) -> None:
+    structure.add_link("damping", *place.spring()[1:], place["coefficient"])
+
+
+def _extra_mode(structure: Structure, place: _Place) -> None:
+    structure.add_mass(place.mass(last=True), place["mass"], place["stiffness"])
+
+
+def _coupling(structure: Structure, place: _Place) -> None:
+    axis, other = place.effect.axis, place.effect.other_axis
+    if other is None or other == axis:
+        raise ConfigError(f"{place.where}: give other_axis, the second of the two axes")
+    ends = structure.chains.end_dofs
+    second = structure.chains.axes.index(other)
+    structure.add_link("stiffness", int(ends[place.branch]), int(ends[second]), place["stiffness"])
+
+
+def _payload(structure: Structure, place: _Place) -> None:
+    end, extra, instant = place.mass(last=True), place["mass"], place["time"]
+
+    def change(time_s: float, mass: Float64, damping: Float64, stiffness: Float64) -> None:
+        if time_s >= instant - 1e-9:
+            mass[end, end] += extra
+
+    structure.in_time.append(change)
+    structure.changes.append(instant)
+
+
+def _drift(structure: Structure, place: _Place) -> None:
     rate = place["rate"]
     # a quarter of a second: a drift that spoils a measurement of minutes moves by 1e-3 of itself in it
     structure.renew_s = 0.25
-    if effect.element is not None and effect.element.startswith("mass"):
+    if (place.effect.element or "").startswith("mass"):
         a = place.mass()
         value = float(np.concatenate(structure.chains.masses)[a])
 
-        def drift_mass(time_s: float, mass: Float64, damping: Float64, stiffness: Float64) -> None:
+        def change(time_s: float, mass: Float64, damping: Float64, stiffness: Float64) -> None:
             mass[a, a] += max(rate * time_s, -_MOST_DRIFT * value)
 
-        structure.in_time.append(drift_mass)
-        return
-    s, left, right = place.spring()
-    k = float(structure.chains.springs[place.branch][s])
+    else:
+        s, left, right = place.spring()
+        k = float(structure.chains.springs[place.branch][s])
 
-    def drift_spring(time_s: float, mass: Float64, damping: Float64, stiffness: Float64) -> None:
-        _link(stiffness, left, right, max(rate * time_s, -_MOST_DRIFT * k))
+        def change(time_s: float, mass: Float64, damping: Float64, stiffness: Float64) -> None:
+            _link(stiffness, left, right, max(rate * time_s, -_MOST_DRIFT * k))
 
-    structure.in_time.append(drift_spring)
+    structure.in_time.append(change)
+
+
+def _between_drive_and_motor(structure: Structure, place: _Place) -> None:
+    for name in set(place.names) - set(_MAY_BE_LEFT_OUT):
+        _ = place[name]
+    structure.motor_effects.append(place.effect)
+
+
+_CAUSES: dict[str, tuple[tuple[str, ...], Build]] = {
+    "coulomb_friction": (("torque",), _coulomb),
+    "viscous_friction": (("coefficient",), _viscous),
+    "stribeck_friction": (("static", "coulomb", "velocity"), _stribeck),
+    "presliding_friction": (("stiffness", "torque"), _at_mass(kernel.JENKINS, "stiffness", "torque")),
+    "asymmetric_friction": (
+        ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative"), _asymmetric,
+    ),
+    "torque_offset": (("torque",), _at_mass(kernel.OFFSET, "torque")),
+    "cogging": (_RIPPLE, _at_mass(kernel.SINE, *_RIPPLE)),
+    "spring_damping": (("coefficient",), _spring_damping),
+    "cubic_stiffness": (("coefficient",), _at_spring(kernel.CUBIC, "coefficient")),
+    "backlash": (("gap",), _at_spring(kernel.BACKLASH, "k", "d", "gap")),
+    "spring_hysteresis": (("stiffness", "torque"), _at_spring(kernel.JENKINS, "stiffness", "torque")),
+    "transmission_error": (_ERROR, _at_spring(kernel.TRANSMISSION, "k", *_ERROR)),
+    "gravity": (("torque", "angle"), _at_mass(kernel.SINE, "torque", "1", "angle", last=True)),
+    "extra_mode": (("mass", "stiffness"), _extra_mode),
+    "coupling_stiffness": (("stiffness",), _coupling),
+    "payload_change": (("mass", "time"), _payload),
+    "parameter_drift": (("rate", "parameter"), _drift),
+    "torque_delay": (("delay",), _between_drive_and_motor),
+    "torque_lag": (("time_constant",), _between_drive_and_motor),
+    "torque_gain": (("gain",), _between_drive_and_motor),
+    "torque_saturation": (("limit",), _between_drive_and_motor),
+    "encoder_eccentricity": (("amplitude", "phase"), _between_drive_and_motor),
+    "dropped_samples": (("fraction",), _between_drive_and_motor),
+}  # fmt: skip
+"""Of each cause its parameters and what builds it."""
+CAUSES = tuple(_CAUSES)
+
+
+def _apply(structure: Structure, effect: EffectConfig) -> None:
+    if effect.cause not in _CAUSES:
+        raise ConfigError(f"simulation.effects: unknown cause {effect.cause!r}; known are {list(CAUSES)}")
+    names, build = _CAUSES[effect.cause]
+    build(structure, _Place(structure, effect, names))

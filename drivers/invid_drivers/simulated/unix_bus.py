@@ -75,7 +75,7 @@ def _stamped(port: socket.socket) -> tuple[bytes, float]:
 
 
 def _deepen(port: socket.socket) -> None:
-    """Room for a peer that the system pauses: half a second of frames of three axes at 1 kHz, not 70 ms.
+    """Make room for a peer that the system pauses: half a second of frames of three axes at 1 kHz.
 
     How long a peer may say nothing is for the config's limits to say, not for a buffer.
     """
@@ -160,7 +160,7 @@ class UnixBus(BusABC):
         return unpack_frame(packet, time.time()), False
 
     def fileno(self) -> int:
-        """For select."""
+        """The socket's number, for select."""
         return self._socket.fileno()
 
     def shutdown(self) -> None:

@@ -22,13 +22,13 @@ class Profile:
     """0x607F is in rpm, not in counts per second."""
 
 
-_NO_TORQUE_LIMIT = frozenset({0x6072})
+_NO_TORQUE = frozenset({0x6071, 0x6072, 0x6076, 0x605A, 0x6007, 0x6087})
 _NO_GEAR = frozenset({0x608F, 0x6091, 0x6092})
 
 PROFILES: dict[str, Profile] = {
     "generic": Profile(),
     "epos4": Profile(
-        lacks=_NO_TORQUE_LIMIT | _NO_GEAR,
+        lacks=_NO_GEAR | {0x6072},
         values={(0x6076, 0): 0, (0x605A, 0): 6, (0x6007, 0): 3, (0x1008, 0): "EPOS4 (simulated)"},
         dummy_mapping=False,
         velocity_in_rpm=True,
@@ -47,17 +47,15 @@ PROFILES: dict[str, Profile] = {
         lacks=frozenset({0x6072, 0x605A, 0x6007}) | _NO_GEAR, values={(0x1008, 0): "eRob (simulated)"}
     ),
     "schunk": Profile(
-        lacks=frozenset({0x6071, 0x6072, 0x6076, 0x605A, 0x6007, 0x6087}) | _NO_GEAR,
-        values={(0x6502, 0): 0x00000043, (0x1008, 0): "Schunk (simulated)"},
+        lacks=_NO_TORQUE | _NO_GEAR,
+        values={(0x6502, 0): 0x43, (0x1008, 0): "Schunk (simulated)"},
         rpdos=2,
     ),
     "pilz": Profile(
-        lacks=frozenset({0x6071, 0x6072, 0x6076, 0x605A, 0x6007, 0x6087}) | _NO_GEAR,
-        values={(0x6502, 0): 0x00000043, (0x1008, 0): "PRBT (simulated)"},
-        rpdos=2,
+        lacks=_NO_TORQUE | _NO_GEAR, values={(0x6502, 0): 0x43, (0x1008, 0): "PRBT (simulated)"}, rpdos=2
     ),
     "faulhaber_3150": Profile(
-        lacks=frozenset({0x6071, 0x6072, 0x6076, 0x6077, 0x605A, 0x6007, 0x6087}),
+        lacks=_NO_TORQUE | {0x6077},
         values={(0x6502, 0): 0x00000080, (0x1008, 0): "3150 (simulated)"},
     ),
 }

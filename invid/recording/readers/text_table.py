@@ -190,8 +190,7 @@ def _first_data_row(numbered: _Numbered, delimiter: str, width: int, form: Numbe
             return i
     raise InputError(
         f"{path}: no row of numbers found; give 'delimiter', 'decimal', 'thousands' and 'header_lines' in "
-        f"the "
-        f"map's 'source' (dates and times of day are read as instants, with AM or PM where they say so)"
+        "the map's 'source' (dates and times of day are read as instants, with AM or PM where they say so)"
     )
 
 

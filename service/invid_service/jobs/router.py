@@ -141,24 +141,34 @@ async def _part(service: Service, identification: str, name: str) -> dict[str, A
     return {**found, "simulated": record.simulated}
 
 
-@router.get("/identifications/{identification}/plan", response_model=dict[str, Any])
-async def get_plan(identification: str, service: Context, _caller: Reader) -> dict[str, Any]:
-    """Return what was to move and how far; before and while it moves `plan` of the run has it, too."""
-    return await _part(service, identification, "plan")
+def _offer_part(name: str, operation: str, text: str) -> None:
+    """Add the route of one of the large parts of a run."""
+
+    async def get(identification: str, service: Context, _caller: Reader) -> dict[str, Any]:
+        return await _part(service, identification, name)
+
+    path = f"/identifications/{{identification}}/{name}"
+    router.add_api_route(path, get, name=operation, description=text, response_model=dict[str, Any])
 
 
-@router.get("/identifications/{identification}/measurement", response_model=dict[str, Any])
-async def get_measurement(identification: str, service: Context, _caller: Reader) -> dict[str, Any]:
-    """Return what was seen while it moved, the drives and what they lack, how late the SYNCs were."""
-    return await _part(service, identification, "measurement")
-
-
-@router.get("/identifications/{identification}/changes", response_model=dict[str, Any])
-async def get_changes_of_identification(
-    identification: str, service: Context, _caller: Reader
-) -> dict[str, Any]:
-    """Compare the result with the model that was in force then: every parameter, changed or not."""
-    return await _part(service, identification, "changes")
+for _name, _operation, _text in (
+    (
+        "plan",
+        "get_plan",
+        "Return what was to move and how far; before and while it moves `plan` of the run has it, too.",
+    ),
+    (
+        "measurement",
+        "get_measurement",
+        "Return what was seen while it moved, the drives and what they lack, how late the SYNCs were.",
+    ),
+    (
+        "changes",
+        "get_changes_of_identification",
+        "Compare the result with the model that was in force then: every parameter, changed or not.",
+    ),
+):
+    _offer_part(_name, _operation, _text)
 
 
 @router.post(
@@ -338,53 +348,24 @@ async def artefact(service: Service, identification: str, kind: str, request: Re
     return FileResponse(path, media_type=media, headers=headers, filename=f"{record.id}-{name}")
 
 
-@router.get(
-    "/identifications/{identification}/recording",
-    response_class=FileResponse,
-    responses=_file_responses(KINDS["recording"][1]),
-)
-async def get_recording(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-    """Return the measured data, HDF5; also what was measured before a stop."""
-    return await artefact(service, identification, "recording", request)
+def _offer_file(kind: str, operation: str, text: str) -> None:
+    """Add the route of one of the stored files of a run."""
+
+    async def get(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
+        return await artefact(service, identification, kind, request)
+
+    path = f"/identifications/{{identification}}/{kind}"
+    responses = _file_responses(KINDS[kind][1])
+    router.add_api_route(
+        path, get, name=operation, description=text, response_class=FileResponse, responses=responses
+    )
 
 
-@router.get(
-    "/identifications/{identification}/model",
-    response_class=FileResponse,
-    responses=_file_responses("application/json"),
-)
-async def get_identified_model(
-    identification: str, request: Request, service: Context, _caller: Reader
-) -> Response:
-    """Return the identified model, with its effects."""
-    return await artefact(service, identification, "model", request)
-
-
-@router.get(
-    "/identifications/{identification}/diagnosis",
-    response_class=FileResponse,
-    responses=_file_responses("application/json"),
-)
-async def get_diagnosis(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-    """Return what the simulation gets wrong."""
-    return await artefact(service, identification, "diagnosis", request)
-
-
-@router.get(
-    "/identifications/{identification}/report",
-    response_class=FileResponse,
-    responses=_file_responses("text/html"),
-)
-async def get_report(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-    """Return the report, one self-contained HTML file."""
-    return await artefact(service, identification, "report", request)
-
-
-@router.get(
-    "/identifications/{identification}/plots",
-    response_class=FileResponse,
-    responses=_file_responses("application/json"),
-)
-async def get_plots(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-    """Return the numbers behind the page's pictures."""
-    return await artefact(service, identification, "plots", request)
+for _kind, _operation, _text in (
+    ("recording", "get_recording", "Return the measured data, HDF5; also what was measured before a stop."),
+    ("model", "get_identified_model", "Return the identified model, with its effects."),
+    ("diagnosis", "get_diagnosis", "Return what the simulation gets wrong."),
+    ("report", "get_report", "Return the report, one self-contained HTML file."),
+    ("plots", "get_plots", "Return the numbers behind the page's pictures."),
+):
+    _offer_file(_kind, _operation, _text)

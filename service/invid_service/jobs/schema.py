@@ -174,29 +174,14 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
     measurement = record.facts.get("measurement")
     summary = record.facts.get("summary")
     return Identification(
-        id=record.id,
-        cell=record.cell,
-        robot=record.robot,
-        mode=record.mode,
+        **{name: value for name, value in vars(record).items() if name not in ("axes", "facts")},
+        **progress.to_json(),
         amplitude=record.facts.get("amplitude", "planned"),
         separates=record.facts.get("separates"),
         analyses=record.facts.get("analyses"),
         axes=list(record.axes),
-        state=record.state,
-        simulated=record.simulated,
-        progress=progress.fraction,
-        phase=progress.phase,
-        axis=progress.axis,
-        frequency=progress.frequency,
-        eta_s=progress.eta_s,
-        motion_left_s=progress.motion_left_s,
-        cause=progress.cause,
         error=record.facts.get("error"),
         stopped=stopped,
-        created=record.created,
-        started=record.started,
-        ended=record.ended,
-        requested_by=record.requested_by,
         plan=record.facts.get("plan") if record.state in _PLANNED else None,
         measurement=None
         if measurement is None

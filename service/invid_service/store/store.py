@@ -84,35 +84,29 @@ class CellBusyError(Exception):
     """Another run occupies the cell."""
 
 
-def _utc(value: datetime | None) -> datetime | None:
-    # SQLite forgets the zone; everything is written in UTC.
-    return value.replace(tzinfo=UTC) if value is not None and value.tzinfo is None else value
+def _plain(row: Any) -> dict[str, Any]:
+    """The columns of a row by name; SQLite forgets the zone of times, and everything is written in UTC."""
+    values = {column.name: getattr(row, column.name) for column in row.__table__.columns}
+    return {
+        name: v.replace(tzinfo=UTC) if isinstance(v, datetime) and v.tzinfo is None else v
+        for name, v in values.items()
+    }
 
 
 def _run(row: RunRow) -> RunRecord:
-    created = _utc(row.created)
-    return RunRecord(
-        id=row.id,
-        cell=row.cell,
-        robot=row.robot,
-        mode=row.mode,
-        axes=tuple(row.axes),
-        simulated=row.simulated,
-        state=State(row.state),
-        created=created if created is not None else row.created,
-        requested_by=row.requested_by,
-        started=_utc(row.started),
-        ended=_utc(row.ended),
-        facts=dict(row.facts),
-    )
+    columns = _plain(row)
+    del columns["number"]
+    own = {"axes": tuple(row.axes), "state": State(row.state), "facts": dict(row.facts)}
+    return RunRecord(**{**columns, **own})
 
 
-def _model(row: ModelRow) -> StoredModel:
-    return StoredModel(row.id, row.cell, _utc(row.created) or row.created, row.mode, row.document)
+def _columns(run: RunRecord) -> dict[str, Any]:
+    """What the table holds of a run."""
+    return {**vars(run), "axes": list(run.axes), "state": str(run.state), "facts": dict(run.facts)}
 
 
-def _approval(row: ApprovalRow) -> Approval:
-    return Approval(row.id, row.cell, row.model, _utc(row.at) or row.at, row.by, row.how)
+_CHANGE = ("state", "started", "ended", "facts", "robot", "axes", "simulated")
+"""Columns of a run that change after it was queued."""
 
 
 class Store:
@@ -143,18 +137,12 @@ class Store:
                             raise KeyReusedError
                         row = session.get_one(RunRow, earlier.run)
                         return _run(row)
-                session.add(self._row(run))
+                last = select(func.coalesce(func.max(RunRow.number), 0) + 1).scalar_subquery()
+                session.add(RunRow(**_columns(run), number=last))
                 session.flush()
                 if idempotency_key is not None and run.cell is not None:
-                    session.add(
-                        IdempotencyRow(
-                            cell=run.cell,
-                            key=idempotency_key,
-                            body_sha256=body_sha256,
-                            run=run.id,
-                            created=run.created,
-                        )
-                    )
+                    used = {"cell": run.cell, "key": idempotency_key, "body_sha256": body_sha256}
+                    session.add(IdempotencyRow(**used, run=run.id, created=run.created))
             return run
         except IntegrityError:
             if idempotency_key is not None and run.cell is not None:
@@ -173,39 +161,13 @@ class Store:
                 raise KeyReusedError
             return _run(session.get_one(RunRow, earlier.run))
 
-    @staticmethod
-    def _row(run: RunRecord) -> RunRow:
-        return RunRow(
-            id=run.id,
-            cell=run.cell,
-            robot=run.robot,
-            mode=run.mode,
-            axes=list(run.axes),
-            simulated=run.simulated,
-            state=str(run.state),
-            created=run.created,
-            number=select(func.coalesce(func.max(RunRow.number), 0) + 1).scalar_subquery(),
-            started=run.started,
-            ended=run.ended,
-            requested_by=run.requested_by,
-            facts=dict(run.facts),
-        )
-
     def save_state(self, run: RunRecord, event: StoredEvent | None) -> None:
         """Write the run's state and facts with the event that tells of it."""
         with Session(self.engine) as session, session.begin():
             session.execute(
                 update(RunRow)
                 .where(RunRow.id == run.id)
-                .values(
-                    state=str(run.state),
-                    started=run.started,
-                    ended=run.ended,
-                    facts=dict(run.facts),
-                    robot=run.robot,
-                    axes=list(run.axes),
-                    simulated=run.simulated,
-                )
+                .values({name: value for name, value in _columns(run).items() if name in _CHANGE})
             )
             if event is not None and session.get(EventRow, (run.id, event.id)) is None:
                 session.add(EventRow(run=run.id, id=event.id, type=event.type, data=dict(event.data)))
@@ -294,17 +256,7 @@ class Store:
         """Register stored files."""
         with Session(self.engine) as session, session.begin():
             for kind, blob in blobs.items():
-                session.merge(
-                    ArtefactRow(
-                        run=run_id,
-                        kind=kind,
-                        path=blob.path,
-                        size=blob.size,
-                        sha256=blob.sha256,
-                        created=now,
-                        deleted=None,
-                    )
-                )
+                session.merge(ArtefactRow(run=run_id, kind=kind, created=now, deleted=None, **vars(blob)))
 
     def artefacts(self, run_id: str) -> dict[str, Blob | None]:
         """Return the files of a run by kind; ``None`` where one was deleted after its retention."""
@@ -336,28 +288,20 @@ class Store:
     def add_model(self, model: StoredModel) -> None:
         """Keep an identified model."""
         with Session(self.engine) as session, session.begin():
-            session.merge(
-                ModelRow(
-                    id=model.id,
-                    cell=model.cell,
-                    created=model.created,
-                    mode=model.mode,
-                    document=model.document,
-                )
-            )
+            session.merge(ModelRow(**vars(model)))
 
     def model(self, cell: str, model_id: str) -> StoredModel | None:
         """Return one model of a cell."""
         with Session(self.engine) as session:
             row = session.get(ModelRow, model_id)
-            return None if row is None or row.cell != cell else _model(row)
+            return None if row is None or row.cell != cell else StoredModel(**_plain(row))
 
     def models(self, cell: str, limit: int = 200) -> list[StoredModel]:
         """Return the models of a cell, that of the last run first."""
         query = select(ModelRow).join(RunRow, RunRow.id == ModelRow.id).where(ModelRow.cell == cell)
         with Session(self.engine) as session:
             rows = session.scalars(query.order_by(RunRow.number.desc(), RunRow.id.desc()).limit(limit))
-            return [_model(row) for row in rows]
+            return [StoredModel(**_plain(row)) for row in rows]
 
     def approve(self, cell: str, model_id: str, *, by: str, how: str, now: datetime) -> Approval:
         """Take a model into force."""
@@ -365,13 +309,13 @@ class Store:
             row = ApprovalRow(cell=cell, model=model_id, at=now, by=by, how=how)
             session.add(row)
             session.flush()
-            return _approval(row)
+            return Approval(**_plain(row))
 
     def approvals(self, cell: str) -> list[Approval]:
         """Return the history of accepted models, newest first."""
         query = select(ApprovalRow).where(ApprovalRow.cell == cell).order_by(ApprovalRow.id.desc())
         with Session(self.engine) as session:
-            return [_approval(row) for row in session.scalars(query)]
+            return [Approval(**_plain(row)) for row in session.scalars(query)]
 
     def ping(self) -> None:
         """Raise where the database does not answer."""

@@ -25,10 +25,9 @@ TORQUE = np.round(0.7 * np.cos(2 * np.pi * 3.0 * TIME), 6)
 def chart(path: Path, *, time: str, position: str, torque: str, source: str = "") -> Path:
     """A map for position in degrees and torque in mN·m, the sign of the torque reversed."""
     path.write_text(
-        f"format: invid-import-map\n{source}\n"
-        f"time: {{column: {time!r}, unit: s}}\n"
-        f"axes:\n  - name: A\n    position: {{column: {position!r}, unit: deg}}\n"
-        f"    torque: {{column: {torque!r}, unit: 'mN·m', sign: -1}}\n",
+        f"format: invid-import-map\n{source}\ntime: {{column: {time!r}, unit: s}}\naxes:\n  - name: A\n    "
+        f"position: {{column: {position!r}, unit: deg}}\n    torque: {{column: {torque!r}, unit: 'mN·m', "
+        "sign: -1}\n",
         encoding="utf-8",
     )
     return path

@@ -72,9 +72,8 @@ def test_the_cycles_priority_and_memory_need_no_capability() -> None:
     if os.geteuid() != 0 or shutil.which("setpriv") is None:
         pytest.skip("needs root and setpriv: that SCHED_FIFO needs no capability is NOT checked")
     program = (
-        "import os, ctypes; from pathlib import Path; "
-        "assert 'CapEff:\\t0000000000000000' in Path('/proc/self/status').read_text(); "
-        "os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50)); "
+        "import os, ctypes; from pathlib import Path; assert 'CapEff:\\t0000000000000000' in "
+        "Path('/proc/self/status').read_text(); os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50)); "
         "assert ctypes.CDLL(None).mlockall(3) == 0"
     )
     command = ["prlimit", f"--rtprio={limits['RTPRIO']}", "--memlock=unlimited", "setpriv", "--reuid=65534"]

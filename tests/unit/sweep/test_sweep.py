@@ -31,9 +31,8 @@ def config(experiments: str = EXPERIMENT, *, axis: str = "", limits: str = "", c
         for i in range(count)
     )
     return parse_config(
-        f"format: invid-config\nrobot: r\nbus: {{interface: x, channel: x, cycle_s: {CYCLE}}}\n"
-        f"axes:\n{rows}\n"
-        f"experiments: [{experiments}]\n"
+        "format: invid-config\nrobot: r\nbus: {interface: x, channel: x, cycle_s: "
+        f"{CYCLE}}}\naxes:\n{rows}\nexperiments: [{experiments}]\n"
     )
 
 
