@@ -58,6 +58,8 @@ LARGER_FRICTION = ("presliding_friction", "stribeck_friction", "asymmetric_frict
 asked once that is found."""
 NAMING_ITERATIONS = 10
 """Iterations of a fit with the friction's parts, or without causes: it starts where it ends, almost."""
+ROUNDING_ITERATIONS = 4
+"""Iterations of a fit with another rounding of dry friction, whose size hardly changes with it (empirical)."""
 SHAPES = 7
 """Widths and Stribeck velocities that are tried anew, each (empirical: a factor of three apart)."""
 REFINED_BELOW = 0.5
@@ -654,7 +656,7 @@ def _without_needless_rounding(
     def with_roundings(start: CandidateEvidence, kept: Sequence[int]) -> CandidateEvidence | None:
         laws = tuple(t if k in kept else sharp.get(k, t) for k, t in enumerate(terms))
         candidate = Candidate(laws, start.fit.candidate.x)
-        again = partial(_refit, start, train, held, is_last=True, iterations=NAMING_ITERATIONS)
+        again = partial(_refit, start, train, held, is_last=True, iterations=ROUNDING_ITERATIONS)
         return again(candidate=candidate, quick=True)
 
     best = with_roundings(whole, ()) if sharp else None
