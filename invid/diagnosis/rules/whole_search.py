@@ -59,7 +59,7 @@ asked once that is found."""
 NAMING_ITERATIONS = 10
 """Iterations of a fit with the friction's parts, or without causes: it starts where it ends, almost."""
 ROUNDING_ITERATIONS = 4
-"""Iterations of a fit with another rounding of dry friction, whose size hardly changes with it (empirical)."""
+"""Iterations of a fit with another rounding of dry friction: its size hardly changes (empirical)."""
 SHAPES = 7
 """Widths and Stribeck velocities that are tried anew, each (empirical: a factor of three apart)."""
 REFINED_BELOW = 0.5
