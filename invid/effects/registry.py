@@ -14,6 +14,7 @@ from pathlib import Path
 
 from invid.effects.catalogue.asymmetric_friction import AsymmetricFriction
 from invid.effects.catalogue.backlash import Backlash
+from invid.effects.catalogue.base_compliance import BaseCompliance
 from invid.effects.catalogue.cogging import Cogging
 from invid.effects.catalogue.coulomb_friction import CoulombFriction
 from invid.effects.catalogue.coupling_stiffness import CouplingStiffness
@@ -64,6 +65,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Gravity(),
     ExtraMode(),
     CouplingStiffness(),
+    BaseCompliance(),
     PayloadChange(),
     ParameterDrift(),
 )
