@@ -109,7 +109,7 @@ class Screen:
         return out
 
     def parameters_taking_up(self, rows: Float64) -> Float64:
-        """(n, L) change of the parameters fitted so far that takes up what it can of whitened rows (rows, L)."""
+        """(n, L) change of the parameters fitted so far that takes up what it can of ``rows`` (rows, L)."""
         out: Float64 = self._pseudo_inverse @ (self.basis.T @ rows)
         return out
 
