@@ -210,7 +210,7 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     )
     alternatives += _gain_alternative(final, term, recording, alternatives)
     alternatives += _stribeck_alternative(step, recording, alternatives)
-    alternatives += _base_alternative(final, term, recording)
+    alternatives += _one_motor_alternatives(final, term, recording, alternatives)
     axis = term.place.axis
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
     total = sum(s.gain for s in selection.steps)
@@ -301,14 +301,21 @@ def _gain_alternative(
     return (Alternative("torque_gain", recording.axes[axis], None, _axis_rms(final, axis), None),)
 
 
-def _base_alternative(
-    final: CandidateEvidence, term: PlacedEffect, recording: Recording
+def _one_motor_alternatives(
+    final: CandidateEvidence, term: PlacedEffect, recording: Recording, known: tuple[Alternative, ...]
 ) -> tuple[Alternative, ...]:
-    """A base that gives way as alternative to a mode of one axis, which gives the same data
-    (``effects.catalogue.base_compliance``)."""
+    """The same mode at the other masses and a base that gives way as alternatives to a mode of one axis.
+
+    Seen from one motor each of them makes the same poles and zeros; whether the search fitted them to the end
+    or left another at a flat valley decides nothing.
+    """
     if term.effect.cause != "extra_mode" or recording.axis_count != 1:
         return ()
-    return (Alternative("base_compliance", recording.axes[0], None, _axis_rms(final, 0)),)
+    axis, after = recording.axes[0], _axis_rms(final, 0)
+    listed = {a.element for a in known if a.cause == "extra_mode"} | {term.place.element}
+    places = (p.element for p in term.effect.places(final.fit.layout.structure))
+    modes = (Alternative("extra_mode", axis, element, after) for element in places if element not in listed)
+    return (*modes, Alternative("base_compliance", axis, None, after))
 
 
 def _rivals(step: Step, remainder: float) -> tuple[list[CandidateEvidence], float]:
