@@ -23,9 +23,9 @@ from invid.diagnosis.evidence import (
     refit_with_effect,
     schwarz_penalty,
 )
+from invid.diagnosis.rules.structure_start import start_beside_friction
 from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.structure_start import start_beside_friction
 from invid.diagnosis.thresholds import FAR, HELD_OUT, MOST, SHARE, SIGNIFICANCE
 from invid.effects.catalogue.asymmetric_friction import AsymmetricStribeck
 from invid.effects.laws.joint import LEAST_SLOW, JointFriction
