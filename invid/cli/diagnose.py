@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from invid.model.diagnosis_document import Diagnosis
     from invid.recording.model import Recording
 
+TOLD = ("backlash", "coulomb_friction", "extra_mode", "base_compliance")
+"""Causes whose limits are told on the screen; all of them stand in the document and in the report."""
+
 
 def register(app: typer.Typer) -> None:
     """Adds the command."""
@@ -193,6 +196,9 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
                     "  (invid measure CONFIG --separate DIAGNOSIS.json -o NEW.h5 runs it; then diagnose with "
                     "--with NEW.h5)"
                 )
+    told = [r.sentence for r in diagnosis.ruled_out if r.cause in TOLD]
+    if told:
+        lines += ["ruled out, 95 % sure (every cause: --json, --report)", *(f"  {t}" for t in told)]
     if diagnosis.against is not None:
         lines += ["", *diagnosis.against["sentences"]]
         lines += [f"warning: {w}" for w in diagnosis.against["warnings"]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Protocol
 
 from invid.diagnosis.evidence import (
     CandidateEvidence,
@@ -41,7 +42,17 @@ def least_gain(here: JointFit, term: PlacedEffect, count: int, *, first: bool) -
     return max(significant, SMALL_REMAINDER * excess_chi2(here.evaluation, _axes_of_place(term.place)))
 
 
-def needed_gain(current: CandidateEvidence, trial: CandidateEvidence, count: int, *, rejects: bool) -> float:
+class Trial(Protocol):
+    """A cause on trial: its term, and its number of initial states."""
+
+    @property
+    def term(self) -> PlacedEffect: ...
+
+    @property
+    def starts(self) -> int: ...
+
+
+def needed_gain(current: CandidateEvidence, trial: Trial, count: int, *, rejects: bool) -> float:
     """Gain of χ² that one of ``count`` candidates needs; ``rejects``: the null test rejects the model without
     it."""
     unknowns = max(trial.term.size + trial.starts - current.starts, 1)

@@ -121,13 +121,15 @@ def parameter_estimates(trial: CandidateEvidence, number: int, linear: bool) -> 
     """Parameters of one effect with standard deviations, named and in the units of the contract."""
     term, x = trial.fit.candidate.terms[number], trial.fit.candidate.x[number]
     covariance = trial.fit.covariance_of(number)
-    values = term.effect.values(x.tolist(), term.place)
+    structure = trial.fit.layout.structure
+    effect = term.effect.of_machine(structure.chains(trial.fit.p[: structure.count]))
+    values = effect.values(x.tolist(), term.place)
     jacobian = np.zeros((len(values), x.size))
     for k in range(x.size):
         h = 1e-5 * max(abs(float(x[k])), 1e-9)
         shifted = x.copy()
         shifted[k] += h
-        changed = term.effect.values(shifted.tolist(), term.place)
+        changed = effect.values(shifted.tolist(), term.place)
         jacobian[:, k] = [(changed[n] - values[n]) / h for n in values]
     # Parameters that the data do not determine (when a load changed between two records) leave the others.
     is_finite = np.isfinite(np.diag(covariance))
@@ -145,7 +147,7 @@ def parameter_estimates(trial: CandidateEvidence, number: int, linear: bool) -> 
             std = 0.0
         if std is None and name == "time":
             std = _gap_length(trial, value) / float(np.sqrt(12.0))
-        out[name] = Estimate(value, std, unit_of(term.effect.parameters[name], linear))
+        out[name] = Estimate(value, std, unit_of(effect.parameters[name], linear))
     return out
 
 
@@ -208,6 +210,7 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     )
     alternatives += _gain_alternative(final, term, recording, alternatives)
     alternatives += _stribeck_alternative(step, recording, alternatives)
+    alternatives += _one_motor_alternatives(final, term, recording, alternatives)
     axis = term.place.axis
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
     total = sum(s.gain for s in selection.steps)
@@ -296,6 +299,23 @@ def _gain_alternative(
     if any(a.cause == "torque_gain" for a in known):
         return ()
     return (Alternative("torque_gain", recording.axes[axis], None, _axis_rms(final, axis), None),)
+
+
+def _one_motor_alternatives(
+    final: CandidateEvidence, term: PlacedEffect, recording: Recording, known: tuple[Alternative, ...]
+) -> tuple[Alternative, ...]:
+    """The same mode at the other masses and a base that gives way as alternatives to a mode of one axis.
+
+    Seen from one motor each of them makes the same poles and zeros; whether the search fitted them to the end
+    or left another at a flat valley decides nothing.
+    """
+    if term.effect.cause != "extra_mode" or recording.axis_count != 1:
+        return ()
+    axis, after = recording.axes[0], _axis_rms(final, 0)
+    listed = {a.element for a in known if a.cause == "extra_mode"} | {term.place.element}
+    places = (p.element for p in term.effect.places(final.fit.layout.structure))
+    modes = (Alternative("extra_mode", axis, element, after) for element in places if element not in listed)
+    return (*modes, Alternative("base_compliance", axis, None, after))
 
 
 def _rivals(step: Step, remainder: float) -> tuple[list[CandidateEvidence], float]:

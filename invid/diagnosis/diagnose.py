@@ -11,6 +11,7 @@ import numpy as np
 from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.context import apply_rule, current_context, use_context
 from invid.diagnosis.known_effects import merge_spring_damping
+from invid.diagnosis.limits.ruled_out import ruled_out
 from invid.diagnosis.outcome import limit_unfinished_search
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import (
@@ -144,6 +145,8 @@ def _diagnose_clean(
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     if selection.is_cut_short:
         result = limit_unfinished_search(result)
+    elif result.verdict is not Verdict.UNEXPLAINED:  # else anything may hide behind what is left
+        result = replace(result, ruled_out=ruled_out(selection, train, held, repaired))
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, bare) if dropped else {}
     )

@@ -262,7 +262,7 @@ def is_at_bound(found: JointFit) -> bool:
         return False
     shapes = x[len(term.effect.coefficients) :]
     limits = term.effect.limits(views, term.place)
-    if term.effect.cause == "extra_mode":
+    if term.effect.cause in ("extra_mode", "base_compliance"):
         # Nor is damping. But a mode outside all lines is none, and one with damping at its bound is friction,
         # or what a hold with other gains leaves (empirical: three of fifteen records without a cause).
         if shapes[1] >= limits[1][1] - 1e-3:

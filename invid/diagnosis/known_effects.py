@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from invid.effects.effect import Effect
 from invid.effects.registry import BY_CAUSE, LARGE_MOTION, effect_of, effects
 from invid.errors import ModelError
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
@@ -60,6 +62,8 @@ def effect_place(term: EffectTerm, structure: ChainStructure) -> Place:
     size = structure.sizes[axis]
     if effect.home == "axis":
         return Place("axis", axis)
+    if effect.home == "base":
+        return Place("base", 0)
     default = {"spring": "spring 1", "end": f"mass {size}", "motor": "mass 1"}[effect.home]
     kind, _, number = (term.element or default).partition(" ")
     most = size if kind == "mass" else size - 1
@@ -71,9 +75,11 @@ def effect_place(term: EffectTerm, structure: ChainStructure) -> Place:
     return Place(kind, axis, int(number))
 
 
-def effect_vector(term: EffectTerm) -> Float64:
+def effect_vector(term: EffectTerm, chains: CoupledChains | None = None) -> Float64:
     """(k,) parameters of an effect as they are fitted; ModelError where one is missing or impossible."""
-    effect = BY_CAUSE[term.cause]
+    effect: Effect = BY_CAUSE[term.cause].known(term)
+    if chains is not None:
+        effect = effect.of_machine(chains)
     values = {
         name: effect.optional[name]
         if name in effect.optional and name not in term.parameters
@@ -120,5 +126,6 @@ def known_effects_candidate(model: Model, structure: ChainStructure) -> Candidat
                 f"{', '.join(sorted(e.cause for e in effects()))}; one from a file of its own needs "
                 "that file (--effects FILE.py)"
             )
-        out = out.plus(PlacedEffect(effect.known(term), effect_place(term, structure)), effect_vector(term))
+        law = effect.known(term).of_structure(structure)
+        out = out.plus(PlacedEffect(law, effect_place(term, structure)), effect_vector(term, model.chains))
     return out

@@ -269,7 +269,7 @@ def _describe_residual(a: Analysis, residual: tuple[AxisResidual, ...]) -> Unexp
 def _not_searched(a: Analysis) -> list[str]:
     """Causes of the catalogue that such a record was not asked for."""
     asked = {t.cause for t in (*a.candidates, *a.final.terms)} | {"torque_delay"}
-    inner = ("extra_mode", "coupling_stiffness")
+    inner = ("extra_mode", "coupling_stiffness", "base_compliance")
     others = [
         e.cause.replace("_", " ")
         for e in CATALOGUE

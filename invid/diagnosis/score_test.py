@@ -44,6 +44,7 @@ def terms_to_test(
     for effect in effects():
         if structure.motors < effect.least_axes or (linear_axes and effect.rotary):
             continue
+        effect = effect.of_structure(structure)
         for place in effect.places(structure):
             taken = any(t.place == place and not t.effect.stands_beside(effect) for t in chosen)
             most = effect.most_places(structure)
@@ -97,7 +98,7 @@ class Screen:
 
     def shift(self, term: PlacedEffect, x: Float64) -> Float64:
         """(n,) Gauss–Newton step of the parameters fitted so far with the effect at ``x`` in place."""
-        self._reconstruct(term)
+        self.reconstruct(term)
         evaluation = self.fit.evaluation
         parts = []
         for view, root, basis in zip(self.views, evaluation.roots, evaluation.bases, strict=True):
@@ -105,6 +106,11 @@ class Screen:
             parts.append(part - basis @ (basis.T @ part) if basis.size else part)
         white = np.concatenate([*parts, np.zeros(self.tail)]) + evaluation.residual
         out: Float64 = -self._pseudo_inverse @ (self.basis.T @ white)
+        return out
+
+    def parameters_taking_up(self, rows: Float64) -> Float64:
+        """(n, L) change of the parameters fitted so far that takes up what it can of ``rows`` (rows, L)."""
+        out: Float64 = self._pseudo_inverse @ (self.basis.T @ rows)
         return out
 
     def score_at_shape(self, term: PlacedEffect, shape: Sequence[float]) -> tuple[float, Float64]:
@@ -118,12 +124,12 @@ class Screen:
                 return -np.inf, np.asarray(shape, dtype=float)
             gain = float(-2.0 * columns @ self.residual - columns @ columns)
             return gain, np.asarray(shape, dtype=float)
-        self._reconstruct(term)
+        self.reconstruct(term)
         columns = self.project([effect.basis(v, place, shape) for v in self.views])
         gain, coefficients = _regress(effect, columns, self.residual)
         return gain, np.concatenate((coefficients, np.asarray(shape, dtype=float)))
 
-    def _reconstruct(self, term: PlacedEffect | None) -> None:
+    def reconstruct(self, term: PlacedEffect | None) -> None:
         """Sets the inner motion of every view as if the missing torque came from a force at the term's
         place."""
         is_read = term is not None and term.inner and term.effect.along_pattern
@@ -141,11 +147,11 @@ class Screen:
 
     def restore_views(self) -> None:
         """Restores the inner motion of the fit in its views."""
-        self._reconstruct(None)
+        self.reconstruct(None)
 
     def _nonlinear_contribution(self, view: View, term: PlacedEffect, shape: Sequence[float]) -> Complex128:
         """(F, M) contribution on top of the chosen causes, inner motion iterated with it."""
-        self._reconstruct(term)
+        self.reconstruct(term)
         if not term.inner or view.missing is not None:
             return term.effect.contribution(view, term.place, shape)[0]
         before = view.feedback
@@ -160,7 +166,7 @@ class Screen:
 
     def best(self, term: PlacedEffect, *, polish: bool = False) -> Score:
         """Score at the best shape of the grid; ``polish``: refined between the grid's shapes."""
-        self._reconstruct(term)
+        self.reconstruct(term)
         grid = term.effect.grid(self.views, term.place)
         if not grid:
             return Score(term, np.zeros(0), -np.inf)

@@ -7,9 +7,11 @@ from dataclasses import replace
 from math import floor, log10
 
 from invid.effects.registry import BY_CAUSE
-from invid.model.diagnosis_document import Alternative
+from invid.model.diagnosis_document import Alternative, RuledOut
 from invid.model.document import EffectTerm, Estimate
 
+SHOWS_BELOW = ("torque_saturation", "base_compliance")
+"""Causes that show the more the smaller their parameter is."""
 LEAST_NAMED = 0.005
 """Share of what the model missed from which a finding is said to explain it; below, it would round to 0 %."""
 
@@ -43,6 +45,23 @@ def place_phrase(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) ->
     if q == "1":
         return " at the motor" if count > 1 else ""
     return " at the load" if int(q) == count else f" at {term.element}"
+
+
+def ruled_out_sentence(found: RuledOut, sizes: Sequence[int], axes: Sequence[str]) -> str:
+    """ "No free play in the transmission above 0.12 mrad on A2 in spring 1.", or why it could not be seen."""
+    effect = BY_CAUSE[found.cause]
+    thing = effect.title.partition(" (")[0].removeprefix("a ").removeprefix("an ")
+    term = EffectTerm(found.cause, found.axis, {}, found.element, found.other_axis)
+    phrase = place_phrase(term, sizes, axes).rstrip(",").replace(", counted from the motor", "")
+    place = "" if effect.home == "base" else f" on {found.axis}{phrase}"
+    if found.limit is None:
+        return f"{thing[:1].upper()}{thing[1:]}{place} could not have been seen: {found.why}."
+    value, unit = found.limit, found.unit or "1"
+    if unit in ("rad", "s", "m") and value < 0.1:
+        value, unit = 1e3 * value, f"m{unit}"
+    size = f"{value:.2g}" + ("" if unit == "1" else f" {unit}")
+    beyond = "below" if found.cause in SHOWS_BELOW else "above"
+    return f"No {thing} {beyond} {size}{place}."
 
 
 def _rival_text(rival: Alternative, term: EffectTerm) -> str:

@@ -21,6 +21,7 @@ from invid.effects.registry import effects_of_plant
 from invid.errors import InvidError
 from invid.likelihood.evaluation import Evaluation, evaluate, record_views
 from invid.likelihood.joint_fit import JointFit
+from invid.likelihood.nuisance.transients import own_jump_response
 from invid.likelihood.null_test import rms_torque
 from invid.likelihood.placed_effect import Candidate
 from invid.model.diagnosis_document import Diagnosis
@@ -251,38 +252,24 @@ def add_time_domain_check(
 
 
 def _remove_mode_transients(evaluation: Evaluation, candidate: Candidate) -> Evaluation:
-    """The evaluation without the transient of extra modes from the state in which the simulation started
-    them.
+    """The evaluation without the transient of extra modes and of a base from the state in which the
+    simulation started them.
 
     The mode's own coordinate starts and ends somewhere as every coordinate of the chains does, but is none of
-    them: a jump Δx and Δẋ of it over the record acts as [(jωm + c)Δx + mΔẋ]·(2/T), which its spring and
-    damper transfer as (k + jωc)/(k + jωc − ω²m): two real unknowns of each record and mode.
+    them: a jump Δx and Δẋ of it over the record is two real unknowns of each record and mode.
     """
-    modes = [
-        (t, t.effect.values(x.tolist(), t.place))
-        for t, x in zip(candidate.terms, candidate.x, strict=True)
-        if t.effect.cause == "extra_mode"
-    ]
-    if not modes:
-        return evaluation
     residual, missing, at = evaluation.residual.copy(), list(evaluation.missing), 0
     for number, (view, root, basis) in enumerate(
         zip(evaluation.views, evaluation.roots, evaluation.bases, strict=True)
     ):
-        w, columns = view.omega, []
-        for term, v in modes:
-            damper = 2.0 * v["damping_ratio"] * np.sqrt(v["stiffness"] * v["mass"])
-            spring = v["stiffness"] + 1j * w * damper
-            jumps = np.stack((1j * w * v["mass"] + damper, np.full(w.size, v["mass"], dtype=complex)), axis=1)
-            jumps[0] *= 0.5
-            transferred = (spring / (spring - w**2 * v["mass"]))[:, None] * jumps
-            columns.append(
-                view.condensed_force(term.place.pattern(view.structure))[:, :, None] * transferred[:, None, :]
-            )
+        own = (own_jump_response(view, t, x) for t, x in zip(candidate.terms, candidate.x, strict=True))
+        columns = [torque for torque, _ in (pair for pair in own if pair is not None)]
+        if not columns:
+            return evaluation
         part = stack(root @ np.concatenate(columns, axis=2))
-        own = orthonormal(part - basis @ (basis.T @ part))
+        jumps = orthonormal(part - basis @ (basis.T @ part))
         rows = slice(at, at + part.shape[0])
-        transient = own @ (own.T @ residual[rows])
+        transient = jumps @ (jumps.T @ residual[rows])
         residual[rows] -= transient
         missing[number] = missing[number] - unstack(unwhitener(root), transient, missing[number].shape)
         at = rows.stop

@@ -24,9 +24,10 @@ from invid.effects.motion import View, along
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import Size
 from invid.errors import InputError, ModelError
+from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm
 from invid.model.parameters import ChainStructure
-from invid.model.place import Place
+from invid.model.place import Pattern, Place
 from invid.numerics.arrays import Complex128, Float64
 
 FAMILIES = (
@@ -34,7 +35,7 @@ FAMILIES = (
     "scale", "saturation", "actuator_dynamics", "other",
 )  # fmt: skip
 """Kinds of cause. Two laws of friction sit at one place only where their ``parts`` differ."""
-HOMES = ("motor", "end", "spring", "axis")
+HOMES = ("motor", "end", "spring", "axis", "base")
 OVER = ("", "velocity", "position", "deflection", "deflection rate", "torque", "torque rate")
 """Quantities over which missing torque can be drawn."""
 KNOWN_LINES = 60
@@ -105,7 +106,7 @@ class Effect:
     family: str = ""
     parts: tuple[str, ...] = ()
     """Kinds of friction that it consists of; two laws with a common part do not sit at one place."""
-    home: Literal["motor", "end", "spring", "axis"] = "motor"
+    home: Literal["motor", "end", "spring", "axis", "base"] = "motor"
     """Place of the effect in a model that does not state one."""
     over: str = ""
     """Quantity over which its missing torque is drawn (``invid.effects.curve``); "" where it has no such
@@ -241,6 +242,18 @@ class Effect:
         """Number of places at which it can be seen at once; ``None`` for no limit."""
         return None
 
+    def pattern(self, structure: ChainStructure, place: Place, x: Sequence[float]) -> Pattern:
+        """Coordinates that its force acts on at ``x``; those of the place unless it fits them."""
+        return place.pattern(structure)
+
+    def of_structure(self, structure: ChainStructure) -> Effect:
+        """The law with as many parameters as a machine of this structure asks for."""
+        return self
+
+    def of_machine(self, chains: CoupledChains) -> Effect:
+        """The law with what its parameters' names and values need of the machine."""
+        return self
+
     def known(self, term: EffectTerm) -> Self:
         """The law with what a model states of it beyond its parameters."""
         return self
@@ -354,7 +367,7 @@ class ImpedanceEffect(Effect):
         raise NotImplementedError
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
-        pattern = place.pattern(view.structure)
+        pattern = self.pattern(view.structure, place, (1.0, *shape))
         z = self.impedance(view, place, (1.0, *shape))
         if view.record.transient:  # the wave that laws are read from closes; the motion does not
             raw = view.unfiltered
@@ -373,7 +386,7 @@ class ImpedanceEffect(Effect):
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
-        pattern = place.pattern(view.structure)
+        pattern = self.pattern(view.structure, place, x)
         raw = view.unfiltered
         z = self.impedance(view, place, x)
         force = (z * along(pattern, raw) + self.within(view, place, x)) / (
@@ -389,7 +402,7 @@ class ImpedanceEffect(Effect):
         ``moved`` (F, ΣN, 2ΣN): motion of the linear plant for the jumps. Masses and dampers have ends of
         their own, (2/T)((d + jωm)Δx + mΔv).
         """
-        pattern = place.pattern(view.structure)
+        pattern = self.pattern(view.structure, place, x)
         z = self.impedance(view, place, x)
         force: Complex128 = z[:, None] * along(pattern, moved)
         mass, damper = self.carries(view, x)
@@ -402,8 +415,8 @@ class ImpedanceEffect(Effect):
         out: Complex128 = force / (1.0 + z * view.driving_point_receptance(pattern))[:, None]
         return out
 
-    def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
-        """Mass and damper that its impedance contains."""
+    def carries(self, view: View, x: Sequence[float]) -> tuple[float | Complex128, float]:
+        """Mass, or (F,) what stands where a mass would, and damper that its impedance contains."""
         return 0.0, 0.0
 
     def of_own_jumps(self, view: View, place: Place, x: Sequence[float]) -> Complex128 | None:
@@ -416,5 +429,6 @@ class ImpedanceEffect(Effect):
     def force_per_motion(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         """(F,) force per motion that the pattern would have without the effect."""
         z = self.impedance(view, place, x)
-        out: Complex128 = z / (1.0 + z * view.driving_point_receptance(place.pattern(view.structure)))
+        pattern = self.pattern(view.structure, place, x)
+        out: Complex128 = z / (1.0 + z * view.driving_point_receptance(pattern))
         return out

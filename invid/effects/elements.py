@@ -86,6 +86,21 @@ class AddedMass:
 
 
 @dataclass(frozen=True)
+class AddedBase:
+    """The body under all loads on a spring to ground, with all that stands on it as its ``mass``.
+
+    ``force`` (M,) is what each load feels per acceleration of the body, ``shares`` (M,) how far it moves with
+    it.
+    """
+
+    mass: float
+    stiffness: float
+    damper: float
+    force: tuple[float, ...]
+    shares: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class TorqueChannel:
     """Path of an axis' torque before it acts: gain, delay [s], lag [s], limit [N·m or N]."""
 
@@ -162,6 +177,7 @@ Element = (
     | AddedSpring
     | AddedDamper
     | AddedMass
+    | AddedBase
     | TorqueChannel
     | ReadingError
     | RepeatedRows

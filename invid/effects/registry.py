@@ -14,6 +14,7 @@ from pathlib import Path
 
 from invid.effects.catalogue.asymmetric_friction import AsymmetricFriction
 from invid.effects.catalogue.backlash import Backlash
+from invid.effects.catalogue.base_compliance import BaseCompliance
 from invid.effects.catalogue.cogging import Cogging
 from invid.effects.catalogue.coulomb_friction import CoulombFriction
 from invid.effects.catalogue.coupling_stiffness import CouplingStiffness
@@ -22,11 +23,9 @@ from invid.effects.catalogue.dropped_samples import DroppedSamples
 from invid.effects.catalogue.encoder_eccentricity import EncoderEccentricity
 from invid.effects.catalogue.extra_mode import ExtraMode
 from invid.effects.catalogue.gravity import Gravity
-from invid.effects.catalogue.load_dependent_friction import LoadDependentFriction
 from invid.effects.catalogue.parameter_drift import ParameterDrift
 from invid.effects.catalogue.payload_change import PayloadChange
 from invid.effects.catalogue.presliding_friction import PreslidingFriction
-from invid.effects.catalogue.quadratic_stiffness import QuadraticStiffness
 from invid.effects.catalogue.spring_damping import SpringDamping
 from invid.effects.catalogue.spring_hysteresis import SpringHysteresis
 from invid.effects.catalogue.stribeck_friction import StribeckFriction
@@ -39,6 +38,8 @@ from invid.effects.catalogue.transmission_error import TransmissionError
 from invid.effects.catalogue.viscous_friction import ViscousFriction
 from invid.effects.effect import Effect
 from invid.effects.effect_files import check_effect, installed_effects, load_effects
+from invid.effects.large_motion.load_dependent_friction import LoadDependentFriction
+from invid.effects.large_motion.quadratic_stiffness import QuadraticStiffness
 from invid.errors import InputError
 from invid.model.document import EffectTerm
 
@@ -64,6 +65,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Gravity(),
     ExtraMode(),
     CouplingStiffness(),
+    BaseCompliance(),
     PayloadChange(),
     ParameterDrift(),
 )

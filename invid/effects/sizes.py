@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from invid.effects.laws.moving_base import load_inertia, moved_by_base
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm
 from invid.model.forward import resonances
@@ -181,6 +182,16 @@ def with_mode(term: EffectTerm, machine: Machine) -> tuple[Float64, Float64]:
     pull = np.zeros(count + 1)
     pull[at], pull[count] = 1.0, -1.0
     return k + term.value("stiffness") * np.outer(pull, pull), m
+
+
+def with_base(term: EffectTerm, machine: Machine) -> tuple[Float64, Float64]:
+    chains, inertia = machine.chains, load_inertia(machine.chains)
+    total, force = moved_by_base({name: e.value for name, e in term.parameters.items()}, inertia)
+    k, m = (scipy.linalg.block_diag(part, own) for part, own in (
+        (chains.stiffness_matrix, term.value("stiffness")), (chains.mass_matrix, total)
+    ))  # fmt: skip
+    m[-1, chains.end_dofs] = m[chains.end_dofs, -1] = force
+    return k, m
 
 
 def with_tie(term: EffectTerm, machine: Machine) -> tuple[Float64, Float64]:

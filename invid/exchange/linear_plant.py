@@ -1,6 +1,7 @@
 """The linear part of a model as matrices, and what of the model a format does not hold, in sentences.
 
-q [rad or m] are the coordinates in the order of axes and masses, those of extra modes at the end; u [N·m or
+q [rad or m] are the coordinates in the order of axes and masses, those of extra modes and of a base at the
+end; u [N·m or
 N] the motor torques that the drives report; t the torques that act:
 
     M q̈ + D q̇ + K q = Σ_i e_i t_i,    τ_i ṫ_i + t_i = g_i u_i    (τ_i = 0: t_i = g_i u_i).
@@ -29,6 +30,7 @@ LINEAR = (
     "spring_damping",
     "coupling_stiffness",
     "extra_mode",
+    "base_compliance",
     "torque_gain",
     "torque_lag",
 )
@@ -150,7 +152,7 @@ def coordinate_names(chains: CoupledChains, laws: Laws) -> tuple[str, ...]:
         axis = chains.axes[int(np.searchsorted(chains.motor_dofs, added.at, side="right")) - 1]
         counts[axis] += 1
         names.append(f"{axis}.extra.{counts[axis]}")
-    return tuple(names)
+    return (*names, *(f"base.{k + 1}" for k in range(len(laws.bases))))
 
 
 def parameter_spread(model: Model) -> ParameterSpread:
@@ -182,6 +184,11 @@ def derivatives(plant: LinearPlant, names: tuple[str, ...]) -> tuple[Float64, Fl
         unit[structure.names.index(name)] = 1.0
         for whole, matrix in zip(made, structure.assembled(unit), strict=True):
             whole[k, inner, inner] = matrix
+        inertia = made[0][k][np.ix_(plant.chains.end_dofs, plant.chains.end_dofs)]
+        for at, base in enumerate(plant.laws.bases, structure.dofs + len(plant.laws.extra_masses)):
+            shares = np.array(base.shares)  # what stands on it counts as its mass
+            made[0][k, at, plant.chains.end_dofs] = made[0][k, plant.chains.end_dofs, at] = inertia @ shares
+            made[0][k, at, at] = shares @ inertia @ shares
     return made[0], made[1], made[2]
 
 

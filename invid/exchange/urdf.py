@@ -147,7 +147,7 @@ def losses(plant: LinearPlant) -> list[str]:
     mass, _, stiffness = held_matrices(plant)
     for term in plant.linear:
         at_motor = term.element in (None, "mass 1")
-        if term.cause in ("coupling_stiffness", "torque_gain", "torque_lag") or (
+        if term.cause in ("coupling_stiffness", "base_compliance", "torque_gain", "torque_lag") or (
             term.cause == "viscous_friction" and not at_motor
         ):
             lost.append(f"{effect_name(term)} is left out")

@@ -154,7 +154,7 @@ def impedance_columns(
     """
     for term, x in zip(candidate.terms, candidate.x, strict=True):
         if term.inner and isinstance(term.effect, ImpedanceEffect):
-            pattern = term.place.pattern(view.structure)
+            pattern = term.effect.pattern(view.structure, term.place, x.tolist())
             # Along one pattern only: its rows of Z_ii⁻¹ through ∂Z of every coordinate.
             rows = view.inner_receptance(pattern)[:, :, None]
             every = view.structure.torque_derivative(sp, view.omega, rows, q[None])[0]
@@ -192,7 +192,8 @@ def moves_inner_masses(view: View, candidate: Candidate) -> bool:
     """
     if any(t.effect.stands(view, t.place) for t in candidate.terms):
         return True
-    for pattern in {t.place.pattern(view.structure) for t in candidate.terms if t.inner}:
+    pairs = zip(candidate.terms, candidate.x, strict=True)
+    for pattern in {t.effect.pattern(view.structure, t.place, x.tolist()) for t, x in pairs if t.inner}:
         at, signs = [q for q, _ in pattern], np.array([sign for _, sign in pattern])
         base, caused = view.base[:, at] @ signs, view.feedback[:, at] @ signs
         if np.linalg.norm(caused) > 0.01 * np.linalg.norm(base):

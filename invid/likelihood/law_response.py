@@ -104,7 +104,10 @@ class LinearizedLaws:
             self._corrected = np.stack([view.inner_receptance(p) for p in self._patterns], axis=-1)
         pairs = zip(candidate.terms, candidate.x, strict=True)
         self._impedances = [
-            (t.effect.impedance(view, t.place, x.tolist()), t.place.pattern(view.structure))
+            (
+                t.effect.impedance(view, t.place, x.tolist()),
+                t.effect.pattern(view.structure, t.place, x.tolist()),
+            )
             for t, x in pairs
             if isinstance(t.effect, ImpedanceEffect)
         ]

@@ -34,7 +34,9 @@ class PlacedEffect:
     @property
     def inner(self) -> bool:
         """Whether it depends on inner motion, which forces change."""
-        return self.place.kind in ("spring", "pair") or (self.place.kind == "mass" and self.place.number > 1)
+        return self.place.kind in ("spring", "pair", "base") or (
+            self.place.kind == "mass" and self.place.number > 1
+        )
 
     def depends_on_inner_motion(self, view: View) -> bool:
         """Whether it depends on inner motion in this record; friction does while its motor stands."""
@@ -159,7 +161,7 @@ class CoupledImpedances:
 
     @classmethod
     def of(cls, view: View, effects: _Impedances) -> CoupledImpedances:
-        patterns = [place.pattern(view.structure) for _, place, _ in effects]
+        patterns = [effect.pattern(view.structure, place, x.tolist()) for effect, place, x in effects]
         push, yields = view.cached(
             ("unit forces", tuple(patterns)),  # the same for all sizes of the effects
             lambda: tuple(

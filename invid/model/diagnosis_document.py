@@ -157,6 +157,26 @@ class Unexplained:
     sentence: str
 
 
+@dataclass(frozen=True)
+class RuledOut:
+    """The smallest size of a cause at a place that the recording would have shown with 95 % probability.
+
+    ``limit`` is that of ``parameter``; ``None`` where it could not have been seen, and ``why`` says so. Of a
+    gain it is the distance from one, of Stribeck and asymmetric friction what they have beyond dry friction;
+    a ``mass`` of a base or a ``limit`` of a torque shows below it.
+    """
+
+    cause: str
+    axis: str
+    element: str | None
+    other_axis: str | None
+    parameter: str
+    limit: float | None
+    unit: str | None
+    why: str | None
+    sentence: str = ""
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What the simulation gets wrong, the cause, the extended model, the gain."""
@@ -179,6 +199,8 @@ class Diagnosis:
     """The same by language."""
     changes: tuple[NamedChange, ...] | None = None
     """What changed since the accepted model; ``None`` where nothing was compared."""
+    ruled_out: tuple[RuledOut, ...] = ()
+    """What the recording would have shown, by cause and place; empty where the verdict is unexplained."""
     against: Mapping[str, Any] | None = None
     """What a user's own simulator gets wrong here (docs/how-to/against.md)."""
 
@@ -236,6 +258,7 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "model": model_to_json(diagnosis.model),
         "warnings": list(diagnosis.warnings),
         "sentences": list(diagnosis.sentences),
+        "ruled_out": [asdict(r) for r in diagnosis.ruled_out],
         "changes": None if diagnosis.changes is None else [asdict(c) for c in diagnosis.changes],
         "details": dict(diagnosis.details),
         **({} if diagnosis.against is None else {"against": dict(diagnosis.against)}),

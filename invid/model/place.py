@@ -14,7 +14,7 @@ Pattern = tuple[tuple[int, float], ...]
 class Place:
     """Where an effect may sit. ``number`` counts masses and springs from 1; ``axis``, ``other`` from 0."""
 
-    kind: str  # "mass", "spring", "axis", "pair"
+    kind: str  # "mass", "spring", "axis", "pair", "base"
     axis: int
     number: int = 0
     other: int = -1
@@ -36,6 +36,9 @@ class Place:
                 (int(structure.end_dofs[self.axis]), 1.0),
                 (int(structure.end_dofs[self.other]), -1.0),
             )
+        if self.kind == "base":  # all loads alike, by a unit vector
+            weight = structure.motors**-0.5
+            return tuple((int(at), weight) for at in structure.end_dofs)
         return ((first, 1.0),)
 
 

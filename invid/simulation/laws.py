@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from invid.effects.elements import (
+    AddedBase,
     AddedDamper,
     AddedMass,
     AddedSpring,
@@ -47,6 +48,7 @@ class Laws:
     stiffness: list[AddedSpring] = field(default_factory=list)
     damping: list[AddedDamper] = field(default_factory=list)
     extra_masses: list[AddedMass] = field(default_factory=list)
+    bases: list[AddedBase] = field(default_factory=list)
     gain: dict[int, float] = field(default_factory=dict)
     delay: dict[int, float] = field(default_factory=dict)
     lag: dict[int, float] = field(default_factory=dict)
@@ -69,6 +71,8 @@ class Laws:
                 self.damping.append(element)
             case AddedMass():
                 self.extra_masses.append(element)
+            case AddedBase():
+                self.bases.append(element)
             case TorqueChannel():
                 self._channel_of(element)
             case ReadingError(axis, amplitude, phase):

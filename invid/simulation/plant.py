@@ -38,8 +38,8 @@ class Step:
 
 
 def matrices(chains: CoupledChains, laws: Laws) -> Matrices:
-    """Matrices with viscous friction, spring damping, coupling stiffness and extra masses in."""
-    extra = len(laws.extra_masses)
+    """Matrices with viscous friction, spring damping, coupling stiffness, extra masses, then bases in."""
+    extra = len(laws.extra_masses) + len(laws.bases)
     size = chains.dofs + extra
     mass, damping, stiffness = (np.zeros((size, size)) for _ in range(3))
     inner = slice(0, chains.dofs)
@@ -55,6 +55,10 @@ def matrices(chains: CoupledChains, laws: Laws) -> Matrices:
         mass[new, new] = m
         add_link(stiffness, extra_mass.at, new, k)
         add_link(damping, extra_mass.at, new, 2 * extra_mass.damping_ratio * float(np.sqrt(k * m)))
+    for number, base in enumerate(laws.bases):
+        new = chains.dofs + len(laws.extra_masses) + number
+        mass[new, new], stiffness[new, new], damping[new, new] = base.mass, base.stiffness, base.damper
+        mass[new, chains.end_dofs] = mass[chains.end_dofs, new] = base.force
     return Matrices(mass, damping, stiffness)
 
 

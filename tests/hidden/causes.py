@@ -60,6 +60,8 @@ class Cause:
             return axis, 1 if rng.uniform() < 0.6 else int(rng.integers(1, n + 1)), other
         if self.where == "any_mass":
             return axis, int(rng.integers(1, n + 1)), other
+        if self.where == "base":
+            return axis, 0, other
         if self.where == "spring":
             return axis, int(rng.integers(1, n)), other
         return axis, {"motor": 1, "load": n, "axis": 0}[self.where], other
@@ -163,6 +165,22 @@ def _extra_mode(plant: Plant, m: Any, c: Any, k: Any, axis: int, element: int, o
     at = np.ix_([a, n], [a, n])
     k[at] += p["stiffness"] * np.array([[1, -1], [-1, 1]])
     c[at] += 0.02 * np.sqrt(p["stiffness"] * p["mass"]) * np.array([[1, -1], [-1, 1]])
+    return m, c, k, []
+
+
+def _base(plant: Plant, m: Any, c: Any, k: Any, axis: int, element: int, other: int, p: Any) -> Built:
+    """The loads' inertia is that of their own motion and their share of the base's, coordinate n."""
+    n, ends = m.shape[0], list(plant.ends)
+    own = np.zeros((plant.count, n + 1))
+    own[range(plant.count), ends] = 1.0
+    own[:, n] = [p[f"share_{i + 1}"] for i in range(plant.count)]
+    m, c, k = (np.pad(x, (0, 1)) for x in (m, c, k))
+    inertia = m[np.ix_(ends, ends)].copy()
+    m[np.ix_(ends, ends)] -= inertia
+    m += own.T @ inertia @ own
+    m[n, n] += p["mass"]
+    k[n, n] += p["stiffness"]
+    c[n, n] += 0.04 * np.sqrt(p["stiffness"] * m[n, n])
     return m, c, k, []
 
 
@@ -278,6 +296,20 @@ def _draw_gravity(rng: Any, plant: Plant, s: Scales, axis: int, element: int, ot
 def _draw_extra(rng: Any, plant: Plant, s: Scales, axis: int, element: int, other: int) -> dict[str, float]:
     mass = 0.05 * plant.chains.masses[axis][element - 1]
     return {"mass": mass, "stiffness": mass * (2 * np.pi * rng.uniform(2.5, 9.0)) ** 2}
+
+
+def _draw_base(rng: Any, plant: Plant, s: Scales, axis: int, element: int, other: int) -> dict[str, float]:
+    """Five times as heavy as the loads, moving as one axis does and in part as the others."""
+    mass = 5.0 * sum(float(m[-1]) for m in plant.chains.masses)
+    shares = rng.uniform(-0.9, 0.9, plant.count)
+    shares[axis] = 1.0
+    own = {f"share_{i + 1}": float(share) for i, share in enumerate(shares)}
+    return {"mass": mass, "stiffness": mass * (2 * np.pi * rng.uniform(2.5, 9.0)) ** 2, **own}
+
+
+def _resize_base(p: dict[str, float], factor: float) -> dict[str, float]:
+    """Factor 1 is the base as drawn; a lighter one moves more."""
+    return {n: v if n.startswith("share") else v / factor for n, v in p.items()}
 
 
 def _draw_coupling(
@@ -501,6 +533,12 @@ CATALOGUE: dict[str, Cause] = {
         ),
     )
 }
+
+
+BASE = Cause(
+    "base_compliance", "base", _draw_base, _base, ("mass", "stiffness"), (0.02, 8.0), resize_with=_resize_base
+)
+"""By name alone, not among those that ``make_case`` draws from."""
 
 
 # --- outside the catalogue ----------------------------------------------------------------------------

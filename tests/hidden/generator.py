@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hidden.causes import CATALOGUE, OUTSIDE, Cause, available
+from hidden.causes import BASE, CATALOGUE, OUTSIDE, Cause, available
 from hidden.measurement import Active, excess_db, record, scales
 from hidden.plants import Plant, paper_plant, random_plant
 from hidden.setup import Setup, draw_setup
@@ -93,6 +93,10 @@ def _plant(
     return random_plant(rng, axes[: len(masses)], tuple(masses), linear=linear)
 
 
+def _cause(name: str) -> Cause:
+    return BASE if name == BASE.name else (CATALOGUE | OUTSIDE)[name]
+
+
 def make(
     cause: str | None = None,
     place: tuple[int, int] | None = None,
@@ -116,7 +120,7 @@ def make(
     """
     rng = np.random.default_rng(seed)
     if motors is None and masses is None and cause is not None:
-        needed = max((CATALOGUE | OUTSIDE)[c].motors for c in (cause, second) if c)
+        needed = max(_cause(c).motors for c in (cause, second) if c)
         if needed > 1:
             motors = int(rng.integers(needed, 4))
     plant = paper_plant(rng) if paper else _plant(rng, motors, masses, linear)
@@ -125,7 +129,7 @@ def make(
     for name in (cause, second):
         if name is None:
             continue
-        chosen = (CATALOGUE | OUTSIDE)[name]
+        chosen = _cause(name)
         for _ in range(20):
             axis, element, other = chosen.place(rng, plant)
             if name != cause or place is None:
@@ -151,7 +155,7 @@ def make(
             a.cause.element_name(plant, a.axis, a.element),
             axes[a.other] if a.other >= 0 else None,
             {"fraction": gone[a.axis]} if a.cause.name == "dropped_samples" else a.parameters,
-            a.cause.name in CATALOGUE,
+            a.cause.name not in OUTSIDE,
             a.cause.name == "torque_gain" and plant.count == 2,
         )
         for a in active

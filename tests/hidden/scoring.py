@@ -36,6 +36,7 @@ MAIN = {
     "gravity": "torque",
     "extra_mode": "mass",
     "coupling_stiffness": "stiffness",
+    "base_compliance": "stiffness",
     "payload_change": "mass",
     "parameter_drift": "rate",
 }
@@ -60,6 +61,8 @@ class Score:
 
 def at_place(e: TrueEffect, axis: str, element: str | None, other_axis: str | None) -> bool:
     """Whether a place named is the true one; an element that is not named leaves it open."""
+    if e.cause == "base_compliance":  # under all axes
+        return True
     if e.other_axis is not None:
         return {axis, other_axis} == {e.axis, e.other_axis}
     if axis != e.axis:

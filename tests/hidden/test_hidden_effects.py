@@ -45,6 +45,31 @@ def test_a_hidden_effect_well_above_the_noise_is_named_at_its_place(
     assert abs(result.size_error) < 0.1
 
 
+@pytest.mark.parametrize(("masses", "seed"), [((2, 2), 121), ((1, 2), 122), ((2, 2, 2), 123)])
+def test_a_base_that_gives_way_under_all_axes_is_named_with_its_size(
+    masses: tuple[int, ...], seed: int
+) -> None:
+    recording, truth = make(
+        "base_compliance", seed=seed, masses=masses, target_db=25.0, noise=0.003, drive="smooth"
+    )
+    diagnosis = diagnose(recording)
+    assert [f.cause for f in diagnosis.findings] == ["base_compliance"], truth.effects
+    (finding,) = diagnosis.findings
+    assert "bolts" in finding.sentence
+    for name, true in truth.effects[0].parameters.items():
+        found = finding.parameters[name]
+        assert found.std is not None
+        assert abs(found.value - true) < max(0.1 * abs(true), 4.0 * found.std), name
+
+
+@pytest.mark.parametrize("cause", ["extra_mode", "coupling_stiffness"])
+def test_what_looks_like_a_base_is_not_called_one(cause: str) -> None:
+    recording, truth = make(cause, seed=124, masses=(2, 2), target_db=25.0, noise=0.003, drive="smooth")
+    result = score(truth, diagnose(recording))
+    assert result.outcome in ("right", "cannot_tell"), result.named
+    assert not result.wrong_confident
+
+
 @pytest.mark.parametrize("seed", [201, 202, 203, 204])
 def test_nothing_hidden_nothing_named(seed: int) -> None:
     recording, truth = make(None, seed=seed, motors=1)

@@ -10,9 +10,9 @@ import pytest
 from hidden.generator import make
 from invid.diagnosis.known_effects import fitted_friction
 from invid.diagnosis.linear_fit import start_vector
+from invid.diagnosis.rules.structure_start import start_beside_friction
 from invid.diagnosis.rules.whole_search import LAW
 from invid.diagnosis.search_pass import _fit_and_split
-from invid.diagnosis.structure_start import start_beside_friction
 from invid.diagnosis.validation import ValidationRequest
 from invid.effects.motion import Equivalent, along
 from invid.identification.identify import identify

@@ -22,8 +22,10 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-RATE, SUB = 1000, 4
-"""Samples a second, steps of the engine a sample."""
+RATE, SUB = 1000, 16
+"""Samples a second, steps of the engine a sample. Its Euler step takes the damping of a step ago: with
+four steps that alone stood 400 times over the noise's power beside a clamped resonance, and was named a
+mode."""
 PERIOD, SETTLE, PERIODS = 4.0, 2, 4
 LENGTH = 16.0
 """Seconds of a chirp and of production motion."""

@@ -23,9 +23,9 @@ from invid.diagnosis.evidence import (
     refit_with_effect,
     schwarz_penalty,
 )
+from invid.diagnosis.rules.structure_start import start_beside_friction
 from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.structure_start import start_beside_friction
 from invid.diagnosis.thresholds import FAR, HELD_OUT, MOST, SHARE, SIGNIFICANCE
 from invid.effects.catalogue.asymmetric_friction import AsymmetricStribeck
 from invid.effects.laws.joint import LEAST_SLOW, JointFriction
@@ -43,7 +43,7 @@ from invid.numerics.distributions import chi2_isf
 from invid.signals.spectra import LineSpectra
 from invid.signals.spectral_record import SpectralRecord
 
-LAW, GRAVITY = JointFriction(), BY_CAUSE["gravity"]
+LAW, GRAVITY, RIPPLE = JointFriction(), BY_CAUSE["gravity"], BY_CAUSE["cogging"]
 MOST_FITS, MOST_TRIED = 3, 5
 """Most candidates of a screen that compete, and most that are fitted to find them (empirical)."""
 NEAR_BEST = 0.5
@@ -58,6 +58,8 @@ LARGER_FRICTION = ("presliding_friction", "stribeck_friction", "asymmetric_frict
 asked once that is found."""
 NAMING_ITERATIONS = 10
 """Iterations of a fit with the friction's parts, or without causes: it starts where it ends, almost."""
+ROUNDING_ITERATIONS = 4
+"""Iterations of a fit with another rounding of dry friction: its size hardly changes (empirical)."""
 SHAPES = 7
 """Widths and Stribeck velocities that are tried anew, each (empirical: a factor of three apart)."""
 REFINED_BELOW = 0.5
@@ -100,14 +102,15 @@ def search_beside_friction(  # noqa: PLR0913 - a fit, its records and where they
     if null is None:
         return None
     tell_causes(null)
-    found = _with_weights(SearchState(null, (), *coarse, spectra), linear_axes)
-    found = found.settled()
+    found = SearchState(null, (), *coarse, spectra)
     cut = False
     try:
         with budget.use_share(TIME_TO_FIND, 0.1, 0.7):
-            found = _find_with_held_out(_find_causes(found, (train, held), linear_axes), linear_axes)
-    except _Cut as stopped:
-        found, cut = stopped.found, True
+            found = _with_weights(found, linear_axes).settled()
+            found = _find_causes(found, (train, held), linear_axes)
+            found = _find_with_held_out(found, linear_axes)
+    except (_Cut, budget.BudgetSpent) as stopped:
+        found, cut = stopped.found if isinstance(stopped, _Cut) else found, True
         budget.leave_out(f"causes beside {len(found.steps)} found and the friction of every motor")
     named = _name_friction(base, null, found, linear_axes)
     return BesideFriction(replace(named, is_cut_short=cut or named.is_cut_short), found.train, found.held)
@@ -163,7 +166,7 @@ def _find_causes(
             is_next = is_fine and more.trial.fit.cost < REFINED_BELOW * refined_at
             found = more if is_next else more.settled()
             tell_causes(found.trial)
-        elif not is_fine or found.trial.fit.cost < refined_at:
+        elif not is_fine or found.trial.fit.cost < (1.0 - SHARE) * refined_at:
             is_fine, refined_at = True, np.inf
         else:
             break
@@ -183,7 +186,12 @@ def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
             break
         if _has_weight(here, place.axis):
             continue
-        score = Screen(here).best(PlacedEffect(GRAVITY, place), polish=True)
+        screen = Screen(here)
+        score = screen.best(PlacedEffect(GRAVITY, place), polish=True)
+        ripple = screen.best(PlacedEffect(RIPPLE, Place("mass", place.axis, 1)), polish=True)
+        screen.restore_views()
+        if ripple.gain > score.gain:  # over a small way a part of one passes for a weight
+            continue
         trial = _refit_score(found.trial, score, found.train, found.held)
         if trial is None or here.cost - trial.fit.cost < _least_own_gain(trial.fit):
             continue
@@ -259,10 +267,7 @@ def _find_with_held_out(found: SearchState, linear_axes: bool) -> SearchState:
     state = replace(found, trial=start, train=every)
     while state.rejects():
         before = state.trial.fit
-        try:
-            more = _add_cause(state, linear_axes)
-        except budget.BudgetSpent:
-            raise _Cut(found) from None
+        more = _add_cause(state, linear_axes)
         if more is None or before.cost - more.trial.fit.cost < MOST * (before.cost - before.dof):
             break  # small beside what is missing: it may be an error of another law
         state = more.settled()
@@ -654,7 +659,7 @@ def _without_needless_rounding(
     def with_roundings(start: CandidateEvidence, kept: Sequence[int]) -> CandidateEvidence | None:
         laws = tuple(t if k in kept else sharp.get(k, t) for k, t in enumerate(terms))
         candidate = Candidate(laws, start.fit.candidate.x)
-        again = partial(_refit, start, train, held, is_last=True, iterations=NAMING_ITERATIONS)
+        again = partial(_refit, start, train, held, is_last=True, iterations=ROUNDING_ITERATIONS)
         return again(candidate=candidate, quick=True)
 
     best = with_roundings(whole, ()) if sharp else None

@@ -50,15 +50,11 @@ class ExtraMode(ImpedanceEffect):
         return mass_places(structure)
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
-        low = min(float(v.omega[1:].min()) for v in views)
-        high = 0.95 * MOST_BEYOND_BAND * _excited_band(views)[1]
-        wide = [float(w) for w in np.geomspace(3 * low, high, 17)]
-        # A light mode is narrower than this grid's spacing: the record itself says where to look.
-        narrow = _peak_frequencies(views, place.pattern(views[0].structure))
-        return [(float(np.log(w)), float(np.log(0.02))) for w in sorted({*wide, *narrow})]
+        frequencies = frequency_grid(views, (place.pattern(views[0].structure),))
+        return [(float(np.log(w)), float(np.log(0.02))) for w in frequencies]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        low, high = _excited_band(views)
+        low, high = excited_band(views)
         return [
             (float(np.log(low)), float(np.log(MOST_BEYOND_BAND * high))),
             (float(np.log(1e-3)), float(np.log(0.2))),
@@ -101,13 +97,24 @@ class ExtraMode(ImpedanceEffect):
         return [AddedMass(at.mass(at.last), *size, max(ratio, 0.0))]
 
 
+def frequency_grid(views: Sequence[View], patterns: Sequence[Pattern]) -> list[float]:
+    """Frequencies [rad/s] to start from, ascending: the band, and where a force along one of the patterns is
+    missed most."""
+    low = min(float(v.omega[1:].min()) for v in views)
+    high = 0.95 * MOST_BEYOND_BAND * excited_band(views)[1]
+    wide = [float(w) for w in np.geomspace(3 * low, high, 17)]
+    # A light mode is narrower than this grid's spacing: the record itself says where to look.
+    narrow = [w for pattern in patterns for w in _peak_frequencies(views, pattern)]
+    return sorted({*wide, *narrow})
+
+
 def is_frequency_known(views: Sequence[View], frequency: float, std: float) -> bool:
     """Return whether a mode's frequency [rad/s] is within the band or significantly below the highest
     allowed one.
 
     ``std`` is that of its logarithm; three standard deviations.
     """
-    high = _excited_band(views)[1]
+    high = excited_band(views)[1]
     return frequency <= high or float(np.log(frequency)) + 3.0 * std < float(np.log(MOST_BEYOND_BAND * high))
 
 
@@ -148,7 +155,7 @@ def _peak_frequencies(views: Sequence[View], pattern: Pattern) -> list[float]:
     return found
 
 
-def _excited_band(views: Sequence[View]) -> tuple[float, float]:
+def excited_band(views: Sequence[View]) -> tuple[float, float]:
     """Lowest and highest excited line [rad/s].
 
     Below all of them a damped mode is the same as friction at its mass.

@@ -62,7 +62,7 @@ def jump_response(view: View, candidate: Candidate, moved: Complex128) -> tuple[
     motion = np.zeros_like(moved)
     for term, x in zip(candidate.terms, candidate.x, strict=True):
         if isinstance(term.effect, ImpedanceEffect):
-            pattern = term.place.pattern(view.structure)
+            pattern = term.effect.pattern(view.structure, term.place, x.tolist())
             force = term.effect.of_jumps(view, term.place, x.tolist(), moved)[:, None, :]
             torque += view.condensed_force(pattern)[:, :, None] * force
             motion -= view.inner_receptance(pattern)[:, :, None] * force
@@ -80,7 +80,7 @@ def own_jump_response(view: View, term: PlacedEffect, x: Float64) -> tuple[Compl
     force = term.effect.of_own_jumps(view, term.place, x.tolist())
     if force is None:
         return None
-    pattern = term.place.pattern(view.structure)
+    pattern = term.effect.pattern(view.structure, term.place, x.tolist())
     torque: Complex128 = view.condensed_force(pattern)[:, :, None] * force[:, None, :]
     motion: Complex128 = -view.inner_receptance(pattern)[:, :, None] * force[:, None, :]
     return torque, motion

@@ -35,6 +35,7 @@ CONTRACT = {
     "gravity": {"torque", "angle"},
     "extra_mode": {"mass", "stiffness", "damping_ratio"},  # the last is ours: it is fitted, so it is said
     "coupling_stiffness": {"stiffness"},
+    "base_compliance": {"mass", "stiffness", "damping_ratio"},  # and shares, where there are more axes
     "payload_change": {"mass", "time"},
     "parameter_drift": {"parameter", "rate"},
 }

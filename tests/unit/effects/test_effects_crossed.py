@@ -50,7 +50,7 @@ SIZE = {
     "load_dependent_friction": ("mass 1", {"coefficient": 0.1, "inertia_counts": 0.0}),
     "quadratic_stiffness": ("spring 0", {"coefficient": 5.0}),
 }
-ELASTIC = [*CATALOGUE, *FURTHER]
+ELASTIC = [e.of_structure(ChainStructure((2, 3), ("J1", "J2"))) for e in (*CATALOGUE, *FURTHER)]
 EVERY = [*ELASTIC, *LARGE_MOTION]
 """All effects, and those that an elastic machine can have."""
 NOT_FITTED = ("dropped_samples", "spring_damping")
@@ -58,10 +58,14 @@ NOT_FITTED = ("dropped_samples", "spring_damping")
 NO_LARGE_MOTION = {
     "presliding_friction", "cogging", "torque_lag", "torque_gain", "torque_saturation",
     "encoder_eccentricity", "dropped_samples", "spring_damping", "backlash", "spring_hysteresis",
-    "transmission_error", "extra_mode", "coupling_stiffness", "payload_change", "parameter_drift",
+    "transmission_error", "extra_mode", "coupling_stiffness", "base_compliance", "payload_change",
+    "parameter_drift",
 }  # fmt: skip
 """Causes that a rigid machine in large motion is not asked for."""
-NO_CURVE = {"encoder_eccentricity", "dropped_samples", "extra_mode", "payload_change", "parameter_drift"}
+NO_CURVE = {
+    "encoder_eccentricity", "dropped_samples", "extra_mode", "base_compliance", "payload_change",
+    "parameter_drift",
+}  # fmt: skip
 """Causes whose missing torque is a function of no one quantity."""
 
 

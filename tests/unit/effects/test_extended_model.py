@@ -67,6 +67,10 @@ SIZES = {
     "gravity": ("mass 2", {"torque": 0.8, "angle": 0.3}),
     "extra_mode": ("mass 2", {"mass": 0.2, "stiffness": 900.0, "damping_ratio": 0.02}),
     "coupling_stiffness": (None, {"stiffness": 100.0}),
+    "base_compliance": (
+        None,
+        {"mass": 4.0, "stiffness": 900.0, "damping_ratio": 0.02, "share_1": 1.0, "share_2": 0.6},
+    ),
     "payload_change": ("mass 2", {"mass": 0.3, "time": 2.0}),
     "parameter_drift": ("spring 1", {"parameter": 1.0, "rate": -20.0}),
 }
@@ -114,7 +118,7 @@ def excited() -> Recording:
 
 def test_the_sizes_here_are_those_of_the_whole_catalogue() -> None:
     assert sorted(SIZES) == sorted(e.cause for e in CATALOGUE)
-    assert len(SIZES) == 23
+    assert len(SIZES) == 24
 
 
 @pytest.mark.parametrize("cause", sorted(SIZES))
@@ -140,6 +144,7 @@ def test_parameters_become_the_fitted_vector_and_back(effect) -> None:
     structure = ChainStructure(CHAINS.masses_per_branch, CHAINS.axes)
     place = effect_place(one, structure)
     x = effect_vector(one)
+    effect = effect.of_structure(structure)
     assert x.size == len(effect.coefficients) + len(effect.shapes)
     back = effect.values(x.tolist(), place)
     for name, value in SIZES[effect.cause][1].items():

@@ -8,6 +8,7 @@ from two_masses import from_rest
 from two_masses import recording as recording_of
 
 from invid.diagnosis.linear_fit import layout_of
+from invid.effects.catalogue.base_compliance import BaseCompliance
 from invid.effects.catalogue.extra_mode import ExtraMode
 from invid.effects.catalogue.parameter_drift import ParameterDrift
 from invid.effects.catalogue.payload_change import PayloadChange
@@ -110,6 +111,21 @@ def test_the_mass_of_a_mode_has_ends_of_its_own(number: int) -> None:
     record = periods()[0][number]
     assert abs(excess_of(motor, plant, record, mode)) < 5.0
     lighter = Candidate(mode.terms, (np.array([0.98 * mass, *shape]),))
+    assert excess_of(motor, plant, record, lighter) > 30.0
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_base_under_one_axis_is_a_mode_at_its_load_and_has_ends_of_its_own(number: int) -> None:
+    """The load of the plant as what a base does to a motor that is heavier by the load."""
+    motor = ChainStructure((1,), ("A1",), viscous=True)
+    plant = np.zeros(motor.count)
+    mass, spring, damper = 2.0, 1000.0, 0.5
+    plant[motor.slices["mass"]] = np.log([0.7 + mass])
+    shape = [0.5 * np.log(spring / mass), np.log(0.5 * damper / np.sqrt(mass * spring))]
+    base = Candidate((PlacedEffect(BaseCompliance(), Place("base", 0)),), (np.array([mass, *shape]),))
+    record = periods()[0][number]
+    assert abs(excess_of(motor, plant, record, base)) < 5.0
+    lighter = Candidate(base.terms, (np.array([0.98 * mass, *shape]),))
     assert excess_of(motor, plant, record, lighter) > 30.0
 
 

@@ -1,0 +1,1 @@
+"""What a recording would have shown, had it been there."""

@@ -1,0 +1,56 @@
+"""The body that all loads stand on: how its motion shakes them, from shares and the loads' inertia.
+
+q (M,) are the loads relative to the body, as the drives see them, and x is the motion of the body, in which
+load i takes part with the share sᵢ: T = ½(q̇ + sẋ)ᵀJ(q̇ + sẋ) + ½mẋ² with the inertia J (M, M) of the loads,
+couplings included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from invid.model.chains import CoupledChains
+from invid.numerics.arrays import Float64
+
+SHARE = "share_"
+"""Beginning of the name of a share; the number of the axis, from 1, follows."""
+
+
+def load_inertia(chains: CoupledChains) -> Float64:
+    """(M, M) inertia of the final masses with their couplings."""
+    ends = chains.end_dofs
+    out: Float64 = chains.mass_matrix[np.ix_(ends, ends)]
+    return out
+
+
+def shares_of(p: Mapping[str, float], axes: int) -> Float64:
+    """(M,) share of each load in the body's motion, 1 where none is said."""
+    return np.array([p.get(f"{SHARE}{i + 1}", 1.0) for i in range(axes)])
+
+
+def moved_by_base(p: Mapping[str, float], inertia: Float64) -> tuple[float, Float64]:
+    """Mass of the body with all that stands on it, and (M,) inertial force on each load per acceleration."""
+    shares = shares_of(p, inertia.shape[0])
+    force: Float64 = inertia @ shares
+    return p["mass"] + float(shares @ force), force
+
+
+def unit_direction(angles: Float64) -> Float64:
+    """(M,) unit vector of M − 1 spherical angles."""
+    out = np.ones(angles.size + 1)
+    for k, angle in enumerate(angles):
+        out[k] *= np.cos(angle)
+        out[k + 1 :] *= np.sin(angle)
+    return out
+
+
+def angles_of(direction: Float64) -> Float64:
+    """(M − 1,) spherical angles of a direction (M,) of any length; the inverse of ``unit_direction``."""
+    count = direction.size - 1
+    out = np.zeros(count)
+    for k in range(count):
+        beyond = direction[-1] if k == count - 1 else np.linalg.norm(direction[k + 1 :])
+        out[k] = np.arctan2(beyond, direction[k])
+    return out
