@@ -54,7 +54,7 @@ def test_what_a_spring_and_a_damper_answer_is_taken_out_exactly() -> None:
     (view, *_) = record_views(fitted.layout, train, fitted.p)
     rng = np.random.default_rng(1)
     places = [Place("spring", 0, 1), Place("mass", 0, 3)]
-    laws = [Equivalent(p.pattern(view.structure), *rng.uniform(1.0, 1e3, 2)) for p in places]
+    laws = [Equivalent(p.pattern(view.structure), p, *rng.uniform(1.0, 1e3, 2)) for p in places]
     view.set_equivalents(tuple(laws))
     gap = rng.normal(size=view.base.shape) + 1j * rng.normal(size=view.base.shape)
     moved = view.without_response(gap)
