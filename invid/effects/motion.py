@@ -129,6 +129,8 @@ class View:
         """(2ΣN,) end minus start of positions, then of velocities, of a record that does not close."""
         self.closing: Closing | None = None
         self.secants = Secants()
+        self.may_agree = True
+        """Whether Newton's steps have not failed yet to bring forces and inner motion into agreement."""
         self.equivalents: tuple[Equivalent, ...] = ()
         self._response: tuple[Complex128, list[Pattern]] | None = None
         self.starts: dict[Pattern, float] = {}
