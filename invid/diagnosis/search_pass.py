@@ -45,6 +45,9 @@ from invid.signals.spectral_record import SpectralRecord
 WHOLE_RECORDS = "the records taken whole"
 BY_PERIODS = "every cause by itself, and what it may be mistaken for"
 """What a spent budget leaves out, in the words of the warning."""
+MOST_WHOLE = 1000
+"""Lines of a record, those of all its periods, up to which it is taken whole (empirical: fourteen periods at
+once took minutes)."""
 TIME_BESIDE_FRICTION = 0.9
 """Share of the search's time for the pass beside the friction of every motor (empirical)."""
 TIME_ONE_AXIS = 0.75
@@ -121,8 +124,10 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     rivals; it is left out where the first is right on several motors (at the noise, or next to nothing is
     left of what was missing) or was ended by the budget, and else the better one counts.
     """
-    _, _, (base, _, train, held) = _fit_and_split(recording, model, PLAIN)
+    spectra, _, (base, _, train, held) = _fit_and_split(recording, model, PLAIN)
     scatter = scatter_ratio(base, held)
+    if max(s.periods * r.lines.size for s in spectra for r in train if r.key == s.key) > MOST_WHOLE:
+        scatter = 0.0
     start = CandidateEvidence(base, evaluate_held_out(base, held))
     first: SearchPass | None = None
     is_whole = scatter > 0.0 and not any(r.alone for r in (*train, *held))

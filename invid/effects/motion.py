@@ -72,9 +72,13 @@ class MotorLaw(Protocol):
 
 @dataclass(frozen=True)
 class Equivalent:
-    """A spring and a damper in place of a law (equivalent linearisation): the law's mean slope."""
+    """A spring and a damper in place of a law (equivalent linearisation): the law's mean slope.
+
+    ``law`` tells laws and their sizes apart, coarsely.
+    """
 
     pattern: Pattern
+    law: Hashable
     stiffness: float
     damping: float
 
@@ -125,6 +129,8 @@ class View:
         """(2ΣN,) end minus start of positions, then of velocities, of a record that does not close."""
         self.closing: Closing | None = None
         self.secants = Secants()
+        self.may_agree = True
+        """Whether Newton's steps have not failed yet to bring forces and inner motion into agreement."""
         self.equivalents: tuple[Equivalent, ...] = ()
         self._response: tuple[Complex128, list[Pattern]] | None = None
         self.starts: dict[Pattern, float] = {}
@@ -164,7 +170,7 @@ class View:
 
     def set_equivalents(self, equivalents: tuple[Equivalent, ...]) -> None:
         """Sets springs and dampers in place of the laws on inner motion (``without_response``)."""
-        self.equivalents = equivalents
+        self.equivalents, self._response = equivalents, None
         if not equivalents:
             return
         patterns = [e.pattern for e in equivalents]

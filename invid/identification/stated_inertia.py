@@ -68,7 +68,10 @@ def _is_changed_machine(model: Model, earlier: Model | None, branch: int) -> boo
     if any(d.code is DoubtCode.STATED_INERTIA for d in doubts_of(earlier.fit)):
         return False  # its own scale is in doubt
     new, old = (np.asarray(m.chains.masses[branch]) for m in (model, earlier))
-    if not _differs(*_total(model, branch), *_total(earlier, branch)):
+    then, then_std = _total(earlier, branch)
+    if not np.isfinite(then_std):
+        return False  # how well it was known is not
+    if not _differs(*_total(model, branch), then, then_std):
         return True
     if new.size != old.size or new.size == 1:
         return False  # what is the motor's own is not told

@@ -70,8 +70,10 @@ def solve_inner_motion(view: View, forces: Forces, passes: int, *, early: bool =
         before = (here, rest)
         _set_state(view, here + secants.step(rest))
     if early and best is not None and best[0] < np.inf:
-        if best[0] > tolerance:
+        if best[0] > tolerance and view.may_agree:
             best = _solve_by_newton(view, forces, best)
+            # Where there is no agreement the next initial state of a slider has none either, as a rule.
+            view.may_agree = best[0] <= tolerance
         _set_state(view, best[1])
         total = best[3]
     return total

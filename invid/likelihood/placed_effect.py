@@ -102,11 +102,12 @@ def _keep_equivalents(view: View, candidate: Candidate) -> None:
         if t.inner and t.effect.along_pattern and not isinstance(t.effect, ImpedanceEffect)
     ]
     places = [t.place.pattern(view.structure) for t, _ in laws]
-    if [e.pattern for e in view.equivalents] == places:
+    kinds = [(t.effect.cause, t.place, *np.round(np.log2(np.abs(x) + 1e-300))) for t, x in laws]
+    if [e.law for e in view.equivalents] == kinds:
         return
     view.secants = Secants()  # they are of other springs
     out = []
-    for (term, x), pattern in zip(laws, places, strict=True):
+    for (term, x), pattern, kind in zip(laws, places, kinds, strict=True):
         contribution, _ = term.effect.contribution(view, term.place, x.tolist())
         reach = view.condensed_force(pattern).conj()
         reached = np.maximum(np.sum(np.abs(reach) ** 2, axis=1), 1e-300)
@@ -116,7 +117,7 @@ def _keep_equivalents(view: View, candidate: Candidate) -> None:
             float(np.vdot(m[1:], force[1:]).real) / max(float(np.vdot(m[1:], m[1:]).real), 1e-300)
             for m in (moved, 1j * view.omega * moved)
         )
-        out.append(Equivalent(pattern, stiffness, damping))
+        out.append(Equivalent(pattern, kind, stiffness, damping))
     view.set_equivalents(tuple(out))
 
 

@@ -104,9 +104,6 @@ def noise_plateau(power: Float64, hz: Float64) -> NoisePlateau:
     sees their level, forty and more times the median. Motion falls off steeply, so the noise begins where the
     levels fall no more, and goes on while they stay above half of that.
     """
-    if power.size < 2 * LEAST_LINES or hz[-1] < 2.0 * hz[0]:
-        whole, dof = quiet_power(np.sqrt(power)[:, None], np.ones(power.size, dtype=bool))
-        return NoisePlateau(float(whole[0]), dof, float(hz[0]), float(hz[-1]))
     edges, at = [0], 0
     while at < power.size:
         end = int(np.searchsorted(hz, hz[at] * 2.0 ** (1.0 / WINDOWS_PER_OCTAVE)))
@@ -114,12 +111,19 @@ def noise_plateau(power: Float64, hz: Float64) -> NoisePlateau:
         edges.append(at if power.size - at >= LEAST_LINES else power.size)
         at = edges[-1]
     levels = np.array([np.median(power[a:b]) for a, b in pairwise(edges)]) / np.log(2.0)
-    octave, half = WINDOWS_PER_OCTAVE, WINDOWS_PER_OCTAVE // 2
-    last = levels.size - 1
-    falls = levels[:-octave] / levels[octave:]
-    flat = (int(k) for least in FALLS for k in np.flatnonzero(falls < least))
+    middle = np.array([np.sqrt(hz[a] * hz[b - 1]) for a, b in pairwise(edges)])
+    higher = np.searchsorted(middle, 2.0 * middle)
+    seen = np.flatnonzero(higher < levels.size)  # windows with another one an octave above
+    if not seen.size:
+        whole, dof = quiet_power(np.sqrt(power)[:, None], np.ones(power.size, dtype=bool))
+        low, high = (float(hz[0]), float(hz[-1])) if hz.size else (0.0, 0.0)
+        return NoisePlateau(float(whole[0]), dof, low, high)
+    above, last = higher[seen], levels.size - 1
+    falls = levels[seen] / np.maximum(levels[above], 1e-300)
+    falls **= 1.0 / np.log2(middle[above] / middle[seen])
+    flat = next((int(seen[k]) for least in FALLS for k in np.flatnonzero(falls < least)), last)
     # Half an octave on: in the first such window there still is motion.
-    first = min(next(flat, last) + half, last)
+    first = min(int(np.searchsorted(middle, np.sqrt(2.0) * middle[flat])), last)
     end = first
     while end < last and levels[end + 1] > 0.5 * levels[first]:
         end += 1

@@ -16,7 +16,10 @@ from invid.recording import read_recording
 
 TUTORIAL = ROOT / "docs" / "tutorial" / "flexible-drive.md"
 RAW = DATA / "flexible_drive" / "MultisineTypeB.mat"
-pytestmark = pytest.mark.xdist_group("tutorial")  # the commands take a minute: once, not once a worker
+pytestmark = [
+    pytest.mark.xdist_group("tutorial"),  # the commands take minutes: once, not once a worker
+    pytest.mark.timeout(1500),  # without a budget
+]
 PERIOD = 2500  # samples of one second: the line of index k is k Hz
 
 

@@ -18,6 +18,7 @@ from invid.effects.motion import Equivalent, along
 from invid.identification.identify import identify
 from invid.likelihood.evaluation import record_views
 from invid.likelihood.joint_fit import JointFit, fit
+from invid.likelihood.nuisance.corner_motion import complete_motion
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.place import Place
 from invid.signals.spectra import LineSpectra
@@ -54,7 +55,7 @@ def test_what_a_spring_and_a_damper_answer_is_taken_out_exactly() -> None:
     (view, *_) = record_views(fitted.layout, train, fitted.p)
     rng = np.random.default_rng(1)
     places = [Place("spring", 0, 1), Place("mass", 0, 3)]
-    laws = [Equivalent(p.pattern(view.structure), *rng.uniform(1.0, 1e3, 2)) for p in places]
+    laws = [Equivalent(p.pattern(view.structure), p, *rng.uniform(1.0, 1e3, 2)) for p in places]
     view.set_equivalents(tuple(laws))
     gap = rng.normal(size=view.base.shape) + 1j * rng.normal(size=view.base.shape)
     moved = view.without_response(gap)
@@ -64,3 +65,14 @@ def test_what_a_spring_and_a_damper_answer_is_taken_out_exactly() -> None:
         for e in laws
     )
     assert np.abs(moved + answered - gap).max() < 1e-9 * np.abs(gap).max()
+
+
+def test_a_completed_record_keeps_what_was_found_of_it_since_it_was_prepared() -> None:
+    fitted, train, _, _ = _beside_friction(3)
+    marked = [replace(r, scatter=r.scatter + 1.0, weight=np.ones(r.omega.size), differs=True) for r in train]
+    for before, after in zip(marked, complete_motion(marked, fitted), strict=True):
+        assert np.array_equal(after.scatter, before.scatter)
+        assert np.array_equal(after.weight, before.weight)
+        assert after.differs
+        assert after.fine is not None
+        assert after.fine.samples == before.fine.samples

@@ -15,7 +15,7 @@ from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.objects import KNOWN
 from invid_drivers.cia402.states import DriveState, is_energised, state_of
 
-NMT, SYNC, SDO_ANSWER, RPDO, SDO, HEARTBEAT = 0x000, 0x080, 0x580, 0x200, 0x600, 0x700
+NMT, SYNC, RPDO, SDO, HEARTBEAT = 0x000, 0x080, 0x200, 0x600, 0x700
 FUNCTION, NODE = 0x780, 0x07F
 DOWNLOAD, SEGMENT, UPLOAD = 1, 0, 2
 """SDO requests by their command specifier (CiA 301); all others but these two only ask."""

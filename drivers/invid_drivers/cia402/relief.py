@@ -88,6 +88,9 @@ class WeightRelief:
             if axis.back is not None:
                 self._end(i, axis, axis.back, sample)
                 continue
+            if axis.before is not None and sample.time - axis.since > PROBE_S:
+                del self._axes[i]  # it stays at half: nothing is known of what drives it
+                continue
             held = self._cycle.modes[i] is Mode.HOLD and doubted[i]
             if not held or not sample.fresh[i] or state_of(sample.status[i]) != DriveState.OPERATION_ENABLED:
                 axis.rows.clear()
@@ -114,11 +117,9 @@ class WeightRelief:
         self._write(i, axis.wrote, max(1, axis.wrote // 2))
 
     def _at_half(self, i: int, axis: _Axis, sample: Sample, share: float) -> None:
-        if sample.time - axis.since > PROBE_S:
-            del self._axes[i]  # it stays at half: nothing is known of what drives it
-        elif share <= HALVED:
+        if share <= HALVED:
             axis.rows.append((sample.time, sample.position[i]))
-        if not _is_long(axis.rows) or i not in self._axes or axis.before is None:
+        if not _is_long(axis.rows) or axis.before is None:
             return
         span = axis.rows[-1][0] - axis.rows[0][0]
         noise = self._counts[i] / math.sqrt(12) * math.sqrt(2 * 720 / len(axis.rows)) / span**2
@@ -135,7 +136,7 @@ class WeightRelief:
                 axis=name,
             )
         if faster > DECISIVE * noise:
-            axis.back, axis.since = self._write(i, axis.wrote // 2, axis.wrote), sample.time
+            axis.back, axis.since = self._write(i, max(1, axis.wrote // 2), axis.wrote), sample.time
 
     def _end(self, i: int, axis: _Axis, back: SettingWrite, sample: Sample) -> None:
         """End the run once the load has what the config permits: on the way out no limit rises."""

@@ -118,6 +118,7 @@ class WayOut:
 
     def _weigh_doubted(self, weigh: Callable[[Collection[int], Float64, Bool], Collection[int]]) -> None:
         """Axes that carry nothing need not stay under power because a stop came before that was known."""
+        axes = [i for i in self._doubted if self._stays[i]]
         torque: list[list[float]] = []
         fresh: list[list[bool]] = []
         steady = [True] * len(self._drives)
@@ -125,17 +126,17 @@ class WayOut:
         def seen(sample: Sample) -> bool:
             torque.append(list(sample.torque))
             fresh.append(list(sample.fresh))
-            self._standstill.all(sample, self._doubted)
-            for i in self._doubted:
+            self._standstill.all(sample, axes)
+            for i in axes:
                 held = state_of(sample.status[i]) is DriveState.QUICK_STOP_ACTIVE
                 steady[i] = steady[i] and (not sample.fresh[i] or (held and self._standstill.stands(i)))
             return False
 
-        if not all(self._standstill.stands(i) for i in self._doubted):
+        if not all(self._standstill.stands(i) for i in axes):
             return
         self._drive_to(CONFIRM_S, seen)
         came = np.array(fresh)
-        told = [i for i in self._doubted if steady[i] and came[:, i].mean() > WEIGHED_SHARE]
+        told = [i for i in axes if steady[i] and came[:, i].mean() > WEIGHED_SHARE]
         for i in weigh(told, np.array(torque), came):
             self._stays[i] = False
 

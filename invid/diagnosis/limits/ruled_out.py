@@ -38,12 +38,13 @@ from invid.signals.spectral_record import SpectralRecord
 
 SURE = normal_isf(0.05)
 """Standard deviations by which the root of a gain has to pass its threshold (statistical: 95 of 100)."""
+WHAT = "what was ruled out"
+"""What a spent budget leaves out, in the words of the warning."""
 UNSEEN = 1e-4
 """Share of a law's torque that the fit has to leave for it to be told from the model's parameters. Empirical:
 linearised parameters and reconstructed motion are right to about a hundredth of what they take up."""
-LEAST_TRIED, BISECTIONS = 1e-4, 6
-"""Smallest size of a law with a knee that is tried over the largest, and halvings between two sizes (a
-factor 2, then 1 % of it)."""
+BISECTIONS = 6
+"""Halvings between two sizes of a law with a knee (1 % of their distance)."""
 UNCHECKED = {"viscous_friction": "a limit of it has not been confirmed by trial"}
 """Causes of which none is said: injected at 1.3 times the limit by this reckoning they were not found."""
 TIMING = ("torque_delay", "torque_lag")
@@ -68,9 +69,9 @@ def ruled_out(
 ) -> tuple[RuledOut, ...]:
     """The limit of every cause that was not found, by place; those that could not be seen with the reason.
 
-    Empty where the budget is spent.
+    Of as many as the budget allows.
     """
-    if budget.is_spent():
+    if budget.is_left_out(WHAT):
         return ()
     rows = _Rows.of(selection, train, held)
     structure = selection.final.fit.layout.structure
@@ -78,7 +79,7 @@ def ruled_out(
     terms = terms_to_test(structure, linear_axes=recording.linear, chosen=chosen)
     out = []
     for term in terms:
-        if budget.is_spent():
+        if budget.is_left_out(WHAT):
             break
         limit = _limit_of(term, rows, len(terms), recording)
         out.append(replace(limit, sentence=ruled_out_sentence(limit, structure.sizes, recording.axes)))
@@ -102,7 +103,7 @@ class _Rows:
     ) -> _Rows:
         final = selection.final
         fit = final.fit
-        part = evaluate(fit.layout, held, fit.p, fit.candidate, near=(), jacobian=True)
+        part = evaluate(fit.layout, held, fit.p, fit.candidate, near=final.held.views)
         excess = 0.0
         if selection.steps and not final.rejects([*train, *held]):
             test = null_test(final.cost, final.dof, [*train, *held])

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from invid.diagnosis.linear_fit import LIGHTEST
 from invid.errors import InvidError
 from invid.identification.starts import fit_sizes, measured_frf
 from invid.likelihood.evaluation import record_views
@@ -37,8 +38,11 @@ def start_beside_friction(
         found = fit_sizes(corrected, structure.sizes, structure.axes, measured_frf(corrected), thorough=False)
     except (InvidError, np.linalg.LinAlgError):
         return None
-    out = fitted.p.copy()
-    out[: structure.count] = structure.vector(found.chains)
+    # A mass that vanished makes the chain's matrices singular; a spring to ground is none of what was sought.
+    masses = tuple(np.maximum(m, LIGHTEST * m.sum()) for m in found.chains.masses)
+    out, ground = fitted.p.copy(), structure.slices["ground_spring"]
+    out[: structure.count] = structure.vector(replace(found.chains, masses=masses))
+    out[ground] = fitted.p[ground]
     return out
 
 

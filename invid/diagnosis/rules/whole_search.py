@@ -76,7 +76,8 @@ TIMING = ("torque_delay", "torque_lag")
 
 @dataclass(frozen=True, eq=False)
 class BesideFriction:
-    """What the search found, and its records with the motors' motion completed (``complete_motion``)."""
+    """What the search found, and the records that it ended with: near the noise with the motors' motion
+    completed (``complete_motion``)."""
 
     selection: Selection
     train: Sequence[SpectralRecord]
@@ -182,7 +183,7 @@ def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
         return found
     for place in _end_places(found.trial.fit):
         here = found.trial.fit
-        if not found.rejects():
+        if budget.is_spent() or not found.rejects():
             break
         if _has_weight(here, place.axis):
             continue
@@ -357,7 +358,7 @@ class SearchState:
         missing bends the fit more.
         """
         here = self.trial.fit
-        if here.converged:
+        if here.converged or budget.is_spent():
             return self
         quick = here.cost > FAR * here.dof
         found = _refit(self.trial, self.train, self.held, iterations=SETTLING_ITERATIONS, quick=quick)
@@ -580,7 +581,7 @@ def _name_friction(
     whole = again(final, candidate=candidate)
     if whole is None:
         return Selection(base, base)
-    whole = _without_needless_rounding(whole, train, held)
+    whole = _without_needless_rounding(whole, known, train, held)
     all_steps = [*[Step(base, null, ((null, null.cost),)) for _ in friction], *steps]
     needed: list[Step] = []
     while not budget.is_spent():
@@ -641,9 +642,13 @@ def _weak_causes(found: JointFit, known: int, sure: Sequence[int]) -> list[int]:
 
 
 def _without_needless_rounding(
-    whole: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+    whole: CandidateEvidence,
+    known: int,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
 ) -> CandidateEvidence:
-    """The fit with laws that change their sign at once, but for motors where a rounding gains something.
+    """The fit with laws found, after the ``known`` ones, that change their sign at once, but for motors where
+    a rounding gains something.
 
     A sharp law takes the noise of the velocity into account by itself, and a rounding fitted to that would be
     none of the machine's: simulated, it rounds a second time.
@@ -652,7 +657,7 @@ def _without_needless_rounding(
     sharp = {
         k: PlacedEffect(t.effect.rounded(0.0), t.place)
         for k, t in enumerate(terms)
-        if isinstance(t.effect, DryLaw) and t.effect.rounding > 0
+        if k >= known and isinstance(t.effect, DryLaw) and t.effect.rounding > 0
     }
     penalty = np.log(max(whole.fit.dof, 2)) * whole.fit.dispersion
 

@@ -23,13 +23,22 @@ from invid.signals.spectral_record import SpectralRecord
 
 def complete_motion(records: Sequence[SpectralRecord], fitted: JointFit) -> list[SpectralRecord]:
     """The records with the motors' waves completed where noise hides them, by the friction of a fit."""
-    views = record_views(fitted.layout, records, fitted.p)
-    return [
-        _complete(v, fitted)
-        if v.record.fine is None
-        else _complete(v.on_fine_grid(), fitted).on_coarse_grid()
-        for v in views
-    ]
+    return [_completed(v, fitted) for v in record_views(fitted.layout, records, fitted.p)]
+
+
+def _completed(view: View, fitted: JointFit) -> SpectralRecord:
+    """One record, on both its grids."""
+    if view.record.fine is None:
+        return _complete(view, fitted)
+    done = _complete(view.on_fine_grid(), fitted).on_coarse_grid()
+    # What was found of the record since, as its scatter, stands on the coarse one alone.
+    return replace(
+        view.record,
+        motor_wave=done.motor_wave,
+        motor_velocity=done.motor_velocity,
+        unseen=done.unseen,
+        fine=done.fine,
+    )
 
 
 def _complete(view: View, fitted: JointFit) -> SpectralRecord:

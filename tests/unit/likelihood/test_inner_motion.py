@@ -32,6 +32,7 @@ def _view(lines: int) -> _View:
         secants=Secants(),
         jumps=np.zeros(0),
         closing=None,
+        may_agree=True,
     )
 
 
