@@ -189,9 +189,14 @@ def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
             continue
         screen = Screen(here)
         score = screen.best(PlacedEffect(GRAVITY, place), polish=True)
-        ripple = screen.best(PlacedEffect(RIPPLE, Place("mass", place.axis, 1)), polish=True)
+        motor = Place("mass", place.axis, 1)
+        ripple, fewest = (
+            screen.best(PlacedEffect(RIPPLE, motor), polish=True),
+            RIPPLE.limits(screen.views, motor),
+        )
         screen.restore_views()
-        if ripple.gain > score.gain:  # over a small way a part of one passes for a weight
+        # Over a small way a part of a ripple passes for a weight; one of the fewest cycles is one itself.
+        if ripple.gain > score.gain and ripple.x[-1] > fewest[0][0] + 1e-9:
             continue
         trial = _refit_score(found.trial, score, found.train, found.held)
         if trial is None or here.cost - trial.fit.cost < _least_own_gain(trial.fit):
