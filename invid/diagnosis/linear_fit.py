@@ -18,6 +18,7 @@ from invid.likelihood.nuisance.hold_share import InsideHold, find_inside_holds
 from invid.likelihood.null_test import add_scatter
 from invid.likelihood.placed_effect import Candidate
 from invid.likelihood.prepare_records import split_into_periods
+from invid.model.chains import CoupledChains
 from invid.model.document import Model
 from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import Float64
@@ -71,7 +72,7 @@ def fit_linear_model(
     if keys and (request.by_period or request.by_period_if_differing or not find_tones(first, held, spectra)):
         train, held = split_into_periods(recording, train, keys), split_into_periods(recording, held, keys)
         if not request.beside_friction:
-            train, held = ([replace(r, fine=None) for r in records] for records in (train, held))
+            train, held = ([r.without_fine_grid() for r in records] for records in (train, held))
         if request.by_period and len(held) > 1 and held[0].alone:
             train, held = [*train, held[0]], held[1:]
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
@@ -127,12 +128,17 @@ def axes_with_smoothed_torque(model: Model) -> tuple[int, ...]:
     return tuple(smoothed)
 
 
+def chain_vector(structure: ChainStructure, chains: CoupledChains) -> Float64:
+    """(n,) parameters of a chain; a mass that vanished would make its matrices singular and is made a little
+    of one."""
+    masses = tuple(np.maximum(m, LIGHTEST * m.sum()) for m in chains.masses)
+    return structure.vector(replace(chains, masses=masses))
+
+
 def start_vector(model: Model, layout: Layout) -> Float64:
     """(n,) parameters of the model as it was given."""
     structure, start = layout.structure, np.zeros(layout.count)
-    # A mass that vanished in the identification makes the chain's matrices singular.
-    masses = [np.maximum(m, LIGHTEST * m.sum()) for m in model.chains.masses]
-    start[: structure.count] = structure.vector(replace(model.chains, masses=tuple(masses)))
+    start[: structure.count] = chain_vector(structure, model.chains)
     offsets = model.fit.get("time_offset_s", {}) if isinstance(model.fit, dict) else {}
     for k, i in enumerate(layout.free_delays):
         found = offsets.get(f"{structure.axes[i]}.time_offset", {})

@@ -334,7 +334,7 @@ def _fit_and_split(
     train, standing = leave_out_sticking_axes(train, spectra, model, recording)
     held, _ = leave_out_sticking_axes(held, spectra, model, recording)
     if not request.beside_friction:
-        train, held = ([replace(r, fine=None) for r in records] for records in (train, held))
+        train, held = ([r.without_fine_grid() for r in records] for records in (train, held))
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
     budget.tell("fitting the linear model", 0.05)
     return spectra, warnings, fit_linear_model(model, recording, spectra, train, held, request)

@@ -129,6 +129,10 @@ class SpectralRecord(SpectralLines):
             fine=self,
         )
 
+    def without_fine_grid(self) -> SpectralRecord:
+        """The record with its waves alone, whose errors do not show far from the noise."""
+        return replace(self, fine=None)
+
     @cached_property
     def wave_omega(self) -> Float64:
         """(n//2 + 1,) [rad/s] of the waves' own lines."""

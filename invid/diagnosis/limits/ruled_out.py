@@ -5,7 +5,7 @@ without noise, on the training records and, with the parameters as the training 
 out; a gain passes its threshold N in 95 of 100 records where √λ ≥ √N + 1.64 (noncentral χ² of one number).
 Laws that are linear in their size ask for one projection. Of free play and other laws with a knee the torque
 at several sizes is put into the rows of the fit, and the size is found between them. A law of unknown shape
-(cycles, a knee, a frequency in the band) counts at the shape that shows least.
+(cycles, a knee, a frequency in the band) counts at the shape that shows least, of those that show at all.
 """
 
 from __future__ import annotations

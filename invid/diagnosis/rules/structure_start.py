@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.diagnosis.linear_fit import LIGHTEST
+from invid.diagnosis.linear_fit import chain_vector
 from invid.errors import InvidError
 from invid.identification.starts import fit_sizes, measured_frf
 from invid.likelihood.evaluation import record_views
@@ -38,11 +38,9 @@ def start_beside_friction(
         found = fit_sizes(corrected, structure.sizes, structure.axes, measured_frf(corrected), thorough=False)
     except (InvidError, np.linalg.LinAlgError):
         return None
-    # A mass that vanished makes the chain's matrices singular; a spring to ground is none of what was sought.
-    masses = tuple(np.maximum(m, LIGHTEST * m.sum()) for m in found.chains.masses)
     out, ground = fitted.p.copy(), structure.slices["ground_spring"]
-    out[: structure.count] = structure.vector(replace(found.chains, masses=masses))
-    out[ground] = fitted.p[ground]
+    out[: structure.count] = chain_vector(structure, found.chains)
+    out[ground] = fitted.p[ground]  # none of what was sought
     return out
 
 

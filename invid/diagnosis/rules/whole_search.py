@@ -98,7 +98,7 @@ def search_beside_friction(  # noqa: PLR0913 - a fit, its records and where they
 
     ``known``: the friction that the identification found with the linear parameters ``start`` (n,).
     """
-    coarse = _without_fine_grid(train), _without_fine_grid(held)
+    coarse = [r.without_fine_grid() for r in train], [r.without_fine_grid() for r in held]
     null = _fit_with_friction(base, known, start, *coarse)
     if null is None:
         return None
@@ -115,11 +115,6 @@ def search_beside_friction(  # noqa: PLR0913 - a fit, its records and where they
         budget.leave_out(f"causes beside {len(found.steps)} found and the friction of every motor")
     named = _name_friction(base, null, found, linear_axes)
     return BesideFriction(replace(named, is_cut_short=cut or named.is_cut_short), found.train, found.held)
-
-
-def _without_fine_grid(records: Sequence[SpectralRecord]) -> list[SpectralRecord]:
-    """The records with their waves alone, whose errors do not show far from the noise."""
-    return [replace(r, fine=None) for r in records]
 
 
 class _Cut(Exception):
@@ -190,10 +185,8 @@ def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
         screen = Screen(here)
         score = screen.best(PlacedEffect(GRAVITY, place), polish=True)
         motor = Place("mass", place.axis, 1)
-        ripple, fewest = (
-            screen.best(PlacedEffect(RIPPLE, motor), polish=True),
-            RIPPLE.limits(screen.views, motor),
-        )
+        ripple = screen.best(PlacedEffect(RIPPLE, motor), polish=True)
+        fewest = RIPPLE.limits(screen.views, motor)
         screen.restore_views()
         # Over a small way a part of a ripple passes for a weight; one of the fewest cycles is one itself.
         if ripple.gain > score.gain and ripple.x[-1] > fewest[0][0] + 1e-9:
@@ -229,7 +222,7 @@ def _restarted(found: SearchState) -> SearchState | None:
     The chain was found beside what was missing then, and may lie in another minimum.
     """
     here = found.trial.fit
-    if here.cost < FAR * here.dof:
+    if not found.is_far():
         return None
     p = start_beside_friction(here, found.train, found.spectra)
     if p is None:
@@ -249,8 +242,9 @@ def _refined(
     Both were found beside what was missing until now.
     """
     train, held = (complete_motion(records, found.trial.fit) for records in measured)
-    quick = found.trial.fit.cost > FAR * found.trial.fit.dof
-    trial = _refit(found.trial, train, held, is_last=True, iterations=SETTLING_ITERATIONS, quick=quick)
+    trial = _refit(
+        found.trial, train, held, is_last=True, iterations=SETTLING_ITERATIONS, quick=found.is_far()
+    )
     if trial is not None:
         found = replace(found, trial=trial, train=train, held=held)
     reshaped = _reshape_friction(found.trial, found.train, found.held)
@@ -356,6 +350,10 @@ class SearchState:
         """Whether the training records reject the fit."""
         return null_test(self.trial.fit.cost, self.trial.fit.dof, self.train).rejects
 
+    def is_far(self) -> bool:
+        """Whether the fit is so far from the noise that its chain may be wrong."""
+        return self.trial.fit.cost > FAR * self.trial.fit.dof
+
     def settled(self) -> SearchState:
         """The state with its fit taken to the end: scores mean something at a minimum only.
 
@@ -365,8 +363,7 @@ class SearchState:
         here = self.trial.fit
         if here.converged or budget.is_spent():
             return self
-        quick = here.cost > FAR * here.dof
-        found = _refit(self.trial, self.train, self.held, iterations=SETTLING_ITERATIONS, quick=quick)
+        found = _refit(self.trial, self.train, self.held, iterations=SETTLING_ITERATIONS, quick=self.is_far())
         return self if found is None or found.fit.cost > here.cost else replace(self, trial=found)
 
 
@@ -436,10 +433,9 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
     best = ranked[0][0]
     steps = (*found.steps, Step(current, best, tuple(ranked)))
     beside = _independent_causes(best, scores, here)
-    if beside:
-        together = _fit_together(best, beside, train, held)
-        if together is not None:
-            steps, best = (*steps, *_joint_steps(best, together)), together
+    together = _fit_together(best, beside, train, held)
+    if together is not None:
+        steps, best = (*steps, *_joint_steps(best, together)), together
     return replace(found, trial=best, steps=steps)
 
 
@@ -503,7 +499,7 @@ def _fit_together(
     first = len(best.fit.candidate.terms)
     sure = [n for n in range(len(beside)) if _wald_ratio(found.fit, first + n) > 1.0]
     if len(sure) < len(beside):
-        return _fit_together(best, [beside[n] for n in sure], train, held) if sure else None
+        return _fit_together(best, [beside[n] for n in sure], train, held)
     return found if found.fit.cost < best.fit.cost else None
 
 
