@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 import io
 import json
+import os
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -32,9 +34,10 @@ pytestmark = pytest.mark.xdist_group("service")
 @pytest.fixture
 def generated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Name of the package that the generator wrote."""
-    generator = shutil.which("openapi-python-client")
+    own = Path(sys.prefix, "generator", "bin")  # by `make test-rest`
+    generator = shutil.which("openapi-python-client", path=f"{own}{os.pathsep}{os.environ['PATH']}")
     if generator is None:
-        pytest.skip("openapi-python-client is not installed: pip install openapi-python-client")
+        pytest.skip("openapi-python-client is not installed: make .venv/generator/bin/openapi-python-client")
     settings = tmp_path / "settings.json"
     settings.write_text(json.dumps({**SETTINGS, "post_hooks": []}), encoding="utf-8")
     command = [generator, "generate", "--path", str(DOCUMENT), "--config", str(settings)]
