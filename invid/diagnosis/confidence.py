@@ -185,6 +185,9 @@ def effect_term(trial: CandidateEvidence, number: int, recording: Recording) -> 
         parameters=parameters,
         element=term.place.element,
         other_axis=recording.axes[term.place.other] if term.place.other >= 0 else None,
+        table=term.effect.table(
+            trial.fit.candidate.x[number], trial.fit.covariance_of(number), linear=recording.linear
+        ),
     )
 
 

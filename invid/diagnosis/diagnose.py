@@ -10,7 +10,9 @@ import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.context import apply_rule, current_context, use_context
+from invid.diagnosis.judged_search import JudgedSearch
 from invid.diagnosis.known_effects import merge_spring_damping
+from invid.diagnosis.law_without_name import add_laws
 from invid.diagnosis.limits.ruled_out import ruled_out
 from invid.diagnosis.outcome import limit_unfinished_search
 from invid.diagnosis.rigid import diagnose_trajectory
@@ -20,16 +22,13 @@ from invid.diagnosis.rules.dropped_rows import (
     rms_before_repair,
 )
 from invid.diagnosis.search_pass import run_search_pass
-from invid.diagnosis.time_domain_check import REFUSED, Replay, add_time_domain_check, simulate_held_out
-from invid.diagnosis.verdict import build_diagnosis, extended_model
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.likelihood.joint_fit import JointFit
-from invid.likelihood.null_test import null_test
 from invid.model.diagnosis_document import Diagnosis, Verdict
-from invid.model.document import Model, model_to_json
+from invid.model.document import Model
 from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.recording.still_axes import masses_of_moving, moving_part
@@ -118,37 +117,27 @@ def _diagnose_clean(
     check_units(model, recording)
     with budget.use_share(TIME_TO_SEARCH, 0.3, 0.9):
         search = run_search_pass(repaired, merge_spring_damping(model))
-    repaired, model, tones, bare = search.recording, search.model, search.tones, search.bare
-    train, held = search.train, search.held
+    repaired, train, held = search.recording, search.train, search.held
+    found = JudgedSearch(search, hold_timing_warnings(search.selection.final.fit, recording))
     selection = search.selection.widen_by_remainder()
-    warnings = [*search.warnings, *hold_timing_warnings(selection.final.fit, recording)]
-    result = build_diagnosis(repaired, model, selection, bare, train, held, tones, warnings)
+    result = found.diagnosis(selection)
     if result.verdict is Verdict.UNEXPLAINED and selection.steps:
         independent = apply_rule("own-evidence", selection, train, held)
         if independent is not None:
             selection = independent.widen_by_remainder()
-            result = build_diagnosis(repaired, model, selection, bare, train, held, tones, warnings)
+            result = found.diagnosis(selection)
+    with_law = None
+    if result.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not selection.is_cut_short:
+        with_law = add_laws(selection if result.findings else selection.without_causes(), train, held)
     budget.tell("simulating over time", 0.92)
-    if result.findings and not budget.is_left_out("the extended model simulated over time"):
-        linear = extended_model(model, bare, ())
-        answer = simulate_held_out(repaired, search.spectra, linear, result.model, selection.final.fit, held)
-        reached = not null_test(selection.final.held.cost, selection.final.held.dof, held).rejects
-        is_lost = isinstance(answer, Replay) and answer.is_lost and reached
-        if isinstance(answer, Replay) and answer.is_refused and not is_lost:
-            result = build_diagnosis(
-                repaired, model, selection, bare, train, held, tones, [*warnings, REFUSED], is_refused=True
-            )
-        elif isinstance(answer, Replay) and not is_lost:
-            selection = selection.widen_covariance(answer.shift)
-            result = build_diagnosis(repaired, model, selection, bare, train, held, tones, warnings)
-        result = add_time_domain_check(result, answer, repaired, is_lost=is_lost)
-        result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
+    checked = None if with_law is None else found.simulated(with_law.widen_by_remainder())
+    selection, result = checked or found.simulated(selection) or (selection, found.refused(selection))
     if selection.is_cut_short:
         result = limit_unfinished_search(result)
     elif result.verdict is not Verdict.UNEXPLAINED:  # else anything may hide behind what is left
         result = replace(result, ruled_out=ruled_out(selection, train, held, repaired))
     return add_dropped_rows_finding(
-        result, recording, dropped, rms_before_repair(recording, bare) if dropped else {}
+        result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from invid.diagnosis.sentences import finding_sentence, separating_text
 from invid.diagnosis.thresholds import COMPETES, CONTESTED, EXPLAINED, FLOOR, MISSED, NAMED, UNSIZED
+from invid.effects.laws.empirical_law import NAMELESS, is_like_law
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
 from invid.model.document import EffectTerm, Model
@@ -91,7 +92,8 @@ def finding_of(
     """
     sure = 1.0 if own else 0.55 + 0.45 * _confidence_ramp(explained)
     confidence = float(np.clip(cause.share * sure, 0.01, 0.999))
-    if cause.alternatives or cause.doubts or not at_noise:
+    # A law without a name may be that of a cause which nobody has thought of.
+    if cause.alternatives or cause.doubts or not at_noise or cause.effect.cause == NAMELESS:
         confidence = min(confidence, CONTESTED)
     if cause.size_is_significant is False:
         confidence = min(confidence, UNSIZED)
@@ -190,10 +192,15 @@ def assemble_diagnosis(  # noqa: PLR0913 - the parts of a document
     opening, consistent_sentence, closing
         Sentences before those of findings, the one of a consistent record, and those at the end.
     """
+    laws = [f for f in findings if f.effect.table is not None]
     findings = [
-        replace(f, confidence=min(f.confidence, CONTESTED)) if f.alternatives else f for f in findings
+        replace(f, confidence=min(f.confidence, _most_beside(f, laws), CONTESTED if f.alternatives else 1.0))
+        for f in findings
     ]
-    verdict = verdict_of(residual, explained, named=bool(findings), missing=missing, complete=complete)
+    named, complete = len(laws) < len(findings), complete and not laws
+    verdict = verdict_of(residual, explained, named=named, missing=missing or bool(laws), complete=complete)
+    if laws:
+        left = _with_law(left, laws[0])
     if verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED) and left is None:
         left = describe_remainder(residual, explained)
     sentences = [*opening, *(f.sentence for f in findings)]
@@ -214,6 +221,23 @@ def assemble_diagnosis(  # noqa: PLR0913 - the parts of a document
         details={} if details is None else details,
     )
     return _mark_untrusted(result, recording)
+
+
+def _with_law(left: Unexplained | None, law: Finding) -> Unexplained:
+    """What is left in words, a law without a name with it."""
+    if left is None:
+        left = Unexplained(law.axis, (), (), f"{law.axis}: what acts there has no name in the catalogue")
+    follows = () if law.effect.table is None else (f"{law.effect.table.over}-dependent",)
+    return replace(left, character=tuple(dict.fromkeys([*left.character, *follows])))
+
+
+def _most_beside(finding: Finding, laws: Sequence[Finding]) -> float:
+    """Largest confidence of a finding beside laws without a name: it may be a part of one."""
+    overs = [w.effect.table.over for w in laws if w.axis == finding.axis and w.effect.table is not None]
+    if not overs or finding.effect.table is not None:
+        return 1.0
+    is_like = any(is_like_law(BY_CAUSE[finding.cause], over) for over in overs)
+    return UNSIZED if is_like else CONTESTED
 
 
 def _unknown_sizes(findings: Sequence[Finding]) -> list[str]:

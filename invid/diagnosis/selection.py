@@ -30,6 +30,10 @@ class Selection:
     only_independent: bool = False
     """Whether it holds only causes that stand on their own evidence (``rules.own_evidence``)."""
 
+    def without_causes(self) -> Selection:
+        """The selection with none of its causes."""
+        return replace(self, final=self.base, steps=())
+
     def widen_covariance(self, shift: Float64) -> Selection:
         """The selection with the covariance of its final fit widened by the outer product of ``shift``
         (n,)."""

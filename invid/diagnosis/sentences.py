@@ -94,7 +94,7 @@ def finding_sentence(
     axes: Sequence[str],
 ) -> str:
     """Cause, place, size and gain of a finding, its alternatives, and what to check."""
-    effect = BY_CAUSE[term.cause]
+    effect = BY_CAUSE[term.cause].known(term)
     main = term.parameters.get(effect.main)
     size = effect.size_text(format_estimate(main)) if main is not None else ""
     if main is not None and main.unit == "s":

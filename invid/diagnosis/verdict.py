@@ -23,6 +23,7 @@ from invid.diagnosis.trust import (
     limit_confidence,
     qualify_unexplained,
 )
+from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import effects_of_plant
 from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out
@@ -75,6 +76,7 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
         before, after = (float(np.hypot(level, np.sqrt(beside))) for level in (before, after))
         residual.append(AxisResidual(axis, unit, before, after, floor))
     explained = explained_share(residual) if named or known else None
+    nameless = [s for s in selection.steps if s.chosen.term.effect.cause == NAMELESS]
     tone_summary = unexplained = describe_tones(tones, recording, unit)
     # A given model with causes in it explains what it explained when it was found.
     as_found = not selection.steps and not linear.broken and is_at_floor(base)
@@ -82,6 +84,8 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
     quiet = not tones and (not coherent or as_found)
     if quiet:
         unexplained = apply_rule("nonrepeating-torque", (base.fit.evaluation, base.held), recording, unit)
+    elif named and nameless:
+        unexplained = describe_unexplained(nameless[0].before, recording)
     elif not named:
         if coherent:
             unexplained = qualify_unexplained(linear, describe_unexplained(base, recording))

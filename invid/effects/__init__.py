@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from invid.effects.effect import Effect, Experiment, ForceEffect, ImpedanceEffect, PlaceMotion
     from invid.effects.elements import ForceLaw, Law, ModelPlace, StaticLaw
+    from invid.effects.laws.empirical_law import spline_law
     from invid.effects.motion_effect import MotionEffect
     from invid.effects.parameter import Parameter
     from invid.model.place import axis_places, end_places, mass_places, motor_places, spring_places
@@ -25,6 +26,7 @@ _HOMES = {
     "Parameter": "parameter",
     "PlaceMotion": "effect",
     "StaticLaw": "elements",
+    "spline_law": "laws.empirical_law",
 }
 __all__ = [
     "Effect",
@@ -42,6 +44,7 @@ __all__ = [
     "end_places",
     "mass_places",
     "motor_places",
+    "spline_law",
     "spring_places",
 ]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.effects.registry import effect_of
+from invid.effects.registry import law_of
 from invid.model.document import EffectTerm
 from invid.numerics.arrays import Float64
 
@@ -25,7 +25,7 @@ class Curve:
 
 def abscissa(term: EffectTerm) -> str | None:
     """Quantity over which a cause's missing torque is drawn; ``None`` where it has no such picture."""
-    effect = effect_of(term.cause)
+    effect = law_of(term)
     return None if effect is None else effect.over or None
 
 
@@ -34,7 +34,7 @@ def curve(term: EffectTerm, x: Float64, stiffness: float) -> Curve | None:
 
     ``stiffness`` is that of the spring the term sits in, where it sits in one.
     """
-    effect = effect_of(term.cause)
+    effect = law_of(term)
     if effect is None or not effect.over:
         return None
     p = {name: e.value for name, e in term.parameters.items()}

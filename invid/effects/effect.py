@@ -26,6 +26,7 @@ from invid.effects.sizes import Size
 from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm
+from invid.model.law_table import LawTable
 from invid.model.parameters import ChainStructure
 from invid.model.place import Pattern, Place
 from invid.numerics.arrays import Complex128, Float64
@@ -257,6 +258,10 @@ class Effect:
     def known(self, term: EffectTerm) -> Self:
         """The law with what a model states of it beyond its parameters."""
         return self
+
+    def table(self, x: Float64, covariance: Float64, *, linear: bool) -> LawTable | None:
+        """The law at ``x`` (k,) with ``covariance`` (k, k) as a table, where no parameters say it."""
+        return None
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64 | None:
         """(n,) resistance over ``x`` (n,), the quantity ``over``, with the parameters ``p``; for pictures.

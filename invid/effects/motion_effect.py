@@ -104,6 +104,6 @@ class MotionEffect(ForceEffect):
         motion = PlaceMotion(x, still, still)
         if self.over in ("velocity", "deflection rate"):
             motion = replace(motion, position=still, velocity=x)
-        size = np.array([p[name] for name in self.coefficients])
+        size = np.array(self.vector(p)[: len(self.coefficients)])
         out: Float64 = self.resistance(motion, [p[name] for name in self.shapes]) @ size
         return out

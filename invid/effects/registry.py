@@ -40,6 +40,7 @@ from invid.effects.effect import Effect
 from invid.effects.effect_files import check_effect, installed_effects, load_effects
 from invid.effects.large_motion.load_dependent_friction import LoadDependentFriction
 from invid.effects.large_motion.quadratic_stiffness import QuadraticStiffness
+from invid.effects.laws.empirical_law import EmpiricalLaw
 from invid.errors import InputError
 from invid.model.document import EffectTerm
 
@@ -72,6 +73,8 @@ CATALOGUE: tuple[Effect, ...] = (
 """Every cause of the contract."""
 LARGE_MOTION: tuple[Effect, ...] = (LoadDependentFriction(), QuadraticStiffness())
 """Causes that show only in large motion of a rigid machine."""
+UNSOUGHT: tuple[Effect, ...] = (*LARGE_MOTION, EmpiricalLaw())
+"""Causes that models hold and that no screen of the catalogue tests."""
 
 _further: ContextVar[tuple[Effect, ...]] = ContextVar("further effects", default=())
 
@@ -88,7 +91,13 @@ def effects() -> tuple[Effect, ...]:
 
 def effect_of(cause: str) -> Effect | None:
     """The effect with this cause; ``None`` where there is none."""
-    return next((e for e in (*effects(), *LARGE_MOTION) if e.cause == cause), None)
+    return next((e for e in (*effects(), *UNSOUGHT) if e.cause == cause), None)
+
+
+def law_of(term: EffectTerm) -> Effect | None:
+    """The effect of a term of a model with what the term states of it; ``None`` for an unknown cause."""
+    effect = effect_of(term.cause)
+    return None if effect is None else effect.known(term)
 
 
 def effects_of_plant(terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
@@ -106,10 +115,10 @@ class _Causes(Mapping[str, Effect]):
         return found
 
     def __iter__(self) -> Iterator[str]:
-        return (e.cause for e in (*effects(), *LARGE_MOTION))
+        return (e.cause for e in (*effects(), *UNSOUGHT))
 
     def __len__(self) -> int:
-        return len(effects()) + len(LARGE_MOTION)
+        return len(effects()) + len(UNSOUGHT)
 
 
 BY_CAUSE: Mapping[str, Effect] = _Causes()
@@ -146,7 +155,7 @@ def _installed_effects() -> tuple[Effect, ...]:
 
 def _check_looks_like(found: Sequence[Effect]) -> None:
     """Refuse look-alikes that nothing known is called."""
-    known = sorted({e.cause for e in (*effects(), *LARGE_MOTION, *found)})
+    known = sorted({e.cause for e in (*effects(), *UNSOUGHT, *found)})
     for effect in found:
         strange = sorted(set(effect.looks_like) - set(known))
         if strange:
@@ -158,7 +167,7 @@ def _check_looks_like(found: Sequence[Effect]) -> None:
 def _merge_effects(known: tuple[Effect, ...], more: Sequence[Effect]) -> tuple[Effect, ...]:
     """Known and further effects, each cause once; InputError where two have the same name."""
     out = list(known)
-    taken = {e.cause for e in (*CATALOGUE, *LARGE_MOTION)}
+    taken = {e.cause for e in (*CATALOGUE, *UNSOUGHT)}
     for effect in more:
         if effect.cause in taken:
             raise InputError(f"effect {effect.cause}: the catalogue has a cause of that name; choose another")

@@ -20,6 +20,7 @@ from invid.model.document import (
     Model,
     describe_validation_error,
     dump_json,
+    effect_from_json,
     effect_to_json,
     load_json,
     model_from_json,
@@ -281,7 +282,7 @@ def diagnosis_from_json(document: Any, *, source: str = "diagnosis") -> Diagnosi
             continue
         given = document[f.name]
         if f.name == "findings" and isinstance(given, list | tuple):
-            given = [_finding(g) if isinstance(g, Mapping) else g for g in given]
+            given = [_finding(g, f"{source}: findings") if isinstance(g, Mapping) else g for g in given]
         try:
             values[f.name] = TypeAdapter(hints[f.name]).validate_python(given)
         except ValidationError as error:
@@ -296,7 +297,7 @@ def _is_required(f: Field[Any]) -> bool:
     return f.default is MISSING and f.default_factory is MISSING
 
 
-def _finding(document: Mapping[str, Any]) -> dict[str, Any]:
+def _finding(document: Mapping[str, Any], source: str) -> dict[str, Any]:
     """The fields of a ``Finding``, which the document holds less deeply."""
     place = {k: document.get(k) for k in ("cause", "axis", "element", "other_axis", "parameters")}
     gain = document.get("gain") or {}
@@ -306,7 +307,7 @@ def _finding(document: Mapping[str, Any]) -> dict[str, Any]:
         "after": held_out.get("after"),
         "fraction": gain.get("fraction"),
     }
-    return {**document, "effect": place, **sizes}
+    return {**document, "effect": effect_from_json(place, source=source), **sizes}
 
 
 def load_diagnosis(path: str | Path) -> Diagnosis:

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
 from invid.model.doubts import Doubt, doubt_facts, doubts_of
+from invid.model.law_table import LawTable, table_from_json, table_to_json
 from invid.numerics.arrays import Float64, frozen_float
 
 FORMAT = "invid-model"
@@ -51,7 +52,8 @@ class EffectTerm:
     """One effect of the catalogue, at its place, with its parameters.
 
     ``element`` is "mass q" or "spring s" (counted from the motor, from 1), or ``None`` where the
-    cause has no such place (``torque_delay``, say). ``other_axis`` only for ``coupling_stiffness``.
+    cause has no such place (``torque_delay``, say). ``other_axis`` only for ``coupling_stiffness``,
+    ``table`` only for ``empirical_law``.
     """
 
     cause: str
@@ -59,6 +61,7 @@ class EffectTerm:
     parameters: Mapping[str, Estimate]
     element: str | None = None
     other_axis: str | None = None
+    table: LawTable | None = None
 
     def value(self, name: str) -> float:
         """Value of one parameter; ModelError where the term has none of that name."""
@@ -248,7 +251,7 @@ class _EffectJson(_Open):
     axis: str
     element: str | None = None
     other_axis: str | None = None
-    parameters: dict[str, _NamedJson | float | str] = {}
+    parameters: dict[str, _NamedJson | float | str | dict[str, Any]] = {}
 
 
 class _CovarianceJson(_Open):
@@ -294,7 +297,8 @@ def effect_to_json(term: EffectTerm) -> dict[str, Any]:
                 **({} if p.name is None else {"name": p.name}),
             }
             for name, p in term.parameters.items()
-        },
+        }
+        | ({} if term.table is None else table_to_json(term.table)),
     }
 
 
@@ -357,10 +361,27 @@ def describe_validation_error(error: ValidationError, where: str) -> str:
 _NAMED = re.compile(r"(?:(?P<axis>.+)\.)?(?P<kind>mass|spring)[ .]?(?P<number>[1-9]\d*)")
 
 
+def effect_from_json(document: Any, *, source: str = "effect") -> EffectTerm:
+    """One effect as in the contract; ModelError says what is wrong."""
+    try:
+        return _effect_term(_EffectJson.model_validate(document), source)
+    except ValidationError as error:
+        raise ModelError(describe_validation_error(error, source)) from None
+
+
 def _effect_term(e: _EffectJson, source: str) -> EffectTerm:
     """One effect; a parameter called by its name ("A1.spring.2", "spring 2") is its number and its place."""
-    element, parameters = e.element, {}
+    element, parameters, where = e.element, {}, f"{source}: effect {e.cause} on {e.axis}"
+    table = None
+    if "table" in e.parameters:
+        over = e.parameters.get("over")
+        said = over.model_dump() if isinstance(over, _NamedJson) else over
+        table = table_from_json({**e.parameters, "over": said}, where)
     for key, p in e.parameters.items():
+        if table is not None and key in ("over", "table"):
+            continue
+        if isinstance(p, dict):
+            raise ModelError(f"{where}: {key} is {p!r:.60}; it must be a number")
         given = p if isinstance(p, _NamedJson) else _NamedJson(value=p)
         name = given.value if isinstance(given.value, str) else given.name
         if not isinstance(given.value, str):
@@ -383,7 +404,7 @@ def _effect_term(e: _EffectJson, source: str) -> EffectTerm:
             )
         element = place
         parameters[key] = Estimate(float(found["number"]), 0.0, given.unit, name)
-    return EffectTerm(e.cause, e.axis, parameters, element, e.other_axis)
+    return EffectTerm(e.cause, e.axis, parameters, element, e.other_axis, table)
 
 
 def model_from_json(document: Any, *, source: str = "model") -> Model:

@@ -11,6 +11,7 @@ from invid.errors import NotIdentifiableError
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
+from invid.rigid_motion.law_without_name import add_laws
 from invid.rigid_motion.load_friction import load_terms
 from invid.rigid_motion.record_kind import grounded_axes
 from invid.rigid_motion.regression import Design, Fit, fit_terms, noise_of
@@ -93,7 +94,7 @@ def analyse(recording: Recording) -> Analysis:
     if len(is_kept) < len(terms):
         # What stood only beside what went goes as well.
         final, is_kept = prune_terms(design, is_kept)
-    final = _without_wrong_laws(design, final)
+    final = add_laws(design, _without_wrong_laws(design, final))
     terms = list(final.terms)
     candidates += [t for t in load_terms(final, design) if not any(t.label == n.label for n in terms)]
     rigid = fit_terms(design, [t for t in final.terms if t.base])

@@ -20,7 +20,8 @@ from invid.rigid_motion.regressors import Regressor
 
 def term_of(analysis: Analysis, term: Regressor) -> EffectTerm:
     """The contract's cause and parameters, with one standard deviation each."""
-    final, effect, linear = analysis.final, BY_CAUSE[term.cause], analysis.recording.linear
+    final, linear = analysis.final, analysis.recording.linear
+    effect = term.law or BY_CAUSE[term.cause]
     value, std = final.of(term)
     place = Place("mass", term.axis, 1)
     count = len(effect.coefficients)
@@ -63,7 +64,8 @@ def term_of(analysis: Analysis, term: Regressor) -> EffectTerm:
         power = "inertia_counts" if "inertia_counts" in effect.parameters else "exponent"
         parameters[power] = Estimate(float(term.exponent), 0.0, None)  # tried, not fitted
     axis, element, other = place_of(term, analysis.recording.axes)
-    return EffectTerm(term.cause, axis, parameters, element, other)
+    table = effect.table(value[:count], spread, linear=linear)
+    return EffectTerm(term.cause, axis, parameters, element, other, table)
 
 
 def place_of(term: Regressor, axes: Sequence[str]) -> tuple[str, str | None, str | None]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.effects.effect import PlaceMotion
+from invid.effects.laws.empirical_law import EmpiricalLaw
 from invid.effects.motion_effect import MotionEffect
 from invid.effects.registry import effect_of, further_effects
 from invid.model.parameters import ChainStructure
@@ -43,6 +44,8 @@ class Regressor:
         Causes on the same axis beside which this one is not tried.
     load
         Terms with their coefficients that make up the load of friction that depends on it.
+    law
+        The law itself, where the catalogue has none of that cause's shape.
     """
 
     cause: str
@@ -59,6 +62,7 @@ class Regressor:
     tag: str = ""
     load: tuple[tuple[Regressor, tuple[float, ...]], ...] = ()
     held: tuple[str, ...] = ()
+    law: EmpiricalLaw | None = None
 
     @property
     def label(self) -> tuple[str, int, int | None, str]:
@@ -85,7 +89,7 @@ def columns(term: Regressor, motion: Motion) -> Float64:
         case "time_offset":
             out[:, i, 0] = motion.torque_rate[:, i]
         case _:
-            effect = effect_of(term.cause)
+            effect = term.law or effect_of(term.cause)
             if effect is None:
                 raise ValueError(f"no columns for {term.cause!r}")
             own = effect.regressors(_place_motion(term, motion), _shape_of(term))

@@ -259,7 +259,7 @@ def select_terms(
             accepted, tried_labels = [pair], [pair]
         # Information criterion on independent rows: more coefficients must earn their place.
         rows = current.effective
-        _, best = min(accepted, key=lambda p: _information_criterion(p[1], rows))
+        _, best = min(accepted, key=lambda p: information_criterion(p[1], rows))
         terms = fix_loads(design, list(best.terms))
         current = fit_terms(design, terms)
         design.reweigh(current.residual)
@@ -301,7 +301,7 @@ def _best_pair(
         if training_p(current, f) < SIGNIFICANT / len(trials)
         and _predicts(design, current, f, design.train, 1 - (1 - LEAST_GAIN) ** 2)
     ]
-    return min(good, key=lambda p: _information_criterion(p[1], current.effective)) if good else None
+    return min(good, key=lambda p: information_criterion(p[1], current.effective)) if good else None
 
 
 def can_join(terms: list[Regressor], new: Regressor) -> bool:
@@ -318,7 +318,7 @@ def can_join(terms: list[Regressor], new: Regressor) -> bool:
     return not any(new.cause in t.replaces and t.axis == new.axis and t.other is None for t in terms)
 
 
-def _information_criterion(result: Fit, rows: float) -> float:
+def information_criterion(result: Fit, rows: float) -> float:
     """Schwarz' criterion in ``rows`` independent rows, the same number for all that are compared."""
     shapes = sum(t.shape is not None for t in result.terms)
     count = max(rows, 2.0)

@@ -27,7 +27,7 @@ from invid.effects.elements import (
     StaticLaw,
     TorqueChannel,
 )
-from invid.effects.registry import BY_CAUSE, effect_of
+from invid.effects.registry import BY_CAUSE, law_of
 from invid.errors import ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm
@@ -113,7 +113,7 @@ def laws_of(chains: CoupledChains, effects: tuple[EffectTerm, ...]) -> Laws:
 
 def elements_of(chains: CoupledChains, term: EffectTerm, *, rigid: bool = False) -> Sequence[Element]:
     """Elements of an effect of a model; ModelError for an unknown cause or place."""
-    effect = effect_of(term.cause)
+    effect = law_of(term)
     if effect is None:
         raise ModelError(
             f"effect {term.cause!r} on {term.axis} cannot be simulated; known: "

@@ -25,6 +25,7 @@ from invid.diagnosis.validation import split_records
 from invid.effects.curve import curve
 from invid.effects.effect import PlaceMotion
 from invid.effects.effect_files import check_effect
+from invid.effects.laws.empirical_law import EmpiricalLaw
 from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effects, registered_effects
 from invid.effects.sizes import Machine
 from invid.effects.units import unit_of
@@ -32,6 +33,7 @@ from invid.likelihood.evaluation import evaluate
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, load_model
+from invid.model.law_table import LawTable
 from invid.model.parameters import ChainStructure
 from invid.planning.separating_experiments import is_measurable, to_separate
 from invid.recording.model import Recording
@@ -49,12 +51,20 @@ SIZE = {
     "end_cushion": ("mass 1", {"stiffness": 30.0, "begin": 0.002}),
     "load_dependent_friction": ("mass 1", {"coefficient": 0.1, "inertia_counts": 0.0}),
     "quadratic_stiffness": ("spring 0", {"coefficient": 5.0}),
+    "empirical_law": ("mass 1", {"torque": 2.0}),
 }
+ONE_LAW = LawTable(
+    "velocity", (-0.5, 0.0, 0.5), "rad/s", (-2.0, 0.1, 1.0), "N·m", ((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1))
+)
+TABLES = {"empirical_law": ONE_LAW}
 ELASTIC = [e.of_structure(ChainStructure((2, 3), ("J1", "J2"))) for e in (*CATALOGUE, *FURTHER)]
+ELASTIC.append(EmpiricalLaw().known(EffectTerm("empirical_law", "J1", {}, table=ONE_LAW)))
 EVERY = [*ELASTIC, *LARGE_MOTION]
 """All effects, and those that an elastic machine can have."""
 NOT_FITTED = ("dropped_samples", "spring_damping")
 """Found in the samples; part of the linear model."""
+UNSOUGHT = ("empirical_law",)
+"""Tried only on what no other cause explains."""
 NO_LARGE_MOTION = {
     "presliding_friction", "cogging", "torque_lag", "torque_gain", "torque_saturation",
     "encoder_eccentricity", "dropped_samples", "spring_damping", "backlash", "spring_hysteresis",
@@ -86,7 +96,7 @@ def term_of(effect, axes) -> EffectTerm:
     other = axes[1] if effect.cause == "coupling_stiffness" else None
     units = {name: unit_of(kind, False) for name, kind in effect.parameters.items()}
     parameters = {k: Estimate(v, 0.1 * abs(v), units[k]) for k, v in values.items()}
-    return EffectTerm(effect.cause, axes[0], parameters, element, other)
+    return EffectTerm(effect.cause, axes[0], parameters, element, other, TABLES.get(effect.cause))
 
 
 def model_of(chains: CoupledChains, *effects: EffectTerm) -> Model:
@@ -150,6 +160,9 @@ def test_it_is_searched_at_its_places_unless_it_sits_elsewhere(effect, excited) 
     _, chains = excited
     structure = ChainStructure(chains.masses_per_branch, chains.axes)
     searched = [t.place for t in terms_to_test(structure, linear_axes=False) if t.effect is effect]
+    if effect.cause in UNSOUGHT:
+        assert not searched
+        return
     assert searched == effect.places(structure)
     assert bool(searched) is (effect.cause not in NOT_FITTED)
 

@@ -1,0 +1,154 @@
+"""What no cause of the catalogue explains, as a smooth law: at which place, over which quantity.
+
+The law is a spline. Of its shapes only those are fitted that the records see and that nothing else of the
+model can stand for: a straight line over a deflection is the spring's, one over a velocity a damper's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from invid.diagnosis.evidence import (
+    CandidateEvidence,
+    Step,
+    evidence_if_finite,
+    refit_with_effect,
+)
+from invid.diagnosis.score_test import Score, Screen
+from invid.diagnosis.selection import Selection
+from invid.diagnosis.thresholds import BROUGHT_DOWN, FLOOR, HELD_OUT, SIGNIFICANCE
+from invid.effects.laws.empirical_law import KNOTS, OF_RATE, EmpiricalLaw, knots_of
+from invid.effects.motion_effect import OF_MOTION
+from invid.likelihood.joint_fit import JointFit, fit
+from invid.likelihood.null_test import rms_torque
+from invid.likelihood.placed_effect import PlacedEffect
+from invid.model.place import Place
+from invid.numerics import budget
+from invid.numerics.distributions import chi2_isf
+from invid.numerics.smooth_parts import smooth_parts
+from invid.signals.spectral_record import SpectralRecord
+
+FIRST, ROUNDS = 6, 3
+"""Most shapes of a law that is fitted first, and how often they are chosen anew (empirical)."""
+FITTED = 3
+"""Laws of the screen that are fitted jointly (empirical)."""
+ITERATIONS = 12
+
+
+def add_laws(
+    found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> Selection | None:
+    """The selection with a law for what it leaves, on at most one place of each axis; ``None`` where none
+    is significant and takes nearly all that is left on its axis."""
+    start = found
+    for _ in range(found.final.fit.layout.structure.motors):
+        if not found.final.rejects([*train, *held]):
+            break
+        try:
+            step = _find_law(found.final, train, held)
+        except budget.BudgetSpent:
+            budget.leave_out("a law without a name")
+            break
+        if step is None:
+            break
+        found = replace(found, final=step.chosen, steps=(*found.steps, step))
+    return None if found is start else found
+
+
+def _find_law(
+    current: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> Step | None:
+    """The step that adds the law which takes most; ``None`` where none is significant or takes enough."""
+    screen, here = Screen(current.fit), current.fit
+    structure, rows = here.layout.structure, here.dof
+    taken = {t.place.axis for t in here.candidate.terms if isinstance(t.effect, EmpiricalLaw)}
+    scores = [
+        score
+        for over in OF_MOTION
+        for place in EmpiricalLaw(over).places(structure)
+        if place.axis not in taken
+        and (score := _score(screen, over, place, FIRST, here.dispersion)) is not None
+    ]
+    screen.restore_views()
+    scores.sort(key=lambda s: _penalty(s, rows, here.dispersion) - s.gain)
+    trials = [t for s in scores[:FITTED] if (t := _fit_law(here, s, train, held)) is not None]
+    if not trials:
+        return None
+    dispersion = min(t.dispersion for t in trials)
+    ranked = sorted(((t, t.score(dispersion, rows)) for t in trials), key=lambda r: r[1])
+    best = ranked[0][0]
+    gains = (here.cost - best.fit.cost, current.held.cost - best.held.cost)
+    least = chi2_isf(SIGNIFICANCE / max(len(scores), 1), best.term.size)
+    if gains[0] < least * best.fit.dispersion or gains[1] < HELD_OUT * best.held_dispersion:
+        return None
+    return Step(current, best, tuple(ranked)) if _takes_nearly_all(best, current) else None
+
+
+def _takes_nearly_all(best: CandidateEvidence, current: CandidateEvidence) -> bool:
+    """Whether a law brings its axis to the noise, or takes nearly all that is missing there in records kept
+    out.
+
+    What takes less may be a part of any law.
+    """
+    (before, _), (after, floor) = (rms_torque(t.held, best.term.place.axis) for t in (current, best))
+    return after <= FLOOR * floor or after**2 - floor**2 <= (1.0 - BROUGHT_DOWN) * (before**2 - floor**2)
+
+
+def _fit_law(
+    here: JointFit, score: Score, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> CandidateEvidence | None:
+    """The joint fit of a law, its shapes chosen anew from where it ends while that is better.
+
+    The parameters beside it were found without it, and so were the first shapes.
+    """
+    run = partial(refit_with_effect, here, train, score.term, score.x, ITERATIONS, score.shift)
+    best = evidence_if_finite(run, held)
+    for _ in range(ROUNDS if best is not None else 0):
+        assert best is not None  # noqa: S101 - the loop does not run without
+        at = best.fit
+        bare = evidence_if_finite(
+            partial(fit, at.layout, train, at.p, here.candidate, iterations=0), held, always=True
+        )
+        if bare is None:
+            break
+        screen = Screen(bare.fit)
+        law = at.candidate.terms[-1].effect
+        again = _score(screen, law.over, score.term.place, KNOTS, at.dispersion)
+        screen.restore_views()
+        if again is None:
+            break
+        run = partial(refit_with_effect, bare.fit, train, again.term, again.x, ITERATIONS, again.shift)
+        more = evidence_if_finite(run, held)
+        if more is None or more.cost > best.cost - HELD_OUT * best.dispersion:
+            break
+        best = more
+    return best
+
+
+def _penalty(score: Score, rows: int, dispersion: float) -> float:
+    return float(np.log(max(rows, 2))) * score.size * dispersion
+
+
+def _score(screen: Screen, over: str, place: Place, most: int, dispersion: float) -> Score | None:
+    """The law over one quantity at one place with as many shapes as pay for themselves, ``most`` at most;
+    ``None`` for none."""
+    pattern = place.pattern(screen.fit.layout.structure)
+    screen.reconstruct(PlacedEffect(EmpiricalLaw(over), place))
+    waves = [v.velocity(pattern) if over in OF_RATE else v.wave(pattern) for v in screen.views]
+    knots = knots_of(waves)
+    if knots is None:
+        return None
+    law = EmpiricalLaw(over, knots, np.eye(len(knots)))
+    columns = screen.project([law.basis(v, place, ()) for v in screen.views])
+    if not np.isfinite(columns).all():
+        return None
+    price = float(np.log(max(screen.fit.dof, 2))) * dispersion
+    shapes, x = smooth_parts(columns, -screen.residual, price, most)
+    if not x.size:
+        return None
+    term = PlacedEffect(EmpiricalLaw(over, knots, shapes), place)
+    return Score(term, x, float(x @ x), screen.shift(term, x))

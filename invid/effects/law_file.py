@@ -1,0 +1,79 @@
+"""A law without a name as an effect file: its shape is kept, its size is fitted."""
+
+from __future__ import annotations
+
+import keyword
+
+import numpy as np
+
+from invid.effects.laws.empirical_law import IN_SPRING, NAMELESS, OF_RATE
+from invid.effects.registry import effect_of
+from invid.errors import InputError
+from invid.model.document import EffectTerm
+
+_TEMPLATE = '''"""{title}: found as a law without a name{where}.
+
+u is the {over} [{at_unit}]. Say in title, check and looks_like what it is.
+"""
+
+import numpy as np
+
+from invid.effects import Experiment, MotionEffect, Parameter, {places}, spline_law
+
+AT = {at}  # {at_unit}
+SHAPE = {shape}  # resistance over its largest
+
+
+class {kind}(MotionEffect):
+    """Resistance torque·s(u), s a spline through the shape."""
+
+    cause, family, over = "{name}", "other", "{over}"
+    numbers = (Parameter("torque", "torque"),)
+    title = "{title}"
+    check = "Look for what acts there."
+    separating = Experiment("amplitudes", "the same excitation at another amplitude: its curve stays")
+    home = "{home}"
+
+    def places(self, structure):
+        return {places}(structure)
+
+    def resistance(self, motion, shape):
+        return spline_law(AT, SHAPE)(motion.{quantity})
+
+
+EFFECT = {kind}()
+'''
+
+
+def law_file(name: str, term: EffectTerm) -> str:
+    """Return the text of the effect file of a law without a name; InputError where that is none, or the name
+    cannot be used."""
+    if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower():
+        raise InputError(f"{name!r} is no name of a cause: small letters, digits and _, as churned_oil")
+    if effect_of(name) is not None:
+        raise InputError(f"{name!r}: there is a cause of that name; choose another")
+    table = term.table
+    if term.cause != NAMELESS or table is None:
+        raise InputError(f"{term.cause} on {term.axis} has a name already; only {NAMELESS} becomes a file")
+    size = max(float(np.abs(table.value).max()), 1e-300)
+    in_spring = table.over in IN_SPRING
+    return _TEMPLATE.format(
+        name=name,
+        kind="".join(part.capitalize() for part in name.split("_")) or "Law",
+        title=name.replace("_", " ").strip() or name,
+        where=f" on {term.axis}" + (f", {term.element}" if term.element else ""),
+        over=table.over,
+        at_unit=table.at_unit,
+        at=_listed(list(table.at)),
+        shape="np.array(" + _listed([[v / size] for v in table.value]) + ")",
+        places="spring_places" if in_spring else "mass_places",
+        home="spring" if in_spring else "motor",
+        quantity="velocity" if table.over in OF_RATE else "position",
+    )
+
+
+def _listed(values: list[float] | list[list[float]]) -> str:
+    """Return numbers as Python writes them, six digits, a line for each six."""
+    said = [f"[{v[0]:.6g}]" if isinstance(v, list) else f"{v:.6g}" for v in values]
+    rows = [", ".join(said[k : k + 6]) for k in range(0, len(said), 6)]
+    return "[\n" + "".join(f"    {row},\n" for row in rows) + "]"
