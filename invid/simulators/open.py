@@ -9,18 +9,29 @@ from pathlib import Path
 from invid.errors import InputError
 from invid.simulators.guided import Simulator
 
-KINDS = {".xml": "mujoco_engine", ".mjcf": "mujoco_engine", ".json": "invid_engine", ".fmu": "fmu_engine"}
+KINDS = {
+    ".xml": "mujoco_engine",
+    ".mjcf": "mujoco_engine",
+    ".urdf": "urdf_engine",
+    ".json": "invid_engine",
+    ".fmu": "fmu_engine",
+}
 """Modules of this folder by a file's ending; each has ``opened(path, axes)``."""
+TAKEN = "a MuJoCo XML (.xml), a URDF (.urdf), an invid model (.json) or an FMU (.fmu)"
+
+
+def masses_of(path: Path, axes: Sequence[str]) -> list[int] | None:
+    """Masses an axis in a simulator's file; None where it is no chain of masses."""
+    claimed = open_simulator(path, axes).claimed()
+    return None if claimed is None else list(claimed.chains.masses_per_branch)
 
 
 def open_simulator(path: Path, axes: Sequence[str]) -> Simulator:
     """The simulator; InputError where there is none or nobody reads it."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file; --against takes a MuJoCo XML, an invid model or an FMU")
+        raise InputError(f"{path}: no such file; --against takes {TAKEN}")
     if path.suffix.lower() not in KINDS:
-        raise InputError(
-            f"{path}: --against takes a MuJoCo XML (.xml), an invid model (.json) or an FMU (.fmu)"
-        )
+        raise InputError(f"{path}: --against takes {TAKEN}")
     try:
         module = import_module(f"invid.simulators.{KINDS[path.suffix.lower()]}")
     except ModuleNotFoundError as error:

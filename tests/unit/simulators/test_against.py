@@ -7,24 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines.mujoco_cells import Cell, drawn, measured, users, write
+from machines.mujoco_cells import Cell, drawn, measured, users, write, wrong
 
 import invid
 from invid.cli.app import run
 from invid.simulators.judge import judge
 from invid.simulators.open import open_simulator
-
-
-def wrong(cell: Cell, share: float) -> Cell:
-    """The cell with nothing hidden and every number off by up to a share."""
-    rng = np.random.default_rng(cell.seed)
-
-    def off(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-        return tuple(tuple(x * float(np.exp(rng.uniform(-share, share))) for x in row) for row in rows)
-
-    return replace(
-        cell, hidden=(), inertia=off(cell.inertia), springs=off(cell.springs), dampers=off(cell.dampers)
-    )
 
 
 @pytest.fixture(scope="module")
