@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from xml.etree.ElementTree import ParseError, iterparse
 
 from invid.errors import InputError
 from invid.simulators.guided import Simulator
@@ -30,13 +31,24 @@ def open_simulator(path: Path, axes: Sequence[str]) -> Simulator:
     """The simulator; InputError where there is none or nobody reads it."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; --against takes {TAKEN}")
-    if path.suffix.lower() not in KINDS:
+    ending = path.suffix.lower()
+    if ending not in KINDS:
         raise InputError(f"{path}: --against takes {TAKEN}")
+    if ending == ".xml" and _root(path) == "robot":
+        ending = ".urdf"
     try:
-        module = import_module(f"invid.simulators.{KINDS[path.suffix.lower()]}")
+        module = import_module(f"invid.simulators.{KINDS[ending]}")
     except ModuleNotFoundError as error:
         raise InputError(
             f"{path}: needs the package {error.name}, which is not installed: pip install 'invid[against]'"
         ) from None
     simulator: Simulator = module.opened(path, tuple(axes))
     return simulator
+
+
+def _root(path: Path) -> str:
+    """Name of an XML's root; nothing where it is none, which its reader says better."""
+    try:
+        return next((str(element.tag) for _, element in iterparse(path, events=("start",))), "")
+    except (ParseError, OSError):
+        return ""

@@ -107,6 +107,10 @@ class UrdfSimulator(MujocoSimulator):
                 reason = next((r for r in (_write(made, p) for p in parts) if r), "")
             except ModelError as error:
                 reason = str(error)
+            if reason and term.cause == "gravity":
+                reason = (
+                    "mass and centre of mass of a link make it, of which a torque tells the product alone"
+                )
             if reason:
                 made.lost.append(f"{effect_name(term)}: {reason}")
         root = copy.deepcopy(self.root)

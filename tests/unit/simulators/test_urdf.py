@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 import pytest
 import yourdfpy
-from machines.mujoco_cells import Cell, drawn, measured, urdf, write, wrong
+from machines.mujoco_cells import Cell, drawn, measured, urdf, users, write, wrong
 
 import invid
 from invid.model.chains import CoupledChains
@@ -63,14 +64,21 @@ def test_a_right_urdf_is_called_right_and_a_wrong_one_is_mended_behind_any_gear(
     found = judge(recording, diagnosis, simulator, tmp_path / "mended.urdf")
     assert found["held_out"]["after"] < 1.3 < 20.0 < found["held_out"]["before"]
     assert (found["missing"], found["cannot_hold"]) == ([], [])
-    told = {p["name"]: p for p in found["parameters"]}["R1 mass 1"]
-    assert told["value"] == pytest.approx(cell.inertia[0][0], rel=0.01)
-    assert told["simulator"] == pytest.approx(other.inertia[0][0], rel=1e-6)
+    told = {p["name"]: p for p in found["parameters"]}["R2 mass 1"]
+    assert told["value"] == pytest.approx(cell.inertia[1][0], rel=0.01)
+    assert told["simulator"] == pytest.approx(other.inertia[1][0], rel=1e-6)
     text = (tmp_path / "mended.urdf").read_text()
     assert "<!-- my robot -->" in text
     assert 'mesh filename="package://none/q1_1.stl"' in text
     again = yourdfpy.URDF.load(str(tmp_path / "mended.urdf"), load_meshes=False, build_scene_graph=False)
     assert set(again.joint_map) == {f"q{i}_{q}" for i in (1, 2) for q in range(1, len(cell.inertia[0]) + 1)}
+
+
+def test_a_urdf_may_be_called_xml(tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text(urdf(ARM, gear=20.0))
+    claimed = open_simulator(tmp_path / "robot.xml", ("R1", "R2")).claimed()
+    assert claimed is not None
+    assert claimed.chains.masses[1][0] == pytest.approx(ARM.inertia[1][0])
 
 
 def test_our_own_export_is_read_back_number_by_number(tmp_path: Path) -> None:
@@ -145,6 +153,44 @@ def test_a_joint_that_nobody_drives_is_locked_and_its_link_counts_with_the_one_b
     alone = opened(tmp_path, urdf(ARM)).claimed().chains
     held = opened(tmp_path, urdf(ARM, more=gripper)).claimed().chains
     assert held.masses[1][0] == pytest.approx(alone.masses[1][0] + 1.0)
+
+
+@pytest.mark.parametrize("kind", ["xml", "urdf"])
+def test_the_weight_of_bodies_is_read_as_gravity_and_a_copy_adds_what_it_is_short_of(
+    kind: str, tmp_path: Path
+) -> None:
+    cell = drawn(5, kinds=("weight",), motion="production", sizes=(1,), size=0.5)
+    numbers = cell.hidden[0].numbers
+    (tmp_path / f"robot.{kind}").write_text(users(cell) if kind == "xml" else urdf(cell))
+    simulator = open_simulator(tmp_path / f"robot.{kind}", ("R1",))
+    claimed = simulator.claimed()
+    assert claimed is not None
+    (own,) = (t for t in claimed.effects if t.cause == "gravity")
+    assert (own.axis, own.element) == ("R1", "mass 1")
+    assert own.value("torque") == pytest.approx(numbers["torque"])
+    angle = own.value("angle")
+
+    def with_gravity(factor: float) -> Model:
+        found = {"torque": Estimate(factor * numbers["torque"], 0.01 * numbers["torque"], "N·m")}
+        effect = EffectTerm("gravity", "R1", {**found, "angle": Estimate(angle, None, "rad")}, "mass 1")
+        return truth(cell, 0.0, effect)
+
+    copy, cannot = simulator.corrected(with_gravity(1.0), tmp_path / f"same.{kind}")
+    assert cannot == []
+    heavier, cannot = simulator.corrected(with_gravity(1.5), tmp_path / f"more.{kind}")
+    assert [x.split()[0] for x in cannot] == ([] if kind == "xml" else ["gravity"])
+    assert felt(copy, 0.7) == pytest.approx(numbers["torque"] * np.sin(0.7 + angle), rel=1e-4)
+    more = 1.5 if kind == "xml" else 1.0
+    assert felt(heavier, 0.7) == pytest.approx(more * numbers["torque"] * np.sin(0.7 + angle), rel=1e-4)
+    assert heavier.plant.model.chains.masses[0][0] == pytest.approx(cell.inertia[0][0], rel=1e-4)
+
+
+def felt(simulator: Any, angle: float) -> float:
+    """Torque that holds the only joint at an angle, by the engine."""
+    data = mujoco.MjData(simulator.plant.compiled)
+    data.qpos[0] = angle
+    mujoco.mj_forward(simulator.plant.compiled, data)
+    return float(data.qfrc_bias[0] - data.qfrc_passive[0] - data.qfrc_actuator[0])
 
 
 NO_DRIVES = '<robot name="r"><link name="b"/><joint name="j" type="revolute"/></robot>'
