@@ -186,7 +186,7 @@ def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
         Causes beside the catalogue's: ``invid.effects.Effect`` objects, or files that hold ``EFFECT``
         (docs/how-to/add-an-effect.md). A model that has one needs it again to be simulated or diagnosed.
     against, corrected
-        A simulator of the same machine (MuJoCo XML, invid model or FMU), run by its own engine on the
+        A simulator of the same machine (MuJoCo XML, URDF, invid model or FMU), run by its own engine on the
         records kept out: the result's ``against`` says what it gets wrong; ``corrected`` is where its
         corrected copy goes (docs/how-to/against.md).
 

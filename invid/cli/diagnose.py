@@ -68,7 +68,7 @@ def register(app: typer.Typer) -> None:
             typer.Option(
                 "--against",
                 metavar="SIM",
-                help="A simulator of the machine: MuJoCo XML, invid model or FMU. Say what it gets wrong.",
+                help="A simulator of the machine: MuJoCo XML, URDF, invid model, FMU. Says what is wrong.",
             ),
         ] = None,
         corrected: Annotated[

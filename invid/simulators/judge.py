@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from invid.errors import ModelError
 from invid.exchange.linear_plant import effect_name
-from invid.model.diagnosis_document import Diagnosis
+from invid.model.diagnosis_document import Diagnosis, RuledOut
 from invid.model.document import EffectTerm, Estimate, Model, effect_to_json, linear_parameters
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording, Role
@@ -60,13 +61,18 @@ def judge(
     records = [guided(e, Sampling.of(model), recording.encoder_resolution) for e in held]
     before = _missing(simulator, records, model)
     claimed = simulator.claimed()
-    parameters, missing = ([], list(model.effects)) if claimed is None else _differences(claimed, model)
+    parameters, missing = (
+        ([], list(model.effects)) if claimed is None else _differences(claimed, model, diagnosis.ruled_out)
+    )
     cannot_hold: Sequence[str] = ()
     after, written = None, None
     right = all(_at_floor(before, i) for i in range(recording.axis_count))
     if corrected is not None and not right:
-        copy, cannot_hold = simulator.corrected(model, corrected)
-        after, written = _missing(copy, records, model), str(corrected)
+        try:
+            copy, cannot_hold = simulator.corrected(model, corrected)
+            after, written = _missing(copy, records, model), str(corrected)
+        except ModelError as error:
+            warnings.append(f"no corrected copy is written: {error}")
     axes = [_axis_rows(recording, i, before, after) for i in range(recording.axis_count)]
     out: dict[str, Any] = {
         "simulator": simulator.path,
@@ -135,8 +141,17 @@ def _whole(axes: list[dict[str, Any]], key: str) -> float | None:
     return math.sqrt(np.mean([(a[key] / a["noise_floor"]) ** 2 for a in axes]))
 
 
-def _differences(claimed: Model, model: Model) -> tuple[list[dict[str, Any]], list[EffectTerm]]:
-    """Numbers of the simulator that differ beyond the uncertainty; causes that it lacks."""
+def _differences(
+    claimed: Model, model: Model, ruled_out: Sequence[RuledOut] = ()
+) -> tuple[list[dict[str, Any]], list[EffectTerm]]:
+    """Numbers of the simulator that differ beyond the uncertainty; causes that it lacks.
+
+    What it has, and the recording would not have shown (``ruled_out``), is not called wrong.
+    """
+    seen: dict[tuple[str | None, ...], float] = {
+        (r.cause, r.axis, r.element or "mass 1", r.other_axis): math.inf if r.limit is None else r.limit
+        for r in ruled_out
+    }
     rows: list[dict[str, Any]] = []
     theirs = {(p.axes, p.kind, p.number): p.value for p in linear_parameters(claimed)}
     ours = linear_parameters(model)
@@ -169,9 +184,9 @@ def _differences(claimed: Model, model: Model) -> tuple[list[dict[str, Any]], li
                 compared(words, there.parameters[name].value, estimate, estimate.std, estimate.unit)
     found = {_place(t) for t in model.effects}
     for term in claimed.effects:
-        if _place(term) not in found:
+        name, estimate = next(iter(term.parameters.items()))
+        if _place(term) not in found and abs(estimate.value) > seen.get(_place(term), 0.0):
             words = " ".join(x for x in (term.axis, term.element, term.cause) if x)
-            name, estimate = next(iter(term.parameters.items()))
             rows.append(
                 {"name": f"{words} {name}", "simulator": estimate.value, "value": 0.0, "std": None,
                  "unit": estimate.unit}

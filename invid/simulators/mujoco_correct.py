@@ -8,8 +8,10 @@ tendon along x_a − x_b.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -18,6 +20,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from invid.effects.elements import (
+    AddedBase,
     AddedDamper,
     AddedMass,
     AddedSpring,
@@ -27,13 +30,15 @@ from invid.effects.elements import (
     StaticLaw,
     TorqueChannel,
 )
-from invid.errors import InputError, ModelError
+from invid.errors import ModelError
 from invid.exchange.linear_plant import effect_name
-from invid.model.document import Model
+from invid.model.chains import CoupledChains
+from invid.model.document import EffectTerm, Model
 from invid.numerics.arrays import Float64
 from invid.simulation.laws import elements_of
 from invid.simulators.mujoco_plant import (
     HIDDEN,
+    SMALL,
     Handle,
     MjcfPlant,
     damping_of,
@@ -48,11 +53,13 @@ HARD = (6e-4, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
 STIFF_BRISTLE = 1e-4
 """Deflection [rad or m] at which a bristle slides, for friction with a Stribeck curve and no presliding."""
 _NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
+LEAST = 1e-3
+"""Share of itself that a body keeps at least: MuJoCo takes none without inertia."""
 KEPT = 1e-3
 """Weight of the inertias as they were beside the ones asked for: it decides between a body and its joint."""
 
 
-class _Copy:
+class SpecCopy:
     """The XML while it is corrected."""
 
     def __init__(self, plant: MjcfPlant) -> None:
@@ -97,16 +104,8 @@ class _Copy:
 
 def correct(plant: MjcfPlant, model: Model) -> tuple[str, list[str]]:
     """The corrected XML, and in sentences what MuJoCo cannot hold of the model."""
-    if plant.model is None or plant.model.chains.masses_per_branch != model.chains.masses_per_branch:
-        raise InputError(
-            "the XML's joints and springs are no chains of masses like those identified; it is compared, "
-            "and cannot be corrected"
-        )
-    copy = _Copy(plant)
-    _cleared(copy)
-    _inertia(copy, model)
-    _springs(copy, model)
-    for term in model.effects:
+    copy = linear_copy(plant, model)
+    for term in beyond_weight(plant, model):
         try:
             for element in elements_of(model.chains, term):
                 reason = _write(copy, element)
@@ -118,7 +117,51 @@ def correct(plant: MjcfPlant, model: Model) -> tuple[str, list[str]]:
     return str(copy.spec.to_xml()), copy.lost
 
 
-def _cleared(copy: _Copy) -> None:
+def linear_copy(plant: MjcfPlant, model: Model) -> SpecCopy:
+    """A copy with the chains of a model, and nothing yet of its effects."""
+    if plant.model is None or plant.model.chains.masses_per_branch != model.chains.masses_per_branch:
+        raise ModelError(
+            "its joints and springs are no chains of masses like those identified; it is compared alone"
+        )
+    copy = SpecCopy(plant)
+    _cleared(copy)
+    _inertia(copy, model)
+    _springs(copy, model)
+    return copy
+
+
+def beyond_weight(plant: MjcfPlant, model: Model) -> list[EffectTerm]:
+    """Effects of a model, of gravity what the bodies' own weight is short of: nothing where that is within
+    three standard deviations."""
+    own = (
+        {}
+        if plant.model is None
+        else {(t.axis, t.element): t for t in plant.model.effects if t.cause == "gravity"}
+    )
+    out = []
+    for term in model.effects:
+        there = own.get(
+            (
+                term.axis,
+                term.element or f"mass {len(model.chains.masses[model.chains.axes.index(term.axis)])}",
+            )
+        )
+        if term.cause == "gravity" and there is not None:
+            ours, theirs = (t.value("torque") * cmath.exp(1j * t.value("angle")) for t in (term, there))
+            std, left = term.parameters["torque"].std, ours - theirs
+            if std is not None and abs(left) < 3.0 * std:
+                continue
+            size, angle = (term.parameters[name] for name in ("torque", "angle"))
+            rest = {
+                "torque": replace(size, value=abs(left)),
+                "angle": replace(angle, value=cmath.phase(left)),
+            }
+            term = replace(term, parameters=rest)
+        out.append(term)
+    return out
+
+
+def _cleared(copy: SpecCopy) -> None:
     """Takes out what was read as an effect: the model says it anew, or that it is not there."""
     spec, m = copy.spec, copy.plant.compiled
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
@@ -143,9 +186,9 @@ def _cleared(copy: _Copy) -> None:
             own.delay, own.nsample, own.dyntype = 0.0, 0, mujoco.mjtDyn.mjDYN_NONE
 
 
-def _inertia(copy: _Copy, model: Model) -> None:
+def _inertia(copy: SpecCopy, model: Model) -> None:
     """Masses and couplings of the model, by bodies, armatures and tendons' armatures, none below zero."""
-    plant, spec, m = copy.plant, copy.spec, copy.plant.compiled
+    plant, m = copy.plant, copy.plant.compiled
     flat, wanted = copy.flat, np.zeros_like(plant.mass)
     chains = model.chains
     wanted[flat, flat] = np.concatenate(chains.masses)
@@ -153,70 +196,94 @@ def _inertia(copy: _Copy, model: Model) -> None:
     wanted[np.ix_(ends, ends)] += chains.couplings
     goal = plant.positions.T @ wanted @ plant.positions  # of the joints
     columns, start, names = _inertias(plant)
-    trees = [int(m.body_rootid[m.jnt_bodyid[k]]) for k in range(m.njnt)]
-    for i in range(len(ends)):
-        for j in range(i):
-            a, b = ends[i], ends[j]
-            if trees[a] == trees[b]:
-                for sign in (1.0, -1.0):
-                    row = plant.positions[a] + sign * plant.positions[b]
-                    columns.append(np.outer(row, row))
-                    start.append(0.0)
-                    names.append(("couple", (a, b, sign)))
-            elif chains.couplings[i, j]:
-                share = abs(chains.couplings[i, j]) / math.sqrt(wanted[a, a] * wanted[b, b])
-                if share > 1e-3:
-                    copy.lost.append(
-                        f"coupling {chains.axes[j]}-{chains.axes[i]} ({chains.couplings[i, j]:.4g}): the two "
-                        "links hang on different trees of bodies; hang one on the other"
-                    )
+    _add_couples(copy, chains, columns, names)
+    start += [0.0] * (len(columns) - len(start))
     scale = np.sqrt(np.outer(goal.diagonal(), goal.diagonal()))
     rows = np.array([(c / scale).ravel() for c in columns]).T
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     x0 = np.array(start)
+    low = np.array([LEAST if kind in ("body", "turning") else 0.0 for kind, _ in names])
     kept = KEPT * np.diag(size)
     found = lsq_linear(
-        np.vstack([rows, kept]), np.concatenate([(goal / scale).ravel(), kept @ x0]), (0.0, np.inf)
+        np.vstack([rows, kept]), np.concatenate([(goal / scale).ravel(), kept @ x0]), (low, np.inf)
     ).x  # fmt: skip
     left = (rows @ found).reshape(goal.shape) - goal / scale
     # What keeping the old shares takes from the masses is given back, where there is room.
     again = lsq_linear(np.vstack([rows, 1e-6 * np.diag(size)]), np.concatenate(
-        [-left.ravel(), np.zeros(size.size)]), (-found, np.inf))  # fmt: skip
-    found = np.maximum(found + again.x, 0.0)
+        [-left.ravel(), np.zeros(size.size)]), (low - found, np.inf))  # fmt: skip
+    found = np.maximum(found + again.x, low)
     left = np.abs((rows @ found).reshape(goal.shape) - goal / scale)
     for k in np.flatnonzero(left.diagonal() > 1e-3):
         copy.lost.append(
             f"inertia at joint {m.joint(int(k)).name}: {left[k, k]:.1%} away, a body is too heavy"
         )
+    for i, a in enumerate(ends):
+        for j in range(i if plant.plain else 0):
+            if left[a, ends[j]] > 1e-3:
+                copy.lost.append(
+                    f"coupling {chains.axes[j]}-{chains.axes[i]} ({chains.couplings[i, j]:.4g}): two joints "
+                    "of a URDF are coupled by the links that both move"
+                )
     for value, (kind, what) in zip(found, names, strict=True):
-        if kind == "armature":
-            spec.joint(what).armature = value
-        elif kind == "body":
-            body, b = next(x for x in spec.bodies if x.id == what), what
-            body.explicitinertial = True
-            body.mass, body.inertia = float(m.body_mass[b] * value), m.body_inertia[b] * value
-            body.ipos, body.iquat = m.body_ipos[b], m.body_iquat[b]
-            body.fullinertia = [math.nan] * 6
-        elif kind == "tendon":
-            spec.tendon(what).armature = value
-        elif value > 1e-9 * goal.diagonal().max():
-            a, b, sign = what
-            tendon = spec.add_tendon(name=f"couple {a} {b} {'+' if sign > 0 else '-'}")
-            row = plant.positions[a] + sign * plant.positions[b]
-            for k in np.flatnonzero(row):
-                tendon.wrap_joint(m.joint(int(k)).name, float(row[k]))
-            tendon.armature = value
+        _put_inertia(copy, kind, what, value, least=1e-9 * goal.diagonal().max())
+
+
+def _add_couples(
+    copy: SpecCopy, chains: CoupledChains, columns: list[Float64], names: list[tuple[str, Any]]
+) -> None:
+    """A unit of a tendon's armature between the ends of every two chains, with either sign."""
+    plant, m = copy.plant, copy.plant.compiled
+    ends = [chain[-1] for chain in plant.order]
+    trees = [int(m.body_rootid[m.jnt_bodyid[k]]) for k in range(m.njnt)]
+    for i, a in enumerate(ends):
+        for j, b in enumerate(ends[: 0 if plant.plain else i]):
+            if trees[a] == trees[b]:
+                for sign in (1.0, -1.0):
+                    row = plant.positions[a] + sign * plant.positions[b]
+                    columns.append(np.outer(row, row))
+                    names.append(("couple", (a, b, sign)))
+                continue
+            own = chains.masses[i][-1] * chains.masses[j][-1]
+            if abs(chains.couplings[i, j]) > 1e-3 * math.sqrt(own):
+                copy.lost.append(
+                    f"coupling {chains.axes[j]}-{chains.axes[i]} ({chains.couplings[i, j]:.4g}): the two "
+                    "links hang on different trees of bodies; hang one on the other"
+                )
+
+
+def _put_inertia(copy: SpecCopy, kind: str, what: Any, value: float, *, least: float) -> None:
+    """Writes one share of the mass matrix; a couple below ``least`` is none."""
+    plant, spec, m = copy.plant, copy.spec, copy.plant.compiled
+    if kind == "armature":
+        spec.joint(what).armature = value
+    elif kind in ("body", "turning"):
+        body = next(x for x in spec.bodies if x.id == what)
+        body.explicitinertial = True
+        body.mass = float(m.body_mass[what]) * (value if kind == "body" else 1.0)
+        body.inertia = m.body_inertia[what] * value
+        body.ipos, body.iquat = m.body_ipos[what], m.body_iquat[what]
+        body.fullinertia = [math.nan] * 6
+    elif kind == "tendon":
+        spec.tendon(what).armature = value
+    elif value > least:
+        a, b, sign = what
+        tendon = spec.add_tendon(name=f"couple {a} {b} {'+' if sign > 0 else '-'}")
+        row = plant.positions[a] + sign * plant.positions[b]
+        for k in np.flatnonzero(row):
+            tendon.wrap_joint(m.joint(int(k)).name, float(row[k]))
+        tendon.armature = value
 
 
 def _inertias(plant: MjcfPlant) -> tuple[list[Float64], list[float], list[tuple[str, Any]]]:
     """The mass matrix of the joints by what makes it: a unit of each armature, each body as it is.
 
-    A body whose weight the engine's gravity sees stays as it is: scaled, it would weigh more.
+    Of a body whose weight the engine's gravity lets a joint feel the mass stays: scaled, it would weigh more.
     """
     m = plant.spec.compile()
     columns, start, names = [], [], []
     whole = mass_matrix(m)
-    for k in range(m.njnt):
+    motors = {motor.joint for motor in plant.motors}
+    for k in (k for k in range(m.njnt) if not plant.plain or m.joint(k).name in motors):
         unit = np.zeros_like(whole)
         unit[k, k] = 1.0
         columns.append(unit)
@@ -231,19 +298,33 @@ def _inertias(plant: MjcfPlant) -> tuple[list[Float64], list[float], list[tuple[
             start.append(float(m.tendon_armature[t]))
             names.append(("tendon", m.tendon(t).name))
     for b in range(1, m.nbody):
+        kind = "turning" if _weighs(m, b) else "body"
         other = plant.spec.compile()
-        other.body_mass[b] *= 0.5
+        other.body_mass[b] *= 0.5 if kind == "body" else 1.0
         other.body_inertia[b] *= 0.5
         mujoco.mj_setConst(other, mujoco.MjData(other))
         part = 2.0 * (whole - mass_matrix(other))
-        if np.abs(part).max() > 0.0:
+        if np.abs(part).max() > SMALL * np.abs(whole).max():
             columns.append(part)
             start.append(1.0)
-            names.append(("body", b))
+            names.append((kind, b))
     return columns, start, names
 
 
-def _springs(copy: _Copy, model: Model) -> None:
+def _weighs(m: Any, b: int) -> bool:
+    """Whether a joint feels the weight of a body, in the reference pose or a radian or metre away from it."""
+    data = mujoco.MjData(m)
+    felt = []
+    for away in (0.0, 1.0):
+        data.qpos[:] = m.qpos0 + away
+        mujoco.mj_forward(m, data)
+        jacobian = np.zeros((3, m.nv))
+        mujoco.mj_jacBodyCom(m, data, jacobian, None, b)
+        felt.append(float(np.abs(m.opt.gravity @ jacobian).max(initial=0.0)))
+    return max(felt) > SMALL * float(np.linalg.norm(m.opt.gravity))
+
+
+def _springs(copy: SpecCopy, model: Model) -> None:
     m = copy.plant.compiled
     for chain, springs, dampers in zip(
         copy.plant.order, model.chains.springs, model.chains.dampers, strict=True
@@ -258,7 +339,7 @@ def _springs(copy: _Copy, model: Model) -> None:
                     setattr(copy.element(h), which, value)
 
 
-def _write(copy: _Copy, element: Element) -> str:
+def _write(copy: SpecCopy, element: Element) -> str:
     """Puts one element of an effect into the XML; why not, where MuJoCo has none of its law."""
     match element:
         case ForceLaw():
@@ -274,12 +355,17 @@ def _write(copy: _Copy, element: Element) -> str:
             return _torque_channel(copy, element)
         case StaticLaw():
             return "MuJoCo has no element of this law"
+        case AddedBase():
+            return (
+                "all links would have to hang on a body of this mass on a spring to the world; put it under "
+                "them by hand, the tree of bodies is left as it is"
+            )
         case _:
             return "MuJoCo has no element for it"
     return ""
 
 
-def _law(copy: _Copy, law: ForceLaw) -> str:
+def _law(copy: SpecCopy, law: ForceLaw) -> str:
     a, b, p = copy.coordinate(law.a), copy.coordinate(law.b), law.parameters
     match law.law:
         case Law.DRY:
@@ -305,7 +391,7 @@ def _law(copy: _Copy, law: ForceLaw) -> str:
     return ""
 
 
-def _dry(copy: _Copy, a: int, p: Sequence[float]) -> str:
+def _dry(copy: SpecCopy, a: int, p: Sequence[float]) -> str:
     """Levels up and down, then excess at rest and its velocity: frictionloss, or LuGre's Stribeck curve."""
     level, excess = 0.5 * (p[0] + p[1]), 0.5 * (p[2] + p[4]) if len(p) > 4 else 0.0
     at = copy.place(a, -1)
@@ -320,25 +406,25 @@ def _dry(copy: _Copy, a: int, p: Sequence[float]) -> str:
     return ""
 
 
-def _ripple(copy: _Copy, a: int, **law: list[float]) -> None:
+def _ripple(copy: SpecCopy, a: int, **law: list[float]) -> None:
     actuator = copy.actuator(copy.place(a, -1), "passive")
     actuator.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, ctrlspec=_NO_INPUT, **law)
 
 
-def _constant(copy: _Copy, a: int, torque: float) -> None:
+def _constant(copy: SpecCopy, a: int, torque: float) -> None:
     actuator = copy.actuator(copy.place(a, -1), "constant")
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     actuator.gainprm[0], actuator.biasprm[0] = 0.0, torque
 
 
-def _spring_between(copy: _Copy, a: int, b: int) -> tuple[Any, float]:
+def _spring_between(copy: SpecCopy, a: int, b: int) -> tuple[Any, float]:
     """The element that holds a chain's spring, and its scale."""
     along = handles_between(copy.plant.handles, a, b)
     h = next(h for h in along if stiffness_of(copy.plant.compiled, h) > 0.0)
     return copy.element(h), abs(h.scale)
 
 
-def _play(copy: _Copy, a: int, b: int, half: float) -> str:
+def _play(copy: SpecCopy, a: int, b: int, half: float) -> str:
     """A dead band in a tendon; the spring of a joint moves to a tendon for it."""
     at, scale = _spring_between(copy, a, b)
     if isinstance(at, mujoco.MjsJoint):
@@ -352,7 +438,7 @@ def _play(copy: _Copy, a: int, b: int, half: float) -> str:
     return ""
 
 
-def _hidden_mass(copy: _Copy, element: AddedMass) -> None:
+def _hidden_mass(copy: SpecCopy, element: AddedMass) -> None:
     """A body of its own, tied by a tendon: hung on the link it would load the links before as well."""
     spec, m = copy.spec, copy.plant.compiled
     at = copy.coordinate(element.at)
@@ -372,7 +458,7 @@ def _hidden_mass(copy: _Copy, element: AddedMass) -> None:
     tendon.damping[0] = 2.0 * element.damping_ratio * math.sqrt(element.stiffness * element.mass)
 
 
-def _torque_channel(copy: _Copy, channel: TorqueChannel) -> str:
+def _torque_channel(copy: SpecCopy, channel: TorqueChannel) -> str:
     motor = copy.plant.motors[channel.axis]
     if not motor.actuator:
         return "no actuator of this motor takes a torque"

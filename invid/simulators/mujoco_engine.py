@@ -32,9 +32,12 @@ class MujocoSimulator:
         self.engine = f"MuJoCo {mujoco.__version__}"
         self.axes = axes
         try:
-            self.plant: MjcfPlant = read_plant(mujoco.MjSpec.from_file(str(path)), axes, self.path)
+            self.plant: MjcfPlant = self._read(path)
         except (ValueError, mujoco.FatalError) as error:
             raise error if isinstance(error, InputError) else InputError(f"{path}: {error}") from None
+
+    def _read(self, path: Path) -> MjcfPlant:
+        return read_plant(mujoco.MjSpec.from_file(str(path)), self.axes, self.path)
 
     def claimed(self) -> Model | None:
         """The chains and effects that the XML's elements are."""
@@ -61,6 +64,7 @@ class MujocoSimulator:
             guide = spec.add_actuator(name=name, target=motor.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             guide.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             guide.gainprm[0], guide.biasprm[1], guide.biasprm[2] = 1.0, -k, -d
+            guide.gear[0] = motor.reduction
             if motor.actuator:
                 own = spec.actuator(motor.actuator)
                 own.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -73,7 +77,7 @@ class MujocoSimulator:
             k, d = tie.stiffness[i], tie.damping[i]
             control[:, guide] = k * (position[:, i] + motor.zero) + d * velocity[:, i]
             own = model.actuator_ctrladr[model.actuator(motor.actuator).id] if motor.actuator else guide
-            control[:, own] += torque[:, i] / motor.gain
+            control[:, own] += torque[:, i] * (motor.reduction / motor.gain)
         data = mujoco.MjData(model)
         plant.start(data, model, position[0], velocity[0], start)
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -86,8 +90,8 @@ class MujocoSimulator:
         force = np.zeros_like(given.torque)
         for i, motor in enumerate(plant.motors):
             joint = model.joint(motor.joint).id
-            q = states[:, 1 + model.jnt_qposadr[joint]]
-            v = states[:, 1 + model.nq + model.jnt_dofadr[joint]]
+            q = motor.reduction * states[:, 1 + model.jnt_qposadr[joint]]
+            v = motor.reduction * states[:, 1 + model.nq + model.jnt_dofadr[joint]]
             q, v = q[:-1], v[1:] if late else v[:-1]
             away, slower = position[:, i] + motor.zero - q, velocity[:, i] - v
             force[:, i] = (tie.stiffness[i] * away + tie.damping[i] * slower)[::every]
@@ -97,7 +101,7 @@ class MujocoSimulator:
         """See ``Simulator.corrected``."""
         text, lost = correct(self.plant, model)
         save_text(to, text)
-        return MujocoSimulator(to, self.axes), lost
+        return type(self)(to, self.axes), lost
 
 
 def opened(path: Path, axes: tuple[str, ...]) -> Any:

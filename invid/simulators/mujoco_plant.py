@@ -7,9 +7,10 @@ that spring, so x adds the joint before it. A chain is walked from each motor al
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -27,12 +28,17 @@ HIDDEN = "hidden mass"
 
 @dataclass(frozen=True)
 class Motor:
-    """The joint of an axis' motor, the actuator that the drive's torque goes to, torque per its control."""
+    """The joint of an axis' motor, the actuator that the drive's torque goes to, torque per its control.
+
+    ``reduction``: recorded position per position of the joint, and the joint's torque per recorded torque;
+    ``zero`` is the reference position as it would be recorded.
+    """
 
     joint: str
     actuator: str
     gain: float
     zero: float = 0.0
+    reduction: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -65,10 +71,12 @@ class MjcfPlant:
     model: Model | None
     linear_axes: bool
     step: float
+    plain: bool = False
+    """A URDF's: inertia in its links and in the rotors of its motors alone, no tendons."""
 
     @property
     def motor_inertia(self) -> Float64:
-        """(M,) inertia that a guide of the motor feels at high frequency."""
+        """(M,) inertia that a guide of the motor feels at high frequency, as recorded."""
         m = self.compiled
         whole = mass_matrix(m)
         dofs = [int(m.jnt_dofadr[m.joint(motor.joint).id]) for motor in self.motors]
@@ -77,7 +85,7 @@ class MjcfPlant:
         if inner:
             cross = whole[np.ix_(dofs, inner)]
             out = out - cross @ np.linalg.solve(whole[np.ix_(inner, inner)], cross.T)
-        return np.asarray(np.diag(out))
+        return np.asarray(np.diag(out) / np.array([motor.reduction for motor in self.motors]) ** 2)
 
     def start(
         self, data: Any, model: Any, position: Float64, velocity: Float64, inner: Float64 | None
@@ -112,25 +120,43 @@ def mass_matrix(model: Any) -> Float64:
     return out
 
 
-def read_plant(spec: Any, axes: tuple[str, ...], source: str) -> MjcfPlant:
-    """The plant; InputError where no actuator or joint can be told for an axis."""
+def read_plant(
+    spec: Any,
+    axes: tuple[str, ...],
+    source: str,
+    reductions: Mapping[str, float] = MappingProxyType({}),
+    *,
+    plain: bool = False,
+) -> MjcfPlant:
+    """The plant; InputError where no actuator or joint can be told for an axis.
+
+    ``reductions``: turns of a motor as it is recorded per turn of its joint, by the joint's name.
+    """
     _name_all(spec)
     compiled = spec.compile()
     if compiled.nv != compiled.njnt or compiled.nq != compiled.nv:
         raise InputError(f"{source}: has ball or free joints; only hinges and slides are read")
-    motors = _motors(spec, compiled, axes, source)
-    kinds = {int(compiled.jnt_type[compiled.joint(m.joint).id]) for m in motors}
+    motors = _motors(spec, compiled, axes, source, reductions)
+    # Behind a reduction it is the motor's turns that are recorded, of a slide as well.
+    kinds = {
+        int(
+            compiled.jnt_type[compiled.joint(m.joint).id]
+            if m.reduction == 1.0
+            else mujoco.mjtJoint.mjJNT_HINGE
+        )
+        for m in motors
+    }
     if len(kinds) > 1:
         raise InputError(f"{source}: hinges and slides are driven; one recording has one unit")
     linear = kinds == {int(mujoco.mjtJoint.mjJNT_SLIDE)}
-    positions = _positions(compiled, {m.joint for m in motors})
+    positions = _positions(compiled, {m.joint: m.reduction for m in motors})
     back = np.asarray(np.linalg.inv(positions), dtype=np.float64)
     mass = back.T @ mass_matrix(compiled) @ back
     handles = list(_handles(compiled, back))
     order = _chains(compiled, handles, [compiled.joint(m.joint).id for m in motors])
     plant = MjcfPlant(
         spec, compiled, axes, motors, positions, mass, handles, order, None, linear,
-        float(compiled.opt.timestep),
+        float(compiled.opt.timestep), plain,
     )  # fmt: skip
     plant.model = _model(plant, source)
     return plant
@@ -144,7 +170,9 @@ def _name_all(spec: Any) -> None:
                 item.name = f"{what} {k}"
 
 
-def _motors(spec: Any, m: Any, axes: tuple[str, ...], source: str) -> tuple[Motor, ...]:
+def _motors(
+    spec: Any, m: Any, axes: tuple[str, ...], source: str, reductions: Mapping[str, float]
+) -> tuple[Motor, ...]:
     """By the names of actuators, else of joints, else the driven joints in their order."""
     driven: dict[int, list[Any]] = {}
     for a in spec.actuators:
@@ -171,10 +199,11 @@ def _motors(spec: Any, m: Any, axes: tuple[str, ...], source: str) -> tuple[Moto
         for a in driven.get(joint, []):
             if a not in direct[:1]:  # a controller: the recording's torque holds the axis instead
                 a.gainprm[:], a.biasprm[:] = 0.0, 0.0
-        own = direct[0] if direct else None
-        gain = 1.0 if own is None else float(own.gainprm[0] * own.gear[0])
-        zero = float(m.qpos0[m.jnt_qposadr[joint]])
-        out.append(Motor(m.joint(joint).name, "" if own is None else own.name, gain, zero))
+        own, name = (direct[0] if direct else None), m.joint(joint).name
+        reduction = reductions.get(name, 1.0)
+        gain = reduction if own is None else float(own.gainprm[0] * own.gear[0])
+        zero = reduction * float(m.qpos0[m.jnt_qposadr[joint]])
+        out.append(Motor(name, "" if own is None else own.name, gain, zero, reduction))
     return tuple(out)
 
 
@@ -189,16 +218,16 @@ def _is_direct(actuator: Any) -> bool:
     )
 
 
-def _positions(m: Any, motors: set[str]) -> Float64:
-    """S (n, nv): a joint with a spring of its own, not driven, stands on the joint before it."""
+def _positions(m: Any, reductions: Mapping[str, float]) -> Float64:
+    """S (n, nv): a joint with a spring of its own, not driven, stands on the joint before it; all of a chain
+    is counted on the motor's side of its gear."""
     out = np.eye(m.nv)
     for k in range(m.njnt):
-        if m.joint(k).name in motors or m.jnt_stiffness[k] <= 0.0:
-            continue
-        before = _joint_before(m, k)
-        if before >= 0:
+        if m.joint(k).name in reductions:
+            out[k, k] = reductions[m.joint(k).name]
+        elif m.jnt_stiffness[k] > 0.0 and (before := _joint_before(m, k)) >= 0:
             out[k] = out[before]
-            out[k, k] = 1.0
+            out[k, k] = out[before, before]
     return out
 
 
@@ -369,8 +398,32 @@ def _effects(plant: MjcfPlant) -> Iterator[EffectTerm]:
             yield term(
                 "extra_mode", place, mass=(mass, unit), stiffness=(spring, stiff), damping_ratio=(ratio, "1")
             )
+    for axis, element, size, angle in () if plant.linear_axes else _weights(plant):
+        yield term("gravity", (axis, element), torque=(size, torque), angle=(angle, "rad"))
     for i, motor in enumerate(plant.motors):
         yield from _channel(plant, i, motor, term)
+
+
+def _weights(plant: MjcfPlant) -> Iterator[tuple[str, str, float, float]]:
+    """Axis, mass, torque and angle of the weight that a mass feels as its axis turns and the others do not.
+
+    Nothing where that is no sine of one cycle a turn as it is recorded.
+    """
+    m, data = plant.compiled, mujoco.MjData(plant.compiled)
+    least = SMALL * float(m.body_mass.sum() * np.linalg.norm(m.opt.gravity))
+    for axis, chain in zip(plant.axes, plant.order, strict=True):
+        felt = []
+        for angle in (0.0, 0.5 * np.pi, np.pi):
+            x = np.zeros(plant.positions.shape[0])
+            x[chain] = angle
+            data.qpos[:] = m.qpos0 + np.linalg.solve(plant.positions, x)
+            mujoco.mj_forward(m, data)
+            felt.append(np.linalg.solve(plant.positions.T, data.qfrc_bias))
+        for k, at in enumerate(chain):
+            level, upright, over = (float(f[at]) for f in felt)
+            size = float(np.hypot(level, upright))
+            if size > least and abs(level + over) < 1e-6 * size:
+                yield axis, f"mass {k + 1}", size, float(np.arctan2(level, upright))
 
 
 def _channel(plant: MjcfPlant, i: int, motor: Motor, term: Any) -> Iterator[EffectTerm]:

@@ -5,27 +5,50 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from xml.etree.ElementTree import ParseError, iterparse
 
 from invid.errors import InputError
 from invid.simulators.guided import Simulator
 
-KINDS = {".xml": "mujoco_engine", ".mjcf": "mujoco_engine", ".json": "invid_engine", ".fmu": "fmu_engine"}
+KINDS = {
+    ".xml": "mujoco_engine",
+    ".mjcf": "mujoco_engine",
+    ".urdf": "urdf_engine",
+    ".json": "invid_engine",
+    ".fmu": "fmu_engine",
+}
 """Modules of this folder by a file's ending; each has ``opened(path, axes)``."""
+TAKEN = "a MuJoCo XML (.xml), a URDF (.urdf), an invid model (.json) or an FMU (.fmu)"
+
+
+def masses_of(path: Path, axes: Sequence[str]) -> list[int] | None:
+    """Masses an axis in a simulator's file; None where it is no chain of masses."""
+    claimed = open_simulator(path, axes).claimed()
+    return None if claimed is None else list(claimed.chains.masses_per_branch)
 
 
 def open_simulator(path: Path, axes: Sequence[str]) -> Simulator:
     """The simulator; InputError where there is none or nobody reads it."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file; --against takes a MuJoCo XML, an invid model or an FMU")
-    if path.suffix.lower() not in KINDS:
-        raise InputError(
-            f"{path}: --against takes a MuJoCo XML (.xml), an invid model (.json) or an FMU (.fmu)"
-        )
+        raise InputError(f"{path}: no such file; --against takes {TAKEN}")
+    ending = path.suffix.lower()
+    if ending not in KINDS:
+        raise InputError(f"{path}: --against takes {TAKEN}")
+    if ending == ".xml" and _root(path) == "robot":
+        ending = ".urdf"
     try:
-        module = import_module(f"invid.simulators.{KINDS[path.suffix.lower()]}")
+        module = import_module(f"invid.simulators.{KINDS[ending]}")
     except ModuleNotFoundError as error:
         raise InputError(
             f"{path}: needs the package {error.name}, which is not installed: pip install 'invid[against]'"
         ) from None
     simulator: Simulator = module.opened(path, tuple(axes))
     return simulator
+
+
+def _root(path: Path) -> str:
+    """Name of an XML's root; nothing where it is none, which its reader says better."""
+    try:
+        return next((str(element.tag) for _, element in iterparse(path, events=("start",))), "")
+    except (ParseError, OSError):
+        return ""

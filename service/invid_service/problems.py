@@ -45,6 +45,7 @@ CATALOGUE: dict[str, tuple[int, str]] = {
     "unsupported-media-type": (415, "This kind of body is not taken"),
     "invalid-request": (422, "The request holds a value that cannot be used"),
     "invalid-recording": (422, "The upload is not a recording"),
+    "invalid-simulator": (422, "The simulator is not taken"),
     "idempotency-key-reused": (422, "The Idempotency-Key was used with another body"),
     "upload-stalled": (408, "The upload stalled"),
     "internal-error": (500, "An error of the service"),

@@ -243,6 +243,63 @@ def users(cell: Cell) -> str:
     return text
 
 
+def urdf(cell: Cell, *, gear: float = 1.0, rotor: bool = False, more: str = "") -> str:
+    """The cell as a user's URDF: numbers of the joints, behind gears from which the motors are recorded.
+
+    Of an axis of several masses the link stands on its own; ``rotor``: the motor's inertia in the drive.
+    """
+    out = ""
+    links, n2 = {}, gear**2
+    for i, masses in enumerate(cell.inertia):
+        for q, inertia in enumerate(masses):
+            name, weight = f"q{i + 1}_{q + 1}", cell.of("weight", i)
+            hung = i > 0 and cell.carried[i]
+            axis = (math.sin(cell.tilt), 0.0, math.cos(cell.tilt)) if hung else (0.0, 0.0, 1.0)
+            parent = f"q{i + 1}_{q}" if q else f"q{i}_1" if i and cell.carried[i] else "base"
+            mass, at, own = 1.0, "0 0 0", 0.0 if rotor and q == 0 else inertia * n2
+            if weight is not None:
+                mass, axis = 400.0 * inertia, (0.0, 1.0, 0.0)
+                arm, angle = weight.numbers["torque"] / (mass * G), weight.numbers["angle"]
+                at, own = f"{arm * math.sin(angle)} 0 {arm * math.cos(angle)}", own - mass * arm**2
+            links[name] = (mass, at, max(own, 1e-9))
+            dry = sum(h.numbers["torque"] for h in cell.hidden if h.kind == "hard dry" and h.axis == i)
+            damping = cell.dampers[i][q - 1] * n2 if q else 0.0
+            out += (
+                f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{name}"/>'
+                f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>'
+                f'<dynamics damping="{damping}" friction="{dry * gear if q == 0 else 0.0}"/></joint>'
+            )
+            if q:
+                k = cell.springs[i][q - 1] * n2
+                out += f'<gazebo reference="{name}"><springStiffness>{k}</springStiffness></gazebo>'
+        inertia_of_rotor = f'<drake:rotor_inertia value="{masses[0]}"/>' if rotor else ""
+        out += (
+            f'<transmission name="t{i}"><type>transmission_interface/SimpleTransmission</type>'
+            f'<joint name="q{i + 1}_1"/><actuator name="{cell.axes[i]}"><mechanicalReduction>{gear}'
+            f"</mechanicalReduction>{inertia_of_rotor}</actuator></transmission>"
+        )
+    for name, (mass, at, own) in links.items():
+        out += (
+            f'<link name="{name}"><visual><geometry><mesh filename="package://none/{name}.stl"/></geometry>'
+            f'</visual><inertial><origin xyz="{at}"/><mass value="{mass}"/><inertia ixx="{own}" iyy="{own}" '
+            f'izz="{own}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        )
+    spaces = 'xmlns:drake="http://drake.mit.edu"' if rotor else ""
+    return f'<robot name="cell" {spaces}><!-- my robot --><link name="base"/>{out}{more}</robot>'
+
+
+def wrong(cell: Cell, share: float) -> Cell:
+    """The cell with nothing hidden and every number off by up to a share."""
+    rng = np.random.default_rng(cell.seed)
+
+    def off(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+        return tuple(tuple(x * float(np.exp(rng.uniform(-share, share))) for x in row) for row in rows)
+
+    return replace(
+        cell, hidden=(), inertia=off(cell.inertia), springs=off(cell.springs), dampers=off(cell.dampers)
+    )
+
+
 def mjcf(cell: Cell, production: bool = False) -> str:
     """The cell as MuJoCo's XML; the gains of the holds depend on the motion."""
     direction = (math.sin(cell.tilt), 0.0, math.cos(cell.tilt))

@@ -38,6 +38,8 @@ class Job(BaseModel):
     """False where the result says nothing new of the cell: a real cell simulated with its own model."""
     model: dict[str, Any] | None = None
     """The accepted model, for the forecast of travel and for ``mode`` "simulate" on a real cell."""
+    simulator: str | None = None
+    """Name of the file in ``folder`` that the recording is judged against."""
     memory_bytes: int
     stop_grace_s: float
     budget_s: float = 1500.0

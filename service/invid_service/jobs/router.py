@@ -345,6 +345,8 @@ async def artefact(service: Service, identification: str, kind: str, request: Re
             "img-src data:; font-src data:"
         )
         return FileResponse(path, media_type=media, headers=headers)
+    if kind == "corrected":  # the format is the simulator's
+        name += Path(record.facts.get("simulator", "")).suffix
     return FileResponse(path, media_type=media, headers=headers, filename=f"{record.id}-{name}")
 
 
@@ -367,5 +369,11 @@ for _kind, _operation, _text in (
     ("diagnosis", "get_diagnosis", "Return what the simulation gets wrong."),
     ("report", "get_report", "Return the report, one self-contained HTML file."),
     ("plots", "get_plots", "Return the numbers behind the page's pictures."),
+    (
+        "corrected",
+        "get_corrected_simulator",
+        "Return the corrected copy of the simulator that was uploaded beside the recording, in its format; "
+        "none where it is right or cannot be corrected (`against` of the diagnosis says so).",
+    ),
 ):
     _offer_file(_kind, _operation, _text)

@@ -170,7 +170,7 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
     stopped = record.facts.get("stopped")
     if stopped is not None and not trace:
         stopped = {**stopped, "trace": EMPTY}
-    names = ["events", "recording", "model", "diagnosis", "report", "plots", "analysis", *PARTS]
+    names = ["events", "recording", "model", "diagnosis", "report", "plots", "corrected", "analysis", *PARTS]
     measurement = record.facts.get("measurement")
     summary = record.facts.get("summary")
     return Identification(

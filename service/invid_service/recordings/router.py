@@ -26,6 +26,7 @@ from invid_service.links import address
 from invid_service.openapi import ACCEPTED
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.recordings.claims import check_claims
+from invid_service.recordings.simulator import LARGEST, checked_simulator
 from invid_service.service import Service
 from invid_service.store.store import RunRecord
 
@@ -45,6 +46,7 @@ _BODY: dict[str, Any] = {
                     "properties": {
                         "file": {"type": "string", "format": "binary"},
                         "cell": {"type": "string"},
+                        "simulator": {"type": "string", "format": "binary"},
                     },
                 }
             },
@@ -71,6 +73,10 @@ async def upload_recording(
 
     ``cell``, in the query or as a field of the form: the result belongs to the history of that cell, whose
     axes it must have. It is no measurement of it, so it blocks no run and is never in force.
+
+    ``simulator``, a field of the form: a MuJoCo XML, a URDF or an ``invid-model``, run by its own engine on
+    the records kept out. The diagnosis then has ``against``; the corrected copy is at the link ``corrected``.
+    It is one file that reads no other; an FMU is native code and is refused.
     """
     owner = None if cell is None else service.cell(cell)
     media = request.headers.get("content-type", "").split(";")[0].strip().lower()
@@ -87,7 +93,11 @@ async def upload_recording(
     try:
         target = folder / "recording.h5"
         if media == "multipart/form-data":
-            named = await _receive_form(request, target)
+            named, simulator = await _receive_form(request, target)
+            if simulator is not None:
+                suffix, text = await asyncio.to_thread(checked_simulator, simulator)
+                record = replace(record, facts={**record.facts, "simulator": f"simulator{suffix}"})
+                await asyncio.to_thread(_write, folder / f"simulator{suffix}", text)
             if named is not None:
                 if cell not in (None, named):
                     raise Problem(
@@ -183,11 +193,11 @@ def _no_recording() -> Problem:
     )
 
 
-async def _receive_form(request: Request, target: Path) -> str | None:
-    """Write the file of a form; return the cell that the form names."""
-    # One file, spooled to disk beyond a megabyte: memory does not grow with the upload.
+async def _receive_form(request: Request, target: Path) -> tuple[str | None, bytes | None]:
+    """Write the file of a form; return the cell that the form names, and the simulator's bytes."""
+    # Files are spooled to disk beyond a megabyte: memory does not grow with the upload.
     try:
-        form = await request.form(max_files=1, max_fields=4, max_part_size=4096)
+        form = await request.form(max_files=2, max_fields=4, max_part_size=4096)
     except ClientDisconnect:
         raise Problem("bad-request", "the upload was cut off; send it again") from None
     except HTTPException as error:
@@ -202,8 +212,11 @@ async def _receive_form(request: Request, target: Path) -> str | None:
             raise _no_recording()
         await file.seek(0)
         await asyncio.to_thread(_copy, file, target)
-        named = form.get("cell")
-        return named if isinstance(named, str) and named else None
+        named, simulator = form.get("cell"), form.get("simulator")
+        if simulator is not None and not isinstance(simulator, UploadFile):
+            raise Problem("invalid-request", "simulator: send the file itself, as the recording in 'file'")
+        model = None if simulator is None else await simulator.read(LARGEST + 1)
+        return named if isinstance(named, str) and named else None, model
     finally:
         await form.close()
 
@@ -214,6 +227,13 @@ def _copy(file: UploadFile, target: Path) -> None:
             shutil.copyfileobj(file.file, out, 1024 * 1024)
     except OSError as error:
         raise Problem("disk-full", f"the upload cannot be stored: {error.strerror}") from None
+
+
+def _write(target: Path, text: bytes) -> None:
+    try:
+        target.write_bytes(text)
+    except OSError as error:
+        raise Problem("disk-full", f"the simulator cannot be stored: {error.strerror}") from None
 
 
 async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell | None) -> None:
@@ -228,6 +248,7 @@ async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell |
         config=None if cell is None else cell.config.model_dump(mode="json"),
         acceptable=False,
         model=None if accepted is None else json.loads(accepted.document),
+        simulator=record.facts.get("simulator"),
         memory_bytes=service.settings.worker_memory_bytes,
         stop_grace_s=service.settings.stop_grace_s,
         budget_s=service.settings.analysis_budget_s,

@@ -16,6 +16,7 @@ KINDS: dict[str, tuple[str, str]] = {
     "diagnosis": ("diagnosis.json", "application/json"),
     "report": ("report.html", "text/html; charset=utf-8"),
     "plots": ("plots.json", "application/json"),
+    "corrected": ("corrected", "application/octet-stream"),
 }
 """kind -> (file name, media type)."""
 

@@ -1,0 +1,293 @@
+"""A URDF as a simulator, run by MuJoCo, and its corrected copy as a URDF.
+
+The drive convention is the URDF's own: a ``<transmission>`` of one joint and one actuator says which joint
+an axis' motor drives, its ``<mechanicalReduction>`` n that the motor, where torque and position are recorded,
+turns n times as far with an n-th of the torque. What URDF has no element for is taken from where other
+tools put it: stiffness of a joint from Gazebo's ``<springStiffness>``, the rotor's inertia at the motor from
+Drake's ``<drake:rotor_inertia>``. Joints that no axis drives and no spring holds are locked.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import mujoco
+import numpy as np
+
+from invid.effects.elements import AddedDamper, ForceLaw, Law
+from invid.effects.elements import Element as Part
+from invid.errors import InputError, ModelError
+from invid.exchange.linear_plant import effect_name
+from invid.model.document import Model, save_text
+from invid.simulation.laws import elements_of
+from invid.simulators.mujoco_correct import HARD, SpecCopy, beyond_weight, linear_copy
+from invid.simulators.mujoco_engine import MujocoSimulator
+from invid.simulators.mujoco_plant import MjcfPlant, mass_matrix, read_plant
+from invid.simulators.plain_xml import parsed
+
+REDUCTION = ("mechanicalReduction", "mechanical_reduction")
+"""As ROS 1 and ROS 2 write it."""
+ROTOR = "drake:rotor_inertia"
+SPRING = "springStiffness"
+NOT_SIMULATED = ("visual", "collision", "mimic", "safety_controller", "calibration")
+"""Shapes would be read from other files and touch each other; joints that follow others are locked."""
+STEP = 0.1
+"""Step times the fastest rate of joints' springs and dampers, at most; MuJoCo's own step is 2 ms."""
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """One joint and one actuator; ``reduction`` that of the motor, ``recorded`` of what is recorded."""
+
+    joint: str
+    actuator: str
+    reduction: float
+    recorded: float
+    rotor: float
+
+
+class UrdfSimulator(MujocoSimulator):
+    """A URDF; ``root`` is its XML, ``drives`` the transmission of each axis."""
+
+    root: Element
+    drives: list[Transmission]
+
+    def _read(self, path: Path) -> MjcfPlant:
+        self.root = parsed(path.read_bytes(), self.path)
+        if self.root.tag != "robot":
+            raise InputError(f"{path}: its root is <{self.root.tag}>; a URDF has <robot>")
+        if any(str(e.tag).startswith("xacro:") for e in self.root.iter()):
+            raise InputError(f"{path}: holds xacro macros; expand them first: xacro {path.name} > robot.urdf")
+        self.drives = self._drives()
+        spec = _spec(self.root, self.drives, self.path)
+        plant = read_plant(spec, self.axes, self.path, {d.joint: d.recorded for d in self.drives}, plain=True)
+        if self.root.find("mujoco/option[@timestep]") is None:
+            plant.step = min(plant.step, STEP / _fastest(plant.compiled))
+        return plant
+
+    def _drives(self) -> list[Transmission]:
+        """The transmission of each axis: by the actuators' names, else the joints', else in their order."""
+        joints = {j.get("name", ""): j.get("type") for j in self.root.findall("joint")}
+        found = list(_transmissions(self.root))
+        chosen = found
+        for key in (0, 1):
+            named = {t[key]: t for t in found}
+            if all(a in named for a in self.axes):
+                chosen = [named[a] for a in self.axes]
+                break
+        if len(chosen) != len(self.axes):
+            has = ", ".join(f"{actuator} on {joint}" for actuator, joint, _ in found) or "none"
+            raise InputError(
+                f"{self.path}: the recording has the axes {', '.join(self.axes)}, the URDF the transmissions "
+                f"{has}; add one a motor, with the turns that the recording counts per turn of the joint (1: "
+                f"it counts the joint's own): {_example(self.axes[0], next(iter(joints), 'joint'))}"
+            )
+        for actuator, joint, _ in chosen:
+            if joints.get(joint) not in ("revolute", "continuous", "prismatic"):
+                kind = joints.get(joint) or "missing"
+                raise InputError(
+                    f'{self.path}: <transmission> of {actuator}: joint "{joint}" is {kind}; a motor drives a '
+                    "revolute, continuous or prismatic joint of this file"
+                )
+        return [_stated(*t, self.path) for t in chosen]
+
+    def corrected(self, model: Model, to: Path) -> tuple[MujocoSimulator, list[str]]:
+        """See ``Simulator.corrected``: numbers of inertias, dynamics, springs and rotors."""
+        made = linear_copy(self.plant, model)
+        for term in beyond_weight(self.plant, model):
+            try:
+                parts = elements_of(model.chains, term)
+                reason = next((r for r in (_write(made, p) for p in parts) if r), "")
+            except ModelError as error:
+                reason = str(error)
+            if reason and term.cause == "gravity":
+                reason = (
+                    "mass and centre of mass of a link make it, of which a torque tells the product alone"
+                )
+            if reason:
+                made.lost.append(f"{effect_name(term)}: {reason}")
+        root = copy.deepcopy(self.root)
+        _transfer(made, root, self.drives)
+        save_text(to, '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n")
+        return UrdfSimulator(to, self.axes), made.lost
+
+
+def _transmissions(root: Element) -> Iterator[tuple[str, str, Element]]:
+    """Actuator, joint and element of those of one joint and one actuator, as ROS 1 or ROS 2 write them."""
+    for t in root.iter("transmission"):
+        joints, actuators = t.findall("joint"), t.findall("actuator")
+        if len(joints) == 1 and len(actuators) <= 1:
+            joint = joints[0].get("name", "")
+            named = actuators[0].get("name") if actuators else None
+            yield named or t.get("name") or joint, joint, t
+
+
+def _stated(actuator: str, joint: str, t: Element, source: str) -> Transmission:
+    """What a transmission says; InputError where it leaves the reduction open."""
+    where = f"{source}: <transmission> of {actuator}"
+    stated = [e for e in t.iter() if e.tag in REDUCTION]
+    if not stated:
+        raise InputError(
+            f"{where}: has no <mechanicalReduction>; add it to its <actuator>: {_example(actuator, joint)}"
+        )
+    values = {_number(e, f"{where}: <{e.tag}>") for e in stated}
+    if len(values) > 1 or 0.0 in values:
+        raise InputError(
+            f"{where}: states the reductions {', '.join(f'{v:g}' for v in values)}; give one, not 0"
+        )
+    side = t.find("invid")
+    recorded = "motor" if side is None else side.get("recorded", "")
+    if recorded not in ("motor", "joint"):
+        raise InputError(f'{where}: <invid recorded="{recorded}"/>; it is "motor" or "joint"')
+    reduction = values.pop()
+    rotor = _rotor(t)
+    inertia = 0.0 if rotor is None else _number(rotor, f"{where}: <{ROTOR}>")
+    if inertia < 0.0:
+        raise InputError(f"{where}: <{ROTOR}> is {inertia:g}; an inertia is not below 0")
+    return Transmission(joint, actuator, reduction, reduction if recorded == "motor" else 1.0, inertia)
+
+
+def _rotor(transmission: Element) -> Element | None:
+    return next((e for e in transmission.iter() if e.tag == ROTOR), None)
+
+
+def _example(actuator: str, joint: str) -> str:
+    return (
+        f'<transmission name="{actuator}"><type>transmission_interface/SimpleTransmission</type><joint '
+        f'name="{joint}"/><actuator name="{actuator}"><mechanicalReduction>1</mechanicalReduction></actuator>'
+        "</transmission>"
+    )
+
+
+def _number(element: Element, where: str) -> float:
+    """The number of an element's text or of its attribute ``value``; InputError where there is none."""
+    said = element.get("value", element.text or "").strip()
+    try:
+        found = float(said)
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found):
+        raise InputError(f"{where} is {said!r}; give a number")
+    return found
+
+
+def _springs(root: Element) -> dict[str, Element]:
+    """``<springStiffness>`` by joint."""
+    found = ((g.get("reference", ""), g.find(SPRING)) for g in root.iter("gazebo"))
+    return {joint: e for joint, e in found if e is not None}
+
+
+def _spec(root: Element, drives: list[Transmission], source: str) -> Any:
+    """MuJoCo's spec of a URDF: shapes left out, springs and motors put in, all other joints locked."""
+    bare = copy.deepcopy(root)
+    for parent in bare.iter():
+        for child in [c for c in parent if c.tag in NOT_SIMULATED]:
+            parent.remove(child)
+    springs = {
+        j: _number(e, f'{source}: <gazebo reference="{j}"><{SPRING}>') for j, e in _springs(root).items()
+    }
+    driven = {d.joint for d in drives}
+    for joint in bare.findall("joint"):
+        if joint.get("name") not in driven and springs.get(joint.get("name", ""), 0.0) <= 0.0:
+            joint.set("type", "fixed")
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(bare, encoding="unicode"))
+    spec.compiler.fusestatic = False  # a body stays the link of its name
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    for joint in spec.joints:
+        # Limits are the controller's; the recorded motion was possible.
+        joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        joint.stiffness[0] = springs.get(joint.name, 0.0) if joint.name not in driven else 0.0
+        joint.solref_friction[:], joint.solimp_friction[:] = HARD
+    for drive in drives:
+        spec.joint(drive.joint).armature = drive.rotor * drive.reduction**2
+        motor = spec.add_actuator(name=drive.actuator, target=drive.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.gear[0] = drive.recorded
+    return spec
+
+
+def _fastest(m: Any) -> float:
+    """Largest rate [rad/s or 1/s] of the joints' springs and dampers."""
+    away = np.linalg.inv(mass_matrix(m))
+    stiff = np.abs(np.linalg.eigvals(away @ np.diag(m.jnt_stiffness))).max(initial=0.0)
+    damped = np.abs(np.linalg.eigvals(away @ np.diag(m.dof_damping))).max(initial=0.0)
+    return max(float(np.sqrt(stiff)), float(damped), 1e-9)
+
+
+def _write(made: SpecCopy, part: Part) -> str:
+    """Puts one element of an effect into a joint's dynamics; why not, where URDF has no room for it."""
+    nothing = "URDF has no element for it"
+    match part:
+        case ForceLaw(Law.DRY, a, -1, p):
+            along, b = made.joints_along(made.coordinate(a), -1), -1
+        case AddedDamper(a, b, _):
+            along = made.joints_along(made.coordinate(a), made.coordinate(b))
+        case _:
+            return nothing
+    if len(along) != 1:
+        return "a URDF joint has friction and damping against the link before it alone, and this is no joint"
+    joint, scale = made.spec.joint(along[0][0]), along[0][1]
+    if isinstance(part, AddedDamper):
+        joint.damping[0] += part.coefficient * scale**2
+        return ""
+    joint.frictionloss += 0.5 * (p[0] + p[1]) * abs(scale)
+    if not math.isclose(p[0], p[1], rel_tol=1e-3) or any(abs(x) > 1e-6 * abs(p[0]) for x in (p[2], p[4])):
+        return "the mean of its sliding friction stands in its joint; URDF has one level for all speeds"
+    return ""
+
+
+def _transfer(made: SpecCopy, root: Element, drives: list[Transmission]) -> None:
+    """Writes the numbers of a corrected spec that differ into the user's XML."""
+    before, after = made.plant.compiled, made.spec.compile()
+    for link in root.findall("link"):
+        inertial = link.find("inertial")
+        old, new = (m.body(link.get("name")) for m in (before, after))
+        if inertial is None or not old.mass[0] > 0.0:
+            continue
+        _scale(inertial.find("mass"), ("value",), float(new.mass[0] / old.mass[0]))
+        names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        if old.inertia.max() > 0.0:
+            _scale(inertial.find("inertia"), names, float(new.inertia.max() / old.inertia.max()))
+    springs, joints = _springs(root), {e.get("name"): e for e in root.findall("joint")}
+    for k in range(after.njnt):
+        name = after.joint(k).name
+        pairs = (("damping", "dof_damping"), ("friction", "dof_frictionloss"))
+        for attribute, field in pairs:
+            old, new = (float(getattr(m, field)[k]) for m in (before, after))
+            if not math.isclose(old, new, rel_tol=1e-9):
+                here = joints[name].find("dynamics")
+                here = SubElement(joints[name], "dynamics") if here is None else here
+                here.set(attribute, repr(new))
+        stiffness = float(after.jnt_stiffness[k])
+        if name in springs and not math.isclose(before.jnt_stiffness[k], stiffness, rel_tol=1e-9):
+            springs[name].text = repr(stiffness)
+            springs[name].attrib.pop("value", None)
+    places = {joint: t for _, joint, t in _transmissions(root)}
+    for drive in drives:
+        inertia = float(after.dof_armature[after.joint(drive.joint).id]) / drive.reduction**2
+        if not math.isclose(inertia, drive.rotor, rel_tol=1e-9):
+            transmission = places[drive.joint]
+            actuator, rotor = transmission.find("actuator"), _rotor(transmission)
+            if rotor is None:
+                rotor = SubElement(transmission if actuator is None else actuator, ROTOR)
+            rotor.set("value", repr(inertia))
+            root.attrib.setdefault("xmlns:drake", "http://drake.mit.edu")
+
+
+def _scale(element: Element | None, names: tuple[str, ...], factor: float) -> None:
+    if element is not None and not math.isclose(factor, 1.0, rel_tol=1e-9):
+        for name in names:
+            element.set(name, repr(float(element.get(name, "0")) * factor))
+
+
+def opened(path: Path, axes: tuple[str, ...]) -> Any:
+    """The simulator."""
+    return UrdfSimulator(path, axes)
