@@ -53,7 +53,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("content", "said"), REFUSED)
+@pytest.mark.parametrize(("content", "said"), REFUSED, ids=range(len(REFUSED)))
 def test_what_reads_other_files_or_runs_code_is_refused_with_the_reason(content: bytes, said: str) -> None:
     with pytest.raises(Problem, match=said) as raised:
         checked_simulator(content.replace(b"{secret}", b"/etc/passwd"))
@@ -93,7 +93,9 @@ def test_a_refused_simulator_starts_nothing_and_leaves_nothing(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("content", "suffix"), [(MJCF, ".xml"), (URDF, ".urdf"), (json.dumps(model_document()), ".json")]
+    ("content", "suffix"),
+    [(MJCF, ".xml"), (URDF, ".urdf"), (json.dumps(model_document()), ".json")],
+    ids=["mjcf", "urdf", "model"],
 )
 def test_a_simulator_goes_to_the_analysis_and_its_copy_comes_back_under_a_name_of_its_format(
     content: str, suffix: str, tmp_path: Path
