@@ -12,7 +12,7 @@ from invid.diagnosis.confidence import effect_term, is_at_floor, judge
 from invid.diagnosis.context import apply_rule
 from invid.diagnosis.known_effects import effects_in_model
 from invid.diagnosis.outcome import assemble_diagnosis, explained_share
-from invid.diagnosis.residual_character import describe_unexplained
+from invid.diagnosis.remainder.residual_character import describe_unexplained
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN
 from invid.diagnosis.tone import Tone, describe_tones, tone_power

@@ -95,18 +95,27 @@ def test_gravity_is_named_with_its_angle():
 @pytest.mark.parametrize(
     "extra",
     [
-        lambda q, v, t: 0.6 * np.sin(23.0 * q + 0.3),
         lambda q, v, t: 0.8 * np.sin(2 * np.pi * 3.1 * t),
         lambda q, v, t: 0.8 * (t > 11.3) * np.sin(2 * np.pi * 1.3 * t),
     ],
-    ids=["ripple over position", "hum over time", "hum that starts late"],
+    ids=["hum over time", "hum that starts late"],
 )
 def test_what_is_outside_the_catalogue_is_left_unnamed(extra: Force):
     diagnosis = diagnose_trajectory(recording(simulate(np.random.default_rng(5), extra=extra)))
-    assert not causes(diagnosis), diagnosis.sentences
+    assert not diagnosis.findings, diagnosis.sentences
     assert diagnosis.verdict is Verdict.UNEXPLAINED
     assert diagnosis.unexplained is not None
     assert diagnosis.unexplained.axis == "A1"
+
+
+def test_a_ripple_over_position_is_a_law_without_a_name():
+    ripple = recording(simulate(np.random.default_rng(5), extra=lambda q, v, t: 0.6 * np.sin(23.0 * q + 0.3)))
+    diagnosis = diagnose_trajectory(ripple)
+    assert diagnosis.verdict is Verdict.UNEXPLAINED
+    (law,) = diagnosis.findings
+    table = law.effect.table
+    assert (law.cause, table.over) == ("empirical_law", "position")
+    assert np.array(table.value) == pytest.approx(0.6 * np.sin(23.0 * np.array(table.at) + 0.3), abs=0.1)
 
 
 def test_a_mass_on_a_spring_to_ground_that_hardens_is_told_from_gravity():
