@@ -144,6 +144,7 @@ class View:
         self.beside: tuple[MotorLaw, ...] = ()
         """Laws at motors other than dry friction, which feels what they take."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
+        self._laws: dict[Hashable, Complex128] = {}
         self._gains: dict[tuple[Pattern, ...], Complex128] = {}
         self._hidden_motion: dict[Pattern, Complex128] = {}
         self._condensed_forces: dict[Pattern, Complex128] = {}
@@ -162,6 +163,12 @@ class View:
         if len(self._cache) > CACHE_SIZE:
             del self._cache[next(iter(self._cache))]
         return out
+
+    def law_lines(self, key: Hashable, make: Callable[[], Complex128]) -> Complex128:
+        """(F, L) ``make()``, kept under ``key`` until the inner motion changes: the lines of a law of it."""
+        if key not in self._laws:
+            self._laws[key] = make()
+        return self._laws[key]
 
     def clear_cache(self) -> None:
         """Clears the cache: its values may depend a little on the inner motion at that time."""
@@ -199,7 +206,7 @@ class View:
         if self.record.fine is None:
             return self
         other = copy.copy(self)
-        other.record, other._waves, other._hidden_motion = self.record.fine, {}, {}
+        other.record, other._waves, other._laws, other._hidden_motion = self.record.fine, {}, {}, {}
         other._cache, other._fine_cache = self._fine_cache, {}
         other.__dict__.pop("averaging_gain", None)  # of the grid
         return other
@@ -239,7 +246,7 @@ class View:
 
         The ramp between the motors' own ends is in their waves.
         """
-        self.feedback = feedback
+        self.feedback, self._laws = feedback, {}
         self._waves = {k: v for k, v in self._waves.items() if self.is_measured(k[0])}
         if self.closing is not None and jumps is not None:
             self.jumps = jumps
