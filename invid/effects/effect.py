@@ -313,10 +313,9 @@ class ForceEffect(Effect):
 
     def force(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         """(F, L) lines of the resistance for each coefficient at one."""
-        pattern = place.pattern(view.structure)
-        if not view.is_measured(pattern):
-            return view.law_lines(
-                (self, place, tuple(shape), view.starts.get(pattern)),
+        if not view.is_measured(place.pattern(view.structure)):
+            return view.at_motion(
+                (self, place, tuple(shape)),
                 lambda: view.to_lines(self.law(view, place, shape), smeared=self.smeared),
             )
         view = view.on_fine_grid()

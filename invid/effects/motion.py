@@ -144,7 +144,7 @@ class View:
         self.beside: tuple[MotorLaw, ...] = ()
         """Laws at motors other than dry friction, which feels what they take."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
-        self._laws: dict[Hashable, Complex128] = {}
+        self._laws: dict[Hashable, Any] = {}
         self._gains: dict[tuple[Pattern, ...], Complex128] = {}
         self._hidden_motion: dict[Pattern, Complex128] = {}
         self._condensed_forces: dict[Pattern, Complex128] = {}
@@ -164,11 +164,14 @@ class View:
             del self._cache[next(iter(self._cache))]
         return out
 
-    def law_lines(self, key: Hashable, make: Callable[[], Complex128]) -> Complex128:
-        """(F, L) ``make()``, kept under ``key`` until the inner motion changes: the lines of a law of it."""
+    def at_motion(self, key: Hashable, make: Callable[[], T]) -> T:
+        """The value of ``make()``, kept under ``key`` while the inner motion and the initial states are the
+        same."""
+        key = (key, *self.starts.items())
         if key not in self._laws:
             self._laws[key] = make()
-        return self._laws[key]
+        out: T = self._laws[key]
+        return out
 
     def clear_cache(self) -> None:
         """Clears the cache: its values may depend a little on the inner motion at that time."""
@@ -256,6 +259,15 @@ class View:
                 slopes,
             )
 
+    @property
+    def inner_motion(self) -> tuple[Any, ...]:
+        """The inner motion with what is known of it, to return to (``return_to``)."""
+        return self.feedback, self.jumps, self._end_correction, self._waves, self._laws
+
+    def return_to(self, inner_motion: tuple[Any, ...]) -> None:
+        """Sets an inner motion that the view had, with what was known of it."""
+        self.feedback, self.jumps, self._end_correction, self._waves, self._laws = inner_motion
+
     @cached_property
     def slope(self) -> Complex128:
         """(F, 1) lines of a straight line that rises by one a second."""
@@ -315,10 +327,11 @@ class View:
             out: Float64 = (record.motor_velocity if rate else record.motor_wave)[:, i] * pattern[0][1]
         else:
             x = self.spectrum(pattern)
-            wander = sum(sign * record.ramp[self._axis_of(at)] for at, sign in pattern)
             if self._end_correction is not None:
                 x = x + along(pattern, self._end_correction[0])
                 wander = sum(sign * self._end_correction[1][at] for at, sign in pattern)
+            else:
+                wander = sum(sign * record.ramp[self._axis_of(at)] for at, sign in pattern)
             out = record.to_wave(1j * self.omega * x if rate else x)
             if wander:
                 out = out + (wander if rate else wander * record.wave_time)

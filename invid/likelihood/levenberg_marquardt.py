@@ -66,7 +66,7 @@ def gauss_newton(
         residual, jacobian = problem.evaluate(p)
         return _Point(p, residual, jacobian, float(residual @ residual))
 
-    def take_step(here: _Point, step: Float64) -> _Point | None:
+    def take_step(here: _Point, step: Float64, _: float) -> _Point | None:
         whole = np.zeros(start.size)
         whole[free] = step
         trial = here.p + whole

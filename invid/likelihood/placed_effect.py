@@ -247,6 +247,9 @@ def law_part(view: View, term: PlacedEffect, x: Float64) -> Part | None:
     """Contribution of one law at the view's present inner motion; ``None`` for an effect linear in motion."""
     if isinstance(term.effect, ImpedanceEffect):
         return None
+    if term.inner:
+        key = (term, x.tobytes())
+        return view.at_motion(key, lambda: term.effect.contribution(view, term.place, x.tolist()))
     return term.effect.contribution(view, term.place, x.tolist())
 
 
