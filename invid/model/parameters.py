@@ -232,33 +232,31 @@ class ChainStructure:
         ∂Z/∂K = (w_a − w_b)(w_a − w_b)ᵀ, jω times that for a damper, −ω² w wᵀ for a mass,
         −ω²(w_a w_bᵀ + w_b w_aᵀ) for a coupling.
         """
-        line = omega[:, None]
-        return self.derivative_of_forces(p, motion, q, 1j * line * q, -(line**2) * q)
-
-    def derivative_of_forces(
-        self, p: Float64, motion: Complex128, moved: Complex128, rate: Complex128, acceleration: Complex128
-    ) -> Complex128:
-        """The same for what springs, dampers and masses answer to, each (R, F, ΣN)."""
-        out = np.empty((*moved.shape[:2], motion.shape[2], self.count), dtype=complex)
+        records, lines = q.shape[:2]
+        out = np.empty((records, lines, motion.shape[2], self.count), dtype=complex)
         s, values = self.slices, self.physical(p)
-        w = motion.transpose(0, 2, 1)[None]  # (1, F, M, ΣN)
-        out[..., s["mass"]] = w * (acceleration * values[s["mass"]])[:, :, None]
+        w = motion.transpose(0, 2, 1)  # (F, M, ΣN)
+        w2 = (omega**2)[:, None, None]
+        jw = (1j * omega)[:, None, None]
+        out[..., s["mass"]] = (-w2 * w * values[s["mass"]])[None] * q[:, :, None, :]
         a = [pair[0] for pair in self.spring_pairs]
         b = [pair[1] for pair in self.spring_pairs]
-        link = w[..., a] - w[..., b]
-        out[..., s["spring"]] = link * ((moved[..., a] - moved[..., b]) * values[s["spring"]])[:, :, None]
-        out[..., s["damper"]] = link * (rate[..., a] - rate[..., b])[:, :, None]
+        link = (w[:, :, a] - w[:, :, b])[None] * (q[:, :, a] - q[:, :, b])[:, :, None, :]
+        out[..., s["spring"]] = link * values[s["spring"]]
+        out[..., s["damper"]] = link * jw
         for at, (i, j) in enumerate(self.coupling_pairs):
             e, f = self.end_dofs[i], self.end_dofs[j]
-            out[..., s["coupling"].start + at] = (
-                w[..., e] * acceleration[:, :, None, f] + w[..., f] * acceleration[:, :, None, e]
+            out[..., s["coupling"].start + at] = -w2[None, ..., 0] * (
+                w[None, :, :, e] * q[:, :, None, f] + w[None, :, :, f] * q[:, :, None, e]
             )
+        motors = list(self.motor_dofs)
         rubbing = list(self.viscous_dofs)
-        out[..., s["viscous"]] = w[..., rubbing] * rate[:, :, None, rubbing]
-        grounded = [self.motor_dofs[i] for i in self.grounded]
-        out[..., s["ground_spring"]] = (
-            w[..., grounded] * (moved[..., grounded] * values[s["ground_spring"]])[:, :, None]
-        )
+        out[..., s["viscous"]] = (jw * w[:, :, rubbing])[None] * q[:, :, None, rubbing]
+        if self.grounded:
+            at_ground = [motors[i] for i in self.grounded]
+            out[..., s["ground_spring"]] = (w[:, :, at_ground] * values[s["ground_spring"]])[None] * q[
+                :, :, None, at_ground
+            ]
         return out
 
 

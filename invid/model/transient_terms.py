@@ -64,14 +64,17 @@ def end_derivative(
     """(F, M, n) Wᵀ ∂B/∂p u: the boundary force of ``ends`` (2ΣN,) depends on mass and damping itself.
 
     At 0 Hz half of it, as of the force. Its pattern is that of ∂Z with −ω²q replaced by jωΔx + Δv for masses
-    and couplings and jωq by Δx for dampers; springs have none.
+    and couplings and jωq by Δx for dampers, so any other frequency serves where ω is zero.
     """
     shift, speed = ends[: structure.dofs], ends[structure.dofs :]
-    scale = np.where(omega == 0.0, 1.0, 2.0)[:, None] / span
-    as_damper: Complex128 = (shift * scale).astype(np.complex128)
-    as_mass = np.asarray((1j * omega[:, None] * shift + speed) * scale, dtype=np.complex128)
-    still: Complex128 = np.zeros_like(as_mass)
-    out: Complex128 = structure.derivative_of_forces(sp, motion, still[None], as_damper[None], as_mass[None])[
-        0
-    ]
+    still = omega == 0.0
+    safe = np.where(still, 1.0, omega)[:, None]
+    scale = np.where(still, 1.0, 2.0)[:, None] / span
+    as_mass: Complex128 = (1j * omega[:, None] * shift + speed) * scale / -(safe**2)
+    as_damper: Complex128 = shift * scale / (1j * safe)
+    out: Complex128 = np.zeros((*motion.shape[::2], structure.count), dtype=complex)
+    for q, kinds in ((as_mass, ("mass", "coupling")), (as_damper, ("damper", "viscous"))):
+        full = structure.torque_derivative(sp, safe[:, 0], motion, q[None])[0]
+        for kind in kinds:
+            out[..., structure.slices[kind]] = full[..., structure.slices[kind]]
     return out
