@@ -231,8 +231,9 @@ def _choose_start(
         with np.errstate(all="ignore"):
             try:
                 evaluation = evaluate(
-                    layout, records, p[kept], candidate, jacobian=False, near=current.evaluation.views
-                )
+                    layout, records, p[kept], candidate,
+                    jacobian=False, near=current.evaluation.views, limit=best,
+                )  # fmt: skip
             except np.linalg.LinAlgError:
                 continue
         if np.isfinite(evaluation.cost) and evaluation.cost < best:

@@ -319,7 +319,10 @@ class ForceEffect(Effect):
     def force(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         """(F, L) lines of the resistance for each coefficient at one."""
         if not view.is_measured(place.pattern(view.structure)):
-            return view.to_lines(self.law(view, place, shape), smeared=self.smeared)
+            return view.at_motion(
+                (self, place, tuple(shape)),
+                lambda: view.to_lines(self.law(view, place, shape), smeared=self.smeared),
+            )
         view = view.on_fine_grid()
         if not self.of_motor_motion:
             return view.to_lines(self.law(view, place, shape), smeared=self.smeared)

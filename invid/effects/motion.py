@@ -144,6 +144,7 @@ class View:
         self.beside: tuple[MotorLaw, ...] = ()
         """Laws at motors other than dry friction, which feels what they take."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
+        self._laws: dict[Hashable, Any] = {}
         self._gains: dict[tuple[Pattern, ...], Complex128] = {}
         self._hidden_motion: dict[Pattern, Complex128] = {}
         self._condensed_forces: dict[Pattern, Complex128] = {}
@@ -161,6 +162,15 @@ class View:
         self._cache[key] = out
         if len(self._cache) > CACHE_SIZE:
             del self._cache[next(iter(self._cache))]
+        return out
+
+    def at_motion(self, key: Hashable, make: Callable[[], T]) -> T:
+        """The value of ``make()``, kept under ``key`` while the inner motion and the initial states are the
+        same."""
+        key = (key, *self.starts.items())
+        if key not in self._laws:
+            self._laws[key] = make()
+        out: T = self._laws[key]
         return out
 
     def clear_cache(self) -> None:
@@ -199,7 +209,7 @@ class View:
         if self.record.fine is None:
             return self
         other = copy.copy(self)
-        other.record, other._waves, other._hidden_motion = self.record.fine, {}, {}
+        other.record, other._waves, other._laws, other._hidden_motion = self.record.fine, {}, {}, {}
         other._cache, other._fine_cache = self._fine_cache, {}
         other.__dict__.pop("averaging_gain", None)  # of the grid
         return other
@@ -239,7 +249,7 @@ class View:
 
         The ramp between the motors' own ends is in their waves.
         """
-        self.feedback = feedback
+        self.feedback, self._laws = feedback, {}
         self._waves = {k: v for k, v in self._waves.items() if self.is_measured(k[0])}
         if self.closing is not None and jumps is not None:
             self.jumps = jumps
@@ -248,6 +258,15 @@ class View:
                 self.closing.inner @ jumps + self._ramp_motion - self.slope * slopes,
                 slopes,
             )
+
+    @property
+    def inner_motion(self) -> tuple[Any, ...]:
+        """The inner motion with what is known of it, to return to (``return_to``)."""
+        return self.feedback, self.jumps, self._end_correction, self._waves, self._laws
+
+    def return_to(self, inner_motion: tuple[Any, ...]) -> None:
+        """Sets an inner motion that the view had, with what was known of it."""
+        self.feedback, self.jumps, self._end_correction, self._waves, self._laws = inner_motion
 
     @cached_property
     def slope(self) -> Complex128:
@@ -308,10 +327,11 @@ class View:
             out: Float64 = (record.motor_velocity if rate else record.motor_wave)[:, i] * pattern[0][1]
         else:
             x = self.spectrum(pattern)
-            wander = sum(sign * record.ramp[self._axis_of(at)] for at, sign in pattern)
             if self._end_correction is not None:
                 x = x + along(pattern, self._end_correction[0])
                 wander = sum(sign * self._end_correction[1][at] for at, sign in pattern)
+            else:
+                wander = sum(sign * record.ramp[self._axis_of(at)] for at, sign in pattern)
             out = record.to_wave(1j * self.omega * x if rate else x)
             if wander:
                 out = out + (wander if rate else wander * record.wave_time)

@@ -72,7 +72,6 @@ def effect_columns(view: View, candidate: Candidate, columns: Complex128, at: in
     Both sides take the same steps from the same inner motion; a remaining disagreement would else be divided
     by the difference.
     """
-    feedback, jumps = view.feedback, view.jumps
     view.clear_cache()  # both sides from the same inner motion
     inner = any(t.depends_on_inner_motion(view) for t in candidate.terms)
     steps = difference_steps(view, candidate)
@@ -82,9 +81,11 @@ def effect_columns(view: View, candidate: Candidate, columns: Complex128, at: in
         columns[..., at : at + len(steps)] = direct_effect_changes(view, candidate, steps)[0]
         return
 
+    here = view.inner_motion
+
     def contributions_at(trial: Candidate) -> Complex128:
         out = contributions(view, trial, passes=3, early=False)
-        view.set_inner_motion(feedback, jumps)
+        view.return_to(here)
         return out
 
     reference = contributions_at(candidate)

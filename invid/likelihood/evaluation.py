@@ -154,22 +154,27 @@ def evaluate(  # noqa: PLR0913 - a fit's point and how it is taken
     jacobian: bool = True,
     near: Sequence[View] = (),
     thorough: bool = False,
+    limit: float = np.inf,
 ) -> Evaluation:
     """Whitened residual (rows,) and Jacobian (rows, parameters of the layout, then of the effects).
 
     ``near``: the views of an evaluation close by, whose inner motion is the start here. ``thorough``: the
     Jacobian contains how strong effects change with the inner motion that the linear parameters change.
+    ``limit``: where some records cost more together, the others are left out, and nothing but that is said.
     """
     before = near if candidate.terms and len(near) == len(records) else [None] * len(records)
     acting = [acting_torque(r, layout, p) for r in records]
     views = record_views(layout, records, p, acting)
-    parts = tuple(
-        _evaluate_record(v, a, layout, p, candidate, b) for v, a, b in zip(views, acting, before, strict=True)
-    )
     priors, _ = prior_residuals(layout, p, 0)
+    parts, least = list[RecordEvaluation](), 0.0
+    for view, torque, around in zip(views, acting, before, strict=True):
+        parts.append(_evaluate_record(view, torque, layout, p, candidate, around))
+        least += float(parts[-1].white @ parts[-1].white)
+        if least > limit and len(parts) < len(views):
+            return Evaluation(np.zeros(0), np.zeros((0, 0)), np.inf, tuple(parts))
     residual = np.concatenate([*(s.white for s in parts), priors])
     dof = sum(_degrees_of_freedom(s) for s in parts)
-    here = Evaluation(residual, np.zeros((0, 0)), float(residual @ residual), parts, dof)
+    here = Evaluation(residual, np.zeros((0, 0)), float(residual @ residual), tuple(parts), dof)
     return add_jacobian(here, layout, p, candidate, thorough=thorough) if jacobian else here
 
 

@@ -49,12 +49,12 @@ def solve_inner_motion(view: View, forces: Forces, passes: int, *, early: bool =
     secants = view.secants
     scale = max(float(np.abs(view.base).max()), 1e-300)
     best: _State | None = None
+    here = _pack_state(view)
     before: tuple[Float64, Float64] | None = None
     total: Complex128 = np.zeros_like(view.acting)
     tolerance = 0.0
     for number in range(passes):
         total, gap, size, largest_effect = _disagreement(view, forces)
-        here = _pack_state(view)
         tolerance = max(TOLERANCE * largest_effect, NEGLIGIBLE * scale)
         if best is None or size < best[0]:
             best = (size, here, gap, total)
@@ -68,13 +68,16 @@ def solve_inner_motion(view: View, forces: Forces, passes: int, *, early: bool =
         if not size < MOST_GROWTH * best[0]:  # back, with what was learned on the way
             here, rest = best[1], best[2]
         before = (here, rest)
-        _set_state(view, here + secants.step(rest))
+        here = here + secants.step(rest)
+        _set_state(view, here)
     if early and best is not None and best[0] < np.inf:
         if best[0] > tolerance and view.may_agree:
             best = _solve_by_newton(view, forces, best)
             # Where there is no agreement the next initial state of a slider has none either, as a rule.
             view.may_agree = best[0] <= tolerance
-        _set_state(view, best[1])
+            _set_state(view, best[1])
+        elif best[1] is not here:
+            _set_state(view, best[1])
         total = best[3]
     return total
 

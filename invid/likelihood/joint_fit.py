@@ -131,17 +131,19 @@ def fit(  # noqa: PLR0913 - a fit's point and how it is taken
         around = here.derive(layout, thorough=thorough)
         return Parabola.of_rows(around.jacobian, around.residual, ~_is_stuck(here.v, low, high, around))
 
-    def take_step(here: _Point, step: Float64) -> _Point | None:
+    def take_step(here: _Point, step: Float64, limit: float) -> _Point | None:
         trial = np.clip(here.v + step, low, high)
         p, candidate = unpack(layout, here.candidate, trial)
         if not structure.admissible(p[: structure.count]):
             return None
         with np.errstate(all="ignore"):
             try:
-                there = evaluate(layout, records, p, candidate, jacobian=False, near=here.evaluation.views)
+                there = evaluate(
+                    layout, records, p, candidate, jacobian=False, near=here.evaluation.views, limit=limit
+                )
             except np.linalg.LinAlgError:
                 return None
-        return _Point(trial, p, candidate, there)
+        return None if there.cost > limit else _Point(trial, p, candidate, there)
 
     found = minimise(
         _Point(v, p, candidate, known),

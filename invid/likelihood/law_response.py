@@ -12,16 +12,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from invid.effects.effect import ImpedanceEffect
 from invid.effects.laws.sign import DryLaw
 from invid.effects.motion import View, along
 from invid.likelihood.law_slopes import ForceChange, LawSlope
 from invid.likelihood.placed_effect import (
     Candidate,
+    CoupledImpedances,
     PlacedEffect,
+    force_patterns,
+    impedances,
     law_part,
     law_parts,
     laws_beside_dry_friction,
+    linear_effects,
     sum_contributions,
 )
 from invid.numerics.anderson import Secants
@@ -82,6 +85,40 @@ def _add_secants(secants: Secants, moves: Float64, changes: Float64) -> Secants:
     return Secants.of((*secants.moves, *moves.T), (*secants.changes, *changes.T))
 
 
+class LinearAnswer:
+    """What effects linear in motion answer to a change of the laws, and the forces that these lack."""
+
+    def __init__(self, view: View, candidate: Candidate) -> None:
+        self._view = view
+        effects = linear_effects(candidate)
+        self._coupled = CoupledImpedances.of(view, effects) if effects else None
+        is_inner = any(t.depends_on_inner_motion(view) for t in candidate.terms)
+        patterns = force_patterns(view, candidate) if is_inner else ()
+        self._gain = view.correction_gain(patterns) if patterns else None
+        if self._gain is not None:
+            self._corrected = np.stack([view.inner_receptance(p) for p in patterns], axis=-1)
+
+    def of_impedances(self, own: Complex128, back: Complex128) -> tuple[Complex128, Complex128]:
+        """(F, M, P) contributions and (F, ΣN, P) inner motion of the laws, with those that effects linear in
+        motion add."""
+        at = self._coupled
+        if at is None:
+            return own, back
+        alone = np.stack([z[:, None] * along(p, back) for z, p in zip(at.size, at.patterns, strict=True)], 1)
+        forces = at.coupling @ alone
+        return own + at.condensed_force @ forces, back - at.inner_receptance @ forces
+
+    def of_lacking_forces(self, rest: Complex128) -> Complex128 | float:
+        """(F, ΣN, P) inner motion that corrects what ``rest`` (F, M, P) of the missing torque tells."""
+        if self._gain is None:
+            return 0.0
+        closing = self._view.closing
+        if closing is not None:
+            rest = rest + closing.torque @ closing.jumps_of(rest)
+        out: Complex128 = -(self._corrected @ (self._gain @ rest))
+        return out
+
+
 class LinearizedLaws:
     """The laws and the plant linearised at the present motion, as a map of inner motion and jumps."""
 
@@ -94,29 +131,7 @@ class LinearizedLaws:
         self._condensed_forces = np.stack([view.condensed_force(p) for p in patterns], axis=-1)
         self._inner_receptances = np.stack([view.inner_receptance(p) for p in patterns], axis=-1)
         self._unit: Float64 = view.closing.unit if view.closing is not None else np.zeros(0)
-        self._patterns = tuple(
-            t.place.pattern(view.structure)
-            for t in candidate.terms
-            if t.place.kind != "axis" and t.effect.along_pattern
-        )
-        self._gain = view.correction_gain(self._patterns) if slopes and self._patterns else None
-        if self._gain is not None:
-            self._corrected = np.stack([view.inner_receptance(p) for p in self._patterns], axis=-1)
-        pairs = zip(candidate.terms, candidate.x, strict=True)
-        self._impedances = [
-            (
-                t.effect.impedance(view, t.place, x.tolist()),
-                t.effect.pattern(view.structure, t.place, x.tolist()),
-            )
-            for t, x in pairs
-            if isinstance(t.effect, ImpedanceEffect)
-        ]
-        if self._impedances:
-            patterns = [p for _, p in self._impedances]
-            self._impedance_forces = np.stack([view.condensed_force(p) for p in patterns], axis=-1)
-            self._impedance_receptances = np.stack([view.inner_receptance(p) for p in patterns], axis=-1)
-            rows = [z[:, None] * along(p, self._impedance_receptances) for z, p in self._impedances]
-            self._coupling = np.linalg.inv(np.eye(len(rows)) + np.stack(rows, axis=1))
+        self._answer = LinearAnswer(view, candidate)
 
     @property
     def rows(self) -> int:
@@ -149,20 +164,10 @@ class LinearizedLaws:
 
         ``missing`` (F, M, P) is the missing torque of the linear model.
         """
-        view = self._view
-        own: Complex128 = self._condensed_forces @ forces
-        back: Complex128 = -(self._inner_receptances @ forces)
-        if self._impedances:
-            alone = np.stack([z[:, None] * along(p, back) for z, p in self._impedances], axis=1)
-            coupled = self._coupling @ alone
-            own += self._impedance_forces @ coupled
-            back -= self._impedance_receptances @ coupled
-        if self._gain is not None:
-            rest = missing + own
-            if view.closing is not None:
-                rest = rest + view.closing.torque @ view.closing.jumps_of(rest)
-            back -= self._corrected @ (self._gain @ rest)
-        return own, back
+        own, back = self._answer.of_impedances(
+            self._condensed_forces @ forces, -(self._inner_receptances @ forces)
+        )
+        return own, back + self._answer.of_lacking_forces(missing + own)
 
     def solve_directly(self, change: ForceChange) -> Complex128 | None:
         """(F, M, P) contributions solved directly; ``None`` where a law is no product over time or unknowns
@@ -208,33 +213,37 @@ def direct_effect_changes(
     """
     view.clear_cache()  # both sides from the same inner motion
     parts = law_parts(view, candidate)
-    total, back = sum_contributions(view, candidate, parts)
-    is_sum = not any(
-        isinstance(t.effect, ImpedanceEffect) or t.depends_on_inner_motion(view) for t in candidate.terms
-    )
-    totals, backs = [], []
-    for number, k, h in steps:
+    sum_contributions(view, candidate, parts)  # the view learns from it what corrects inner motion
+    yields = sum((p[1] for p in parts if p is not None and p[1] is not None), np.zeros_like(view.base))
+    total = np.zeros((*view.acting.shape, len(steps)), dtype=complex)
+    back = np.zeros((*view.base.shape, len(steps)), dtype=complex)
+    answer = LinearAnswer(view, candidate)
+    by_size: list[tuple[int, Complex128, Complex128]] = []
+    for at, (number, k, h) in enumerate(steps):
         moved = candidate.x[number].copy()
         moved[k] += h
-        x = (*candidate.x[:number], moved, *candidate.x[number + 1 :])
-        there_candidate = Candidate(candidate.terms, x)
+        there = Candidate(candidate.terms, (*candidate.x[:number], moved, *candidate.x[number + 1 :]))
         # The contributions of the other laws are known: they do not change, but for dry friction beside it.
-        changed = list(parts)
-        changed[number] = law_part(view, candidate.terms[number], moved)
-        known, view.beside = view.beside, laws_beside_dry_friction(there_candidate)
-        is_felt_beside = view.beside != known
-        if is_felt_beside:
+        changed = {number: law_part(view, candidate.terms[number], moved)}
+        known, view.beside = view.beside, laws_beside_dry_friction(there)
+        if view.beside != known:
             for n, term in enumerate(candidate.terms):
                 if isinstance(term.effect, DryLaw) and term.place.axis == candidate.terms[number].place.axis:
-                    changed[n] = law_part(view, term, x[n])
+                    changed[n] = law_part(view, term, candidate.x[n])
         view.beside = known
-        own, own_before = changed[number], parts[number]
-        if is_sum and not is_felt_beside and own is not None and own_before is not None:
-            totals.append((own[0] - own_before[0]) / h)  # the other laws feel nothing of it
-            moved_by = [np.zeros_like(back) if p[1] is None else p[1] for p in (own, own_before)]
-            backs.append((moved_by[0] - moved_by[1]) / h)
-            continue
-        there = sum_contributions(view, there_candidate, changed)
-        totals.append((there[0] - total) / h)
-        backs.append((there[1] - back) / h)
-    return np.stack(totals, axis=-1), np.stack(backs, axis=-1)
+        for n, now in changed.items():
+            before = parts[n]
+            if now is None or before is None:
+                continue
+            total[..., at] += (now[0] - before[0]) / h
+            for sign, moves in ((1.0, now[1]), (-1.0, before[1])):
+                if moves is not None:
+                    back[..., at] += (sign / h) * moves
+        if changed[number] is None:
+            own, own_before = (impedances(view, linear_effects(c), yields) for c in (there, candidate))
+            by_size.append((at, (own[0] - own_before[0]) / h, (own[1] - own_before[1]) / h))
+    total, back = answer.of_impedances(total, back)
+    for at, own_change, moved_by in by_size:
+        total[..., at] += own_change
+        back[..., at] += moved_by
+    return total, back + answer.of_lacking_forces(total)

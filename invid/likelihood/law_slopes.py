@@ -316,7 +316,7 @@ def _slopes_over_time(
 ) -> tuple[Float64, Float64, Float64]:
     """(n,) each: change of a law at the sample before, at and after the one whose position (or ``rate``)
     changes."""
-    kept = dict(view._waves)
+    kept, view._waves = view._waves, dict(view._waves)
     wave, rest = view._wave(pattern, rate), law()
     length = DIFFERENCE * max(float(np.sqrt(np.mean(wave**2))), 1e-300)
     at, before, after = (np.zeros(wave.size) for _ in range(3))

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from invid.likelihood.residual import MissingTorqueProblem
+from invid.likelihood.residual import MissingTorqueProblem, State
 from invid.numerics.arrays import Bool, Float64
 from invid.numerics.levenberg_marquardt import NEARLY, Parabola, minimise
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A point of the search with residual, Jacobian and cost."""
+    """A point of the search with residual and cost; its Jacobian is computed on demand."""
 
+    problem: MissingTorqueProblem
     p: Float64
+    states: Sequence[State]
     residual: Float64
-    jacobian: Float64
     cost: float
+
+    @cached_property
+    def jacobian(self) -> Float64:
+        """(rows, free parameters)."""
+        return self.problem.jacobian_of(self.states)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +70,17 @@ def gauss_newton(
     limited = np.zeros(start.size, dtype=bool)
     limited[problem.slices["structure"]] = structure.logarithmic
 
-    def point_at(p: Float64) -> _Point:
-        residual, jacobian = problem.evaluate(p)
-        return _Point(p, residual, jacobian, float(residual @ residual))
+    def point_at(p: Float64, limit: float = np.inf) -> _Point | None:
+        states, least = list[State](), 0.0
+        for state in problem.each_state(p):
+            states.append(state)
+            least += float(state.white @ state.white)
+            if least > limit:
+                return None
+        residual = problem.residual_of(p, states)
+        return _Point(problem, p, states, residual, float(residual @ residual))
 
-    def take_step(here: _Point, step: Float64) -> _Point | None:
+    def take_step(here: _Point, step: Float64, limit: float) -> _Point | None:
         whole = np.zeros(start.size)
         whole[free] = step
         trial = here.p + whole
@@ -77,12 +91,14 @@ def gauss_newton(
             return None
         with np.errstate(all="ignore"):
             try:
-                return point_at(trial)
+                return point_at(trial, limit)
             except np.linalg.LinAlgError:
                 return None
 
+    begun = point_at(start.copy())
+    assert begun is not None  # noqa: S101 - without a limit
     found = minimise(
-        point_at(start.copy()),
+        begun,
         lambda here: Parabola.of_rows(here.jacobian, here.residual),
         take_step,
         limited=limited[free],

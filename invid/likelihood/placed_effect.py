@@ -129,6 +129,21 @@ def is_linear_in_motion(candidate: Candidate) -> bool:
 _Impedances = Sequence[tuple[ImpedanceEffect, Place, Float64]]
 
 
+def linear_effects(candidate: Candidate) -> _Impedances:
+    """The effects that are linear in motion, with their places and parameters."""
+    pairs = zip(candidate.terms, candidate.x, strict=True)
+    return [(t.effect, t.place, x) for t, x in pairs if isinstance(t.effect, ImpedanceEffect)]
+
+
+def force_patterns(view: View, candidate: Candidate) -> tuple[Pattern, ...]:
+    """The patterns of coordinates along which effects may lack force."""
+    return tuple(
+        t.place.pattern(view.structure)
+        for t in candidate.terms
+        if t.place.kind != "axis" and t.effect.along_pattern
+    )
+
+
 def impedances(view: View, effects: _Impedances, back: Complex128) -> tuple[Complex128, Complex128]:
     """(F, M) contributions of effects linear in motion and (F, ΣN) the inner motion that they cause.
 
@@ -232,6 +247,9 @@ def law_part(view: View, term: PlacedEffect, x: Float64) -> Part | None:
     """Contribution of one law at the view's present inner motion; ``None`` for an effect linear in motion."""
     if isinstance(term.effect, ImpedanceEffect):
         return None
+    if term.inner:
+        key = (term, x.tobytes())
+        return view.at_motion(key, lambda: term.effect.contribution(view, term.place, x.tolist()))
     return term.effect.contribution(view, term.place, x.tolist())
 
 
@@ -246,18 +264,11 @@ def sum_contributions(
 ) -> tuple[Complex128, Complex128]:
     """(F, M) contributions and (F, ΣN) inner motion that follows, from the contributions of single laws."""
     inner = any(t.depends_on_inner_motion(view) for t in candidate.terms)
-    patterns = tuple(
-        t.place.pattern(view.structure)
-        for t in candidate.terms
-        if t.place.kind != "axis" and t.effect.along_pattern
-    )
+    patterns = force_patterns(view, candidate)
     total: Complex128 = np.zeros_like(view.acting)
     outside_torque: Complex128 = np.zeros_like(view.acting)
     back: Complex128 = np.zeros_like(view.base)
-    linear: list[tuple[ImpedanceEffect, Place, Float64]] = []
-    for term, x, part in zip(candidate.terms, candidate.x, parts, strict=True):
-        if isinstance(term.effect, ImpedanceEffect):
-            linear.append((term.effect, term.place, x))
+    for term, part in zip(candidate.terms, parts, strict=True):
         if part is None:
             continue
         own, yields = part
@@ -266,7 +277,7 @@ def sum_contributions(
             outside_torque = outside_torque + own
         if yields is not None:
             back = back + yields
-    if linear:
+    if linear := linear_effects(candidate):
         own, moved = impedances(view, linear, back)
         total, back = total + own, back + moved
     rest = view.missing_with(total) if inner and patterns else None

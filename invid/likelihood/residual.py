@@ -14,11 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from invid.likelihood.nuisance.torque_channel import Block, channel_torque
+from invid.likelihood.nuisance.torque_channel import Block, ChannelTorque, channel_torque
 from invid.model.parameters import ChainStructure
 from invid.model.transient_terms import end_columns, end_derivative, end_forces, end_points, motor_end_indices
 from invid.numerics.arrays import Bool, Complex128, Float64
@@ -28,25 +29,74 @@ from invid.signals.spectral_record import SpectralLines
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """One block evaluated at one parameter vector, before whitening."""
+    """One block evaluated at one parameter vector, before whitening; its Jacobian is computed on demand."""
 
+    problem: MissingTorqueProblem
     block: Block
+    p: Float64
+    motion: Complex128
+    """(F, ΣN, M) W."""
     stiffness: Complex128
     """(F, M, M) Z."""
+    inner: Complex128
+    """(F, ΣN, ΣN) Z_ii⁻¹."""
+    channel: ChannelTorque
+    effective: Complex128
+    """(F, M, M) Z less what the torque channel holds."""
     residual: Complex128
     """(F, M) missing torque r, boundary terms included."""
-    jacobian: Complex128
-    """(F, M, n) derivative of r by all parameters, at the projected measurement."""
+    gain: Complex128
+    """(F, M) C_r⁻¹ r."""
     covariance: Complex128
     """(F, M, M) C_r."""
     root: Complex128
     """(F, M, M) its whitener."""
     basis: Float64
     """(2FM, 2ΣN or 0) orthonormal basis of the whitened boundary columns."""
-    projected_position: Complex128
-    """(F, M) Θ̂."""
+    forces: Complex128 | None
+    """(F, ΣN, 2ΣN) boundary forces and ``points`` (F, 2), where the record does not close."""
+    points: Complex128 | None
     ends: Float64
     """(2ΣN,) end-minus-start position and velocity of every coordinate; empty without boundary terms."""
+
+    @cached_property
+    def projected_position(self) -> Complex128:
+        """(F, M) Θ̂."""
+        block, structure = self.block, self.problem.structure
+        noise = block.noise[:, : structure.motors]
+        out: Complex128 = block.position - noise * np.einsum("fij,fi->fj", self.effective.conj(), self.gain)
+        if self.points is not None:
+            ends = self.ends[motor_end_indices(structure)].reshape(2, structure.motors)
+            out = out + self.points @ ends
+        return out
+
+    @cached_property
+    def white(self) -> Float64:
+        """(rows,) whitened residual, boundary terms projected out."""
+        out: Float64 = stack(self.root @ self.residual[..., None])[:, 0]
+        return out - self.basis @ (self.basis.T @ out) if self.basis.shape[1] else out
+
+    @cached_property
+    def jacobian(self) -> Complex128:
+        """(F, M, n) derivative of r by all parameters, at the projected measurement."""
+        structure, s, block, channel = self.problem.structure, self.problem.slices, self.block, self.channel
+        sp, position = self.p[s["structure"]], self.projected_position
+        torque = block.torque + block.noise[:, structure.motors :] * channel.factor.conj() * self.gain
+        q = np.einsum("fqm,fm->fq", self.motion, position)
+        if self.forces is not None:
+            q = q - np.einsum("fab,fb->fa", self.inner, self.forces @ self.ends)
+        out: Complex128 = np.empty((*block.torque.shape, self.p.size), dtype=complex)
+        out[..., s["structure"]] = structure.torque_derivative(sp, block.omega, self.motion, q[None])[0]
+        if block.transient:
+            out[..., s["structure"]] += end_derivative(
+                structure, sp, block.omega, self.motion, self.ends, block.span
+            )
+        hold_torque = (block.hold * position)[..., None]
+        out[..., s["delay"]] = -channel.by_delay * torque[..., None] - channel.hold_by_delay * hold_torque
+        command = torque + block.hold * position
+        out[..., s["staircase"]] = -channel.by_zoh_share * command[..., None]
+        out[..., s["column"]] = block.columns
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +156,15 @@ class MissingTorqueProblem:
     # --- evaluation ----------------------------------------------------------------------------
     def states(self, p: Float64) -> list[State]:
         """Every block evaluated at ``p`` (n,), before whitening."""
+        return list(self.each_state(p))
+
+    def each_state(self, p: Float64) -> Iterator[State]:
+        """The same, one after the other."""
         sp = p[self.slices["structure"]]
         plants = plants_of(self.structure, sp, self.blocks)
         inertance = self.structure.inertance(sp)
-        return [
-            self._state(block, p, inertance, *plant) for block, plant in zip(self.blocks, plants, strict=True)
-        ]
+        for block, plant in zip(self.blocks, plants, strict=True):
+            yield self._state(block, p, inertance, *plant)
 
     def _state(
         self,
@@ -124,17 +177,16 @@ class MissingTorqueProblem:
     ) -> State:
         structure, s = self.structure, self.slices
         sp = p[s["structure"]]
-        motors = structure.motors
         channel = channel_torque(block, p[s["delay"]], p[s["staircase"]])
         factor = channel.factor
         effective = stiffness - _diagonal(channel.hold)
         residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
         residual = residual - np.einsum("fij,fj->fi", stiffness, channel.folded @ inertance)
         covariance = covariance_of_missing(effective, factor, block.noise)
-        columns = s["column"]
-        residual = residual + block.columns @ p[columns]
+        residual = residual + block.columns @ p[s["column"]]
         root = whitener(covariance)
         basis, ends = np.zeros((2 * residual.size, 0)), np.zeros(0)
+        forces = points = None
         if block.transient:
             forces = end_forces(structure, sp, block.omega, block.span)
             points = end_points(block.omega, block.step, block.span, ends_in=block.ends_in)
@@ -142,51 +194,40 @@ class MissingTorqueProblem:
             basis, back = factored(stack(root @ boundary))
             ends = -(back @ (basis.T @ stack(root @ residual[..., None])[:, 0]))
             residual = residual + boundary @ ends
-        gain = np.linalg.solve(covariance, residual[..., None])[..., 0]
-        position_noise, torque_noise = block.noise[:, :motors], block.noise[:, motors:]
-        position = block.position - position_noise * np.einsum("fij,fi->fj", effective.conj(), gain)
-        torque = block.torque + torque_noise * factor.conj() * gain
-        if block.transient:
-            position = position + points @ ends[motor_end_indices(structure)].reshape(2, motors)
-        q = np.einsum("fqm,fm->fq", motion, position)
-        if block.transient:
-            q = q - np.einsum("fab,fb->fa", inner, forces @ ends)
-        jacobian = np.empty((block.omega.size, motors, p.size), dtype=complex)
-        jacobian[..., s["structure"]] = structure.torque_derivative(sp, block.omega, motion, q[None])[0]
-        if block.transient:
-            jacobian[..., s["structure"]] += end_derivative(
-                structure, sp, block.omega, motion, ends, block.span
-            )
-        hold_torque = (block.hold * position)[..., None]
-        jacobian[..., s["delay"]] = (
-            -channel.by_delay * torque[..., None] - channel.hold_by_delay * hold_torque
-        )
-        command = torque + block.hold * position
-        jacobian[..., s["staircase"]] = -channel.by_zoh_share * command[..., None]
-        jacobian[..., columns] = block.columns
-        return State(block, stiffness, residual, jacobian, covariance, root, basis, position, ends)
+        gain = _as_complex(np.linalg.solve(covariance, residual[..., None])[..., 0])
+        return State(
+            self, block, p, motion, stiffness, inner, channel, effective, residual, gain, covariance, root,
+            basis, forces, points, ends,
+        )  # fmt: skip
+
+    def residual_of(self, p: Float64, states: Sequence[State]) -> Float64:
+        """(rows,) whitened residual, boundary terms projected out, and that of the priors."""
+        priors = [(p[at] - mean) / std for at, (mean, std) in self._free_priors()]
+        return np.concatenate([*(s.white for s in states), priors])
+
+    def jacobian_of(self, states: Sequence[State]) -> Float64:
+        """(rows, free parameters) derivative of that."""
+        free, out = self.free, []
+        for state in states:
+            j = stack(state.root @ state.jacobian[..., free])
+            out.append(j - state.basis @ (state.basis.T @ j) if state.basis.shape[1] else j)
+        for at, (_, std) in self._free_priors():
+            row = np.zeros((1, free.size))
+            row[0, at] = 1.0 / std
+            out.append(row[:, free])
+        return np.concatenate(out)
+
+    def _free_priors(self) -> list[tuple[int, tuple[float, float]]]:
+        """Number, and mean and standard deviation, of the free parameters with prior knowledge."""
+        free = self.free
+        return [
+            (k, self.priors[name]) for k, name in enumerate(self.names) if free[k] and name in self.priors
+        ]
 
     def evaluate(self, p: Float64) -> tuple[Float64, Float64]:
         """Whitened residual (rows,) and Jacobian (rows, free parameters), boundary terms projected out."""
-        residuals, jacobians = [], []
-        free = self.free
-        for state in self.states(p):
-            r = stack(state.root @ state.residual[..., None])[:, 0]
-            j = stack(state.root @ state.jacobian[..., free])
-            if state.basis.shape[1]:
-                r = r - state.basis @ (state.basis.T @ r)
-                j = j - state.basis @ (state.basis.T @ j)
-            residuals.append(r)
-            jacobians.append(j)
-        for at, name in enumerate(self.names):
-            if not free[at] or name not in self.priors:
-                continue
-            mean, std = self.priors[name]
-            row = np.zeros((1, p.size))
-            row[0, at] = 1.0 / std
-            residuals.append(np.array([(p[at] - mean) / std]))
-            jacobians.append(row[:, free])
-        return np.concatenate(residuals), np.concatenate(jacobians)
+        states = self.states(p)
+        return self.residual_of(p, states), self.jacobian_of(states)
 
     @property
     def dof(self) -> int:

@@ -139,7 +139,7 @@ def levenberg(data: FrfData, weight: Float64, start: ModalFit, iterations: int =
         _, gradient, normal = normal_equations(data, weight, here.fit, allowed)
         return Parabola.of_normal(normal, gradient)
 
-    def moved(here: _Point, step: Float64) -> _Point:
+    def moved(here: _Point, step: Float64, _: float) -> _Point:
         trial = here.x + step
         trial[n : 2 * n] = np.clip(trial[n : 2 * n], np.log(1e-7), np.log(2.0))
         return at(trial)

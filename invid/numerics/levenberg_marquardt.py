@@ -20,6 +20,8 @@ FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-12
 """Of parameters scaled to unit columns: at the start, and the least that is told from none."""
 LESS, MORE, FROM = 1.0 / 8.0, 10.0, 1e-6
 """Factors of the damping after a step that went down and one that did not, and where the latter begins."""
+LEAST_SHARE, MOST_SHARE = 0.02, 0.8
+"""Shares of a step between which the minimum of the parabola through it is tried."""
 TRIALS = 8
 """Dampings tried for one step: from the least to a hundred, a step of a hundredth of the gradient's."""
 
@@ -132,7 +134,7 @@ class Minimum(Generic[Point]):
 def minimise(  # noqa: PLR0913 - a cost, and when to end
     start: Point,
     parabola: Callable[[Point], Parabola],
-    moved: Callable[[Point, Float64], Point | None],
+    moved: Callable[[Point, Float64, float], Point | None],
     *,
     limited: Bool | None = None,
     iterations: int = 60,
@@ -147,7 +149,8 @@ def minimise(  # noqa: PLR0913 - a cost, and when to end
     parabola
         The cost around a point; asked once for each accepted one.
     moved
-        The point a step (n,) further, within its bounds; none where there is none.
+        The point a step (n,) further, within its bounds; none where there is none, or where its cost is
+        above the limit that comes third: how far above makes no difference then.
     limited
         (n,) parameters of which a step is no longer than ``LARGEST_STEP``: logarithms.
     dof, tolerance, gain
@@ -190,18 +193,19 @@ def _within(step: Float64, limited: Bool | None) -> Float64:
 
 
 def _lower(
-    now: Point, slope: float, step: Float64, moved: Callable[[Point, Float64], Point | None]
+    now: Point, slope: float, step: Float64, moved: Callable[[Point, Float64, float], Point | None]
 ) -> Point | None:
     """The better of a full step and the minimum of the parabola through it, where that is much shorter; none
     where neither goes down. ``slope`` is of the cost along the step."""
-    full = moved(now, step)
+    # Above the limit the minimum of the parabola is too near to be tried.
+    full = moved(now, step, now.cost + abs(slope) * (0.5 / LEAST_SHARE - 1.0))
     if full is None or not np.isfinite(full.cost):
         return None
     best = full
     if full.cost > now.cost + 0.25 * slope:
         curvature = full.cost - now.cost - slope
         share = -slope / (2.0 * curvature) if curvature > 0 else 1.0
-        shorter = moved(now, share * step) if 0.02 < share < 0.8 else None
+        shorter = moved(now, share * step, now.cost) if LEAST_SHARE < share < MOST_SHARE else None
         if shorter is not None and shorter.cost < full.cost:
             best = shorter
     return best if best.cost < now.cost else None

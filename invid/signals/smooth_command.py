@@ -142,7 +142,7 @@ def _minimise_roughness(parts: Sequence[RecordLines], begun: Float64) -> Float64
     found = minimise(
         gains_at(np.log(begun)),
         parabola,
-        lambda here, step: gains_at(here.x + step),
+        lambda here, step, _: gains_at(here.x + step),
         limited=np.ones(2, dtype=bool),
         iterations=40,
         gain=1e-6,

@@ -139,7 +139,7 @@ class SpectralRecord(SpectralLines):
         omega = 2 * np.pi * np.fft.rfftfreq(self.samples, self.wave_step)
         return np.asarray(omega, dtype=np.float64)
 
-    @property
+    @cached_property
     def wave_time(self) -> Float64:
         """(n,) time of the waves of motion, zero in the record's middle [s]."""
         middle = 0.5 * (self.torque_wave.shape[0] - 1) * self.step

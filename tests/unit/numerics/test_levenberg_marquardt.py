@@ -34,7 +34,7 @@ class Valley:
 def searched(limited: bool = False, tolerance: float = 1e-12) -> tuple[Minimum[Valley], list[Float64]]:
     steps: list[Float64] = []
 
-    def moved(here: Valley, step: Float64) -> Valley:
+    def moved(here: Valley, step: Float64, _: float) -> Valley:
         steps.append(step)
         return Valley(here.x + step)
 
@@ -78,7 +78,7 @@ def test_parameters_that_do_not_move_have_no_step() -> None:
 
 
 def test_a_search_that_finds_no_plant_says_that_it_stalled() -> None:
-    found = minimise(Valley(np.array([-1.2, 1.0])), lambda here: here.parabola, lambda here, step: None)
+    found = minimise(Valley(np.array([-1.2, 1.0])), lambda here: here.parabola, lambda here, step, _: None)
     assert found.result == "stalled"
     assert found.iterations == 0
 
@@ -87,5 +87,5 @@ def test_a_parabola_that_is_not_finite_ends_the_search_and_not_the_program() -> 
     def lost(here: Valley) -> Parabola:
         return Parabola.of_rows(np.full((2, 2), np.nan), here.residual)
 
-    found = minimise(Valley(np.array([-1.2, 1.0])), lost, lambda here, step: Valley(here.x + step))
+    found = minimise(Valley(np.array([-1.2, 1.0])), lost, lambda here, step, _: Valley(here.x + step))
     assert found.result == "stalled"
