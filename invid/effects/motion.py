@@ -305,6 +305,7 @@ class View:
     def set_hidden_motion(self, pattern: Pattern, lines: Complex128 | None) -> None:
         """Sets motion (n//2 + 1,) on the waves' own lines that is added along the pattern; ``None`` removes
         it."""
+        self._laws = {}
         if lines is None:
             self._hidden_motion.pop(pattern, None)
         else:
