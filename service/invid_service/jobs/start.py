@@ -13,6 +13,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from invid.errors import InputError
 from invid.model.document import model_to_json
 from invid.planning.separating_experiments import Separation, to_separate
+from invid_drivers.simulated.structure import CAUSES
 from invid_service.cells.registry import Cell
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.results import load
@@ -211,7 +212,7 @@ def _job(
 
 
 def _simulation_of(model: dict[str, Any]) -> dict[str, Any]:
-    """Return a simulated plant with the parameters of a model."""
+    """Return a simulated plant with the parameters of a model, and those of its effects that it can have."""
     return {
         "plant": {
             "branches": [
@@ -233,5 +234,6 @@ def _simulation_of(model: dict[str, Any]) -> dict[str, Any]:
                 "parameters": {n: p["value"] for n, p in e["parameters"].items()},
             }
             for e in model["effects"]
+            if e["cause"] in CAUSES  # not a base, a law without a name, or a cause of a file
         ],
     }

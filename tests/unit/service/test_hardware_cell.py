@@ -58,6 +58,18 @@ def test_mode_simulate_moves_no_hardware_and_uses_the_accepted_model(cell: Path)
         run = RunRecord("m1", "cell", "test robot", "full", ("A1",), False, State.SUCCEEDED, now, "local")
         store.add_run(run)
         document = model_document(scale_mass=1.5)
+        at = {"cause": "viscous_friction", "axis": "A1", "element": "mass 1", "other_axis": None}
+        law = {
+            "at": [-1.0, 0.0, 1.0],
+            "value": [-2.0, 0.0, 2.0],
+            "unit": "N·m",
+            "covariance": [[0.0] * 3] * 3,
+        }
+        number = {"value": 0.1, "std": 0.01, "unit": "N·m·s/rad"}
+        document["effects"] = [
+            {**at, "parameters": {"coefficient": number}},
+            {**at, "cause": "empirical_law", "parameters": {"over": {"value": "velocity"}, "table": law}},
+        ]
         store.add_model(StoredModel("m1", "cell", now, "full", json.dumps(document)))
         store.approve("cell", "m1", by="local", how="accept", now=now)
         started = client.post(START, json={"mode": "simulate", "arm": True})
@@ -67,6 +79,9 @@ def test_mode_simulate_moves_no_hardware_and_uses_the_accepted_model(cell: Path)
         config = CellConfig.model_validate(director.workers[0].job.config)
         assert config.bus.interface == "invid-virtual"
         assert truth(config).masses[1].tolist() == [4.0, 5.0, 9.0]
+        # No simulated drive has a law without a name.
+        said = director.workers[0].job.config["simulation"]["effects"]
+        assert said == [{**at, "parameters": {"coefficient": 0.1}}]
         assert client.get("/api/v1/cells/cell/model").json()["id"] == "m1"
         page = client.get("/").text
         assert re.search(r'<span id="simulated"[^>]* hidden>SIMULATED', page)

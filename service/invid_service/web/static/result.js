@@ -133,6 +133,7 @@ function parameters(model, changes) {
   const lines = numbersOf(model), sizes = sizesOf(model);
   for (const x of model.effects ?? []) {
     for (const [n, e] of Object.entries(x.parameters)) {
+      if (typeof e.value !== "number") continue; // the table of a law without a name is in its picture
       const where = place(x, sizes);
       lines.push({ label: t("param.effect", { axis: x.axis, cause: named("cause", x.cause), place: where ? ` (${where})` : "", name: named("effect", n) }), name: [x.axis, x.cause, x.element, x.other_axis, n].filter(Boolean).join("."), e, unit: e.unit });
     }
