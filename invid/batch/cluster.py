@@ -6,6 +6,7 @@ worker that dies had in hand goes to another one.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import uuid
 from collections.abc import Iterator, Mapping
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from distributed import Client, KilledWorker, as_completed
+from distributed.comm.core import CommClosedError
 from distributed.scheduler import NoValidWorkerError
 
 from invid import __version__
@@ -61,8 +63,11 @@ def analyse_on_cluster(
             yield _outcome(future, names.pop(future.key), address)
             future.release()
             yield from begin()
+    except CommClosedError:  # while something was being sent to it
+        raise _gone(address) from None
     finally:
-        client.close(timeout=PATIENCE_S)
+        with contextlib.suppress(CommClosedError):
+            client.close(timeout=PATIENCE_S)
 
 
 def _quiet() -> None:
@@ -110,6 +115,12 @@ def _task(content: bytes, name: str, options: dict[str, Any]) -> dict[str, Any]:
     return {"version": __version__, "outcome": analyse_content(content, name, options)}
 
 
+def _gone(address: str) -> ClusterError:
+    return ClusterError(
+        f"--scheduler {address}: the scheduler is gone; what is done is stored, the same command goes on"
+    )
+
+
 def _outcome(future: Any, name: str, address: str) -> Outcome:
     if future.status == "finished":
         answer = future.result()
@@ -118,9 +129,7 @@ def _outcome(future: Any, name: str, address: str) -> Outcome:
         text = f"a worker that joined later has invid {answer['version']}, here is {__version__}"
         return Outcome(name, "failed", KILLED, error=text)
     if future.status in ("cancelled", "lost"):
-        raise ClusterError(
-            f"--scheduler {address}: the scheduler is gone; what is done is stored, the same command goes on"
-        )
+        raise _gone(address)
     error = future.exception()
     if isinstance(error, KilledWorker | NoValidWorkerError):
         return Outcome(name, "failed", KILLED, error="each worker that had it in hand died")

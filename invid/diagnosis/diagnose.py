@@ -134,7 +134,7 @@ def _diagnose_clean(
     selection, result = checked or found.simulated(selection) or (selection, found.refused(selection))
     if selection.is_cut_short:
         result = limit_unfinished_search(result)
-    elif result.verdict is not Verdict.UNEXPLAINED:  # else anything may hide behind what is left
+    elif result.verdict is not Verdict.UNEXPLAINED and with_law is None:  # else anything may hide behind it
         result = replace(result, ruled_out=ruled_out(selection, train, held, repaired))
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}

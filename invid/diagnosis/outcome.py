@@ -197,8 +197,8 @@ def assemble_diagnosis(  # noqa: PLR0913 - the parts of a document
         replace(f, confidence=min(f.confidence, _most_beside(f, laws), CONTESTED if f.alternatives else 1.0))
         for f in findings
     ]
-    named, complete = len(laws) < len(findings), complete and not laws
-    verdict = verdict_of(residual, explained, named=named, missing=missing or bool(laws), complete=complete)
+    complete, missing = complete and not laws, missing or bool(laws)
+    verdict = verdict_of(residual, explained, named=bool(findings), missing=missing, complete=complete)
     if laws:
         left = _with_law(left, laws[0])
     if verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED) and left is None:

@@ -43,7 +43,7 @@ class LawTable:
 def table_to_json(table: LawTable) -> dict[str, Any]:
     """Return the parameters ``over`` and ``table`` of the contract."""
     return {
-        "over": {"value": table.over, "std": None, "unit": table.at_unit},
+        "over": {"value": table.over, "std": 0.0, "unit": table.at_unit},
         "table": {
             "at": list(table.at),
             "value": list(table.value),

@@ -90,6 +90,10 @@ def _is_accepted(design: Design, before: Fit, after: Fit, axis: int, tried: int)
     """Whether a law is significant, seen and unseen, and brings its axis to the noise or takes nearly all."""
     if training_p(before, after) > SIGNIFICANT / tried or held_out_p(design, before, after) > FALSE_ALARM:
         return False
+    at, law = len(after.terms[-1].names), after.terms[-1].law
+    table = None if law is None else law.table(after.value[-at:], after.covariance[-at:, -at:], linear=False)
+    if table is None or 3.0 * max(table.std) > max(np.abs(table.value)):
+        return False  # the rest of the model may undo it
     rows = judged_rows(design) & (design.axis == axis)
     noise = float(np.mean(noise_of(design, after)[rows]))
     old, new = (float(np.mean(f.held_out[rows] ** 2)) - noise for f in (before, after))

@@ -85,16 +85,26 @@ def _find_law(
     least = chi2_isf(SIGNIFICANCE / max(len(scores), 1), best.term.size)
     if gains[0] < least * best.fit.dispersion or gains[1] < HELD_OUT * best.held_dispersion:
         return None
-    return Step(current, best, tuple(ranked)) if _takes_nearly_all(best, current) else None
+    is_law = _is_known(best) and _takes_nearly_all(best, current)
+    return Step(current, best, tuple(ranked)) if is_law else None
+
+
+def _is_known(trial: CandidateEvidence) -> bool:
+    """Whether the largest resistance of a law is known to a third: the rest of the model may else undo it."""
+    law, x = trial.term.effect, trial.x
+    table = law.table(x, trial.fit.covariance_of(-1), linear=False)
+    if table is None or not np.isfinite(table.std).all():
+        return False
+    at = int(np.argmax(np.abs(table.value)))
+    return 3.0 * table.std[at] < abs(table.value[at])
 
 
 def _takes_nearly_all(best: CandidateEvidence, current: CandidateEvidence) -> bool:
     """Whether a law brings its axis to the noise, or takes nearly all that is missing there in records kept
-    out.
-
-    What takes less may be a part of any law.
-    """
-    (before, _), (after, floor) = (rms_torque(t.held, best.term.place.axis) for t in (current, best))
+    out; what takes less may be a part of any law. An axis that is at the noise asks for none."""
+    (before, own), (after, floor) = (rms_torque(t.held, best.term.place.axis) for t in (current, best))
+    if before <= FLOOR * own:
+        return False
     return after <= FLOOR * floor or after**2 - floor**2 <= (1.0 - BROUGHT_DOWN) * (before**2 - floor**2)
 
 

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from hidden.generator import make
 
-from invid.diagnosis import diagnose as diagnose_module
+from invid.diagnosis import judged_search
 from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.time_domain_check import Replay
 from invid.identification.identify import identify
@@ -40,14 +40,14 @@ def test_the_simulation_over_time_leaves_what_the_regression_leaves(cause: str) 
 
 def test_an_extension_that_gains_less_than_its_uncertainty_over_time_is_refused(monkeypatch) -> None:
     recording, _ = make("coulomb_friction", target_db=20, **QUICK)
-    honest = diagnose_module.simulate_held_out
+    honest = judged_search.simulate_held_out
 
     def useless(*given, **named):
         found = honest(*given, **named)
         assert isinstance(found, Replay)
         return replace(found, gain=3.0, std=3.5)
 
-    monkeypatch.setattr(diagnose_module, "simulate_held_out", useless)
+    monkeypatch.setattr(judged_search, "simulate_held_out", useless)
     d = diagnose(recording)
     assert d.findings == ()
     assert d.verdict is Verdict.UNEXPLAINED
@@ -58,7 +58,7 @@ def test_an_extension_that_gains_less_than_its_uncertainty_over_time_is_refused(
 def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) -> None:
     """Off by a third of a radian of the ripple found, with the missing torque at the held-out noise."""
     recording, _ = make("cogging", target_db=20, **QUICK)
-    honest = diagnose_module.simulate_held_out
+    honest = judged_search.simulate_held_out
 
     def astray(*given, **named):
         found = honest(*given, **named)
@@ -67,7 +67,7 @@ def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) 
         return replace(found, gain=-1.0, position_after=1.1 * found.reach, shift=1e3 + found.shift)
 
     before = diagnose(recording)
-    monkeypatch.setattr(diagnose_module, "simulate_held_out", astray)
+    monkeypatch.setattr(judged_search, "simulate_held_out", astray)
     d = diagnose(recording)
     (finding,), (own,) = d.findings, before.findings
     assert finding.effect.cause == own.effect.cause == "cogging"
@@ -81,14 +81,14 @@ def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) 
 def test_a_wrong_extension_does_not_pass_the_simulation_over_time(monkeypatch) -> None:
     """Friction with its sign turned: the regression says so here, the simulation knows better."""
     recording, _ = make("coulomb_friction", target_db=20, **QUICK)
-    honest = diagnose_module.simulate_held_out
+    honest = judged_search.simulate_held_out
 
     def turned(sound, spectra, linear, extended, *rest):
         (term,) = extended.effects
         wrong = replace(term, parameters={"torque": Estimate(3.0 * term.value("torque"))})
         return honest(sound, spectra, linear, replace(extended, effects=(wrong,)), *rest)
 
-    monkeypatch.setattr(diagnose_module, "simulate_held_out", turned)
+    monkeypatch.setattr(judged_search, "simulate_held_out", turned)
     d = diagnose(recording)
     assert d.findings == () or d.findings[0].confidence < 0.9
     assert any("over time" in w for w in d.warnings)

@@ -152,7 +152,10 @@ def test_a_drag_with_the_square_of_the_speed_is_a_law_without_a_name():
         for role in (Role.IDENTIFY, Role.IDENTIFY, Role.VALIDATE):
             axis.record(rng, wander(rng), role)
         diagnosis = axis.diagnosis()
-        assert diagnosis.verdict is Verdict.UNEXPLAINED, (seed, diagnosis.sentences)
+        assert diagnosis.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED), (
+            seed,
+            diagnosis.sentences,
+        )
         assert "velocity-dependent" in diagnosis.unexplained.character
         for law in diagnosis.findings:
             laws += 1

@@ -111,7 +111,7 @@ def test_what_is_outside_the_catalogue_is_left_unnamed(extra: Force):
 def test_a_ripple_over_position_is_a_law_without_a_name():
     ripple = recording(simulate(np.random.default_rng(5), extra=lambda q, v, t: 0.6 * np.sin(23.0 * q + 0.3)))
     diagnosis = diagnose_trajectory(ripple)
-    assert diagnosis.verdict is Verdict.UNEXPLAINED
+    assert diagnosis.verdict is Verdict.PARTLY_EXPLAINED
     (law,) = diagnosis.findings
     table = law.effect.table
     assert (law.cause, table.over) == ("empirical_law", "position")
