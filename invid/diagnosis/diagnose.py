@@ -130,11 +130,17 @@ def _diagnose_clean(
     if result.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not selection.is_cut_short:
         with_law = add_laws(selection if result.findings else selection.without_causes(), train, held)
     budget.tell("simulating over time", 0.92)
-    checked = None if with_law is None else found.simulated(with_law.widen_by_remainder())
-    selection, result = checked or found.simulated(selection) or (selection, found.refused(selection))
+    checked = None
+    if with_law is not None:
+        with_law = with_law.widen_by_remainder()
+        checked = found.simulated(with_law, found.diagnosis(with_law))
+    if checked is None or checked.is_refused:
+        checked = found.simulated(selection, result)
+    selection, result = checked.selection, checked.diagnosis
     if selection.is_cut_short:
         result = limit_unfinished_search(result)
-    elif result.verdict is not Verdict.UNEXPLAINED and with_law is None:  # else anything may hide behind it
+    elif result.verdict is not Verdict.UNEXPLAINED and all(f.effect.table is None for f in result.findings):
+        # Behind what has no name anything may hide.
         result = replace(result, ruled_out=ruled_out(selection, train, held, repaired))
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}

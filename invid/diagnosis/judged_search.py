@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from invid.diagnosis.search_pass import SearchPass
 from invid.diagnosis.selection import Selection
@@ -12,6 +13,15 @@ from invid.likelihood.null_test import null_test
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import model_to_json
 from invid.numerics import budget
+
+
+class Simulated(NamedTuple):
+    """A selection with the uncertainty that its simulation shows, its diagnosis, and whether the simulation
+    refuses its causes."""
+
+    selection: Selection
+    diagnosis: Diagnosis
+    is_refused: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,26 +38,22 @@ class JudgedSearch:
         parts = (s.recording, s.model, selection, s.bare, s.train, s.held, s.tones, warnings)
         return build_diagnosis(*parts, is_refused=is_refused)
 
-    def simulated(self, selection: Selection) -> tuple[Selection, Diagnosis] | None:
-        """The selection with the uncertainty that its simulation shows, and its diagnosis; ``None`` where the
-        simulation refuses its causes."""
-        result, held = self.diagnosis(selection), self.search.held
+    def simulated(self, selection: Selection, result: Diagnosis) -> Simulated:
+        """A selection and its diagnosis after its extended model was simulated over time."""
         if not result.findings or budget.is_left_out("the extended model simulated over time"):
-            return selection, result
-        answer, reached = self._simulate(selection, result), selection.final.held
-        is_lost = isinstance(answer, Replay) and answer.is_lost
-        is_lost = is_lost and not null_test(reached.cost, reached.dof, held).rejects
-        if isinstance(answer, Replay) and not is_lost:
-            if answer.is_refused:
-                return None
+            return Simulated(selection, result)
+        answer, held = self._simulate(selection, result), self.search.held
+        if isinstance(answer, str):
+            return Simulated(selection, self._with_simulation(result, answer))
+        reached = selection.final.held
+        is_lost = answer.is_lost and not null_test(reached.cost, reached.dof, held).rejects
+        is_refused = answer.is_refused and not is_lost
+        if is_refused:
+            result = self.diagnosis(selection, is_refused=True)
+        elif not is_lost:
             selection = selection.widen_covariance(answer.shift)
             result = self.diagnosis(selection)
-        return selection, self._with_simulation(result, answer, is_lost=is_lost)
-
-    def refused(self, selection: Selection) -> Diagnosis:
-        """The diagnosis of a selection whose causes its simulation refuses."""
-        answer = self._simulate(selection, self.diagnosis(selection))
-        return self._with_simulation(self.diagnosis(selection, is_refused=True), answer)
+        return Simulated(selection, self._with_simulation(result, answer, is_lost=is_lost), is_refused)
 
     def _simulate(self, selection: Selection, result: Diagnosis) -> Replay | str:
         s = self.search

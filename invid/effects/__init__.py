@@ -12,7 +12,14 @@ if TYPE_CHECKING:
     from invid.effects.laws.empirical_law import spline_law
     from invid.effects.motion_effect import MotionEffect
     from invid.effects.parameter import Parameter
-    from invid.model.place import axis_places, end_places, mass_places, motor_places, spring_places
+    from invid.model.place import (
+        axis_places,
+        end_places,
+        mass_places,
+        motor_places,
+        pair_places,
+        spring_places,
+    )
 
 _HOMES = {
     "Effect": "effect",
@@ -44,6 +51,7 @@ __all__ = [
     "end_places",
     "mass_places",
     "motor_places",
+    "pair_places",
     "spline_law",
     "spring_places",
 ]

@@ -6,7 +6,8 @@ import keyword
 
 import numpy as np
 
-from invid.effects.laws.empirical_law import IN_SPRING, NAMELESS, OF_RATE
+from invid.effects.laws.empirical_law import IN_SPRING, NAMELESS
+from invid.effects.motion_effect import OF_RATE
 from invid.effects.registry import effect_of
 from invid.errors import InputError
 from invid.model.document import EffectTerm
@@ -22,6 +23,7 @@ from invid.effects import Experiment, MotionEffect, Parameter, {places}, spline_
 
 AT = {at}  # {at_unit}
 SHAPE = {shape}  # resistance over its largest
+LAW = spline_law(AT, SHAPE)
 
 
 class {kind}(MotionEffect):
@@ -38,7 +40,7 @@ class {kind}(MotionEffect):
         return {places}(structure)
 
     def resistance(self, motion, shape):
-        return spline_law(AT, SHAPE)(motion.{quantity})
+        return LAW(motion.{quantity})
 
 
 EFFECT = {kind}()
@@ -66,7 +68,7 @@ def law_file(name: str, term: EffectTerm) -> str:
         at_unit=table.at_unit,
         at=_listed(list(table.at)),
         shape="np.array(" + _listed([[v / size] for v in table.value]) + ")",
-        places="spring_places" if in_spring else "mass_places",
+        places="pair_places" if term.other_axis else "spring_places" if in_spring else "mass_places",
         home="spring" if in_spring else "motor",
         quantity="velocity" if table.over in OF_RATE else "position",
     )

@@ -24,6 +24,8 @@ from invid.signals.standstill import sign_threshold
 
 OF_MOTION = ("velocity", "position", "deflection", "deflection rate")
 """Quantities over which a law can be simulated from a table."""
+OF_RATE = ("velocity", "deflection rate")
+"""Those of them that are rates."""
 
 
 class MotionEffect(ForceEffect):
@@ -90,19 +92,15 @@ class MotionEffect(ForceEffect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         p = {name: at.value(name) for name in self.parameters}
-        over = "velocity" if self.over in ("velocity", "deflection rate") else "position"
         a, b = at.coordinates(self.home)
-        return [
-            StaticLaw(
-                "velocity" if over == "velocity" else "position", partial(self._static_resistance, p), a, b
-            )
-        ]
+        resistance = partial(self._static_resistance, p)
+        return [StaticLaw("velocity" if self.over in OF_RATE else "position", resistance, a, b)]
 
     def _static_resistance(self, p: Mapping[str, float], x: Float64) -> Float64:
         """(n,) resistance where the quantity ``over`` is ``x`` and nothing else moves."""
         still = np.zeros_like(x)
         motion = PlaceMotion(x, still, still)
-        if self.over in ("velocity", "deflection rate"):
+        if self.over in OF_RATE:
             motion = replace(motion, position=still, velocity=x)
         size = np.array(self.vector(p)[: len(self.coefficients)])
         out: Float64 = self.resistance(motion, [p[name] for name in self.shapes]) @ size

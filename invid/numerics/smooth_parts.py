@@ -14,9 +14,10 @@ def smooth_parts(columns: Float64, residual: Float64, price: float, most: int) -
     """Return the shapes (k, n) of a curve that pay for themselves in a regression of ``residual`` (m,), and
     their sizes (n,); n is 0 where none does.
 
-    The curve is given by its values at k equidistant knots, of which ``columns`` (m, k) are the rows. The
-    shapes are orthonormal in the rows and in the order of their roughness (Demmler and Reinsch, Numer. Math.
-    24, 1975); ``price`` is the gain that each must bring, and at most ``most`` are taken.
+    The curve is given by its values at k knots, of which ``columns`` (m, k) are the rows. The shapes are
+    orthonormal in the rows and in the order of their roughness, the second differences of these values
+    (Demmler and Reinsch, Numer. Math. 24, 1975); ``price`` is the gain that each must bring, and at most
+    ``most`` are taken.
     """
     left, size, right = np.linalg.svd(columns, full_matrices=False)
     seen = size > LEAST_SEEN * max(float(size[0]), 1e-300)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.effects.laws.empirical_law import NAMELESS, OF_RATE, EmpiricalLaw, is_like_law, knots_of
+from invid.effects.laws.empirical_law import NAMELESS, EmpiricalLaw, is_like_law, knots_of
+from invid.effects.motion_effect import OF_RATE
 from invid.effects.registry import BY_CAUSE
 from invid.numerics import budget
 from invid.numerics.smooth_parts import smooth_parts
@@ -92,8 +93,8 @@ def _is_accepted(design: Design, before: Fit, after: Fit, axis: int, tried: int)
         return False
     at, law = len(after.terms[-1].names), after.terms[-1].law
     table = None if law is None else law.table(after.value[-at:], after.covariance[-at:, -at:], linear=False)
-    if table is None or 3.0 * max(table.std) > max(np.abs(table.value)):
-        return False  # the rest of the model may undo it
+    if table is None or not table.is_known:
+        return False
     rows = judged_rows(design) & (design.axis == axis)
     noise = float(np.mean(noise_of(design, after)[rows]))
     old, new = (float(np.mean(f.held_out[rows] ** 2)) - noise for f in (before, after))

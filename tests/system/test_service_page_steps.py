@@ -311,7 +311,8 @@ def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_eve
         expected = {"A1.mass.1", "A1.mass.2", "A1.spring.1", "A1.damper.1", "A1.coulomb_friction.mass 1"}
         names = "return [...document.querySelectorAll('#charts figure')].map((f) => f.dataset.parameter)"
         deadline = time.monotonic() + 30
-        while not expected <= (drawn := set(driver.execute_script(names))):  # each is fetched for itself
+        chance = {"A1.stribeck_friction.mass 1"}  # one run in a hundred
+        while (drawn := set(driver.execute_script(names))) - chance != expected:  # each is fetched for itself
             assert time.monotonic() < deadline, drawn
             time.sleep(0.1)
         one = driver.find_element("css selector", "[data-parameter='A1.spring.1'] svg")

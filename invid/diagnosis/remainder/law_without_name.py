@@ -16,13 +16,14 @@ from invid.diagnosis.evidence import (
     CandidateEvidence,
     Step,
     evidence_if_finite,
+    fit_if_finite,
     refit_with_effect,
 )
 from invid.diagnosis.score_test import Score, Screen
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN, FLOOR, HELD_OUT, SIGNIFICANCE
-from invid.effects.laws.empirical_law import KNOTS, OF_RATE, EmpiricalLaw, knots_of
-from invid.effects.motion_effect import OF_MOTION
+from invid.effects.laws.empirical_law import KNOTS, EmpiricalLaw, knots_of
+from invid.effects.motion_effect import OF_MOTION, OF_RATE
 from invid.likelihood.joint_fit import JointFit, fit
 from invid.likelihood.null_test import rms_torque
 from invid.likelihood.placed_effect import PlacedEffect
@@ -37,6 +38,7 @@ FIRST, ROUNDS = 6, 3
 FITTED = 3
 """Laws of the screen that are fitted jointly (empirical)."""
 ITERATIONS = 12
+"""Iterations of a fit with a law (empirical)."""
 
 
 def add_laws(
@@ -63,18 +65,21 @@ def _find_law(
     current: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> Step | None:
     """The step that adds the law which takes most; ``None`` where none is significant or takes enough."""
-    screen, here = Screen(current.fit), current.fit
+    here = current.fit
     structure, rows = here.layout.structure, here.dof
-    taken = {t.place.axis for t in here.candidate.terms if isinstance(t.effect, EmpiricalLaw)}
+    loud = {i for i in range(structure.motors) if _is_above_noise(current, i)}
+    loud -= {t.place.axis for t in here.candidate.terms if isinstance(t.effect, EmpiricalLaw)}
+    if not loud:
+        return None
+    screen, price = Screen(here), _price(here, here.dispersion)
     scores = [
         score
         for over in OF_MOTION
         for place in EmpiricalLaw(over).places(structure)
-        if place.axis not in taken
-        and (score := _score(screen, over, place, FIRST, here.dispersion)) is not None
+        if place.axis in loud and (score := _score(screen, over, place, FIRST, price)) is not None
     ]
     screen.restore_views()
-    scores.sort(key=lambda s: _penalty(s, rows, here.dispersion) - s.gain)
+    scores.sort(key=lambda s: s.size * price - s.gain)
     trials = [t for s in scores[:FITTED] if (t := _fit_law(here, s, train, held)) is not None]
     if not trials:
         return None
@@ -85,27 +90,23 @@ def _find_law(
     least = chi2_isf(SIGNIFICANCE / max(len(scores), 1), best.term.size)
     if gains[0] < least * best.fit.dispersion or gains[1] < HELD_OUT * best.held_dispersion:
         return None
-    is_law = _is_known(best) and _takes_nearly_all(best, current)
+    table = best.term.effect.table(best.x, best.fit.covariance_of(-1), linear=False)
+    is_law = table is not None and table.is_known and _takes_nearly_all(best, current)
     return Step(current, best, tuple(ranked)) if is_law else None
 
 
-def _is_known(trial: CandidateEvidence) -> bool:
-    """Whether the largest resistance of a law is known to a third: the rest of the model may else undo it."""
-    law, x = trial.term.effect, trial.x
-    table = law.table(x, trial.fit.covariance_of(-1), linear=False)
-    if table is None or not np.isfinite(table.std).all():
-        return False
-    at = int(np.argmax(np.abs(table.value)))
-    return 3.0 * table.std[at] < abs(table.value[at])
+def _is_above_noise(current: CandidateEvidence, axis: int) -> bool:
+    after, floor = rms_torque(current.held, axis)
+    return after > FLOOR * floor
 
 
 def _takes_nearly_all(best: CandidateEvidence, current: CandidateEvidence) -> bool:
     """Whether a law brings its axis to the noise, or takes nearly all that is missing there in records kept
-    out; what takes less may be a part of any law. An axis that is at the noise asks for none."""
-    (before, own), (after, floor) = (rms_torque(t.held, best.term.place.axis) for t in (current, best))
-    if before <= FLOOR * own:
-        return False
-    return after <= FLOOR * floor or after**2 - floor**2 <= (1.0 - BROUGHT_DOWN) * (before**2 - floor**2)
+    out; what takes less may be a part of any law."""
+    axis = best.term.place.axis
+    (before, _), (after, floor) = (rms_torque(t.held, axis) for t in (current, best))
+    nearly_all = after**2 - floor**2 <= (1.0 - BROUGHT_DOWN) * (before**2 - floor**2)
+    return nearly_all or not _is_above_noise(best, axis)
 
 
 def _fit_law(
@@ -115,23 +116,23 @@ def _fit_law(
 
     The parameters beside it were found without it, and so were the first shapes.
     """
-    run = partial(refit_with_effect, here, train, score.term, score.x, ITERATIONS, score.shift)
-    best = evidence_if_finite(run, held)
-    for _ in range(ROUNDS if best is not None else 0):
-        assert best is not None  # noqa: S101 - the loop does not run without
+    best = evidence_if_finite(
+        partial(refit_with_effect, here, train, score.term, score.x, ITERATIONS, score.shift), held
+    )
+    for _ in range(ROUNDS):
+        if best is None:
+            break
         at = best.fit
-        bare = evidence_if_finite(
-            partial(fit, at.layout, train, at.p, here.candidate, iterations=0), held, always=True
-        )
+        bare = fit_if_finite(partial(fit, at.layout, train, at.p, here.candidate, iterations=0), always=True)
         if bare is None:
             break
-        screen = Screen(bare.fit)
-        law = at.candidate.terms[-1].effect
-        again = _score(screen, law.over, score.term.place, KNOTS, at.dispersion)
+        screen = Screen(bare)
+        price = _price(bare, at.dispersion)
+        again = _score(screen, score.term.effect.over, score.term.place, KNOTS, price)
         screen.restore_views()
         if again is None:
             break
-        run = partial(refit_with_effect, bare.fit, train, again.term, again.x, ITERATIONS, again.shift)
+        run = partial(refit_with_effect, bare, train, again.term, again.x, ITERATIONS, again.shift)
         more = evidence_if_finite(run, held)
         if more is None or more.cost > best.cost - HELD_OUT * best.dispersion:
             break
@@ -139,12 +140,13 @@ def _fit_law(
     return best
 
 
-def _penalty(score: Score, rows: int, dispersion: float) -> float:
-    return float(np.log(max(rows, 2))) * score.size * dispersion
+def _price(here: JointFit, dispersion: float) -> float:
+    """Gain of χ² that each shape must bring (Schwarz)."""
+    return float(np.log(max(here.dof, 2))) * dispersion
 
 
-def _score(screen: Screen, over: str, place: Place, most: int, dispersion: float) -> Score | None:
-    """The law over one quantity at one place with as many shapes as pay for themselves, ``most`` at most;
+def _score(screen: Screen, over: str, place: Place, most: int, price: float) -> Score | None:
+    """The law over one quantity at one place with the shapes that pay their ``price``, ``most`` at most;
     ``None`` for none."""
     pattern = place.pattern(screen.fit.layout.structure)
     screen.reconstruct(PlacedEffect(EmpiricalLaw(over), place))
@@ -156,7 +158,6 @@ def _score(screen: Screen, over: str, place: Place, most: int, dispersion: float
     columns = screen.project([law.basis(v, place, ()) for v in screen.views])
     if not np.isfinite(columns).all():
         return None
-    price = float(np.log(max(screen.fit.dof, 2))) * dispersion
     shapes, x = smooth_parts(columns, -screen.residual, price, most)
     if not x.size:
         return None

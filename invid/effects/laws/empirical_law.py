@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Self
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from invid.effects.effect import Effect, Experiment, PlaceMotion
-from invid.effects.motion_effect import OF_MOTION, MotionEffect
+from invid.effects.motion_effect import OF_MOTION, OF_RATE, MotionEffect
 from invid.effects.parameter import Parameter
 from invid.effects.units import unit_of
 from invid.errors import ModelError
@@ -19,10 +20,7 @@ from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places, pair_places, spring_places
 from invid.numerics.arrays import Float64, frozen_float
 
-OF_RATE = ("velocity", "deflection rate")
 IN_SPRING = ("deflection", "deflection rate")
-
-
 NAMELESS = "empirical_law"
 KNOTS = 25
 """Most knots of a law over the range of its quantity; where no sample is near there is none."""
@@ -35,7 +33,7 @@ def spline_law(knots: Sequence[float], values: Float64) -> Callable[[Float64], F
 
     Of (m,) quantities they give (m, n) resistances.
     """
-    curve = CubicSpline(knots, values, bc_type="natural")
+    curve = scipy.interpolate.CubicSpline(knots, values, bc_type="natural")
 
     def resistance(u: Float64) -> Float64:
         within = np.clip(u, knots[0], knots[-1])
@@ -93,9 +91,12 @@ class EmpiricalLaw(MotionEffect):
         count = self.splines.shape[1]
         self.coefficients = tuple(f"part_{k + 1}" for k in range(count))
         self.lower, self.upper = (-np.inf,) * count, (np.inf,) * count
-        self._curve = spline_law(self.knots.tolist(), self.splines)
         if shapes is not None:
             self.title = f"{self.title} over the {over}"
+
+    @cached_property
+    def _curve(self) -> Callable[[Float64], Float64]:
+        return spline_law(self.knots.tolist(), self.splines)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         if self.over not in IN_SPRING:
