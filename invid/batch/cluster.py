@@ -60,6 +60,9 @@ def analyse_on_cluster(
         for _ in range(room):
             yield from begin()
         for future in under_way:
+            if future.status == "lost":  # with the worker that had its result; it is worked out again
+                under_way.add(future)
+                continue
             yield _outcome(future, names.pop(future.key), address)
             future.release()
             yield from begin()
@@ -128,7 +131,7 @@ def _outcome(future: Any, name: str, address: str) -> Outcome:
             return Outcome(**answer["outcome"])
         text = f"a worker that joined later has invid {answer['version']}, here is {__version__}"
         return Outcome(name, "failed", KILLED, error=text)
-    if future.status in ("cancelled", "lost"):
+    if future.status == "cancelled":
         raise _gone(address)
     error = future.exception()
     if isinstance(error, KilledWorker | NoValidWorkerError):

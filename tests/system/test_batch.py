@@ -276,7 +276,8 @@ def test_a_scheduler_that_is_gone_ends_the_batch_and_what_is_done_is_kept(
 ) -> None:
     address, processes = cluster
     results = tmp_path / "results"
-    process = batch(folder, "-o", results, "--scheduler", address)
+    one_under_way = ("--workers", "1")  # so that three are left whenever the scheduler dies
+    process = batch(folder, "-o", results, "--scheduler", address, *one_under_way)
     first_done(process)
     os.killpg(processes[-1].pid, signal.SIGKILL)
     _, err = process.communicate(timeout=200)
