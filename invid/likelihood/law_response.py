@@ -18,7 +18,6 @@ from invid.likelihood.law_slopes import ForceChange, LawSlope
 from invid.likelihood.placed_effect import (
     Candidate,
     CoupledImpedances,
-    PlacedEffect,
     force_patterns,
     impedances,
     law_part,
@@ -41,7 +40,7 @@ MOST_UNKNOWNS = 1500
 
 
 def effect_response(
-    view: View, candidate: Candidate, slopes: Sequence[tuple[PlacedEffect, LawSlope]], change: ForceChange
+    view: View, candidate: Candidate, slopes: Sequence[LawSlope], change: ForceChange
 ) -> Complex128:
     """(F, M, P) contributions of the effects with the inner motion that follows the ``change``."""
     linear = LinearizedLaws(view, candidate, slopes)
@@ -122,12 +121,10 @@ class LinearAnswer:
 class LinearizedLaws:
     """The laws and the plant linearised at the present motion, as a map of inner motion and jumps."""
 
-    def __init__(
-        self, view: View, candidate: Candidate, slopes: Sequence[tuple[PlacedEffect, LawSlope]]
-    ) -> None:
+    def __init__(self, view: View, candidate: Candidate, slopes: Sequence[LawSlope]) -> None:
         self._view, self._slopes = view, slopes
         self._lines, self._coordinates = view.base.shape
-        patterns = [t.place.pattern(view.structure) for t, _ in slopes]
+        patterns = [slope.acts_on for slope in slopes]
         self._condensed_forces = np.stack([view.condensed_force(p) for p in patterns], axis=-1)
         self._inner_receptances = np.stack([view.inner_receptance(p) for p in patterns], axis=-1)
         self._unit: Float64 = view.closing.unit if view.closing is not None else np.zeros(0)
@@ -148,7 +145,7 @@ class LinearizedLaws:
         feedback = halves[:, :, 0] + 1j * halves[:, :, 1]
         jumps = state[lines:] / self._unit[:, None]
         inner = change.base + feedback
-        forces = np.stack([slope.force(view, change, inner, jumps) for _, slope in self._slopes], axis=1)
+        forces = np.stack([slope.force(view, change, inner, jumps) for slope in self._slopes], axis=1)
         own, back = self._response_to(forces, change.missing)
         total, back = own + change.total, back + change.back
         gap = np.empty_like(state)
@@ -174,7 +171,7 @@ class LinearizedLaws:
         are too many."""
         if self._view.closing is not None:
             return None
-        parts = [slope.factors(self._view, change) for _, slope in self._slopes]
+        parts = [slope.factors(self._view, change) for slope in self._slopes]
         factors = [f for f in parts if f is not None]
         ends = np.cumsum([0, *(f.direct.shape[0] for f in factors)])
         if len(factors) < len(parts) or ends[-1] > MOST_UNKNOWNS:
@@ -186,14 +183,13 @@ class LinearizedLaws:
         _, by_missing = self._response_to(no_forces, change.missing)
         free_motion = change.base + by_missing + change.back
         matrix, target = np.eye(ends[-1]), np.empty((ends[-1], change.base.shape[-1]))
-        for k, (_, slope) in enumerate(self._slopes):
+        for k, own_factors in enumerate(factors):
             rows = slice(ends[k], ends[k + 1])
-            answer = along(slope.pattern, back)
-            target[rows] = (factors[k].read @ along(slope.pattern, free_motion)).real + factors[k].direct
+            target[rows] = own_factors.between(free_motion) + own_factors.direct
             for n, other in enumerate(factors):
-                matrix[rows, ends[n] : ends[n + 1]] -= (
-                    factors[k].read @ (answer[:, n, None] * other.made)
-                ).real
+                matrix[rows, ends[n] : ends[n + 1]] -= own_factors.between(
+                    back[..., n, None] * other.made[:, None]
+                )
         try:
             between = np.linalg.solve(matrix, target)
         except np.linalg.LinAlgError:

@@ -6,13 +6,14 @@ the lines: a Toeplitz and a Hankel matrix, both from one Fourier transform of it
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
 
 from invid.effects.catalogue.backlash import Backlash, spring_index
+from invid.effects.catalogue.transmission_error import TransmissionError
 from invid.effects.effect import ForceEffect, ImpedanceEffect
 from invid.effects.laws.beyond_band import PASSES as BEYOND_PASSES
 from invid.effects.laws.beyond_band import beyond_band, solve_with_motion
@@ -49,15 +50,20 @@ class ForceChange:
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """A slope as a product: f = made · (Re(read · u) + direct), with u (F,) the change of the motion that the
+    """A slope as a product: f = made · (Re(read · u) + direct), with u (F,) the change of a motion that the
     law reads, f (F,) that of the force, and r numbers between."""
 
-    read: Complex128
-    """(r, F)."""
+    read: tuple[tuple[Pattern, Complex128], ...]
+    """(r, F) of the motion along each pattern that the law reads."""
     made: Complex128
     """(F, r)."""
     direct: Float64
     """(r, P) direct change with the springs and dampers."""
+
+    def between(self, motion: Complex128) -> Float64:
+        """(r, P) numbers between for a motion (F, ΣN, P) of all coordinates, without the direct change."""
+        out: Float64 = np.sum([(read @ along(pattern, motion)).real for pattern, read in self.read], axis=0)
+        return out
 
 
 class LawSlope(Protocol):
@@ -68,8 +74,8 @@ class LawSlope(Protocol):
         ...
 
     @property
-    def pattern(self) -> Pattern:
-        """Pattern along which the law reads motion."""
+    def acts_on(self) -> Pattern:
+        """Pattern along which the force acts."""
         ...
 
     def factors(self, view: View, change: ForceChange) -> Factors | None:
@@ -77,43 +83,48 @@ class LawSlope(Protocol):
         ...
 
 
-def slopes_of(view: View, candidate: Candidate) -> list[tuple[PlacedEffect, LawSlope]] | None:
+def slopes_of(view: View, candidate: Candidate) -> list[LawSlope] | None:
     """The laws that depend on inner motion, linearised; ``None`` where one has no slope by itself.
 
     Such a law has memory or is estimated from the torque.
     """
-    out: list[tuple[PlacedEffect, LawSlope]] = []
+    out: list[LawSlope] = []
     for term, x in zip(candidate.terms, candidate.x, strict=True):
         effect = term.effect
         if isinstance(effect, ImpedanceEffect):
             if not effect.steady:
                 return None
         elif term.depends_on_inner_motion(view) and not effect.follows_motor(term.place):
-            slope = _slope_of(view, term, x)
-            if slope is None:
+            slopes = _slopes_of_law(view, term, x)
+            if not slopes:
                 return None
-            out.append((term, slope))
+            out += slopes
     return out
 
 
-def _slope_of(view: View, term: PlacedEffect, x: Float64) -> LawSlope | None:
+def _slopes_of_law(view: View, term: PlacedEffect, x: Float64) -> Sequence[LawSlope]:
+    """The forces of one law, linearised; empty where it has no slope by itself."""
     effect, place = term.effect, term.place
     if view.record.lines[-1] * 2 >= view.record.samples:
-        return None
+        return ()
     if isinstance(effect, DryLaw) and (share := effect.holding_share(view, place, x.tolist())) is not None:
-        return HeldMotor.of(view, share, place.axis)
+        return (HeldMotor.of(view, share, place.axis),)
     if type(effect) is Backlash:
-        return PlaySlope.of(view, term, float(np.exp(x[0])))
+        return (PlaySlope.of(view, term, float(np.exp(x[0]))),)
+    if type(effect) is TransmissionError:
+        return GearSlope.of(view, effect, term, x)
     if not (isinstance(effect, ForceEffect) and effect.local and term.inner):
-        return None
-    return LocalLaw.of(view, effect, term, x)
+        return ()
+    return (LocalLaw.of(view, effect, term, x),)
 
 
 @dataclass(frozen=True, eq=False)
 class HeldMotor:
     """Friction that holds a standing motor: it balances the torque of the motor's spring up to its limit."""
 
+    acts_on: Pattern
     pattern: Pattern
+    """Deflection of the spring beside it, which it reads."""
     spring: int
     phase: Complex128
     """(m, F) e^{jωt} at the samples at which it holds."""
@@ -126,12 +137,12 @@ class HeldMotor:
     rate: Float64
 
     @classmethod
-    def of(cls, view: View, share: Float64, axis: int) -> HeldMotor | None:
+    def of(cls, view: View, share: Float64, axis: int) -> HeldMotor:
         """``share`` (n,) of each sample in which friction balances the acting torque."""
         structure, record = view.structure, view.record
         at = structure.motor_dofs[axis]
-        pattern: Pattern = ((at, 1.0),)
-        spring = 0
+        motor: Pattern = ((at, 1.0),)
+        pattern, spring = motor, 0
         if structure.sizes[axis] == 1:
             share = np.zeros_like(share)  # what acts is the drive's torque alone
         else:
@@ -139,6 +150,7 @@ class HeldMotor:
             spring = structure.spring_pairs.index((at, at + 1))
         rows = np.flatnonzero(share)
         return cls(
+            motor,
             pattern,
             spring,
             np.exp((2j * np.pi / record.samples) * rows[:, None] * record.lines),
@@ -171,14 +183,14 @@ class HeldMotor:
         record, omega = view.record, view.omega
         if not self.share.size:
             none = np.zeros((0, omega.size), dtype=complex)
-            return Factors(none, none.T, np.zeros((0, change.springs.shape[1])))
+            return Factors(((self.pattern, none),), none.T, np.zeros((0, change.springs.shape[1])))
         k, d = float(view.springs[self.spring]), float(view.dampers[self.spring])
         made: Complex128 = self.phase.conj().T * self.share * (2.0 / record.samples)
         made[0] *= 0.5
         direct = self.wave[:, None] * change.springs[self.spring]
         direct = direct + self.rate[:, None] * change.dampers[self.spring]
         read: Complex128 = self.phase * (k + 1j * omega * d)
-        return Factors(read, made / view.averaging_gain[:, None], direct)
+        return Factors(((self.pattern, read),), made / view.averaging_gain[:, None], direct)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,11 +198,16 @@ class LocalLaw:
     """A law of the motion at the same time or at neighbouring samples, beyond the band too."""
 
     pattern: Pattern
+    """Pattern along which it reads motion and acts."""
     smeared: bool
     compliance: Float64 | None
     position: tuple[Float64, Float64, Float64]
     """(n,) each: change of the force at the sample before, at and after the one that moves."""
     velocity: tuple[Float64, Float64, Float64]
+
+    @property
+    def acts_on(self) -> Pattern:
+        return self.pattern
 
     @classmethod
     def of(cls, view: View, effect: ForceEffect, term: PlacedEffect, x: Float64) -> LocalLaw:
@@ -219,7 +236,7 @@ class LocalLaw:
             same, mirrored = same + rate * own, mirrored - turned * own
         smear = view.averaging_gain if self.smeared else np.ones(own.size)
         nothing = np.zeros((own.size, change.springs.shape[1]), dtype=complex)
-        return _factors_of_lines(same / smear[:, None], mirrored / smear[:, None], nothing)
+        return _factors_of_lines({self.pattern: (same / smear[:, None], mirrored / smear[:, None])}, nothing)
 
     def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         record, own = view.record, 1j * view.omega[:, None]
@@ -249,11 +266,16 @@ class PlaySlope:
     """Free play: spring and damper lose the deflection within it."""
 
     pattern: Pattern
+    """Pattern along which it reads motion and acts."""
     spring: int
     inside: Complex128
     """(F,) lines of the deflection that they lose, ``rate`` (F,) those of its rate."""
     rate: Complex128
     position: tuple[Float64, Float64, Float64]
+
+    @property
+    def acts_on(self) -> Pattern:
+        return self.pattern
 
     @classmethod
     def of(cls, view: View, term: PlacedEffect, gap: float) -> PlaySlope:
@@ -280,7 +302,8 @@ class PlaySlope:
         stiff = -(k + own * d)[:, None] / view.averaging_gain[:, None]
         same, mirrored = _convolution(view, self.position)
         moved = own[:, None] * change.dampers[self.spring] + change.springs[self.spring]
-        return _factors_of_lines(stiff * same, stiff * mirrored, -self.inside[:, None] * moved)
+        answer = {self.pattern: (stiff * same, stiff * mirrored)}
+        return _factors_of_lines(answer, -self.inside[:, None] * moved)
 
     def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         record, omega = view.record, view.omega[:, None]
@@ -298,6 +321,44 @@ class PlaySlope:
             self.inside[:, None] * change.springs[self.spring]
             + self.rate[:, None] * change.dampers[self.spring]
         )
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class GearSlope:
+    """One of the two forces of a transmission error: a product over time of the motor side's motion and of
+    the deflection."""
+
+    acts_on: Pattern
+    slopes: Mapping[Pattern, Float64]
+    """(n,) change of the force with the motion along each pattern that it reads."""
+    spring: int
+    lines: Complex128
+    """(F,) of the force of a spring of stiffness one."""
+
+    @classmethod
+    def of(cls, view: View, effect: TransmissionError, term: PlacedEffect, x: Float64) -> list[GearSlope]:
+        spring = term.place.pattern(view.structure)
+        near, far = (((at, 1.0),) for at, _ in spring)
+        k = spring_index(view.structure, term.place)
+        forces, slopes = effect.unit_forces(view, term.place, x.tolist())
+        lines, stiff = view.to_lines(forces), float(view.springs[k])
+        by_near = {near: stiff * slopes[:, 0], spring: stiff * slopes[:, 1]}
+        return [cls(near, by_near, k, lines[:, 0]), cls(far, {near: stiff * slopes[:, 2]}, k, lines[:, 1])]
+
+    def factors(self, view: View, change: ForceChange) -> Factors | None:
+        if view.record.transient:
+            return None
+        answers = {p: _convolution(view, (np.zeros(0), s, np.zeros(0))) for p, s in self.slopes.items()}
+        return _factors_of_lines(answers, self.lines[:, None] * change.springs[self.spring])
+
+    def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
+        record = view.record
+        out: Complex128 = self.lines[:, None] * change.springs[self.spring]
+        for pattern, slope in self.slopes.items():
+            lines, wander = motion_along(view, pattern, inner, jumps)
+            wave = record.to_waves(lines) + record.wave_time[:, None] * wander
+            out = out + view.to_lines(slope[:, None] * wave)
         return out
 
 
@@ -348,11 +409,17 @@ def _convolution(view: View, slopes: tuple[Float64, Float64, Float64]) -> tuple[
     return same / count, mirrored / count
 
 
-def _factors_of_lines(same: Complex128, mirrored: Complex128, direct: Complex128) -> Factors:
-    """Factors with the real and imaginary parts of the force's lines as the numbers between."""
+def _factors_of_lines(
+    answers: Mapping[Pattern, tuple[Complex128, Complex128]], direct: Complex128
+) -> Factors:
+    """Factors with the real and imaginary parts of the force's lines as the numbers between; ``answers`` to
+    the motion along each pattern as of ``_convolution``."""
     # Re(S x̄) = Re(S̄ x), and an imaginary part is a real one of −j times.
-    read = np.concatenate((same + mirrored.conj(), 1j * (mirrored.conj() - same)))
-    made = np.concatenate((np.eye(same.shape[0]), 1j * np.eye(same.shape[0])), axis=1)
+    read = tuple(
+        (pattern, np.concatenate((same + mirrored.conj(), 1j * (mirrored.conj() - same))))
+        for pattern, (same, mirrored) in answers.items()
+    )
+    made = np.concatenate((np.eye(direct.shape[0]), 1j * np.eye(direct.shape[0])), axis=1)
     return Factors(read, made, np.concatenate((direct.real, direct.imag)))
 
 

@@ -67,21 +67,28 @@ class TransmissionError(Effect):
     ) -> tuple[Complex128, Complex128 | None]:
         (a, _), (b, _) = place.pattern(view.structure)
         stiff = view.springs[spring_index(view.structure, place)]
-        cycles = float(np.exp(x[2]))
-        angle = cycles * self._motor_side(view, place)
-        sine, cosine = np.sin(angle), np.cos(angle)
-        error = x[0] * sine + x[1] * cosine
-        slope = cycles * (x[0] * cosine - x[1] * sine)
-        d = view.wave(place.pattern(view.structure))
-        near = stiff * ((d - error) * (1.0 - slope) - d)  # resistance on the motor side
-        far = stiff * error  # and on the load side
-        lines = view.to_lines(np.stack([near, far], axis=1))
+        lines = stiff * view.to_lines(self.unit_forces(view, place, x)[0])
         out: Complex128 = np.zeros_like(view.acting)
         back: Complex128 = np.zeros_like(view.base)
         for at, force in ((a, lines[:, 0]), (b, lines[:, 1])):
             out = out + view.condensed_force(((at, 1.0),)) * force[:, None]
             back = back - view.inner_receptance(((at, 1.0),)) * force[:, None]
         return out, back
+
+    def unit_forces(self, view: View, place: Place, x: Sequence[float]) -> tuple[Float64, Float64]:
+        """(n, 2) resistance on the motor side and on the load side of a spring of stiffness one; and (n, 3)
+        change of the first with the motor side's motion and with the deflection, of the second with the
+        motor side's motion."""
+        cycles = float(np.exp(x[2]))
+        angle = cycles * self._motor_side(view, place)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        error = x[0] * sine + x[1] * cosine
+        slope = cycles * (x[0] * cosine - x[1] * sine)
+        bent = cycles**2 * error  # less the slope's own slope
+        d = view.wave(place.pattern(view.structure))
+        near = (d - error) * (1.0 - slope) - d
+        by_motor = (d - error) * bent - slope * (1.0 - slope)
+        return np.stack([near, error], axis=1), np.stack([by_motor, -slope, slope], axis=1)
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         (a, _), (b, _) = place.pattern(view.structure)

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -21,8 +22,13 @@ from invid.model.place import Place
 from invid.signals.spectra import all_spectra
 
 
-def test_free_play_beside_friction_answers_as_differences_say(monkeypatch) -> None:
-    solved, differences = _both(monkeypatch, whole=False)
+PLAY = (PlacedEffect(BY_CAUSE["backlash"], Place("spring", 1, 1)), np.array([np.log(1e-4)]))
+GEAR = (PlacedEffect(BY_CAUSE["transmission_error"], Place("spring", 1, 2)), np.array([2e-4, -3e-4, 1.2]))
+
+
+@pytest.mark.parametrize("law", [PLAY, GEAR])
+def test_a_law_of_a_spring_beside_friction_answers_as_differences_say(law, monkeypatch) -> None:
+    solved, differences = _both(monkeypatch, law, whole=False)
     size = np.linalg.norm(differences, axis=0)
     seen = size > 0.0
     off = np.linalg.norm(solved - differences, axis=0)[seen] / size[seen]
@@ -30,8 +36,9 @@ def test_free_play_beside_friction_answers_as_differences_say(monkeypatch) -> No
     assert off.max() < 0.02  # differences take two or three substitutions
 
 
-def test_so_it_does_in_a_record_that_does_not_close(monkeypatch) -> None:
-    solved, differences = _both(monkeypatch, whole=True)
+@pytest.mark.parametrize("law", [PLAY, GEAR])
+def test_so_it_does_in_a_record_that_does_not_close(law, monkeypatch) -> None:
+    solved, differences = _both(monkeypatch, law, whole=True)
     size = np.linalg.norm(differences, axis=0)
     seen = size > 0.0
     off = np.linalg.norm(solved - differences, axis=0)[seen] / size[seen]
@@ -39,8 +46,8 @@ def test_so_it_does_in_a_record_that_does_not_close(monkeypatch) -> None:
     assert off.max() < 0.1
 
 
-def _both(monkeypatch, *, whole: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The Jacobian of free play beside friction, solved at once and by differences."""
+def _both(monkeypatch, law, *, whole: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The Jacobian of a law beside friction, solved at once and by differences."""
     recording, truth = make(None, seed=21, masses=(2, 3), noise=0.003, drive="smooth", moves=False, periods=2)
     recording = unfold_periods(recording) if whole else recording
     chains = truth.chains
@@ -54,9 +61,9 @@ def _both(monkeypatch, *, whole: bool) -> tuple[np.ndarray, np.ndarray]:
     terms = (
         PlacedEffect(BY_CAUSE["coulomb_friction"], Place("mass", 0, 1)),
         PlacedEffect(BY_CAUSE["cogging"], Place("mass", 1, 1)),
-        PlacedEffect(BY_CAUSE["backlash"], Place("spring", 1, 1)),
+        law[0],
     )
-    x = (np.array([0.05]), np.array([0.02, 0.01, 6.0]), np.array([np.log(1e-4)]))
+    x = (np.array([0.05]), np.array([0.02, 0.01, 6.0]), law[1])
     candidate = Candidate(terms, x)
     here = evaluation.evaluate(layout, train, p, candidate, jacobian=False)
     solved = evaluation.add_jacobian(here, layout, p, candidate, thorough=True).jacobian
