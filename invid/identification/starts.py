@@ -9,6 +9,7 @@ import numpy as np
 
 from invid.identification.crosscheck import FreeFrf
 from invid.identification.fewer_masses import FewerExplain, fit_fewer_masses
+from invid.identification.grown_chain import grow_chains
 from invid.identification.separate_branches import start_separate_branches
 from invid.inverse import starts
 from invid.likelihood.fit import Fit, fit_structure, is_costly_to_start
@@ -104,6 +105,10 @@ def chain_starts(  # noqa: PLR0913 - where starts come from
         fewer = fewer_masses(spectra, sizes, axes) if declared and not count else None
         if fewer is not None:
             raise FewerExplain(fewer)
+        if not count and thorough and not budget.is_spent() and max(sizes) > 1:
+            grown = grow_chains(spectra, sizes, axes)
+            if grown is not None:
+                yield grown
         count += 1
     if count and not thorough:
         return

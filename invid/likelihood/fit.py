@@ -193,7 +193,7 @@ def _fit_best_start(
             break
         budget.tell(f"identifying, start {number + 1}", 0.5 * (1.0 - 0.5**number))
         for share in NOISE_SHARES[1:]:
-            p = gauss_newton(_temper(problem, share), p, iterations=15, tolerance=0.1).p
+            p = gauss_newton(tempered(problem, share), p, iterations=15, tolerance=0.1).p
         with_reversals, found = fit_gradual_reversals(
             problem, gauss_newton(problem, p, iterations=iterations), spectra
         )
@@ -217,31 +217,34 @@ def _ordered_starts(
     free: FreeAnswer | None,
 ) -> Iterator[Float64]:
     """(n,) parameters from the starts, fitted with the largest ``NOISE_SHARES``; those that miss more than it
-    come last.
+    come last, and not at all where another one did not.
 
     A further fit from those costs most, and nearly always ends in another minimum. After ``patience`` such
     starts it is the machine and not the start: then the best of them comes first. So it is at once where an
     FRF without structure misses as well.
     """
-    tempered = _temper(problem, NOISE_SHARES[0])
+    wide = tempered(problem, NOISE_SHARES[0])
     postponed: list[Solution] = []
-    is_patience_spent = False
+    is_patience_spent = is_near = False
     for start in starts:
         if postponed and budget.is_spent():
             break
         p = problem.start(problem.structure.vector(start))
-        found = gauss_newton(tempered, p, iterations=15, tolerance=0.1)
-        if found.reduced < 1.0 or is_patience_spent:
+        found = gauss_newton(wide, p, iterations=15, tolerance=0.1)
+        is_near = is_near or found.reduced < 1.0
+        if found.reduced < 1.0 or (is_patience_spent and not is_near):
             yield found.p
+            continue
+        if is_near:
             continue
         postponed.append(found)
         if len(postponed) == patience or (free is not None and free.misses_too()):
             yield from (s.p for s in sorted(postponed, key=lambda s: s.chi2))
             postponed, is_patience_spent = [], True
-    yield from (s.p for s in sorted(postponed, key=lambda s: s.chi2))
+    yield from (s.p for s in sorted(postponed, key=lambda s: s.chi2) if not is_near)
 
 
-def _temper(problem: MissingTorqueProblem, share: float) -> MissingTorqueProblem:
+def tempered(problem: MissingTorqueProblem, share: float) -> MissingTorqueProblem:
     """The problem with a share of every amplitude as further noise."""
     noise = []
     for block in problem.blocks:
