@@ -35,10 +35,11 @@ DAMPING = 0.02
 
 
 class _Grown(NamedTuple):
-    """Chains of one size with their fit."""
+    """Chains of one size with their fit, and the share of every amplitude that counted as noise in it."""
 
     problem: MissingTorqueProblem
     solution: Solution
+    share: float
 
     @property
     def chains(self) -> CoupledChains:
@@ -49,17 +50,27 @@ class _Grown(NamedTuple):
 def grow_chains(
     spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Sequence[str]
 ) -> CoupledChains | None:
-    """Chains of ``sizes`` grown from rigid axes; ``None`` where the records are too few or time is spent."""
-    problem = _problem((1,) * len(sizes), axes, spectra)
+    """Chains of ``sizes`` grown from rigid axes; ``None`` where the records are too few or time is spent.
+
+    A chain that is too short misses by shares, on every line. So a share of every amplitude counts as noise,
+    a smaller one as soon as the chain misses less.
+    """
+    first, *smaller = NOISE_SHARES
+    problem = _problem((1,) * len(sizes), axes, spectra, first)
     if problem.dof <= 0:
         return None
     start = problem.start(problem.structure.vector(_rigid_axes(problem)))
-    grown = _Grown(problem, gauss_newton(problem, start, iterations=2 * ITERATIONS, tolerance=0.1))
+    grown = _Grown(problem, gauss_newton(problem, start, iterations=2 * ITERATIONS, tolerance=0.1), first)
     omega = np.concatenate([b.omega[b.omega > 0] for b in problem.blocks])
     new_springs = np.geomspace(omega.min(), REACH * omega.max(), FREQUENCIES)
     while grown.problem.structure.sizes != tuple(sizes):
         if budget.is_spent():
             return None
+        while grown.solution.reduced < 1.0 and smaller:
+            share = smaller.pop(0)
+            problem = _problem(grown.problem.structure.sizes, axes, spectra, share)
+            again = gauss_newton(problem, grown.solution.p, iterations=ITERATIONS, tolerance=0.1)
+            grown = _Grown(problem, again, share)
         larger = _with_one_mass_more(grown, sizes, spectra, new_springs)
         if larger is None:
             return None
@@ -68,12 +79,11 @@ def grow_chains(
 
 
 def _problem(
-    sizes: tuple[int, ...], axes: Sequence[str], spectra: Sequence[LineSpectra]
+    sizes: tuple[int, ...], axes: Sequence[str], spectra: Sequence[LineSpectra], share: float
 ) -> MissingTorqueProblem:
-    """The fit of these sizes with a share of every amplitude as noise: a chain that is too short misses by
-    shares, on every line."""
+    """The fit of chains of these sizes with a share of every amplitude as noise."""
     problem = problem_from_spectra(ChainStructure(sizes, tuple(axes)), spectra)
-    return tempered(add_coulomb_columns(problem, spectra), NOISE_SHARES[0])
+    return tempered(add_coulomb_columns(problem, spectra), share)
 
 
 def _rigid_axes(problem: MissingTorqueProblem) -> CoupledChains:
@@ -94,7 +104,7 @@ def _with_one_mass_more(
     have, here = grown.problem.structure.sizes, grown.chains
     best: _Grown | None = None
     for i in (i for i, n in enumerate(have) if n < sizes[i]):
-        problem = _problem(tuple(n + (k == i) for k, n in enumerate(have)), here.axes, spectra)
+        problem = _problem(tuple(n + (k == i) for k, n in enumerate(have)), here.axes, spectra, grown.share)
         for k in range(have[i]):
             starts = [_carried_over(grown, problem, c) for c in _cut_in_two(here, i, k, new_springs)]
             for p in sorted(starts, key=lambda p: _cost(problem, p))[:FITTED]:
@@ -103,7 +113,7 @@ def _with_one_mass_more(
                 except np.linalg.LinAlgError:
                     continue
                 if best is None or found.chi2 < best.solution.chi2:
-                    best = _Grown(problem, found)
+                    best = _Grown(problem, found, grown.share)
     return best
 
 

@@ -82,6 +82,10 @@ def chain_starts(  # noqa: PLR0913 - where starts come from
 ) -> Iterator[CoupledChains]:
     """Starts, most trusted first; each is made only when those before it have failed."""
     yield from further
+    # Of axes that move together and without a period an FRF is read badly.
+    is_grown_first = thorough and len(sizes) > 1 and all(s.transient and s.driven.sum() != 1 for s in spectra)
+    if is_grown_first:
+        yield from _grown(spectra, sizes, axes)
     crude: list[CoupledChains] = []
     count = 0
     try_frf_first = not is_costly_to_start(sizes) and measured.frequency_hz.size > 0
@@ -105,16 +109,23 @@ def chain_starts(  # noqa: PLR0913 - where starts come from
         fewer = fewer_masses(spectra, sizes, axes) if declared and not count else None
         if fewer is not None:
             raise FewerExplain(fewer)
-        if not count and thorough and not budget.is_spent() and max(sizes) > 1:
-            grown = grow_chains(spectra, sizes, axes)
-            if grown is not None:
-                yield grown
+        if not count and thorough and not is_grown_first:
+            yield from _grown(spectra, sizes, axes)
         count += 1
     if count and not thorough:
         return
     if (not count or not try_frf_first) and measured.frequency_hz.size:
         yield from starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
     yield from crude
+
+
+def _grown(
+    spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Sequence[str]
+) -> Iterator[CoupledChains]:
+    if max(sizes) > 1 and not budget.is_spent():
+        grown = grow_chains(spectra, sizes, axes)
+        if grown is not None:
+            yield grown
 
 
 def _modal_starts(

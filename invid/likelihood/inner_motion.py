@@ -129,37 +129,37 @@ def _krylov_secants(
     ``target``."""
     target = gap if target is None else target
     length = PROBE_LENGTH * max(float(np.linalg.norm(view.base)), 1e-300)
-    moves: list[Float64] = [target / np.linalg.norm(target)]
+    moves, frame = (np.empty((here.size, MOST_DIRECTIONS), order="F") for _ in range(2))
+    moves[:, 0] = target / np.linalg.norm(target)
     changes: list[Float64] = []
-    frame: list[Float64] = []
-    left = target
-    for _ in range(MOST_DIRECTIONS):
-        _set_state(view, here + length * moves[-1])
+    left, seen = target, 0
+    for number in range(MOST_DIRECTIONS):
+        _set_state(view, here + length * moves[:, number])
         change = (_disagreement(view, forces)[1] - gap) / length
         if not np.isfinite(change).all():
             break
         changes.append(change)
-        own = _orthogonal(change, frame)
+        own = _orthogonal(change, frame[:, :seen])
         if np.linalg.norm(own) > 0.0:
-            frame.append(own / np.linalg.norm(own))
-            left = left - frame[-1] * (frame[-1] @ left)
-        fresh = _orthogonal(change, moves)
+            frame[:, seen] = own / np.linalg.norm(own)
+            left = left - frame[:, seen] * (frame[:, seen] @ left)
+            seen += 1
+        fresh = _orthogonal(change, moves[:, : number + 1])
         size = float(np.linalg.norm(fresh))
-        if np.linalg.norm(left) < DIRECTION_TOLERANCE * np.linalg.norm(
-            target
-        ) or size < 1e-9 * np.linalg.norm(change):
+        is_enough = np.linalg.norm(left) < DIRECTION_TOLERANCE * np.linalg.norm(target)
+        if is_enough or size < 1e-9 * np.linalg.norm(change) or number + 1 == MOST_DIRECTIONS:
             break
-        moves.append(fresh / size)
-    return Secants.of(moves[: len(changes)], changes)
+        moves[:, number + 1] = fresh / size
+    return Secants.of(list(moves.T[: len(changes)]), changes, frame[:, :seen])
 
 
-def _orthogonal(vector: Float64, frame: list[Float64]) -> Float64:
-    """The component of a vector orthogonal to an orthonormal frame, computed twice against rounding."""
-    if not frame:
+def _orthogonal(vector: Float64, frame: Float64) -> Float64:
+    """The component of a vector (n,) orthogonal to the columns of an orthonormal frame (n, k), computed twice
+    against rounding."""
+    if not frame.shape[1]:
         return vector
-    basis = np.array(frame)
     for _ in range(2):
-        vector = vector - basis.T @ (basis @ vector)
+        vector = vector - frame @ (frame.T @ vector)
     return vector
 
 

@@ -81,7 +81,7 @@ def _solve_by_substitution(view: View, linear: LinearizedLaws, change: ForceChan
 
 def _add_secants(secants: Secants, moves: Float64, changes: Float64) -> Secants:
     """The secants with the moves of all columns and their changes added."""
-    return Secants.of((*secants.moves, *moves.T), (*secants.changes, *changes.T))
+    return Secants.of((*secants.moves.T, *moves.T), (*secants.changes.T, *changes.T))
 
 
 class LinearAnswer:

@@ -5,10 +5,11 @@ next.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import qr_delete, qr_insert
 
 from invid.numerics.arrays import Float64
 
@@ -16,46 +17,73 @@ DEPTH = 12
 """Directions remembered: lines within the width of two or three clamped resonances."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Secants:
-    """Pairs of moves and of what they did to the disagreement, newest last."""
+    """Pairs of moves and of what they did to the disagreement, newest last, each for a change of length one.
 
-    moves: tuple[Float64, ...] = ()
-    changes: tuple[Float64, ...] = ()
+    ``frame`` (n, k) orthonormal and ``triangle`` (k, k) are the changes' QR factors.
+    """
+
+    moves: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+    changes: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+    """(n, k) each."""
+    frame: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+    triangle: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
-    def of(cls, moves: Sequence[Float64], changes: Sequence[Float64]) -> Secants:
-        """Return a set of all of these pairs, however many."""
+    def of(
+        cls, moves: Sequence[Float64], changes: Sequence[Float64], frame: Float64 | None = None
+    ) -> Secants:
+        """Return a set of all of these pairs (n,), however many; ``frame`` (n, k): their changes made
+        orthonormal in this order, where that is known."""
         pairs = [
             (move / size, change / size)
             for move, change in zip(moves, changes, strict=True)
             if np.isfinite(size := float(np.linalg.norm(change))) and size > 0.0
         ]
-        return cls(tuple(m for m, _ in pairs), tuple(c for _, c in pairs))
+        if not pairs:
+            return cls()
+        columns = np.column_stack([c for _, c in pairs])
+        if frame is None or frame.shape != columns.shape:
+            frame = np.linalg.qr(columns)[0]
+        return cls(np.column_stack([m for m, _ in pairs]), columns, frame, frame.T @ columns)
 
     def plus(self, move: Float64, change: Float64) -> Secants:
         """Return a set with one pair more, the oldest forgotten; a move that changed nothing is not added."""
         size = float(np.linalg.norm(change))
         if not np.isfinite(size) or size == 0.0:
             return self
-        depth = max(DEPTH, len(self.moves))
-        return Secants((*self.moves, move / size)[-depth:], (*self.changes, change / size)[-depth:])
+        if not self.count:
+            return Secants.of([move], [change])
+        oldest = 1 if self.count >= DEPTH else 0
+        frame: Float64 = self.frame
+        triangle: Float64 = self.triangle
+        if oldest:
+            frame, triangle = qr_delete(frame, triangle, 0, which="col", check_finite=False)
+        moves = np.column_stack((self.moves[:, oldest:], move / size))
+        changes = np.column_stack((self.changes[:, oldest:], change / size))
+        at = triangle.shape[1]
+        try:
+            frame, triangle = qr_insert(frame, triangle, changes[:, -1], at, which="col", check_finite=False)
+        except np.linalg.LinAlgError:  # it lies among the others
+            frame, triangle = (np.asarray(part, dtype=np.float64) for part in np.linalg.qr(changes))
+        return Secants(moves, changes, frame, triangle)
+
+    @property
+    def count(self) -> int:
+        """Number of pairs."""
+        return int(self.triangle.shape[1])
 
     @cached_property
-    def _inverse(self) -> Float64:
-        """(k, n) pseudo-inverse of the changes."""
-        frame, triangle = np.linalg.qr(np.column_stack(self.changes))
-        out: Float64 = np.linalg.pinv(triangle, rcond=1e-8) @ frame.T
+    def _solver(self) -> Float64:
+        """(k, k) pseudo-inverse of the triangle."""
+        out: Float64 = np.linalg.pinv(self.triangle, rcond=1e-8)
         return out
 
-    @cached_property
-    def _both(self) -> Float64:
-        """(n, k) moves and changes together."""
-        return np.column_stack(self.moves) + np.column_stack(self.changes)
-
     def step(self, rest: Float64) -> Float64:
-        """Return the move that takes the disagreement ``rest`` away, as far as is known."""
-        if not self.changes:
+        """Return the move that takes the disagreement ``rest`` (n,) or (n, P) away, as far as is known."""
+        if not self.count:
             return rest
-        out: Float64 = rest - self._both @ (self._inverse @ rest)
+        along = self._solver @ (self.frame.T @ rest)
+        out: Float64 = rest - self.moves @ along - self.changes @ along
         return out
