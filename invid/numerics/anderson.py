@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.linalg import qr_delete, qr_insert
@@ -56,17 +57,17 @@ class Secants:
         if not self.count:
             return Secants.of([move], [change])
         oldest = 1 if self.count >= DEPTH else 0
-        frame: Float64 = self.frame
-        triangle: Float64 = self.triangle
-        if oldest:
-            frame, triangle = qr_delete(frame, triangle, 0, which="col", check_finite=False)
         moves = np.column_stack((self.moves[:, oldest:], move / size))
         changes = np.column_stack((self.changes[:, oldest:], change / size))
-        at = triangle.shape[1]
+        known: Any = self.frame, self.triangle
+        if oldest:
+            known = qr_delete(*known, 0, which="col", check_finite=False)
         try:
-            frame, triangle = qr_insert(frame, triangle, changes[:, -1], at, which="col", check_finite=False)
+            last = known[1].shape[1]
+            known = qr_insert(*known, changes[:, -1], last, which="col", check_finite=False)
         except np.linalg.LinAlgError:  # it lies among the others
-            frame, triangle = (np.asarray(part, dtype=np.float64) for part in np.linalg.qr(changes))
+            known = np.linalg.qr(changes)
+        frame, triangle = (np.asarray(part, dtype=np.float64) for part in known)
         return Secants(moves, changes, frame, triangle)
 
     @property

@@ -423,6 +423,8 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
         needed = max(needed, SHARE * (here.cost - here.dof))
         if gain < needed or (before - _predicted_chi2(trial, held)) / trial.fit.dispersion < HELD_OUT:
             continue  # the next in the screen may keep what this one promised
+        if trial.term.effect is GRAVITY and trial.held.cost > current.held.cost:
+            continue  # a weight that another pose refutes stood for a ripple or a spring to another axis
         trials.append(trial)
         reached = max(reached, gain)
     if not trials:
@@ -500,7 +502,8 @@ def _fit_together(
     sure = [n for n in range(len(beside)) if _wald_ratio(found.fit, first + n) > 1.0]
     if len(sure) < len(beside):
         return _fit_together(best, [beside[n] for n in sure], train, held)
-    return found if found.fit.cost < best.fit.cost else None
+    is_better = found.fit.cost < best.fit.cost and found.held.cost < best.held.cost
+    return found if is_better else None
 
 
 def _refit(  # noqa: PLR0913 - what may differ from the fit that it starts at
