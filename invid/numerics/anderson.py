@@ -78,8 +78,7 @@ class Secants:
     @cached_property
     def _solver(self) -> Float64:
         """(k, k) pseudo-inverse of the triangle."""
-        out: Float64 = np.linalg.pinv(self.triangle, rcond=1e-8)
-        return out
+        return np.asarray(np.linalg.pinv(self.triangle, rcond=1e-8), dtype=np.float64)
 
     def step(self, rest: Float64) -> Float64:
         """Return the move that takes the disagreement ``rest`` (n,) or (n, P) away, as far as is known."""
