@@ -489,8 +489,9 @@ def _rank_candidates(
         for smaller, s in scored:
             if not is_extension_of(trial, smaller):
                 continue
-            limit = LARGER * trial.dispersion
-            if smaller.fit.cost - trial.fit.cost < limit or trial.held.cost - smaller.held.cost > limit:
+            gained = (smaller.fit.cost - trial.fit.cost) / trial.dispersion
+            lost = (trial.held.cost - smaller.held.cost) / trial.dispersion
+            if gained < chi2_isf(SIGNIFICANCE, trial.term.size - smaller.term.size) or lost > LARGER:
                 least, is_behind = max(least, s), True
         entries.append((trial, max(score, least), is_behind))
     return [(t, s) for t, s, _ in sorted(entries, key=lambda one: one[1:])]

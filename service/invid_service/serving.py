@@ -37,9 +37,14 @@ class _Server(uvicorn.Server):
     how it is.
     """
 
+    def __init__(self, config: uvicorn.Config, announcement: str) -> None:
+        super().__init__(config)
+        self._announcement = announcement
+
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
         if not self.should_exit:
+            note(self._announcement)  # now that it listens
             tell("READY=1")
             self._alive = asyncio.create_task(stay_alive())
 
@@ -68,7 +73,7 @@ def serve_forever(settings: Settings, *, json_logs: bool = False) -> None:
             f"{c.id} ({'simulated' if c.simulated else c.config.bus.channel})"
             for c in app.state.service.cells.values()
         )
-        note(f"invid serve: http://{shown}:{port}/   cells: {cells}   data: {settings.data_dir.resolve()}")
+        where = f"invid serve: http://{shown}:{port}/   cells: {cells}   data: {settings.data_dir.resolve()}"
         allow_many_connections()
         before_others()
         Connection.header_timeout_s = settings.header_timeout_s
@@ -83,7 +88,7 @@ def serve_forever(settings: Settings, *, json_logs: bool = False) -> None:
             proxy_headers=bool(settings.trusted_proxies),
             forwarded_allow_ips=settings.trusted_proxies or None,
         )
-        _Server(config).run(sockets=[bound])
+        _Server(config, where).run(sockets=[bound])
     finally:
         bound.close()
 
