@@ -140,6 +140,7 @@ def _find_causes(
         The budget is spent.
     """
     refined_at, is_fine, is_restarted = np.inf, False, False
+    searched_at = np.inf  # χ² at which no cause was found
     while found.rejects():
         here = found.trial.fit
         is_fine = is_fine or here.cost < COARSE_ABOVE * here.dof
@@ -147,7 +148,7 @@ def _find_causes(
             if is_fine and here.cost < REFINED_BELOW * refined_at:
                 found = _refined(found, measured)
                 refined_at = found.trial.fit.cost
-                if not found.rejects():
+                if not found.rejects() or refined_at > (1.0 - SHARE) * searched_at:
                     break
             more = _add_cause(found, linear_axes)
             if not is_restarted and (more is None or more.trial.term.effect.cause in STRUCTURE):
@@ -163,6 +164,7 @@ def _find_causes(
             found = more if is_next else more.settled()
             tell_causes(found.trial)
         elif not is_fine or found.trial.fit.cost < (1.0 - SHARE) * refined_at:
+            searched_at = found.trial.fit.cost if is_fine else np.inf
             is_fine, refined_at = True, np.inf
         else:
             break
