@@ -40,6 +40,9 @@ from invid.model.parameters import ChainStructure
 from invid.model.place import Pattern, Place
 from invid.numerics.arrays import Complex128, Float64
 
+HEAVIEST = 1000.0
+"""Most mass of the body over that of its heaviest load: what moves a thousandth as far as its load is no base
+that gives way (physical)."""
 LEAST_FREE = 1e-6
 """Least mass of the body over that with its loads: below, the loads alone are more than what moves
 (physical)."""
@@ -177,7 +180,10 @@ class BaseCompliance(ImpedanceEffect):
         inertia = _inertia_in(views[0])
         if direction.size != inertia.shape[0]:
             return False
-        return float(x[0] * direction @ np.linalg.solve(inertia, direction)) > 1.0 - LEAST_FREE
+        if float(x[0] * direction @ np.linalg.solve(inertia, direction)) > 1.0 - LEAST_FREE:
+            return True
+        mass = BaseCompliance(self._axes, inertia).values(x, place)["mass"]
+        return mass > HEAVIEST * float(np.diag(inertia).max())
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         chains = at.chains
