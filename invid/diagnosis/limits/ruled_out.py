@@ -117,6 +117,8 @@ class _Rows:
     timing: tuple[Float64, Float64]
     """(rows, k) what the time offsets, shares and holds, each within its bounds, may take up of a law on the
     training and on the held-out records."""
+    inverse: Float64
+    """(k, rows) pseudo-inverse of the first."""
     bounds: tuple[Float64, Float64]
     """(k,) how far each of them is from its bounds."""
     beyond_noise: float
@@ -146,7 +148,10 @@ class _Rows:
         taken = trained - screen.basis @ (screen.basis.T @ trained)
         own = part.jacobian[:, timing] - part.jacobian @ screen.parameters_taking_up(trained)
         kept = own[: sum(2 * v.record.omega.size * v.record.torque.shape[1] for v in part.views)]
-        return cls(selection, screen, part, (taken, kept), (low[timing] - now, high[timing] - now), excess)
+        scale = np.maximum(np.linalg.norm(taken, axis=0), 1e-300)
+        inverse = np.linalg.pinv(taken / scale, rcond=1e-9) / scale[:, None]
+        bounds = low[timing] - now, high[timing] - now
+        return cls(selection, screen, part, (taken, kept), inverse, bounds, excess)
 
     def project(
         self, trained: Sequence[Complex128], kept_out: Sequence[Complex128]
@@ -171,7 +176,7 @@ class _Rows:
     def beyond_timing(self, left: Float64, kept: Float64) -> tuple[Float64, Float64, Float64]:
         """Of columns as ``project`` leaves them what unbounded timing leaves, and its (k, L) change."""
         trained, held = self.timing
-        moved: Float64 = np.asarray(np.linalg.lstsq(trained, left, rcond=1e-9)[0], dtype=np.float64)
+        moved = self.inverse @ left
         return left - trained @ moved, kept - held @ moved, moved
 
     def smallest_seen(self, left: Float64, kept: Float64, needed: Needed) -> float:
