@@ -27,6 +27,7 @@ from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.likelihood.joint_fit import JointFit
+from invid.likelihood.nuisance.hold_share import holds_left_open
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model
 from invid.numerics import budget
@@ -141,7 +142,12 @@ def _diagnose_clean(
         result = limit_unfinished_search(result)
     elif result.verdict is not Verdict.UNEXPLAINED and all(f.effect.table is None for f in result.findings):
         # Behind what has no name anything may hide.
-        result = replace(result, ruled_out=ruled_out(selection, train, held, repaired))
+        result = replace(
+            result,
+            ruled_out=ruled_out(
+                selection, train, held, repaired, holds_left_open(search.spectra, search.model, repaired)
+            ),
+        )
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}
     )

@@ -58,7 +58,8 @@ def terms_to_test(
 class Screen:
     """Score tests against one fit: its tangent space is projected out of every cause's columns."""
 
-    def __init__(self, fit: JointFit) -> None:
+    def __init__(self, fit: JointFit, apart: slice = slice(0)) -> None:
+        """``apart``: parameters of ``fit`` that are left out of the tangent space."""
         self.fit = fit
         evaluation = fit.evaluation
         scale = np.linalg.norm(evaluation.jacobian, axis=0)
@@ -66,6 +67,7 @@ class Screen:
         # A parameter at its bound whose gradient points outwards is not projected out: a hold that is all
         # inside its drive explains no more viscous friction than that, and the rest is to be found.
         free = ~fit.is_stuck
+        free[apart] = False
         left, size, right = np.linalg.svd((evaluation.jacobian / scale)[:, free], full_matrices=False)
         seen = size > 1e-10 * size[0]
         self.basis = left[:, seen]

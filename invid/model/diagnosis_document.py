@@ -164,7 +164,8 @@ class RuledOut:
 
     ``limit`` is that of ``parameter``; ``None`` where it could not have been seen, and ``why`` says so. Of a
     gain it is the distance from one, of Stribeck and asymmetric friction what they have beyond dry friction;
-    a ``mass`` of a base or a ``limit`` of a torque shows below it.
+    a ``mass`` of a base or a ``limit`` of a torque shows below it. ``at``: other parameters of the law
+    (cycles, phase, frequency, knee) where it shows least; the limit is for those.
     """
 
     cause: str
@@ -176,6 +177,7 @@ class RuledOut:
     unit: str | None
     why: str | None
     sentence: str = ""
+    at: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

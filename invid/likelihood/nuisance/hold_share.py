@@ -8,7 +8,7 @@ D·h/2, to first order. Where nothing tells which it is, the share that works in
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -127,6 +127,18 @@ def unseen_holds(
         out.append(InsideHold(i, law[0], 0.0, expected, keys))
         out.append(InsideHold(i, 0.0, law[1], expected, keys))
     return tuple(out)
+
+
+def holds_left_open(
+    spectra: Sequence[LineSpectra], model: Model, recording: Recording
+) -> tuple[InsideHold, ...]:
+    """The holds that no record shows alone, of every axis: the identification closes them where it finds next
+    to no friction, and would leave them open where there is some."""
+    if any(s.hold_torque is not None for s in spectra):
+        return ()
+    seen = hold_laws(spectra, driven_and_held(spectra))
+    unlocated = replace(model, fit={**model.fit, "holds": {}, "hold_timing": dict.fromkeys(recording.axes)})
+    return unseen_holds(spectra, unlocated, recording, set(seen))
 
 
 def driven_hold(recording: Recording, axis: int) -> tuple[bool, float | None]:
