@@ -175,9 +175,12 @@ def _cleared(copy: SpecCopy) -> None:
     spec, m = copy.spec, copy.plant.compiled
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
     for h in copy.plant.handles:
+        e = copy.element(h)
+        if h.b >= 0 and not {h.a, h.b}.isdisjoint(copy.plant.hidden):
+            e.stiffness, e.damping = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]  # left turning by itself
+            continue
         if any(k >= 0 and k not in copy.flat for k in (h.a, h.b)):
             continue
-        e = copy.element(h)
         if h.b < 0:
             e.frictionloss, e.damping = 0.0, [0.0, 0.0, 0.0]
             continue

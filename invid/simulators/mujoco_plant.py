@@ -75,6 +75,8 @@ class MjcfPlant:
     model: Model | None
     linear_axes: bool
     step: float
+    hidden: list[int]
+    """Coordinates of masses on a spring beside a chain."""
     plain: bool = False
     """A URDF's: inertia in its links and in the rotors of its motors alone, no tendons."""
 
@@ -158,9 +160,15 @@ def read_plant(
     mass = back.T @ mass_matrix(compiled) @ back
     handles = list(_handles(compiled, back, _slack(compiled, mass, {m.joint for m in motors})))
     order = _chains(compiled, handles, [compiled.joint(m.joint).id for m in motors])
+    hidden = [k for k in range(compiled.njnt) if compiled.joint(k).name.startswith(HIDDEN)]
+    for chain in order:  # what hangs on a link that couples to others is no mass of its chain
+        others = [k for c in order if c is not chain for k in c]
+        coupled = np.abs(mass[np.ix_(chain, others)]).max(axis=1, initial=0.0) > SMALL * mass.max()
+        if len(chain) > 1 and coupled[-2] and not coupled[-1]:
+            hidden.append(chain.pop())
     plant = MjcfPlant(
         spec, compiled, axes, motors, positions, mass, handles, order, None, linear,
-        float(compiled.opt.timestep), plain,
+        float(compiled.opt.timestep), hidden, plain,
     )  # fmt: skip
     plant.model = _model(plant, source)
     return plant
@@ -295,16 +303,16 @@ def _chains(m: Any, handles: list[Handle], motors: list[int]) -> list[list[int]]
     for motor in motors:
         chain = [motor]
         while True:
-            further = [k for k in beside.get(chain[-1], ()) if k not in {*chain, *motors, *_hidden(m)}]
+            further = [
+                k
+                for k in beside.get(chain[-1], ())
+                if k not in {*chain, *motors} and not m.joint(k).name.startswith(HIDDEN)
+            ]
             if len(further) != 1:
                 break
             chain.append(further[0])
         out.append(chain)
     return out
-
-
-def _hidden(m: Any) -> list[int]:
-    return [k for k in range(m.njnt) if m.joint(k).name.startswith(HIDDEN)]
 
 
 def stiffness_of(m: Any, h: Handle) -> float:
@@ -342,7 +350,7 @@ def coefficient(m: Any, tendon: int, joint: str) -> float:
 def _model(plant: MjcfPlant, source: str) -> Model | None:
     """Chains and effects, or None."""
     slack = [plant.compiled.joint(h.play).id for h in plant.handles if h.play]
-    used = [*(k for chain in plant.order for k in chain), *_hidden(plant.compiled), *slack]
+    used = [*(k for chain in plant.order for k in chain), *plant.hidden, *slack]
     if sorted(used) != list(range(plant.mass.shape[0])):
         return None
     ends = [chain[-1] for chain in plant.order]
@@ -427,7 +435,7 @@ def _effects(plant: MjcfPlant) -> Iterator[EffectTerm]:
         gap = gap_of(m, h)
         if gap:
             yield term("backlash", place, gap=(gap, length))
-    for k in _hidden(m):
+    for k in plant.hidden:
         h = next(h for h in plant.handles if k in (h.a, h.b) and h.b >= 0)
         place = place_of(plant, h.a if h.b == k else h.b, -1)
         if place is not None:

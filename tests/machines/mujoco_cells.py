@@ -519,9 +519,7 @@ def _run(cell: Cell, rng: np.random.Generator, excited: int, role: str) -> Run:
         if path is not None:  # the drive reports its command, that which gave the hold's torque with it
             hold, late = sensed_all[:, 3 * i + 2], path.numbers["seconds"]
             t = np.arange(hold.size) / (RATE * SUB)
-            hold = (
-                hold + late * np.gradient(hold, t) if path.kind == "lag" else np.interp(t + late, t, hold)
-            )
+            hold = hold + late * np.gradient(hold, t) if path.kind == "lag" else np.interp(t + late, t, hold)
             hold = hold.reshape(-1, SUB).mean(axis=1)[-held.shape[0] :]
             torque[:, i] = held[:, model.actuator(f"shake{i + 1}").id] + hold
     position = np.round(position / cell.count) * cell.count
