@@ -212,6 +212,12 @@ def _inertia(copy: SpecCopy, model: Model) -> None:
     plant, m = copy.plant, copy.plant.compiled
     flat, wanted = copy.flat, plant.mass.copy()  # of what is no chain's: as it is
     wanted[np.ix_(flat, flat)] = 0.0
+    for element in (
+        e for t in model.effects if t.cause == "extra_mode" for e in elements_of(model.chains, t)
+    ):
+        own = _own_hidden(copy, element.at) if isinstance(element, AddedMass) else None
+        if own is not None and isinstance(element, AddedMass):
+            wanted[own[1], own[1]] = element.mass
     chains = model.chains
     wanted[flat, flat] = np.concatenate(chains.masses)
     ends = [chain[-1] for chain in plant.order]
@@ -488,8 +494,23 @@ def _play(copy: SpecCopy, a: int, b: int, half: float) -> str:
     return ""
 
 
+def _own_hidden(copy: SpecCopy, at: int) -> tuple[Handle, int] | None:
+    """The element that ties a mass beside a chain which the XML has itself, and that mass."""
+    plant, k = copy.plant, copy.coordinate(at)
+    for h in plant.handles:
+        other = h.a if h.b == k else h.b
+        if h.b >= 0 and k in (h.a, h.b) and other in plant.hidden:
+            return h, other
+    return None
+
+
 def _hidden_mass(copy: SpecCopy, element: AddedMass) -> None:
     """A body of its own, tied by a tendon: hung on the link it would load the links before as well."""
+    damping = 2.0 * element.damping_ratio * math.sqrt(element.stiffness * element.mass)
+    if (own := _own_hidden(copy, element.at)) is not None:
+        tie, scale = copy.element(own[0]), own[0].scale ** 2
+        tie.stiffness[0], tie.damping[0] = element.stiffness / scale, damping / scale
+        return
     spec, m = copy.spec, copy.plant.compiled
     at = copy.coordinate(element.at)
     kind = int(m.jnt_type[at])
@@ -505,7 +526,7 @@ def _hidden_mass(copy: SpecCopy, element: AddedMass) -> None:
     for joint, share in [(name, -1.0), *copy.joints_along(at, -1)]:
         tendon.wrap_joint(joint, share)
     tendon.stiffness[0], tendon.springlength = element.stiffness, [0.0, 0.0]
-    tendon.damping[0] = 2.0 * element.damping_ratio * math.sqrt(element.stiffness * element.mass)
+    tendon.damping[0] = damping
 
 
 def _torque_channel(copy: SpecCopy, channel: TorqueChannel) -> str:
