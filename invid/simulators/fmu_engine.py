@@ -99,7 +99,11 @@ class FmuSimulator:
         return Model(robot=name, method="fmu", chains=chains, std=ChainStd.unknown(chains))
 
     def guide(self, given: Guided, start: Float64 | None) -> tuple[Float64, Tie]:
-        """See ``Simulator.guide``; the guide is closed between steps, from the FMU's own start."""
+        """See ``Simulator.guide``; the guide is closed between steps, from the FMU's own start.
+
+        It cannot be started in motion: a period is run before what repeats.
+        """
+        more, given = given.run_in()
         rate = 2 * np.pi * GUIDE * given.high
         tie = Tie.of(self._inertia(), rate)
         every, torque, position, velocity = given.fine(LARGEST_STEP / rate, torque=0.5)
@@ -118,7 +122,7 @@ class FmuSimulator:
                 v = run.read(self.velocities) if self.velocities else (q - before) / step
         if not np.isfinite(force).all():
             raise InputError(f"{self.path}: the simulation of experiment {given.key} runs away")
-        return force, replace(tie, late=0.5 * step)
+        return force[more:], replace(tie, late=0.5 * step)
 
     def _inertia(self) -> Float64:
         """(M,) inertia of each motor in a first short moment: torque over acceleration."""

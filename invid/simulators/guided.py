@@ -15,12 +15,13 @@ gives positions can be judged by it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.optimize import minimize_scalar
 
 from invid.model.document import Model
 from invid.model.forward import dynamic_stiffness
@@ -47,24 +48,52 @@ EARLY = 4.0
 it."""
 STARTS = 6
 """Runs of an engine a record at most, to find where the inner masses began."""
+DRAWS = 2
+"""Draws of a record's noise from which it is told what noise leaves a simulator that is no linear plant."""
+RUN_IN = 2
+"""Periods before a record that begins in motion, for an engine that begins at rest: a mode of 0.5 % damping
+at 6 Hz, of periods of 4 s, has lost four fifths of its start by then, and what is left of it is taken out."""
+SAME_TIME = 0.05
+"""Share of a sample by which the torque's time may be wrong in a run: a hundredth of its phase at most in any
+band."""
 AT_REST = 0.01
 """Speed over the largest one below which a record begins at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """What the identification found of the torque's samples (M,): they act ``later`` [s], and a share
+    ``held`` of each stands until the next."""
+
+    later: Float64
+    held: Float64
+
+    @classmethod
+    def of(cls, model: Model) -> Sampling:
+        """As the model's fit reports it; nothing where it does not."""
+        offsets, shares = time_offsets(model), model.fit.get("held_over_sample") or {}
+        held = [shares.get(f"{a}.held_over_sample", {}).get("value", 0.0) for a in model.axes]
+        return cls(np.array([offsets.get(i, 0.0) for i in range(len(model.axes))]), np.clip(held, 0.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Guided:
     """Inputs of one experiment: ``torque`` and ``position`` (n, M) at the samples.
 
-    ``lead`` samples stand before the record; ``low``, ``high`` [Hz] is the band that is judged.
+    ``lead`` samples stand before the record; ``low``, ``high`` [Hz] is the band that is judged. ``period`` is
+    in samples, 0 where nothing repeats.
     """
 
     key: str
     interval: float
     lead: int
+    period: int
     torque: Float64
     position: Float64
     low: float
     high: float
+    sampling: Sampling
+    """How the torque was read from its samples."""
     noise: tuple[Float64, Float64]
     """Variances a sample of torque and position (M,), from above the band."""
 
@@ -113,6 +142,53 @@ class Guided:
         hz = np.fft.rfftfreq(fall.size, self.interval).astype(np.float64)
         out: Complex128 = np.fft.rfft(x * fall[:, None], axis=0)[self._inside(hz)]
         return out
+
+    def changed(self, by: Sampling, plant: Model) -> Complex128:
+        """(F, M) by which a simulator's torque grows if it is read so much later and held for more.
+
+        The simulator's own path of torque, as ``plant`` has it, lies between.
+        """
+        turn = 2j * np.pi * self.frequencies[:, None]
+        less = 1.0 - by.held / 12.0 * (1.0 - np.cosh(turn * self.interval).real)
+        own = self._spectrum(self.torque[self.lead :])
+        for i, term in ((plant.axes.index(t.axis), t) for t in plant.effects):
+            if term.cause == "torque_delay":
+                own[:, i] *= np.exp(-turn[:, 0] * term.value("delay"))
+            elif term.cause == "torque_lag":
+                own[:, i] /= 1.0 + turn[:, 0] * term.value("time_constant")
+        return np.asarray(own * (np.exp(-turn * by.later) * less - 1.0))
+
+    def read(self, by: Sampling) -> Guided:
+        """The same with the torque read so much later and held for more."""
+        torque = _sampled(self.torque, self.interval, by)
+        now = Sampling(self.sampling.later + by.later, self.sampling.held + by.held)
+        return replace(self, torque=torque, sampling=now)
+
+    def run_in(self) -> tuple[int, Guided]:
+        """Samples more, and the record with its first period ``RUN_IN`` times before it.
+
+        Where it begins in motion and repeats; else nothing more.
+        """
+        n = 0 if self.lead else self.period
+        drift = self.position[n] - self.position[0]
+        before = [self.position[:n] - k * drift for k in range(RUN_IN, 0, -1)]
+        torque = np.concatenate([*[self.torque[:n]] * RUN_IN, self.torque])
+        more = RUN_IN * n
+        lead, position = self.lead + more, np.concatenate([*before, self.position])
+        return more, replace(self, lead=lead, torque=torque, position=position)
+
+    def noisier(self, rng: np.random.Generator) -> Guided:
+        """The same with as much noise again."""
+        count = self.torque.shape[0] - self.lead
+        draws = [np.sqrt(v) * rng.standard_normal((count, v.size)) for v in self.noise]
+        draws[1] = _smooth(draws[1], self.interval, BEYOND_BAND * self.high)
+        torque, position = (np.concatenate([np.repeat(x[:1], self.lead, axis=0), x]) for x in draws)
+        return replace(self, torque=self.torque + torque, position=self.position + position)
+
+    @property
+    def unmoved(self) -> Float64:
+        """(M,) speed at which a motor stays within the encoder's noise for a period of the band's top."""
+        return np.asarray(np.sqrt(self.noise[1]) * self.high)
 
     @property
     def frequencies(self) -> Float64:
@@ -208,34 +284,14 @@ class Simulator(Protocol):
         """Writes a copy that says what ``model`` says; with it what its format cannot hold, in sentences."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sampling:
-    """What the identification found of the torque's samples (M,): they act ``later`` [s], and a share
-    ``held`` of each stands until the next."""
-
-    later: Float64
-    held: Float64
-
-    @classmethod
-    def of(cls, model: Model) -> Sampling:
-        """As the model's fit reports it; nothing where it does not."""
-        offsets, shares = time_offsets(model), model.fit.get("held_over_sample") or {}
-        held = [shares.get(f"{a}.held_over_sample", {}).get("value", 0.0) for a in model.axes]
-        return cls(np.array([offsets.get(i, 0.0) for i in range(len(model.axes))]), np.clip(held, 0.0, 1.0))
-
-
 def guided(experiment: Experiment, sampling: Sampling, count: Float64 | None = None) -> Guided:
     """Inputs for a simulator from one experiment; ``count`` (M,) [rad or m] of the encoders, where known."""
     e = resample_uniformly(experiment)
     interval = e.step
     low, high = _band(experiment, e.torque, interval)
-    t = np.arange(e.samples) * interval
-    later = [
-        CubicSpline(t, c)(np.clip(t - o, 0.0, t[-1])) for c, o in zip(e.torque.T, sampling.later, strict=True)
-    ]
-    torque = np.stack(later, axis=1)
-    # A staircase over the step h has lost (ωh)²/24 of a sine, as second differences take it.
-    torque[1:-1] += sampling.held / 24.0 * np.diff(torque, 2, axis=0)
+    # Beyond a sample it is a delay, no convention.
+    sampling = Sampling(np.clip(sampling.later, -interval, interval), sampling.held)
+    torque = _sampled(e.torque, interval, sampling)
     noise = _noise(e.torque, interval, high), _noise(e.position, interval, high)
     if count is not None:
         noise = noise[0], np.maximum(noise[1], np.nan_to_num(count) ** 2 / 12.0)
@@ -243,7 +299,9 @@ def guided(experiment: Experiment, sampling: Sampling, count: Float64 | None = N
     speed = np.abs(np.diff(position, axis=0))
     lead = round(WARM_UP / interval) if (speed[:3] < AT_REST * speed.max(axis=0)).all() else 0
     torque, position = (np.concatenate([np.repeat(x[:1], lead, axis=0), x]) for x in (torque, position))
-    return Guided(experiment.key, interval, lead, torque, position, low, high, noise)
+    period = experiment.period_samples / experiment.sample_rate_hz / interval
+    period = round(period) if abs(period - round(period)) < 1e-3 and period < e.samples else 0
+    return Guided(experiment.key, interval, lead, period, torque, position, low, high, sampling, noise)
 
 
 def missing_torque(simulator: Simulator, given: Guided, plant: Model) -> Complex128:
@@ -265,6 +323,75 @@ def missing_torque(simulator: Simulator, given: Guided, plant: Model) -> Complex
         least, start = size, (np.zeros_like(away) if start is None else start) - away
     assert best is not None  # noqa: S101 - STARTS is above zero
     return best
+
+
+@dataclass(frozen=True, eq=False)
+class Missed:
+    """What a simulator misses on records as they were read for it.
+
+    ``spectra`` (F, M) a record; ``runs`` before the last change of how the torque is read.
+    """
+
+    records: list[Guided]
+    spectra: list[Complex128]
+    runs: list[Complex128]
+
+
+def missed(simulator: Simulator, records: Sequence[Guided], plant: Model) -> Missed:
+    """What a simulator misses on each record, each axis' torque read as much later as leaves least.
+
+    Within a sample of the record that is convention, which a diagnosis that explains little gets wrong. Run
+    anew where it was wrong by more than ``SAME_TIME``: friction turns it into more than a phase.
+    """
+    runs = [missing_torque(simulator, g, plant) for g in records]
+    by = _sampling(records, runs, plant)
+    if (np.abs(by.later) > SAME_TIME * records[0].interval).any() or (np.abs(by.held) > SAME_TIME).any():
+        records = [g.read(by) for g in records]
+        runs = [missing_torque(simulator, g, plant) for g in records]
+        by = _sampling(records, runs, plant)
+    spectra = [x - g.changed(by, plant) for x, g in zip(runs, records, strict=True)]
+    return Missed(list(records), spectra, runs)
+
+
+def moved_by_noise(simulator: Simulator, found: Missed, plant: Model) -> list[Float64]:
+    """(F, M) power by which a record's noise, drawn anew, changes what a simulator misses.
+
+    Friction behind a spring and play keep what noise did to them: more than a linear plant lets through.
+    """
+    rng, out = np.random.default_rng(0), []
+    for g, run in zip(found.records, found.runs, strict=True):
+        again = [missing_torque(simulator, g.noisier(rng), plant) for _ in range(DRAWS)]
+        out.append(np.mean([np.abs(x - run) ** 2 for x in again], axis=0))
+    return out
+
+
+def _sampling(records: Sequence[Guided], spectra: Sequence[Complex128], plant: Model) -> Sampling:
+    """Change of how the torque is read that leaves least of spectra of missing torque, within bounds."""
+    sample, now = min(g.interval for g in records), records[0].sampling
+    none = np.zeros(now.later.size)
+
+    def left(later: Float64, held: Float64) -> Complex128:
+        by = Sampling(later, held)
+        return np.concatenate([m - g.changed(by, plant) for m, g in zip(spectra, records, strict=True)])
+
+    def held_at(later: Float64) -> Float64:
+        """The share that leaves least, linear in it."""
+        at = left(later, none)
+        one = left(later, none + 1.0) - at
+        best = -np.real(np.conj(one) * at).sum(axis=0) / np.maximum((np.abs(one) ** 2).sum(axis=0), 1e-300)
+        return np.asarray(np.clip(best, -now.held, 1.0 - now.held))
+
+    def size(later: float, i: int) -> float:
+        times = none + later
+        return float(np.linalg.norm(left(times, held_at(times))[:, i]))
+
+    later = np.array(
+        [
+            minimize_scalar(size, args=(i,), bounds=(-sample - o, sample - o), method="bounded").x
+            for i, o in enumerate(now.later)
+        ]
+    )
+    return Sampling(later, held_at(later))
 
 
 def _band(experiment: Experiment, torque: Float64, interval: float) -> tuple[float, float]:
@@ -292,6 +419,16 @@ def _smooth(position: Float64, interval: float, top: float) -> Float64:
     t = np.arange(count) * interval
     inside = np.clip(np.minimum(t, t[::-1]) * top / 4.0, 0.0, 1.0)[:, None]
     return np.asarray(position + (3.0 - 2.0 * inside) * inside**2 * (smooth - position))
+
+
+def _sampled(torque: Float64, interval: float, by: Sampling) -> Float64:
+    """(n, M) read so much later, and as what a share held over each sample leaves of it."""
+    t = np.arange(torque.shape[0]) * interval
+    read = [CubicSpline(t, c)(np.clip(t - o, 0.0, t[-1])) for c, o in zip(torque.T, by.later, strict=True)]
+    out = np.stack(read, axis=1)
+    # A staircase over the step h has lost (ωh)²/24 of a sine, as second differences take it.
+    out[1:-1] += by.held / 24.0 * np.diff(out, 2, axis=0)
+    return out
 
 
 def _noise(x: Float64, interval: float, high: float) -> Float64:

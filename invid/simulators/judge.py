@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,12 @@ from invid.model.diagnosis_document import Diagnosis, RuledOut
 from invid.model.document import EffectTerm, Estimate, Model, effect_to_json, linear_parameters
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording, Role
-from invid.simulators.guided import BANDS, Guided, Sampling, Simulator, guided, missing_torque
+from invid.simulators.guided import BANDS, Guided, Sampling, Simulator, guided, missed, moved_by_noise
 
 RIGHT = 1.2
 """Missing torque over its floor up to which a simulator is right: the diagnosis' own."""
+UNTOLD = 10.0
+"""Floors to which noise alone moves a simulator that such a record cannot judge."""
 FALSE_ALARMS = 0.01
 """Probability that one of all numbers of a right simulator is called wrong."""
 AT_LEAST = 0.01
@@ -36,20 +38,27 @@ much."""
 
 @dataclass(frozen=True, eq=False)
 class _Missing:
-    """Spectra of the missing torque of each held-out record, and the floors' powers."""
+    """Spectra of the missing torque of each held-out record, the floors' powers, and what noise drawn anew
+    changes by run of the simulator itself, where that was tried."""
 
     records: list[Guided]
     spectra: list[Any]
     floors: list[Float64]
+    tried: list[Float64] | None = None
 
     def rms(self, axis: int, low: float = 0.0, high: float = math.inf) -> tuple[float, float]:
         """Rms and floor of one axis over a band, mean over the records."""
-        power, floor = [], []
-        for g, x, f in zip(self.records, self.spectra, self.floors, strict=True):
-            inside = (g.frequencies >= low) & (g.frequencies < high)
-            power.append(float((np.abs(x[inside, axis]) ** 2).sum()))
-            floor.append(float(f[inside, axis].sum()))
-        return math.sqrt(np.mean(power)), math.sqrt(np.mean(floor))
+
+        def mean(powers: list[Any]) -> float:
+            inside = [(g.frequencies >= low) & (g.frequencies < high) for g in self.records]
+            return float(np.mean([p[k, axis].sum() for p, k in zip(powers, inside, strict=True)]))
+
+        floor = max(mean(self.floors), 0.0 if self.tried is None else mean(self.tried))
+        return math.sqrt(mean([np.abs(x) ** 2 for x in self.spectra])), math.sqrt(floor)
+
+    def moved(self, axis: int) -> float:
+        """Floors of a linear plant that noise alone makes of one axis."""
+        return self.rms(axis)[1] / replace(self, tried=None).rms(axis)[1]
 
 
 def judge(
@@ -73,6 +82,13 @@ def judge(
             after, written = _missing(copy, records, model), str(corrected)
         except ModelError as error:
             warnings.append(f"no corrected copy is written: {error}")
+    best = after or before
+    warnings += [
+        f"axis {name}: noise alone moves this simulator by {best.moved(i):.0f} times what it leaves a linear "
+        "plant, as play or friction keeps what it did; right and wrong cannot be told apart by it"
+        for i, name in enumerate(recording.axes)
+        if best.moved(i) > UNTOLD
+    ]
     axes = [_axis_rows(recording, i, before, after) for i in range(recording.axis_count)]
     out: dict[str, Any] = {
         "simulator": simulator.path,
@@ -104,13 +120,15 @@ def _held_out(recording: Recording) -> tuple[list[Experiment], list[str]]:
 
 def _missing(simulator: Simulator, records: list[Guided], model: Model) -> _Missing:
     plant = simulator.claimed() or model
-    spectra = [missing_torque(simulator, g, plant) for g in records]
-    return _Missing(records, spectra, [g.floor(model) for g in records])
+    found = missed(simulator, records, plant)
+    out = _Missing(found.records, found.spectra, [g.floor(model) for g in records])
+    over = [rms / floor for rms, floor in map(out.rms, range(len(model.axes)))]
+    return replace(out, tried=moved_by_noise(simulator, found, plant)) if max(over) > RIGHT else out
 
 
 def _at_floor(m: _Missing, axis: int) -> bool:
     rms, floor = m.rms(axis)
-    return rms <= RIGHT * floor
+    return rms <= RIGHT * floor and m.moved(axis) <= UNTOLD
 
 
 def _axis_rows(recording: Recording, i: int, before: _Missing, after: _Missing | None) -> dict[str, Any]:
@@ -118,7 +136,9 @@ def _axis_rows(recording: Recording, i: int, before: _Missing, after: _Missing |
 
     def row(low: float, high: float) -> dict[str, Any]:
         rms, floor = before.rms(i, low, high)
-        gained = None if after is None else after.rms(i, low, high)[0]
+        gained = None
+        if after is not None:
+            gained, floor = after.rms(i, low, high)
         return {"before": rms, "after": gained, "noise_floor": floor}
 
     low, high = min(g.low for g in before.records), max(g.high for g in before.records)

@@ -30,6 +30,7 @@ from invid.effects.elements import (
     StaticLaw,
     TorqueChannel,
 )
+from invid.effects.laws.sign import ROUNDING
 from invid.errors import ModelError
 from invid.exchange.linear_plant import effect_name
 from invid.model.chains import CoupledChains
@@ -41,7 +42,9 @@ from invid.simulators.mujoco_plant import (
     SMALL,
     Handle,
     MjcfPlant,
+    coefficient,
     damping_of,
+    gap_of,
     handles_between,
     mass_matrix,
     steps_of,
@@ -50,9 +53,13 @@ from invid.simulators.mujoco_plant import (
 
 HARD = (6e-4, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solref and solimp of dry friction: MuJoCo's default gives way like a viscous damper at low speed."""
+SOFT = 0.01
+"""Impedance of friction that gives way: its share of inertia more while it does."""
 STIFF_BRISTLE = 1e-4
 """Deflection [rad or m] at which a bristle slides, for friction with a Stribeck curve and no presliding."""
 _NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
+NO_PLAY = 1e-6
+"""Share of its play that a joint keeps where the machine has none: MuJoCo takes no limits without room."""
 LEAST = 1e-3
 """Share of itself that a body keeps at least: MuJoCo takes none without inertia."""
 KEPT = 1e-3
@@ -79,8 +86,8 @@ class SpecCopy:
     def tendon(self, a: int, b: int) -> Any:
         """A tendon more along x_a − x_b."""
         out = self.spec.add_tendon(name=f"{self.plant.axes[0]} {len(self.spec.tendons)} corrected")
-        for joint, coefficient in self.joints_along(a, b):
-            out.wrap_joint(joint, coefficient)
+        for joint, share in self.joints_along(a, b):
+            out.wrap_joint(joint, share)
         return out
 
     def place(self, a: int, b: int) -> Any:
@@ -109,6 +116,8 @@ def correct(plant: MjcfPlant, model: Model) -> tuple[str, list[str]]:
         try:
             for element in elements_of(model.chains, term):
                 reason = _write(copy, element)
+                if isinstance(element, ForceLaw) and element.law is Law.DRY and ROUNDING in term.parameters:
+                    _rounded(copy, element, term.value(ROUNDING))
                 if reason:
                     copy.lost.append(f"{effect_name(term)}: {reason}")
         except ModelError as error:
@@ -166,15 +175,20 @@ def _cleared(copy: SpecCopy) -> None:
     spec, m = copy.spec, copy.plant.compiled
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
     for h in copy.plant.handles:
+        e = copy.element(h)
+        if h.b >= 0 and not {h.a, h.b}.isdisjoint(copy.plant.hidden):
+            e.stiffness, e.damping = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]  # left turning by itself
+            continue
         if any(k >= 0 and k not in copy.flat for k in (h.a, h.b)):
             continue
-        e = copy.element(h)
         if h.b < 0:
             e.frictionloss, e.damping = 0.0, [0.0, 0.0, 0.0]
             continue
         if e.springyield > 0.0:
             e.stiffness = [0.0, 0.0, 0.0]
         e.stiffness[1], e.stiffness[2] = 0.0, 0.0
+        if h.play is not None:
+            _between_stops(copy, h.play, NO_PLAY * max(gap_of(m, h), NO_PLAY))
         if h.kind == "tendon":
             e.springlength = [float(np.mean(m.tendon_lengthspring[m.tendon(h.name).id]))] * 2
     for motor in copy.plant.motors:
@@ -186,10 +200,24 @@ def _cleared(copy: SpecCopy) -> None:
             own.delay, own.nsample, own.dyntype = 0.0, 0, mujoco.mjtDyn.mjDYN_NONE
 
 
+def _between_stops(copy: SpecCopy, joint: str, half: float) -> None:
+    """Limits of a joint that is play, as far apart around their middle."""
+    at = copy.spec.joint(joint)
+    middle = float(np.mean(copy.plant.compiled.jnt_range[copy.plant.compiled.joint(joint).id]))
+    at.range = [middle - half, middle + half]
+
+
 def _inertia(copy: SpecCopy, model: Model) -> None:
     """Masses and couplings of the model, by bodies, armatures and tendons' armatures, none below zero."""
     plant, m = copy.plant, copy.plant.compiled
-    flat, wanted = copy.flat, np.zeros_like(plant.mass)
+    flat, wanted = copy.flat, plant.mass.copy()  # of what is no chain's: as it is
+    wanted[np.ix_(flat, flat)] = 0.0
+    for element in (
+        e for t in model.effects if t.cause == "extra_mode" for e in elements_of(model.chains, t)
+    ):
+        own = _own_hidden(copy, element.at) if isinstance(element, AddedMass) else None
+        if own is not None and isinstance(element, AddedMass):
+            wanted[own[1], own[1]] = element.mass
     chains = model.chains
     wanted[flat, flat] = np.concatenate(chains.masses)
     ends = [chain[-1] for chain in plant.order]
@@ -406,6 +434,27 @@ def _dry(copy: SpecCopy, a: int, p: Sequence[float]) -> str:
     return ""
 
 
+def _rounded(copy: SpecCopy, law: ForceLaw, speed: float) -> None:
+    """Lets dry friction give way like a damper up to a speed, as MuJoCo's own does.
+
+    MuJoCo's friction is −(a + b v)/R within its level, with b = 2/(d·timeconst), R = (1 − d)/d·A and A the
+    inverse inertia at its place: (1 − d)·A·timeconst/2 is the speed per torque. A small d leaves the part of
+    the acceleration small.
+    """
+    at, m = copy.place(copy.coordinate(law.a), -1), copy.spec.compile()
+    is_joint = isinstance(at, mujoco.MjsJoint)
+    light = (
+        m.dof_invweight0[m.jnt_dofadr[m.joint(at.name).id]]
+        if is_joint
+        else m.tendon_invweight0[m.tendon(at.name).id]
+    )
+    if not at.frictionloss:
+        return
+    slow = 2.0 * speed / ((1.0 - SOFT) * float(light) * float(at.frictionloss))
+    at.solref_friction[:] = (max(slow, 2.0 * copy.spec.option.timestep), 1.0)
+    at.solimp_friction[:] = (SOFT, SOFT, 0.001, 0.5, 2.0)
+
+
 def _ripple(copy: SpecCopy, a: int, **law: list[float]) -> None:
     actuator = copy.actuator(copy.place(a, -1), "passive")
     actuator.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, ctrlspec=_NO_INPUT, **law)
@@ -426,6 +475,13 @@ def _spring_between(copy: SpecCopy, a: int, b: int) -> tuple[Any, float]:
 
 def _play(copy: SpecCopy, a: int, b: int, half: float) -> str:
     """A dead band in a tendon; the spring of a joint moves to a tendon for it."""
+    own = next((h for h in handles_between(copy.plant.handles, a, b) if h.play is not None), None)
+    if own is not None and own.play is not None:
+        m = copy.plant.compiled
+        _between_stops(
+            copy, own.play, half * abs(own.scale / coefficient(m, m.tendon(own.name).id, own.play))
+        )
+        return ""
     at, scale = _spring_between(copy, a, b)
     if isinstance(at, mujoco.MjsJoint):
         tendon = copy.tendon(a, b)
@@ -438,8 +494,23 @@ def _play(copy: SpecCopy, a: int, b: int, half: float) -> str:
     return ""
 
 
+def _own_hidden(copy: SpecCopy, at: int) -> tuple[Handle, int] | None:
+    """The element that ties a mass beside a chain which the XML has itself, and that mass."""
+    plant, k = copy.plant, copy.coordinate(at)
+    for h in plant.handles:
+        other = h.a if h.b == k else h.b
+        if h.b >= 0 and k in (h.a, h.b) and other in plant.hidden:
+            return h, other
+    return None
+
+
 def _hidden_mass(copy: SpecCopy, element: AddedMass) -> None:
     """A body of its own, tied by a tendon: hung on the link it would load the links before as well."""
+    damping = 2.0 * element.damping_ratio * math.sqrt(element.stiffness * element.mass)
+    if (own := _own_hidden(copy, element.at)) is not None:
+        tie, scale = copy.element(own[0]), own[0].scale ** 2
+        tie.stiffness[0], tie.damping[0] = element.stiffness / scale, damping / scale
+        return
     spec, m = copy.spec, copy.plant.compiled
     at = copy.coordinate(element.at)
     kind = int(m.jnt_type[at])
@@ -452,10 +523,10 @@ def _hidden_mass(copy: SpecCopy, element: AddedMass) -> None:
     )
     body.add_joint(name=name, type=mujoco.mjtJoint(kind), axis=across)
     tendon = spec.add_tendon(name=f"{name} spring")
-    for joint, coefficient in [(name, -1.0), *copy.joints_along(at, -1)]:
-        tendon.wrap_joint(joint, coefficient)
+    for joint, share in [(name, -1.0), *copy.joints_along(at, -1)]:
+        tendon.wrap_joint(joint, share)
     tendon.stiffness[0], tendon.springlength = element.stiffness, [0.0, 0.0]
-    tendon.damping[0] = 2.0 * element.damping_ratio * math.sqrt(element.stiffness * element.mass)
+    tendon.damping[0] = damping
 
 
 def _torque_channel(copy: SpecCopy, channel: TorqueChannel) -> str:

@@ -14,12 +14,15 @@ from invid.model.document import Model, save_text
 from invid.numerics.arrays import Float64
 from invid.simulators.guided import GUIDE, Guided, Tie
 from invid.simulators.mujoco_correct import correct
-from invid.simulators.mujoco_plant import MjcfPlant, read_plant, steps_of
+from invid.simulators.mujoco_plant import MjcfPlant, Motor, read_plant, steps_of
 
 _IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
 LARGEST_STEP = 0.4
 """Rate of the guide times the step: with an explicit step a critically damped guide is stable up to 0.8. Up
 to here the step is the XML's own: implicit damping adds damping times step to every inertia."""
+
+STICKS = 0.99
+"""Share of dry friction's level below which a motor sticks."""
 
 
 class MujocoSimulator:
@@ -80,6 +83,10 @@ class MujocoSimulator:
             control[:, own] += torque[:, i] * (motor.reduction / motor.gain)
         data = mujoco.MjData(model)
         plant.start(data, model, position[0], velocity[0], start)
+        for motor in plant.motors:
+            if motor.actuator:
+                at = model.actuator(motor.actuator).id
+                _commanded_before(model, data, at, control[:, model.actuator_ctrladr[at]])
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
         first = np.zeros(mujoco.mj_stateSize(model, kind))
         mujoco.mj_getState(model, data, first, kind)
@@ -95,13 +102,55 @@ class MujocoSimulator:
             q, v = q[:-1], v[1:] if late else v[:-1]
             away, slower = position[:, i] + motor.zero - q, velocity[:, i] - v
             force[:, i] = (tie.stiffness[i] * away + tie.damping[i] * slower)[::every]
+            force[:, i] = self._beyond_stiction(
+                model, motor, (states[:-1:every], control[::every]), force[:, i], v[::every], given.unmoved[i]
+            )
         return force, tie
+
+    def _beyond_stiction(
+        self, model: Any, motor: Motor, run: tuple[Float64, Float64], guide: Float64, speed: Float64,
+        unmoved: float,
+    ) -> Float64:  # fmt: skip
+        """(n,) what of a guide's torque is missing: of a motor that sticks, what dry friction cannot hold.
+
+        There friction takes any torque up to its level, so that the guide's own is any as well.
+        """
+        dof = int(model.jnt_dofadr[model.joint(motor.joint).id])
+        level = float(model.dof_frictionloss[dof]) / motor.reduction
+        if not level:
+            return guide
+        data, out = mujoco.MjData(model), guide.copy()
+        for k in np.flatnonzero(np.abs(speed) < unmoved):
+            mujoco.mj_setState(model, data, run[0][k], mujoco.mjtState.mjSTATE_FULLPHYSICS)
+            data.ctrl[:] = run[1][k]
+            mujoco.mj_forward(model, data)
+            friction = float(data.qfrc_constraint[dof]) / motor.reduction
+            if abs(friction) < STICKS * level:
+                held = friction + guide[k]
+                out[k] = held - np.clip(held, -level, level)
+        return out
 
     def corrected(self, model: Model, to: Path) -> tuple[MujocoSimulator, list[str]]:
         """See ``Simulator.corrected``."""
         text, lost = correct(self.plant, model)
         save_text(to, text)
         return type(self)(to, self.axes), lost
+
+
+def _commanded_before(model: Any, data: Any, actuator: int, control: Float64) -> None:
+    """Fills a delay's buffer and a filter as if the control had come as it goes on, mirrored in the start."""
+    step, delay = float(model.opt.timestep), float(model.actuator_delay[actuator])
+    before = 2.0 * control[0] - control
+    if delay:
+        count = int(model.actuator_history[actuator, 0])
+        k = np.arange(count, 0, -1)
+        times = -step * k
+        mujoco.mj_initCtrlHistory(model, data, actuator, times[:, None], before[k][:, None].copy())
+    if model.actuator_actadr[actuator] >= 0:
+        lag = float(model.actuator_dynprm[actuator, 0])
+        t = step * np.arange(control.size)
+        weight = np.exp(-np.maximum(t - delay, 0.0) / lag) * (t >= delay)
+        data.act[model.actuator_actadr[actuator]] = float(before @ weight / weight.sum())
 
 
 def opened(path: Path, axes: tuple[str, ...]) -> Any:

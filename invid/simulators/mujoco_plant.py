@@ -8,7 +8,7 @@ that spring, so x adds the joint before it. A chain is walked from each motor al
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Any
@@ -22,6 +22,9 @@ from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.numerics.arrays import Float64
 
 SMALL = 1e-9
+LIGHT = 0.05
+"""Inertia of a joint with limits over that of the masses it lies between, up to which it is play and no mass.
+"""
 HIDDEN = "hidden mass"
 """What the joint of a mass on a spring beside a chain is called in a corrected copy."""
 
@@ -44,13 +47,14 @@ class Motor:
 @dataclass(frozen=True)
 class Handle:
     """An element along x_a − x_b (b = −1: ground): a joint or a tendon, its length being ``scale`` times
-    that."""
+    that; ``play`` is the joint that takes from it what lies between its limits."""
 
     kind: str
     name: str
     a: int
     b: int
     scale: float
+    play: str | None = None
 
 
 @dataclass(eq=False)
@@ -71,6 +75,8 @@ class MjcfPlant:
     model: Model | None
     linear_axes: bool
     step: float
+    hidden: list[int]
+    """Coordinates of masses on a spring beside a chain."""
     plain: bool = False
     """A URDF's: inertia in its links and in the rotors of its motors alone, no tendons."""
 
@@ -152,11 +158,17 @@ def read_plant(
     positions = _positions(compiled, {m.joint: m.reduction for m in motors})
     back = np.asarray(np.linalg.inv(positions), dtype=np.float64)
     mass = back.T @ mass_matrix(compiled) @ back
-    handles = list(_handles(compiled, back))
+    handles = list(_handles(compiled, back, _slack(compiled, mass, {m.joint for m in motors})))
     order = _chains(compiled, handles, [compiled.joint(m.joint).id for m in motors])
+    hidden = [k for k in range(compiled.njnt) if compiled.joint(k).name.startswith(HIDDEN)]
+    for chain in order:  # what hangs on a link that couples to others is no mass of its chain
+        others = [k for c in order if c is not chain for k in c]
+        coupled = np.abs(mass[np.ix_(chain, others)]).max(axis=1, initial=0.0) > SMALL * mass.max()
+        if len(chain) > 1 and coupled[-2] and not coupled[-1]:
+            hidden.append(chain.pop())
     plant = MjcfPlant(
         spec, compiled, axes, motors, positions, mass, handles, order, None, linear,
-        float(compiled.opt.timestep), plain,
+        float(compiled.opt.timestep), hidden, plain,
     )  # fmt: skip
     plant.model = _model(plant, source)
     return plant
@@ -244,8 +256,19 @@ def _joint_before(m: Any, k: int) -> int:
     return -1
 
 
-def _handles(m: Any, back: Float64) -> Iterator[Handle]:
-    for k in range(m.njnt):
+def _slack(m: Any, mass: Float64, motors: set[str]) -> list[int]:
+    """Joints that are play: between limits, with no spring or drive and next to no inertia."""
+    least = mass.diagonal().min(where=~m.jnt_limited.astype(bool), initial=np.inf)
+    return [
+        k
+        for k in range(m.njnt)
+        if m.jnt_limited[k] and not m.jnt_stiffness[k] and m.joint(k).name not in motors
+        and mass[k, k] <= LIGHT * least
+    ]  # fmt: skip
+
+
+def _handles(m: Any, back: Float64, slack: list[int]) -> Iterator[Handle]:
+    for k in (k for k in range(m.njnt) if k not in slack):
         yield from _handle("joint", m.joint(k).name, back[k])
     for t in range(m.ntendon):
         at = slice(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
@@ -253,7 +276,12 @@ def _handles(m: Any, back: Float64) -> Iterator[Handle]:
             length = np.zeros(m.nv)
             for joint, coefficient in zip(m.wrap_objid[at], m.wrap_prm[at], strict=True):
                 length[m.jnt_dofadr[joint]] += coefficient
-            yield from _handle("tendon", m.tendon(t).name, length @ back)
+            pattern = length @ back
+            loose = [k for k in slack if pattern[k]]
+            pattern[loose] = 0.0
+            play = m.joint(loose[0]).name if len(loose) == 1 else None
+            for h in _handle("tendon", m.tendon(t).name, pattern):
+                yield replace(h, play=play)
 
 
 def _handle(kind: str, name: str, pattern: Float64) -> Iterator[Handle]:
@@ -275,16 +303,16 @@ def _chains(m: Any, handles: list[Handle], motors: list[int]) -> list[list[int]]
     for motor in motors:
         chain = [motor]
         while True:
-            further = [k for k in beside.get(chain[-1], ()) if k not in {*chain, *motors, *_hidden(m)}]
+            further = [
+                k
+                for k in beside.get(chain[-1], ())
+                if k not in {*chain, *motors} and not m.joint(k).name.startswith(HIDDEN)
+            ]
             if len(further) != 1:
                 break
             chain.append(further[0])
         out.append(chain)
     return out
-
-
-def _hidden(m: Any) -> list[int]:
-    return [k for k in range(m.njnt) if m.joint(k).name.startswith(HIDDEN)]
 
 
 def stiffness_of(m: Any, h: Handle) -> float:
@@ -302,14 +330,33 @@ def damping_of(m: Any, h: Handle) -> float:
     return float(m.tendon_damping[m.tendon(h.name).id]) * h.scale**2
 
 
+def gap_of(m: Any, h: Handle) -> float:
+    """Free play along x_a − x_b: a dead band of the tendon, and what the joint of its play has."""
+    if h.kind == "joint":
+        return 0.0
+    at = m.tendon(h.name).id
+    band = float(np.ptp(m.tendon_lengthspring[at]))
+    if h.play is not None:
+        band += float(np.ptp(m.jnt_range[m.joint(h.play).id])) * abs(coefficient(m, at, h.play))
+    return band / abs(h.scale)
+
+
+def coefficient(m: Any, tendon: int, joint: str) -> float:
+    """A joint's in the length of a tendon."""
+    at = slice(int(m.tendon_adr[tendon]), int(m.tendon_adr[tendon] + m.tendon_num[tendon]))
+    return float(m.wrap_prm[at][m.wrap_objid[at] == m.joint(joint).id].sum())
+
+
 def _model(plant: MjcfPlant, source: str) -> Model | None:
     """Chains and effects, or None."""
-    used = [*(k for chain in plant.order for k in chain), *_hidden(plant.compiled)]
+    slack = [plant.compiled.joint(h.play).id for h in plant.handles if h.play]
+    used = [*(k for chain in plant.order for k in chain), *plant.hidden, *slack]
     if sorted(used) != list(range(plant.mass.shape[0])):
         return None
     ends = [chain[-1] for chain in plant.order]
     rest = plant.mass.copy()
     rest[np.ix_(ends, ends)] = 0.0
+    rest[slack], rest[:, slack] = 0.0, 0.0
     np.fill_diagonal(rest, 0.0)
     if np.abs(rest).max(initial=0.0) > 1e-6 * plant.mass.diagonal().max():
         return None
@@ -385,10 +432,10 @@ def _effects(plant: MjcfPlant) -> Iterator[EffectTerm]:
         if limit > 0.0:
             k = float(getattr(m, f"{kind}_stiffness")[at]) * size**2
             yield term("spring_hysteresis", place, stiffness=(k, stiff), torque=(k * limit / size, torque))
-        if not is_joint and np.ptp(m.tendon_lengthspring[at]) > 0.0:
-            gap = float(np.ptp(m.tendon_lengthspring[at])) / size
+        gap = gap_of(m, h)
+        if gap:
             yield term("backlash", place, gap=(gap, length))
-    for k in _hidden(m):
+    for k in plant.hidden:
         h = next(h for h in plant.handles if k in (h.a, h.b) and h.b >= 0)
         place = place_of(plant, h.a if h.b == k else h.b, -1)
         if place is not None:

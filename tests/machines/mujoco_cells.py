@@ -507,15 +507,21 @@ def _run(cell: Cell, rng: np.random.Generator, excited: int, role: str) -> Run:
     v = state[0, kept, 1 + model.nq : 1 + model.nq + model.nv]
     # A drive reports the mean torque of its cycle, and the encoder at its end.
     forces = sensed[0].reshape(-1, SUB, sensed.shape[2]).mean(axis=1)
-    sensed, held = sensed[0, kept], held[kept]
+    sensed_all = sensed[0]
+    sensed, held = sensed_all[kept], held[kept]
     if cell.motion == "multisine":
         first = round(SETTLE * PERIOD * RATE)
         q, v, sensed, forces, held = (x[first:] for x in (q, v, sensed, forces, held))
     assert np.isfinite(q).all(), f"cell {cell.seed}: the engine ran away"
     position, torque = sensed[:, 0::3].copy(), forces[:, 1::3] + forces[:, 2::3]
     for i in range(axes):
-        if cell.of("lag", i) is not None or cell.of("delay", i) is not None:  # the drive reports its command
-            torque[:, i] = held[:, model.actuator(f"shake{i + 1}").id] + forces[:, 3 * i + 2]
+        path = cell.of("lag", i) or cell.of("delay", i)
+        if path is not None:  # the drive reports its command, that which gave the hold's torque with it
+            hold, late = sensed_all[:, 3 * i + 2], path.numbers["seconds"]
+            t = np.arange(hold.size) / (RATE * SUB)
+            hold = hold + late * np.gradient(hold, t) if path.kind == "lag" else np.interp(t + late, t, hold)
+            hold = hold.reshape(-1, SUB).mean(axis=1)[-held.shape[0] :]
+            torque[:, i] = held[:, model.actuator(f"shake{i + 1}").id] + hold
     position = np.round(position / cell.count) * cell.count
     torque = torque + rng.normal(0.0, cell.noise, torque.shape)
     torque = np.round(torque / cell.step) * cell.step

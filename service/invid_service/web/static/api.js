@@ -13,7 +13,7 @@ export function onKeyRefused(work) { keyRefused = work; }
 export function useKey(key) { if (key) sessionStorage.setItem(KEY, key); else sessionStorage.removeItem(KEY); }
 
 export async function call(method, path, body, extra = {}, patience = PATIENCE_MS) {
-  const raw = body instanceof Blob, key = sessionStorage.getItem(KEY), limit = new AbortController();
+  const raw = body instanceof Blob || body instanceof FormData, key = sessionStorage.getItem(KEY), limit = new AbortController();
   setTimeout(() => limit.abort(), raw ? LONG_MS : patience); // holds for the body of the answer too
   const response = await fetch(path.startsWith(BASE) ? path : BASE + path, {
     method, cache: "no-store", signal: limit.signal,
