@@ -52,12 +52,6 @@ class LawTable:
         """(k,) standard deviations of the resistances."""
         return tuple(float(np.sqrt(max(row[k], 0.0))) for k, row in enumerate(self.covariance))
 
-    @property
-    def is_known(self) -> bool:
-        """Whether its largest is above three standard deviations, of any knot: the rest of the model may undo
-        it else."""
-        return 3.0 * max(self.std) < max(abs(v) for v in self.value)
-
 
 def table_to_json(table: LawTable) -> dict[str, Any]:
     """Return the parameters ``over``, ``across`` where there is one, and ``table`` of the contract."""

@@ -7,6 +7,7 @@ import numpy as np
 from invid.effects.laws.empirical_law import (
     NAMELESS,
     EmpiricalLaw,
+    is_known,
     is_like_law,
     knots_of,
     most_knots,
@@ -123,9 +124,9 @@ def _is_accepted(design: Design, before: Fit, after: Fit, axis: int, tried: int)
     """Whether a law is significant, seen and unseen, and brings its axis to the noise or takes nearly all."""
     if training_p(before, after) > SIGNIFICANT / tried or held_out_p(design, before, after) > FALSE_ALARM:
         return False
-    at, law = len(after.terms[-1].names), after.terms[-1].law
-    table = None if law is None else law.table(after.value[-at:], after.covariance[-at:, -at:], linear=False)
-    if table is None or not table.is_known:
+    law, at = after.terms[-1], len(after.terms[-1].names)
+    felt = design.columns(law)[design.train & (design.axis == axis)]
+    if not is_known(felt, after.value[-at:], after.covariance[-at:, -at:]):
         return False
     rows = judged_rows(design) & (design.axis == axis)
     noise = float(np.mean(noise_of(design, after)[rows]))

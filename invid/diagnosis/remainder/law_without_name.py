@@ -22,13 +22,14 @@ from invid.diagnosis.evidence import (
 from invid.diagnosis.score_test import Score, Screen
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN, FLOOR, HELD_OUT, SIGNIFICANCE
-from invid.effects.laws.empirical_law import KNOTS, EmpiricalLaw, knots_of, most_knots
+from invid.effects.laws.empirical_law import KNOTS, EmpiricalLaw, is_known, knots_of, most_knots
 from invid.effects.motion_effect import OF_MOTION, OF_RATE, PAIRS
 from invid.likelihood.joint_fit import JointFit, fit
 from invid.likelihood.null_test import rms_torque
 from invid.likelihood.placed_effect import PlacedEffect
 from invid.model.place import Place
 from invid.numerics import budget
+from invid.numerics.arrays import Bool, Float64
 from invid.numerics.distributions import chi2_isf
 from invid.numerics.smooth_parts import smooth_parts
 from invid.signals.spectral_record import SpectralRecord
@@ -101,14 +102,18 @@ class _Search:
 
     def scores(self, loud: Collection[int], quantities: Sequence[tuple[str, str]]) -> list[Score]:
         """Laws over each of these quantities on these axes, best first."""
-        screen = Screen(self._current.fit)
-        structure = screen.fit.layout.structure
+        here = self._current.fit
+        screen, structure = Screen(here), here.layout.structure
         found = [
             score
             for over, across in quantities
             for place in EmpiricalLaw(over, across=across).places(structure)
             if place.axis in loud
-            and (score := _score(screen, over, across, place, FIRST_OF_TWO if across else FIRST, self._price))
+            and (
+                score := _score(
+                    screen, over, across, place, FIRST_OF_TWO if across else FIRST, here.dispersion
+                )
+            )
             is not None
         ]
         screen.restore_views()
@@ -128,8 +133,7 @@ class _Search:
         least = chi2_isf(SIGNIFICANCE / self._tried, best.term.size)
         if gains[0] < least * best.fit.dispersion or gains[1] < HELD_OUT * best.held_dispersion:
             return None
-        table = best.term.effect.table(best.x, best.fit.covariance_of(-1), linear=False)
-        is_law = table is not None and table.is_known and _takes_nearly_all(best, current)
+        is_law = _is_known(best) and _takes_nearly_all(best, current)
         return Step(current, best, tuple(ranked)) if is_law else None
 
     def beats_curves(self, law: CandidateEvidence, curves: Sequence[Score]) -> bool:
@@ -149,6 +153,15 @@ class _Search:
 def _is_above_noise(current: CandidateEvidence, axis: int) -> bool:
     after, floor = rms_torque(current.held, axis)
     return after > FLOOR * floor
+
+
+def _is_known(best: CandidateEvidence) -> bool:
+    """Whether its records tell a law from the rest of the model."""
+    law, place = best.term.effect, best.term.place
+    if not isinstance(law, EmpiricalLaw):
+        return False
+    felt = np.concatenate([law.law(v, place, ()) for v in best.fit.evaluation.views])
+    return is_known(felt, best.x, best.fit.covariance_of(-1))
 
 
 def _takes_nearly_all(best: CandidateEvidence, current: CandidateEvidence) -> bool:
@@ -178,9 +191,8 @@ def _fit_law(
         if bare is None:
             break
         screen = Screen(bare)
-        price = _price(bare, at.dispersion)
         law = score.term.effect
-        again = _score(screen, law.over, law.across, score.term.place, KNOTS, price)
+        again = _score(screen, law.over, law.across, score.term.place, KNOTS, at.dispersion)
         screen.restore_views()
         if again is None:
             break
@@ -197,9 +209,21 @@ def _price(here: JointFit, dispersion: float) -> float:
     return float(np.log(max(here.dof, 2))) * dispersion
 
 
-def _score(screen: Screen, over: str, across: str, place: Place, most: int, price: float) -> Score | None:
-    """The law over one quantity or two at one place with the shapes that pay their ``price``, ``most`` at
-    most; ``None`` for none."""
+def _is_undone(felt: Float64, straight: Float64, law: Float64, dispersion: float) -> Bool:
+    """(s,) whether straight parts (k, s), ``felt`` (m, s) in rows beside the rest of the model, are
+    known to no third of a ``law`` (k,)."""
+    size = np.maximum(np.linalg.norm(felt, axis=0), 1e-300)
+    std = np.sqrt(dispersion) * np.abs(straight).max(axis=0) / size
+    out: Bool = 3.0 * std > np.abs(law).max()
+    return out
+
+
+def _score(
+    screen: Screen, over: str, across: str, place: Place, most: int, dispersion: float
+) -> Score | None:
+    """The law over one quantity or two at one place with the shapes that pay their price, ``most`` at most;
+    ``None`` for none. It has no straight part where the rest of the model can undo that."""
+    price = _price(screen.fit, dispersion)
     pattern = place.pattern(screen.fit.layout.structure)
     screen.reconstruct(PlacedEffect(EmpiricalLaw(over, across=across), place))
     quantities = (over, across) if across else (over,)
@@ -215,11 +239,11 @@ def _score(screen: Screen, over: str, across: str, place: Place, most: int, pric
     columns = screen.project([law.basis(v, place, ()) for v in screen.views])
     if not np.isfinite(columns).all():
         return None
-    if (
-        place.kind == "spring"
-    ):  # the spring's own stiffness and damper, whatever the motion they are read from
-        straight = law.straight()
-        columns = columns - (columns @ straight) @ straight.T
+    straight = law.straight()
+    if place.kind != "spring":  # the stiffness and damper of a spring take it up, whatever it is read from
+        shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
+        straight = straight[:, _is_undone(columns @ straight, straight, shapes @ x, dispersion)]
+    columns = columns - (columns @ straight) @ straight.T
     shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
     if not x.size:
         return None

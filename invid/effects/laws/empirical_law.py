@@ -88,6 +88,13 @@ def knots_of(values: Sequence[Float64], most: int = KNOTS) -> list[float] | None
     return [float(e) for e in edges[kept]]
 
 
+def is_known(rows: Float64, x: Float64, covariance: Float64) -> bool:
+    """Return whether the largest resistance of a law in ``rows`` (m, k) is above three standard deviations of
+    any: the rest of the model may undo it else. Knots that no row is near do not count."""
+    variance = np.sum(rows @ covariance * rows, axis=1)
+    return bool(9.0 * variance.max() < np.square(rows @ x).max())
+
+
 def is_like_law(effect: Effect, over: str) -> bool:
     """Return whether a cause is a function of the same quantity as a law, so that one may stand for a part of
     the other."""
