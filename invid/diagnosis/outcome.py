@@ -227,13 +227,15 @@ def _with_law(left: Unexplained | None, law: Finding) -> Unexplained:
     """What is left in words, a law without a name with it."""
     if left is None:
         left = Unexplained(law.axis, (), (), f"{law.axis}: what acts there has no name in the catalogue")
-    follows = () if law.effect.table is None else (f"{law.effect.table.over}-dependent",)
+    quantities = () if law.effect.table is None else law.effect.table.quantities
+    follows = [f"{q}-dependent" for q in quantities]
     return replace(left, character=tuple(dict.fromkeys([*left.character, *follows])))
 
 
 def _most_beside(finding: Finding, laws: Sequence[Finding]) -> float:
     """Largest confidence of a finding beside laws without a name: it may be a part of one."""
-    overs = [w.effect.table.over for w in laws if w.axis == finding.axis and w.effect.table is not None]
+    tables = [w.effect.table for w in laws if w.axis == finding.axis and w.effect.table is not None]
+    overs = [q for table in tables for q in table.quantities]
     if not overs or finding.effect.table is not None:
         return 1.0
     is_like = any(is_like_law(BY_CAUSE[finding.cause], over) for over in overs)

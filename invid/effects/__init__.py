@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from invid.effects.effect import Effect, Experiment, ForceEffect, ImpedanceEffect, PlaceMotion
     from invid.effects.elements import ForceLaw, Law, ModelPlace, StaticLaw
-    from invid.effects.laws.empirical_law import spline_law
+    from invid.effects.laws.empirical_law import spline_law, surface_law
     from invid.effects.motion_effect import MotionEffect
     from invid.effects.parameter import Parameter
     from invid.model.place import (
@@ -34,6 +34,7 @@ _HOMES = {
     "PlaceMotion": "effect",
     "StaticLaw": "elements",
     "spline_law": "laws.empirical_law",
+    "surface_law": "laws.empirical_law",
 }
 __all__ = [
     "Effect",
@@ -54,6 +55,7 @@ __all__ = [
     "pair_places",
     "spline_law",
     "spring_places",
+    "surface_law",
 ]
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.effects.motion_effect import MotionEffect
 from invid.effects.registry import law_of
 from invid.model.document import EffectTerm
 from invid.numerics.arrays import Float64
@@ -29,12 +30,22 @@ def abscissa(term: EffectTerm) -> str | None:
     return None if effect is None else effect.over or None
 
 
-def curve(term: EffectTerm, x: Float64, stiffness: float) -> Curve | None:
+def across(term: EffectTerm) -> str | None:
+    """Second quantity that a cause depends on; ``None`` for none."""
+    effect = law_of(term)
+    return effect.across or None if isinstance(effect, MotionEffect) else None
+
+
+def curve(term: EffectTerm, x: Float64, stiffness: float, beside: Float64 | None = None) -> Curve | None:
     """Resistance of ``term`` over ``x`` (a time series of its abscissa); ``None`` where it has none.
 
-    ``stiffness`` is that of the spring the term sits in, where it sits in one.
+    ``stiffness`` is that of the spring the term sits in, where it sits in one. ``beside`` is the time series
+    of the second quantity of a law that has one.
     """
     effect = law_of(term)
+    if isinstance(effect, MotionEffect) and effect.across and beside is not None:
+        p = {name: e.value for name, e in term.parameters.items()}
+        return Curve(x, effect.surface(p, x, beside), path=True)
     if effect is None or not effect.over:
         return None
     p = {name: e.value for name, e in term.parameters.items()}

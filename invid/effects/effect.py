@@ -112,6 +112,8 @@ class Effect:
     over: str = ""
     """Quantity over which its missing torque is drawn (``invid.effects.curve``); "" where it has no such
     picture."""
+    across: str = ""
+    """Second quantity that it depends on, "" for none (``motion_effect.PAIRS``)."""
     path: bool = False
     """Whether its curve is a path in time, as a hysteresis is."""
     sizes: tuple[Size, ...] = ()

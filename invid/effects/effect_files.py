@@ -21,7 +21,7 @@ from typing import NoReturn
 import numpy as np
 
 from invid.effects.effect import FAMILIES, HOMES, OVER, Effect, Experiment, PlaceMotion
-from invid.effects.motion_effect import OF_MOTION, MotionEffect
+from invid.effects.motion_effect import OF_MOTION, PAIRS, MotionEffect
 from invid.effects.sizes import Size
 from invid.effects.units import unit_of
 from invid.errors import InputError, InvidError
@@ -150,13 +150,16 @@ def _check_words(effect: Effect, refuse: Refuse) -> None:
     for name in ("title", "check"):
         if not (isinstance(getattr(effect, name), str) and getattr(effect, name).strip()):
             refuse(name, f"{name} is empty; say it in a few words")
-    # Drawn over anything, but a table over one quantity of the motion is all that follows from a law.
+    # Drawn over anything, but a table over quantities of the motion is all that follows from a law.
     table = isinstance(effect, MotionEffect) and type(effect).simulation is MotionEffect.simulation
     for name, allowed in (("family", FAMILIES), ("home", HOMES), ("over", OF_MOTION if table else OVER)):
         found = getattr(effect, name)
         if found not in allowed:
             more = "; a law over another quantity has to give simulation" if name == "over" and table else ""
             refuse(name, f"{name} is {found!r}; it is one of {_listed(allowed)}{more}")
+    if table and effect.across and {effect.over, effect.across} not in [set(pair) for pair in PAIRS]:
+        refuse("across", f"across is {effect.across!r} beside over {effect.over!r}; the two are "
+               f"{' or '.join(' and '.join(map(repr, pair)) for pair in PAIRS)}")  # fmt: skip
     one = effect.separating
     if not isinstance(one, Experiment) or not one.text:
         refuse("separating", "separating is missing; write separating = Experiment(kind, words), kind one of "

@@ -30,7 +30,7 @@ class Law(IntEnum):
     BACKLASH = 6  # [half gap, stiffness, damping]
     PAIR_SLIDER = 7  # [stiffness, torque] beside a spring
     TRANSMISSION = 8  # [amplitude, cycles, phase, stiffness]
-    TABLE = 9  # [0 of position or 1 of velocity, largest value in the table, its row]
+    TABLE = 9  # [0 of position, 1 of velocity, 2 of both; largest position, largest velocity in it; its row]
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,14 @@ class ForceLaw:
 
 @dataclass(frozen=True)
 class StaticLaw:
-    """A resistance that is a function of position or velocity at its place, (n,) to (n,) [N·m or N].
+    """A resistance that is a function of position, velocity or both at its place, (n,) to (n,) [N·m or N].
 
     Between two coordinates (``b`` ≥ 0) the quantity is that of a minus that of b. The simulators read it from
     a table over twice the range of the motion, linearly extrapolated.
     """
 
-    over: Literal["position", "velocity"]
-    force: Callable[[Float64], Float64]
+    over: Literal["position", "velocity", "both"]
+    force: Callable[..., Float64]
     a: int
     b: int = -1
 

@@ -14,23 +14,23 @@ from invid.model.document import EffectTerm
 
 _TEMPLATE = '''"""{title}: found as a law without a name{where}.
 
-u is the {over} [{at_unit}]. Say in title, check and looks_like what it is.
+{said} Say in title, check and looks_like what it is.
 """
 
 import numpy as np
 
-from invid.effects import Experiment, MotionEffect, Parameter, {places}, spline_law
+from invid.effects import Experiment, MotionEffect, Parameter, {places}, {spline}
 
 AT = {at}  # {at_unit}
-SHAPE = {shape}  # resistance over its largest
-LAW = spline_law(AT, SHAPE)
+{across_at}SHAPE = {shape}  # resistance over its largest
+LAW = {spline}({knots}, SHAPE)
 
 
 class {kind}(MotionEffect):
-    """Resistance torque·s(u), s a spline through the shape."""
+    """Resistance torque·s({letters}), s a spline through the shape."""
 
     cause, family, over = "{name}", "other", "{over}"
-    numbers = (Parameter("torque", "torque"),)
+{across}    numbers = (Parameter("torque", "torque"),)
     title = "{title}"
     check = "Look for what acts there."
     separating = Experiment("amplitudes", "the same excitation at another amplitude: its curve stays")
@@ -40,7 +40,7 @@ class {kind}(MotionEffect):
         return {places}(structure)
 
     def resistance(self, motion, shape):
-        return LAW(motion.{quantity})
+        return LAW({quantities})
 
 
 EFFECT = {kind}()
@@ -58,19 +58,30 @@ def law_file(name: str, term: EffectTerm) -> str:
     if term.cause != NAMELESS or table is None:
         raise InputError(f"{term.cause} on {term.axis} has a name already; only {NAMELESS} becomes a file")
     size = max(float(np.abs(table.value).max()), 1e-300)
-    in_spring = table.over in IN_SPRING
+    in_spring, two = table.over in IN_SPRING, bool(table.across)
+    said = f"u is the {table.over} [{table.at_unit}]" + (
+        f", w the {table.across} [{table.across_unit}]." if two else "."
+    )
     return _TEMPLATE.format(
         name=name,
         kind="".join(part.capitalize() for part in name.split("_")) or "Law",
         title=name.replace("_", " ").strip() or name,
         where=f" on {term.axis}" + (f", {term.element}" if term.element else ""),
+        said=said,
+        letters="u, w" if two else "u",
+        spline="surface_law" if two else "spline_law",
+        knots="AT, ACROSS" if two else "AT",
         over=table.over,
+        across=f'    across = "{table.across}"\n' if two else "",
+        across_at=f"ACROSS = {_listed(list(table.across_at))}  # {table.across_unit}\n" if two else "",
         at_unit=table.at_unit,
         at=_listed(list(table.at)),
         shape="np.array(" + _listed([[v / size] for v in table.value]) + ")",
         places="pair_places" if term.other_axis else "spring_places" if in_spring else "mass_places",
         home="spring" if in_spring else "motor",
-        quantity="velocity" if table.over in OF_RATE else "position",
+        quantities=", ".join(
+            f"motion.{'velocity' if q in OF_RATE else 'position'}" for q in table.quantities
+        ),
     )
 
 

@@ -26,6 +26,8 @@ OF_MOTION = ("velocity", "position", "deflection", "deflection rate")
 """Quantities over which a law can be simulated from a table."""
 OF_RATE = ("velocity", "deflection rate")
 """Those of them that are rates."""
+PAIRS = (("velocity", "position"), ("deflection", "deflection rate"))
+"""Two of them that a law may depend on at once."""
 
 
 class MotionEffect(ForceEffect):
@@ -90,9 +92,19 @@ class MotionEffect(ForceEffect):
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64 | None:
         return self._static_resistance(p, x)
 
+    def surface(self, p: Mapping[str, float], x: Float64, y: Float64) -> Float64:
+        """(n,) resistance where ``over`` is ``x`` and ``across`` is ``y``, in pairs."""
+        position, velocity = (y, x) if self.over in OF_RATE else (x, y)
+        return self._resistance_at(p, PlaceMotion(position, velocity, np.zeros_like(x)))
+
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         p = {name: at.value(name) for name in self.parameters}
         a, b = at.coordinates(self.home)
+        if self.across:
+            surface = partial(self.surface, p)
+            return [
+                StaticLaw("both", (lambda q, v: surface(v, q)) if self.over in OF_RATE else surface, a, b)
+            ]
         resistance = partial(self._static_resistance, p)
         return [StaticLaw("velocity" if self.over in OF_RATE else "position", resistance, a, b)]
 
@@ -102,6 +114,9 @@ class MotionEffect(ForceEffect):
         motion = PlaceMotion(x, still, still)
         if self.over in OF_RATE:
             motion = replace(motion, position=still, velocity=x)
+        return self._resistance_at(p, motion)
+
+    def _resistance_at(self, p: Mapping[str, float], motion: PlaceMotion) -> Float64:
         size = np.array(self.vector(p)[: len(self.coefficients)])
         out: Float64 = self.resistance(motion, [p[name] for name in self.shapes]) @ size
         return out

@@ -374,11 +374,10 @@ def _effect_term(e: _EffectJson, source: str) -> EffectTerm:
     element, parameters, where = e.element, {}, f"{source}: effect {e.cause} on {e.axis}"
     table = None
     if "table" in e.parameters:
-        over = e.parameters.get("over")
-        said = over.model_dump() if isinstance(over, _NamedJson) else over
-        table = table_from_json({**e.parameters, "over": said}, where)
+        said = {k: p.model_dump() if isinstance(p, _NamedJson) else p for k, p in e.parameters.items()}
+        table = table_from_json(said, where)
     for key, p in e.parameters.items():
-        if table is not None and key in ("over", "table"):
+        if table is not None and key in ("over", "across", "table"):
             continue
         if isinstance(p, dict):
             raise ModelError(f"{where}: {key} is {p!r:.60}; it must be a number")

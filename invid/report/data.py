@@ -208,7 +208,7 @@ def _cause(
     x = _abscissa(m, pattern, i, what, term)
     y = -_wave(s, force)
     keep = _interior(s, x.size)
-    fitted = laws.curve(term, x, stiffness)
+    fitted = laws.curve(term, x, stiffness, _beside(m, pattern, i, term))
     picture = _points(x[keep], y[keep])
     if fitted is not None:
         fx, fy = fitted.x, fitted.y
@@ -216,6 +216,9 @@ def _cause(
             thin = slice(None, None, max(1, fx[keep].size // 1500))
             fx, fy = fx[keep][thin], (fy[keep] - fy[keep].mean())[thin]
         picture["fit"] = {"x": fx.tolist(), "y": fy.tolist()}
+    second = laws.across(term)
+    if second is not None:
+        note = ", ".join(filter(None, (f"it depends on the {second} too: drawn at the same instants", note)))
     return {**picture, **_labels(recording, what, term.axis, term.cause, term.element, note)}
 
 
@@ -259,12 +262,18 @@ def fitted_wave(
 ) -> Float64 | None:
     """(n,) torque of the fitted cause at every instant; mean removed, as lines carry none."""
     x = _abscissa(m, pattern, axis, own, term)
-    curve = laws.curve(term, x, stiffness)
+    curve = laws.curve(term, x, stiffness, _beside(m, pattern, axis, term))
     if curve is None:
         return None
     y = curve.y if curve.path else np.interp(x, curve.x, curve.y)
     result: Float64 = y - float(y.mean())
     return result
+
+
+def _beside(m: MissingTorque, pattern: Float64, axis: int, term: EffectTerm) -> Float64 | None:
+    """(n,) second quantity of a law over two; ``None`` for others."""
+    second = laws.across(term)
+    return None if second is None else _abscissa(m, pattern, axis, second, term)
 
 
 def lines_of(s: LineSpectra, wave: Float64) -> Complex128:

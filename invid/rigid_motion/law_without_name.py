@@ -1,13 +1,21 @@
-"""What no cause explains on an axis of one rigid mass, as a smooth law over its velocity or its position."""
+"""What no cause explains on an axis of one rigid mass: a smooth law over its velocity, position or both."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from invid.effects.laws.empirical_law import NAMELESS, EmpiricalLaw, is_like_law, knots_of
+from invid.effects.laws.empirical_law import (
+    NAMELESS,
+    EmpiricalLaw,
+    is_known,
+    is_like_law,
+    knots_of,
+    most_knots,
+)
 from invid.effects.motion_effect import OF_RATE
 from invid.effects.registry import BY_CAUSE
 from invid.numerics import budget
+from invid.numerics.arrays import Float64
 from invid.numerics.smooth_parts import smooth_parts
 from invid.rigid_motion.regression import Design, Fit, fit_terms, noise_of
 from invid.rigid_motion.regressors import Regressor
@@ -22,8 +30,9 @@ from invid.rigid_motion.selection import (
     training_p,
 )
 
-COUNTS = (1, 2, 3, 5, 8, 12, 20)
-"""Numbers of its smoothest shapes that are tried; pieces kept out in turn say which is best."""
+COUNTS, MORE_OF_TWO = (1, 2, 3, 5, 8, 12, 20), (32, 50, 80)
+"""Numbers of its smoothest shapes that are tried, and more of a law over two quantities; pieces kept out
+in turn say which is best."""
 DRY = ("coulomb_friction", "stribeck_friction", "asymmetric_friction")
 """Causes that jump where the motion reverses."""
 NEARLY_ALL = 0.98
@@ -36,17 +45,32 @@ def add_laws(design: Design, current: Fit) -> Fit:
     for axis in np.flatnonzero(~axes_at_noise(design, current)):
         if budget.is_left_out("a law without a name"):
             break
-        trials = [
-            _with_law(design, fit_terms(design, terms), int(axis), over)
-            for over in ("velocity", "position")
-            for terms in _beside_law(current.terms, int(axis), over)
-        ]
-        accepted = [
-            f for f in trials if f is not None and _is_accepted(design, current, f, int(axis), len(trials))
-        ]
+        curves = [t for q in ("velocity", "position") for t in _trials(design, current, int(axis), q, "")]
+        tried, accepted = len(curves), _accepted(design, current, curves, int(axis), len(curves))
+        if not accepted:
+            surfaces = _trials(design, current, int(axis), "velocity", "position")
+            tried += len(surfaces)
+            accepted = [
+                f
+                for f in _accepted(design, current, surfaces, int(axis), tried)
+                if all(held_out_p(design, curve, f) <= FALSE_ALARM for curve in curves)
+            ]
         rows = current.effective
         current = min(accepted, key=lambda f: information_criterion(f, rows), default=current)
     return current
+
+
+def _trials(design: Design, current: Fit, axis: int, over: str, across: str) -> list[Fit]:
+    """The fits with a law over one quantity or two, where that moves, beside the terms that may be there."""
+    fits = (
+        _with_law(design, fit_terms(design, terms), axis, over, across)
+        for terms in _beside_law(current.terms, axis, over)
+    )
+    return [f for f in fits if f is not None]
+
+
+def _accepted(design: Design, current: Fit, trials: list[Fit], axis: int, tried: int) -> list[Fit]:
+    return [f for f in trials if _is_accepted(design, current, f, axis, tried)]
 
 
 def _beside_law(terms: list[Regressor], axis: int, over: str) -> list[list[Regressor]]:
@@ -65,20 +89,29 @@ def _beside_law(terms: list[Regressor], axis: int, over: str) -> list[list[Regre
     return [kept, [*kept, dry]] if jumps else [kept]
 
 
-def _with_law(design: Design, current: Fit, axis: int, over: str) -> Fit | None:
-    """The fit with a law over one quantity beside all terms; ``None`` where it does not move."""
-    quantity = [m.rows(m.velocity if over in OF_RATE else m.position) for m in design.motions]
-    seen = design.on_axis(quantity, axis)[design.train[design.axis == axis]]
-    knots = knots_of([seen])
-    if knots is None:
-        return None
+def _with_law(design: Design, current: Fit, axis: int, over: str, across: str) -> Fit | None:
+    """The fit with a law over one quantity or two beside all terms; ``None`` where one does not move."""
+    knots = []
+    for q in (over, across) if across else (over,):
+        quantity = [m.rows(m.velocity if q in OF_RATE else m.position) for m in design.motions]
+        seen = design.on_axis(quantity, axis)[design.train[design.axis == axis]]
+        own = knots_of([seen], most_knots(q, two=bool(across)))
+        if own is None:
+            return None
+        knots.append(own)
+    first, second = knots[0], knots[1] if across else [0.0]
+
+    def law_of(shapes: Float64) -> EmpiricalLaw:
+        return EmpiricalLaw(over, first, shapes, across, second)
+
     rows, weight = design.train, design.weight[design.train, None]
     known = np.linalg.qr(design.matrix(current.terms)[rows] * weight)[0]
-    columns = design.columns(_term(axis, EmpiricalLaw(over, knots, np.eye(len(knots)))))[rows] * weight
+    columns = design.columns(_term(axis, law_of(np.eye(len(first) * len(second)))))[rows] * weight
     columns = columns - known @ (known.T @ columns)
-    shapes, _ = smooth_parts(columns, current.residual[rows] * weight[:, 0], 0.0, COUNTS[-1])
-    counts = [n for n in COUNTS if n <= shapes.shape[1]]
-    laws = [EmpiricalLaw(over, knots, shapes[:, :n]) for n in counts]
+    tried = (*COUNTS, *MORE_OF_TWO) if across else COUNTS
+    shapes, _ = smooth_parts(columns, current.residual[rows] * weight[:, 0], 0.0, tried[-1], len(second))
+    counts = [n for n in tried if n <= shapes.shape[1]]
+    laws = [law_of(shapes[:, :n]) for n in counts]
     trials = [fit_terms(design, [*current.terms, _term(axis, law)]) for law in laws]
     return min(trials, key=lambda f: held_out_cost(design, f, design.train), default=None)
 
@@ -91,9 +124,9 @@ def _is_accepted(design: Design, before: Fit, after: Fit, axis: int, tried: int)
     """Whether a law is significant, seen and unseen, and brings its axis to the noise or takes nearly all."""
     if training_p(before, after) > SIGNIFICANT / tried or held_out_p(design, before, after) > FALSE_ALARM:
         return False
-    at, law = len(after.terms[-1].names), after.terms[-1].law
-    table = None if law is None else law.table(after.value[-at:], after.covariance[-at:, -at:], linear=False)
-    if table is None or not table.is_known:
+    law, at = after.terms[-1], len(after.terms[-1].names)
+    felt = design.columns(law)[design.train & (design.axis == axis)]
+    if not is_known(felt, after.value[-at:], after.covariance[-at:, -at:]):
         return False
     rows = judged_rows(design) & (design.axis == axis)
     noise = float(np.mean(noise_of(design, after)[rows]))

@@ -15,6 +15,29 @@ from invid.numerics.compiled import compiled, inlined
 
 
 @inlined
+def on_line(tables: Any, row: int, begin: int, points: int, largest: float, x: float) -> float:
+    """Return what ``points`` entries of a row from ``begin``, even from −largest to largest, give at ``x``,
+    straight on beyond their ends."""
+    at = (x / largest + 1.0) * 0.5 * (points - 1)
+    cell = min(max(int(np.floor(at)), 0), points - 2)
+    low, high = tables[row, begin + cell], tables[row, begin + cell + 1]
+    found: float = low + (at - cell) * (high - low)
+    return found
+
+
+@inlined
+def on_surface(tables: Any, row: int, most: float, fastest: float, q: float, v: float) -> float:
+    """Return what a row that is a square, positions by velocities, gives at ``q`` and ``v``."""
+    points = int(np.sqrt(tables.shape[1]) + 0.5)
+    at = (q / most + 1.0) * 0.5 * (points - 1)
+    cell = min(max(int(np.floor(at)), 0), points - 2)
+    low = on_line(tables, row, cell * points, points, fastest, v)
+    high = on_line(tables, row, (cell + 1) * points, points, fastest, v)
+    found: float = low + (at - cell) * (high - low)
+    return found
+
+
+@inlined
 def _law(
     e: int,
     law: int,
@@ -55,17 +78,18 @@ def _law(
         else:
             f = parameters[e, 1] * d + parameters[e, 2] * (va - vb)
     elif law == 9:
-        of = qa - qb
-        if parameters[e, 0] != 0.0:
-            # The velocity half a sub-step on, as the positions are.
-            of = 1.5 * (va - vb) - 0.5 * memory[e, 1]
-            memory[e, 1] = va - vb
-        memory[e, 0] = max(memory[e, 0], abs(of))
-        row, last = int(parameters[e, 2]), tables.shape[1] - 1
-        at = (of / parameters[e, 1] + 1.0) * 0.5 * last
-        # Straight on beyond the ends.
-        cell = min(max(int(np.floor(at)), 0), last - 1)
-        f = -(tables[row, cell] + (at - cell) * (tables[row, cell + 1] - tables[row, cell]))
+        # The velocity half a sub-step on, as the positions are.
+        rate = 1.5 * (va - vb) - 0.5 * memory[e, 1]
+        memory[e, 1] = va - vb
+        memory[e, 0] = max(memory[e, 0], abs(qa - qb))
+        memory[e, 2] = max(memory[e, 2], abs(rate))
+        row = int(parameters[e, 3])
+        if parameters[e, 0] == 2.0:
+            f = -on_surface(tables, row, parameters[e, 1], parameters[e, 2], qa - qb, rate)
+        elif parameters[e, 0] == 1.0:
+            f = -on_line(tables, row, 0, tables.shape[1], parameters[e, 2], rate)
+        else:
+            f = -on_line(tables, row, 0, tables.shape[1], parameters[e, 1], qa - qb)
     return f
 
 
@@ -158,8 +182,9 @@ def march(
 ) -> None:
     """March ``torque.shape[0] − 1`` sub-steps; motor [θ, θ̇] every ``every`` sub-steps into ``positions``.
 
-    ``state`` (2n,) and ``memory`` (E, 2) are changed in place: where sliders stand, how far a table was read.
-    ``tables`` (S, P): resistance over even steps from minus to plus the largest value of its quantity.
+    ``state`` (2n,) and ``memory`` (E, 3) are changed in place: where sliders stand, how far a table was read.
+    ``tables`` (S, P): resistance over even steps from minus to plus the largest value of its quantity, or √P
+    by √P of two.
     """
     size, dofs, count = state.size, state.size // 2, motors.size
     laws = kinds.shape[0]

@@ -37,6 +37,8 @@ PARAMETERS = 6
 TABLE_POINTS = 2049
 """Points of the table of a static law: straight between them, an error of 2·10⁻⁷ of the largest force for one
 that grows with the square."""
+SURFACE_POINTS = 257
+"""The same along each of two quantities: 2·10⁻⁵."""
 
 
 @dataclass(eq=False)
@@ -131,16 +133,31 @@ def law_table(forces: list[ForceLaw]) -> tuple[Float64, Float64]:
     return kinds, parameters
 
 
-def static_table(laws: Sequence[StaticLaw], reach: Sequence[float]) -> tuple[list[ForceLaw], Float64]:
-    """Static laws as laws of the kernel, and (S, POINTS) their forces from −reach to reach of each."""
-    tables = np.zeros((max(len(laws), 1), TABLE_POINTS))
+def static_table(
+    laws: Sequence[StaticLaw], reach: Sequence[tuple[float, float]]
+) -> tuple[list[ForceLaw], Float64]:
+    """Static laws as laws of the kernel, and (S, P) their forces within ±reach of position and velocity.
+
+    A law of both has SURFACE_POINTS² points, all velocities at the first position and so on.
+    """
+    points = SURFACE_POINTS**2 if any(law.over == "both" for law in laws) else TABLE_POINTS
+    tables = np.zeros((max(len(laws), 1), points))
     out = []
     for row, (law, most) in enumerate(zip(laws, reach, strict=True)):
-        values = np.asarray(law.force(np.linspace(-most, most, TABLE_POINTS)), dtype=float)
-        if values.shape != (TABLE_POINTS,) or not np.isfinite(values).all():
+        if law.over == "both":
+            grids = np.meshgrid(*(np.linspace(-m, m, SURFACE_POINTS) for m in most), indexing="ij")
+            at = [g.ravel() for g in grids]
+        else:
+            largest = most[law.over == "velocity"]
+            at = [np.linspace(-largest, largest, points)]
+        values = np.asarray(law.force(*at), dtype=float)
+        if values.shape != (points,) or not np.isfinite(values).all():
+            over = "position and velocity" if law.over == "both" else law.over
             raise ModelError(
-                f"simulation: a law over the {law.over} is not finite within ±{most:.3g}; check its numbers"
+                f"simulation: a law over the {over} is not finite within ±{most[0]:.3g} and ±{most[1]:.3g} a "
+                "second; check its numbers"
             )
         tables[row] = values
-        out.append(ForceLaw(Law.TABLE, law.a, law.b, (float(law.over == "velocity"), most, float(row))))
+        kind = ("position", "velocity", "both").index(law.over)
+        out.append(ForceLaw(Law.TABLE, law.a, law.b, (float(kind), *most, float(row))))
     return out, tables

@@ -275,13 +275,11 @@ class RigidLaws:
     channels: tuple[TorqueChannel, ...]
 
     def tables(self, position: Float64, velocity: Float64) -> tuple[Float64, Float64]:
-        """(S, 3) and (S, P) of ``march``, over twice the range of the motion (n, M)."""
-        reach = [
-            2.0 * max(float(np.abs((velocity if x.over == "velocity" else position)[:, x.a]).max()), 1e-300)
-            for x in self.static
-        ]
+        """(S, 4) and (S, P) of ``march``, over twice the range of the motion (n, M)."""
+        most = [np.maximum(2.0 * np.abs(x).max(axis=0), 1e-300) for x in (position, velocity)]
+        reach = [(float(most[0][x.a]), float(most[1][x.a])) for x in self.static]
         made, tables = static_table(self.static, reach)
-        rows = np.array([[f.a, f.parameters[0], f.parameters[1]] for f in made]).reshape(-1, 3)
+        rows = np.array([[f.a, *f.parameters[:3]] for f in made]).reshape(-1, 4)
         return rows, tables
 
 

@@ -12,16 +12,7 @@ from typing import Any
 import numpy as np
 
 from invid.numerics.compiled import compiled, inlined
-
-
-@inlined
-def _table(tables: Any, row: int, largest: float, x: float) -> float:
-    """Resistance at ``x`` by row ``row`` of the tables, straight on beyond its ends."""
-    last = tables.shape[1] - 1
-    at = (x / largest + 1.0) * 0.5 * last
-    cell = min(max(int(np.floor(at)), 0), last - 1)
-    found: float = tables[row, cell] + (at - cell) * (tables[row, cell + 1] - tables[row, cell])
-    return found
+from invid.simulation.kernel import on_line, on_surface
 
 
 @inlined
@@ -46,7 +37,12 @@ def _add_axis_forces(
         load[i] = weight + dry[i, 9] * smooth[i, 3]
         for r in range(static.shape[0]):
             if int(static[r, 0]) == i:
-                force[i] -= _table(tables, r, static[r, 2], q[i] if static[r, 1] == 0.0 else v[i])
+                if static[r, 1] == 2.0:
+                    force[i] -= on_surface(tables, r, static[r, 2], static[r, 3], q[i], v[i])
+                elif static[r, 1] == 1.0:
+                    force[i] -= on_line(tables, r, 0, tables.shape[1], static[r, 3], v[i])
+                else:
+                    force[i] -= on_line(tables, r, 0, tables.shape[1], static[r, 2], q[i])
         # Half of the step's viscous force at its end: second order, and stable for any coefficient.
         effective[i, i] += 0.5 * step * viscous
 
@@ -155,8 +151,8 @@ def march(
         (M, 10) Coulomb and viscous levels up and down, low-speed excess up and down, its velocity and
         exponent, friction per load and 1 where inertia counts as load (that of the step before).
     static, tables
-        (S, 3) axis, 0 of position or 1 of velocity, largest value of it in the table; (S, P) resistance over
-        even steps from minus to plus that value, straight on beyond.
+        (S, 4) axis, 0 of position or 1 of velocity or 2 of both, largest position and velocity in the table;
+        (S, P) resistance over even steps from minus to plus that value, √P by √P of both, straight on beyond.
     """
     count, axes = out.shape
     q, v, start = state[0], state[1], state[1].copy()

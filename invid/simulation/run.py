@@ -165,9 +165,7 @@ class _Tables:
     def __init__(self, laws: Laws, given: Drive) -> None:
         self._laws = laws
         speed, size = (float(np.abs(x).max()) for x in (given.rate, given.measured))
-        self._reach = [
-            2.0 * max(speed if law.over == "velocity" else size, 1e-300) for law in self._laws.static
-        ]
+        self._reach = [(2.0 * max(size, 1e-300), 2.0 * max(speed, 1e-300))] * len(laws.static)
         self.made = self._build()
 
     def _build(self) -> tuple[Float64, Float64, Float64]:
@@ -178,13 +176,15 @@ class _Tables:
         """Return whether the motion stayed within the tables and used most of them; else they are
         computed anew.
         """
-        reached = memory[len(self._laws.forces) :, 0]
-        good = [0.1 * most <= r <= most or r == 0.0 for r, most in zip(reached, self._reach, strict=True)]
-        if all(good) or not np.isfinite(reached).all():
+        reached = memory[len(self._laws.forces) :, ::2]
+        if not np.isfinite(reached).all():
             return True
-        self._reach = [
-            most if fits else 2.0 * float(r) for r, most, fits in zip(reached, self._reach, good, strict=True)
-        ]
+        most = np.array(self._reach).reshape(-1, 2)
+        good = ((0.1 * most <= reached) & (reached <= most)) | (reached == 0.0)
+        unread = [(x.over == "velocity", x.over == "position") for x in self._laws.static]
+        if (good | np.array(unread, dtype=bool).reshape(-1, 2)).all():
+            return True
+        self._reach = [(float(q), float(v)) for q, v in np.where(good, most, 2.0 * reached)]
         self.made = self._build()
         return False
 
@@ -196,13 +196,13 @@ def _march_stretches(
     laws: tuple[Float64, Float64, Float64],
     motors: np.ndarray,
 ) -> tuple[Float64, Float64]:
-    """(n, M, 2) motion of the motors and what the laws remember (E, 2); ``laws``: see ``_Tables.made``."""
+    """(n, M, 2) motion of the motors and what the laws remember (E, 3); ``laws``: see ``_Tables.made``."""
     (kinds, parameters, tables), every = laws, given.substeps
     states = start.size - motors.size
     state, applied = start[:states].copy(), given.applied + start[states:]
-    memory = np.zeros((kinds.shape[0], 2))
+    memory = np.zeros((kinds.shape[0], 3))
     for e, (law, a, b) in enumerate(kinds.astype(int)):
-        begin_row = state.size // 2 if law == Law.TABLE and parameters[e, 0] else 0
+        begin_row = state.size // 2 if law == Law.TABLE else 0
         memory[e, 1] = state[begin_row + a] - (state[begin_row + b] if b >= 0 else 0.0)
     motion = np.zeros((given.time.size, motors.size, 2))
     for piece in pieces:

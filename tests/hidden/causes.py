@@ -535,6 +535,53 @@ CATALOGUE: dict[str, Cause] = {
 }
 
 
+def _draw_deflection_damping(
+    rng: Any, plant: Plant, s: Scales, axis: int, element: int, other: int
+) -> dict[str, float]:
+    """As strong as a damper of twice the spring's own at the rms deflection."""
+    a = plant.dof(axis, element)
+    own = plant.chains.dampers[axis][element - 1]
+    return {"coefficient": 2.0 * own / s.pair[a, a + 1] ** 2}
+
+
+def _draw_worn_place(
+    rng: Any, plant: Plant, s: Scales, axis: int, element: int, other: int
+) -> dict[str, float]:
+    """Drag around one place of the travel."""
+    a = plant.dof(axis, element)
+    return {
+        "coefficient": 0.1 * s.peak[axis] / s.velocity[a],
+        "position": s.position[a] * float(rng.uniform(-1, 1)),
+        "width": s.position[a] * float(rng.uniform(0.6, 1.5)),
+    }
+
+
+TWO: dict[str, Cause] = {
+    c.name: c
+    for c in (
+        Cause(
+            "deflection_damping",
+            "spring",
+            _draw_deflection_damping,
+            _pair_law(Law.DEFLECTION_DAMPING, "coefficient"),
+            ("coefficient",),
+            (1e-3, 10.0),
+            alone=True,
+        ),
+        Cause(
+            "worn_place",
+            "mass",
+            _draw_worn_place,
+            _law(Law.WORN_PLACE, "coefficient", "position", "width"),
+            ("coefficient",),
+            (1e-3, 8.0),
+            alone=True,
+        ),
+    )
+}
+"""Laws over two quantities of one place, by name alone as well."""
+
+
 BASE = Cause(
     "base_compliance", "base", _draw_base, _base, ("mass", "stiffness"), (0.02, 8.0), resize_with=_resize_base
 )

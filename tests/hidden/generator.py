@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hidden.causes import BASE, CATALOGUE, OUTSIDE, Cause, available
+from hidden.causes import BASE, CATALOGUE, OUTSIDE, TWO, Cause, available
 from hidden.measurement import Active, excess_db, record, scales
 from hidden.plants import Plant, paper_plant, random_plant
 from hidden.setup import Setup, draw_setup
@@ -94,7 +94,7 @@ def _plant(
 
 
 def _cause(name: str) -> Cause:
-    return BASE if name == BASE.name else (CATALOGUE | OUTSIDE)[name]
+    return BASE if name == BASE.name else (CATALOGUE | OUTSIDE | TWO)[name]
 
 
 def make(
@@ -155,7 +155,7 @@ def make(
             a.cause.element_name(plant, a.axis, a.element),
             axes[a.other] if a.other >= 0 else None,
             {"fraction": gone[a.axis]} if a.cause.name == "dropped_samples" else a.parameters,
-            a.cause.name not in OUTSIDE,
+            a.cause.name not in OUTSIDE | TWO,
             a.cause.name == "torque_gain" and plant.count == 2,
         )
         for a in active

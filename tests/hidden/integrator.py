@@ -47,6 +47,8 @@ class Law(IntEnum):
     END_STOP = 37  # [stiffness, position] contact above a position on a
     GYROSCOPIC = 38  # [coefficient] −g v_b on a, +g v_a on b
     SQUARE_SPRING = 39  # [coefficient] −c d² between a and b
+    DEFLECTION_DAMPING = 40  # [coefficient] −c d² ḋ between a and b
+    WORN_PLACE = 41  # [coefficient, position, width] −c exp(−((q − position)/width)²) v on a
 
 
 @njit(cache=True)
@@ -240,6 +242,12 @@ def integrate(
             elif law == 39:
                 d = qa - qb
                 f, pair = -par[e, 0] * d * d, True
+            elif law == 40:
+                d = qa - qb
+                f, pair = -par[e, 0] * d * d * (va - vb), True
+            elif law == 41:
+                away = (qa - par[e, 1]) / par[e, 2]
+                f = -par[e, 0] * np.exp(-away * away) * va
             force[a] += f
             if pair:
                 force[b] -= f

@@ -10,6 +10,8 @@ import numpy as np
 import invid
 from invid.cli.app import run
 from invid.model.diagnosis_document import Verdict
+from invid.report.data import figure_data
+from invid.report.dependence import cause_views
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make
@@ -49,3 +51,48 @@ def test_a_hidden_drag_is_a_law_over_velocity_then_a_file_and_is_named_in_the_ne
     second, _ = make("power_drag", (0, number), hidden.parameters, seed=980001, motors=1, noise=0.002)
     named = invid.diagnose(second, effects=[own])
     assert [(f.cause, f.element) for f in named.findings] == [("churned_oil", hidden.element)]
+
+
+def test_a_hidden_drag_that_depends_on_position_is_a_law_over_both_drawn_and_named_in_the_next_recording(
+    tmp_path: Path,
+) -> None:
+    first, truth = make("position_damping", seed=980011, target_db=25.0, motors=1)
+    hidden = truth.effects[0]
+    diagnosis = invid.diagnose(first)
+    assert diagnosis.verdict is Verdict.PARTLY_EXPLAINED, diagnosis.sentences
+    (found,) = diagnosis.findings
+    assert (found.cause, found.axis, found.element) == ("empirical_law", hidden.axis, hidden.element)
+    table = found.effect.table
+    assert table is not None
+    assert table.quantities == ("velocity", "position")
+    assert diagnosis.unexplained is not None
+    assert {"velocity-dependent", "position-dependent"} <= set(diagnosis.unexplained.character)
+    v, q = (x.ravel() for x in np.meshgrid(table.at, table.across_at, indexing="ij"))
+    beside = np.column_stack((np.ones(v.size), v, q))  # offset, damper and a spring to ground are not told
+    true = hidden.parameters["coefficient"] * q * v
+    left = np.array(table.value) - true
+    left -= beside @ np.linalg.lstsq(beside, left, rcond=None)[0]
+    near = (np.abs(v) < 0.5 * v.max()) & (np.abs(q) < 0.5 * np.abs(q).max())
+    assert np.abs(left[near]).max() < 0.1 * np.abs(true).max()
+    (residual,) = diagnosis.residual
+    assert residual.after < 1.3 * residual.noise_floor
+    assert residual.before > 3.0 * residual.noise_floor
+
+    document = tmp_path / "diagnosis.json"
+    diagnosis.save(document)
+    again = invid.load_diagnosis(document)
+    assert again.findings == diagnosis.findings
+    beside_it = invid.diagnose(first, model=again.model)
+    assert beside_it.verdict is Verdict.CONSISTENT, beside_it.sentences
+    (view,) = cause_views(first, again.model, again)
+    for side in view["sides"]:  # as both quantities are at the instants of the points
+        assert np.std(np.subtract(side["y"], side["fit"]["y"])) < 0.3 * np.std(side["y"])
+    (picture,) = figure_data(first, again.model, again)["causes"]
+    assert "it depends on the position too" in picture["note"]
+
+    own = tmp_path / "own.py"
+    assert run(["effects", "new", "worn_guide", "--from", str(document), "-o", str(own)]) == 0
+    number = int(str(hidden.element).split()[1])
+    second, _ = make("position_damping", (0, number), hidden.parameters, seed=980011, motors=1, noise=0.002)
+    named = invid.diagnose(second, effects=[own])
+    assert [(f.cause, f.element) for f in named.findings] == [("worn_guide", hidden.element)]

@@ -1,4 +1,4 @@
-"""What no cause of the catalogue explains, as a smooth law: at which place, over which quantity.
+"""What no cause of the catalogue explains, as a smooth law: at which place, over which quantity or two.
 
 The law is a spline. Of its shapes only those are fitted that the records see and that nothing else of the
 model can stand for: a straight line over a deflection is the spring's, one over a velocity a damper's.
@@ -6,7 +6,7 @@ model can stand for: a straight line over a deflection is the spring's, one over
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -22,19 +22,21 @@ from invid.diagnosis.evidence import (
 from invid.diagnosis.score_test import Score, Screen
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN, FLOOR, HELD_OUT, SIGNIFICANCE
-from invid.effects.laws.empirical_law import KNOTS, EmpiricalLaw, knots_of
-from invid.effects.motion_effect import OF_MOTION, OF_RATE
+from invid.effects.laws.empirical_law import KNOTS, EmpiricalLaw, is_known, knots_of, most_knots
+from invid.effects.motion_effect import OF_MOTION, OF_RATE, PAIRS
 from invid.likelihood.joint_fit import JointFit, fit
 from invid.likelihood.null_test import rms_torque
 from invid.likelihood.placed_effect import PlacedEffect
 from invid.model.place import Place
 from invid.numerics import budget
+from invid.numerics.arrays import Bool, Float64
 from invid.numerics.distributions import chi2_isf
 from invid.numerics.smooth_parts import smooth_parts
 from invid.signals.spectral_record import SpectralRecord
 
-FIRST, ROUNDS = 6, 3
-"""Most shapes of a law that is fitted first, and how often they are chosen anew (empirical)."""
+FIRST, FIRST_OF_TWO, ROUNDS = 6, 15, 3
+"""Most shapes of a law that is fitted first, over one quantity and over two (all products up to the fourth
+order), and how often they are chosen anew (empirical)."""
 FITTED = 3
 """Laws of the screen that are fitted jointly (empirical)."""
 ITERATIONS = 12
@@ -64,40 +66,102 @@ def add_laws(
 def _find_law(
     current: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> Step | None:
-    """The step that adds the law which takes most; ``None`` where none is significant or takes enough."""
+    """The step that adds the law which takes most; ``None`` where none is significant or takes enough.
+
+    A law over two quantities is sought where one over one does not reach the noise.
+    """
     here = current.fit
-    structure, rows = here.layout.structure, here.dof
+    structure = here.layout.structure
     loud = {i for i in range(structure.motors) if _is_above_noise(current, i)}
     loud -= {t.place.axis for t in here.candidate.terms if isinstance(t.effect, EmpiricalLaw)}
     if not loud:
         return None
-    screen, price = Screen(here), _price(here, here.dispersion)
-    scores = [
-        score
-        for over in OF_MOTION
-        for place in EmpiricalLaw(over).places(structure)
-        if place.axis in loud and (score := _score(screen, over, place, FIRST, price)) is not None
-    ]
-    screen.restore_views()
-    scores.sort(key=lambda s: s.size * price - s.gain)
-    trials = [t for s in scores[:FITTED] if (t := _fit_law(here, s, train, held)) is not None]
-    if not trials:
-        return None
-    dispersion = min(t.dispersion for t in trials)
-    ranked = sorted(((t, t.score(dispersion, rows)) for t in trials), key=lambda r: r[1])
-    best = ranked[0][0]
-    gains = (here.cost - best.fit.cost, current.held.cost - best.held.cost)
-    least = chi2_isf(SIGNIFICANCE / max(len(scores), 1), best.term.size)
-    if gains[0] < least * best.fit.dispersion or gains[1] < HELD_OUT * best.held_dispersion:
-        return None
-    table = best.term.effect.table(best.x, best.fit.covariance_of(-1), linear=False)
-    is_law = table is not None and table.is_known and _takes_nearly_all(best, current)
-    return Step(current, best, tuple(ranked)) if is_law else None
+    search = _Search(current, train, held)
+    curves = search.scores(loud, [(over, "") for over in OF_MOTION])
+    step = search.step(curves)
+    if step is not None and not _is_above_noise(step.chosen, step.chosen.term.place.axis):
+        return step
+    surfaces = search.step(search.scores(loud, PAIRS))
+    if surfaces is None or not search.beats_curves(surfaces.chosen, curves):
+        return step
+    rows, dispersion = here.dof, surfaces.chosen.dispersion
+    if step is not None and step.chosen.score(dispersion, rows) <= surfaces.chosen.score(dispersion, rows):
+        return step
+    return surfaces
+
+
+class _Search:
+    """Laws tried beside what explains the records so far."""
+
+    def __init__(
+        self, current: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+    ) -> None:
+        self._current, self._train, self._held = current, train, held
+        self._price = _price(current.fit, current.fit.dispersion)
+        self._tried = 0
+
+    def scores(self, loud: Collection[int], quantities: Sequence[tuple[str, str]]) -> list[Score]:
+        """Laws over each of these quantities on these axes, best first."""
+        here = self._current.fit
+        screen, structure = Screen(here), here.layout.structure
+        found = [
+            score
+            for over, across in quantities
+            for place in EmpiricalLaw(over, across=across).places(structure)
+            if place.axis in loud
+            and (
+                score := _score(
+                    screen, over, across, place, FIRST_OF_TWO if across else FIRST, here.dispersion
+                )
+            )
+            is not None
+        ]
+        screen.restore_views()
+        self._tried += len(found)
+        return sorted(found, key=lambda s: s.size * self._price - s.gain)
+
+    def step(self, scores: Sequence[Score]) -> Step | None:
+        """The step that adds the best law; ``None`` where it is not significant or does not take enough."""
+        current, here = self._current, self._current.fit
+        trials = self._fitted(scores[:FITTED])
+        if not trials:
+            return None
+        dispersion = min(t.dispersion for t in trials)
+        ranked = sorted(((t, t.score(dispersion, here.dof)) for t in trials), key=lambda r: r[1])
+        best = ranked[0][0]
+        gains = (here.cost - best.fit.cost, current.held.cost - best.held.cost)
+        least = chi2_isf(SIGNIFICANCE / self._tried, best.term.size)
+        if gains[0] < least * best.fit.dispersion or gains[1] < HELD_OUT * best.held_dispersion:
+            return None
+        is_law = _is_known(best) and _takes_nearly_all(best, current)
+        return Step(current, best, tuple(ranked)) if is_law else None
+
+    def beats_curves(self, law: CandidateEvidence, curves: Sequence[Score]) -> bool:
+        """Whether the laws over one quantity at its place explain less, in training and kept out records."""
+        rows = self._current.fit.dof
+        return all(
+            law.score(law.dispersion, rows) < curve.score(law.dispersion, rows)
+            and curve.held.cost - law.held.cost >= HELD_OUT * law.held_dispersion
+            for curve in self._fitted([s for s in curves if s.term.place == law.term.place])
+        )
+
+    def _fitted(self, scores: Sequence[Score]) -> list[CandidateEvidence]:
+        fits = (_fit_law(self._current.fit, s, self._train, self._held) for s in scores)
+        return [t for t in fits if t is not None]
 
 
 def _is_above_noise(current: CandidateEvidence, axis: int) -> bool:
     after, floor = rms_torque(current.held, axis)
     return after > FLOOR * floor
+
+
+def _is_known(best: CandidateEvidence) -> bool:
+    """Whether its records tell a law from the rest of the model."""
+    law, place = best.term.effect, best.term.place
+    if not isinstance(law, EmpiricalLaw):
+        return False
+    felt = np.concatenate([law.law(v, place, ()) for v in best.fit.evaluation.views])
+    return is_known(felt, best.x, best.fit.covariance_of(-1))
 
 
 def _takes_nearly_all(best: CandidateEvidence, current: CandidateEvidence) -> bool:
@@ -127,8 +191,8 @@ def _fit_law(
         if bare is None:
             break
         screen = Screen(bare)
-        price = _price(bare, at.dispersion)
-        again = _score(screen, score.term.effect.over, score.term.place, KNOTS, price)
+        law = score.term.effect
+        again = _score(screen, law.over, law.across, score.term.place, KNOTS, at.dispersion)
         screen.restore_views()
         if again is None:
             break
@@ -145,21 +209,43 @@ def _price(here: JointFit, dispersion: float) -> float:
     return float(np.log(max(here.dof, 2))) * dispersion
 
 
-def _score(screen: Screen, over: str, place: Place, most: int, price: float) -> Score | None:
-    """The law over one quantity at one place with the shapes that pay their ``price``, ``most`` at most;
-    ``None`` for none."""
+def _is_undone(felt: Float64, straight: Float64, law: Float64, dispersion: float) -> Bool:
+    """(s,) whether straight parts (k, s), ``felt`` (m, s) in rows beside the rest of the model, are
+    known to no third of a ``law`` (k,)."""
+    size = np.maximum(np.linalg.norm(felt, axis=0), 1e-300)
+    std = np.sqrt(dispersion) * np.abs(straight).max(axis=0) / size
+    out: Bool = 3.0 * std > np.abs(law).max()
+    return out
+
+
+def _score(
+    screen: Screen, over: str, across: str, place: Place, most: int, dispersion: float
+) -> Score | None:
+    """The law over one quantity or two at one place with the shapes that pay their price, ``most`` at most;
+    ``None`` for none. It has no straight part where the rest of the model can undo that."""
+    price = _price(screen.fit, dispersion)
     pattern = place.pattern(screen.fit.layout.structure)
-    screen.reconstruct(PlacedEffect(EmpiricalLaw(over), place))
-    waves = [v.velocity(pattern) if over in OF_RATE else v.wave(pattern) for v in screen.views]
-    knots = knots_of(waves)
-    if knots is None:
-        return None
-    law = EmpiricalLaw(over, knots, np.eye(len(knots)))
+    screen.reconstruct(PlacedEffect(EmpiricalLaw(over, across=across), place))
+    quantities = (over, across) if across else (over,)
+    knots = []
+    for q in quantities:
+        waves = [v.velocity(pattern) if q in OF_RATE else v.wave(pattern) for v in screen.views]
+        own = knots_of(waves, most_knots(q, two=bool(across)))
+        if own is None:
+            return None
+        knots.append(own)
+    first, second = knots[0], knots[1] if across else [0.0]
+    law = EmpiricalLaw(over, first, np.eye(len(first) * len(second)), across, second)
     columns = screen.project([law.basis(v, place, ()) for v in screen.views])
     if not np.isfinite(columns).all():
         return None
-    shapes, x = smooth_parts(columns, -screen.residual, price, most)
+    straight = law.straight()
+    if place.kind != "spring":  # the stiffness and damper of a spring take it up, whatever it is read from
+        shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
+        straight = straight[:, _is_undone(columns @ straight, straight, shapes @ x, dispersion)]
+    columns = columns - (columns @ straight) @ straight.T
+    shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
     if not x.size:
         return None
-    term = PlacedEffect(EmpiricalLaw(over, knots, shapes), place)
+    term = PlacedEffect(EmpiricalLaw(over, first, shapes, across, second), place)
     return Score(term, x, float(x @ x), screen.shift(term, x))

@@ -118,6 +118,26 @@ def test_a_ripple_over_position_is_a_law_without_a_name():
     assert np.array(table.value) == pytest.approx(0.6 * np.sin(23.0 * np.array(table.at) + 0.3), abs=0.1)
 
 
+def test_a_drag_at_one_place_of_the_travel_is_a_law_over_velocity_and_position():
+    def drag(q, v):
+        return 1.5 * np.exp(-(((q - 0.3) / 0.4) ** 2)) * v
+
+    worn = recording(simulate(np.random.default_rng(5), extra=lambda q, v, t: drag(q, v)))
+    diagnosis = diagnose_trajectory(worn)
+    assert diagnosis.verdict is Verdict.PARTLY_EXPLAINED
+    (law,) = diagnosis.findings
+    table = law.effect.table
+    assert (law.cause, table.quantities) == ("empirical_law", ("velocity", "position"))
+    v, q = np.meshgrid(table.at, table.across_at, indexing="ij")
+    seen = (np.abs(v) < 0.5 * v.max()) & (np.abs(q) < 0.7 * q.max())
+    assert np.reshape(table.value, v.shape)[seen] == pytest.approx(drag(q, v)[seen], abs=0.3)
+    errors = [
+        np.std(simulated(m, worn).experiments[0].torque - worn.experiments[0].torque)
+        for m in (replace(diagnosis.model, effects=()), diagnosis.model)
+    ]
+    assert errors[1] < 0.2 * errors[0]
+
+
 def test_a_mass_on_a_spring_to_ground_that_hardens_is_told_from_gravity():
     rng = np.random.default_rng(6)
     dt = 1e-4

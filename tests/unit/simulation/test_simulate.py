@@ -14,6 +14,7 @@ from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains, case_study
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.model.forward import dynamic_stiffness
+from invid.model.law_table import LawTable
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.simulation.run import simulate
 
@@ -143,6 +144,21 @@ def _pair(a: int, value: float) -> np.ndarray:
 
 SHARP = 2e-4
 
+
+def law_of_two(
+    over: str, across: str, element: str, most: tuple[float, float], law: Callable[..., np.ndarray]
+) -> EffectTerm:
+    """A law without a name over two quantities: 21 by 21 of its values within ±``most``."""
+    at, beside = (np.linspace(-m, m, 21) for m in most)
+    value = law(*np.meshgrid(at, beside, indexing="ij")).ravel()
+    known = ((0.0,) * value.size,) * value.size
+    table = LawTable(
+        over, tuple(at.tolist()), "", tuple(value.tolist()), "", known, across, tuple(beside.tolist()), ""
+    )
+    size = {"torque": Estimate(float(np.abs(value).max()))}
+    return EffectTerm("empirical_law", "A1", size, element, None, table)
+
+
 CASES: dict[str, tuple[EffectTerm, Force, float]] = {
     "coulomb": (
         effect("coulomb_friction", "A1", "mass 1", torque=2.0),
@@ -217,6 +233,18 @@ CASES: dict[str, tuple[EffectTerm, Force, float]] = {
     "transmission error": (
         effect("transmission_error", "A1", "spring 1", amplitude=0.002, cycles_per_rev=50.0, phase=0.3),
         lambda t, q, v, x: _transmission(q),
+        5e-3,
+    ),
+    "drag that grows off its place": (
+        law_of_two(
+            "velocity", "position", "mass 1", (3.0, 1.0), lambda v, q: 2.0 * v * (1.0 + 20.0 * (q - 0.1) ** 2)
+        ),
+        lambda t, q, v, x: _on(0, -2.0 * v[0] * (1.0 + 20.0 * (q[0] - 0.1) ** 2)),
+        5e-3,
+    ),
+    "damping that grows with deflection": (
+        law_of_two("deflection", "deflection rate", "spring 1", (0.05, 0.5), lambda d, w: 2e4 * d * d * w),
+        lambda t, q, v, x: _pair(0, -2e4 * (q[0] - q[1]) ** 2 * (v[0] - v[1])),
         5e-3,
     ),
 }
