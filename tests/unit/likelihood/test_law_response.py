@@ -21,7 +21,6 @@ from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.signals.spectra import all_spectra
 
-
 PLAY = (PlacedEffect(BY_CAUSE["backlash"], Place("spring", 1, 1)), np.array([np.log(1e-4)]))
 GEAR = (PlacedEffect(BY_CAUSE["transmission_error"], Place("spring", 1, 2)), np.array([2e-4, -3e-4, 1.2]))
 
