@@ -48,8 +48,9 @@ MOST_FITS, MOST_TRIED = 3, 5
 """Most candidates of a screen that compete, and most that are fitted to find them (empirical)."""
 NEAR_BEST = 0.5
 """Share of the best fit's gain from which a candidate is fitted (empirical)."""
-MOVE_ITERATIONS = 15
-"""Iterations of a mode that is moved to another mass beside all other causes (empirical)."""
+FIRST_MOVES, MOVED, MOVE_ITERATIONS = 4, 2, 12
+"""Iterations of a mode that is moved to each other mass beside all other causes, how many of these go on, and
+for how many more (empirical)."""
 TIME_TO_FIND = 0.75
 """Share of the time for causes; the rest is for their parts, and for what they may be mistaken for
 (empirical)."""
@@ -608,25 +609,29 @@ def _name_friction(
             needed += [all_steps[n] for n in weak]  # strong together with others, whatever its own size
             continue
         whole, all_steps = other, [all_steps[n] for n in kept]
-    out, cut = [], False
+    out, cut = dict[int, Step](), False
     # What is lost without each, beside the others.
     losses = [_wald_ratio(whole.fit, known + n) for n in range(len(all_steps))]
     lost = max(sum(x for x in losses if np.isfinite(x)), 1e-300)
-    for n, step in enumerate(all_steps):
+    # A wrong chain is the worst of names: a mode or a spring comes first while there is time.
+    for n in sorted(
+        range(len(all_steps)), key=lambda n: all_steps[n].chosen.term.effect.cause not in STRUCTURE
+    ):
+        step = all_steps[n]
         if step.chosen is null:
             own = _move_to_end(whole, known + n)
-            out.append(Step(base, own, ((own, own.cost),), losses[n] / lost))
+            out[n] = Step(base, own, ((own, own.cost),), losses[n] / lost)
         elif step.chosen.term.effect.family == "position" and step.chosen.term.place.kind == "mass":
-            out.append(step)  # a weight or a ripple is read from its own motor's motion
+            out[n] = step  # a weight or a ripple is read from its own motor's motion
         else:
             try:
                 whole, step = _exchange_cause(whole, known + n, step, train, held, linear_axes)
             except budget.BudgetSpent:
                 cut = True
-            out.append(step)
+            out[n] = step
     if cut:
         budget.leave_out("what the causes found may be mistaken for")
-    return Selection(base, whole, tuple(out), is_cut_short=cut)
+    return Selection(base, whole, tuple(out[n] for n in range(len(all_steps))), is_cut_short=cut)
 
 
 def _weak_causes(found: JointFit, known: int, sure: Sequence[int]) -> list[int]:
@@ -720,7 +725,7 @@ def _exchange_cause(
             here.layout.structure, linear_axes=linear_axes, chosen=rest.fit.candidate.terms
         )
         if t.effect.cause in (term.effect.cause, *term.effect.looks_like)
-        and t.place.axis == term.place.axis
+        and (t.place.axis == term.place.axis or t.effect.cause == term.effect.cause == "extra_mode")
         and (t.effect.cause, t.place) != (term.effect.cause, term.place)
     ]
     is_mode = term.effect.cause == "extra_mode"
@@ -729,17 +734,19 @@ def _exchange_cause(
     scores = [s for s in scores if s.gain > NEAR_BEST * lost_chi2]
     trials = [_refit_score(rest, s, train, held) for s in scores[:MOST_FITS]]
     # Without it the others have bent to hide it, and the screen's order of its places is theirs.
-    trials += [
+    starts = [
         _refit(
             whole,
             train,
             held,
             candidate=here.candidate.without(at).plus(t, own.x),
-            iterations=MOVE_ITERATIONS,
+            iterations=FIRST_MOVES,
             quick=True,
         )
         for t in moved
     ]
+    near = sorted((t for t in starts if t is not None), key=lambda t: t.fit.cost)[:MOVED]
+    trials += [_refit(t, train, held, iterations=MOVE_ITERATIONS, quick=True) for t in near]
     possible = [t for t in trials if t is not None and not is_at_bound(t.fit) and not is_smaller_model(t)]
     fits = [own, *possible]
     least, rows = min(t.fit.dispersion for t in fits), here.dof
