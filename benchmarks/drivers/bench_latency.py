@@ -250,9 +250,7 @@ class Bench:
         try:
             wait_for(service, said, "invid serve: http", START_S)
             url = said.read_text().split("invid serve: ", 1)[1].split()[0].rstrip("/")
-            # The address is said before the service listens.
-            dialled = httpx.HTTPTransport(retries=5, trust_env=False)
-            with httpx.Client(base_url=url, timeout=60.0, transport=dialled, trust_env=False) as client:
+            with httpx.Client(base_url=url, timeout=60.0, trust_env=False) as client:
                 name = client.get("/api/v1/cells").json()["cells"][0]["id"]
                 answer = client.post(
                     f"/api/v1/cells/{name}/identifications", json={"mode": "full", "arm": True}
