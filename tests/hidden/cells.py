@@ -386,6 +386,8 @@ def is_true(truth: Cell, f: Finding) -> bool:
 def _names(truth: Cell, fault: Fault, f: Finding) -> bool:
     e, law = f.effect, fault.cause
     same = e.cause == law or (law == "coulomb_friction" and e.cause in FRICTION)
+    if fault.law is Law.SWAY and e.table is not None:
+        same = set(e.table.quantities) == {"velocity", "position"}
     if fault.other >= 0:
         return same and {e.axis, e.other_axis} == {truth.axes[fault.axis], truth.axes[fault.other]}
     here = e.axis == truth.axes[fault.axis]

@@ -22,13 +22,14 @@ def test_free_play_beside_friction_and_a_motors_ripple_is_found() -> None:
     assert diagnosis.verdict is not Verdict.UNEXPLAINED
 
 
-def test_friction_is_named_beside_what_no_catalogue_has_and_the_rest_is_said() -> None:
+def test_friction_is_named_beside_what_no_catalogue_has_and_the_rest_is_a_law_of_two_quantities() -> None:
     """A damping that changes with position, at 42 dB."""
     recording, truth = draw(2, motors=1, masses=(2,), faults=(Law.SWAY,), db=42.0, gravity=False)
     diagnosis = diagnose(recording)
     result = scored(truth, diagnosis)
     assert diagnosis.verdict is Verdict.PARTLY_EXPLAINED
     assert result["friction"] == [1, 1]
+    assert [f[-1] for f in result["faults"]] == [True], result["named"]
     assert not result["wrong"]
     assert diagnosis.unexplained is not None
     assert diagnosis.unexplained.axis == truth.axes[0]

@@ -432,6 +432,15 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
         reached = max(reached, gain)
     if not trials:
         return None
+    lowest = min(trials, key=lambda t: t.fit.cost)
+    if lowest.term.effect.cause == "extra_mode":
+        # A mode on one mass is nearly that on another with another size, on any axis that couples.
+        settled = _refit(lowest, train, held, iterations=MOVE_ITERATIONS, quick=True)
+        elsewhere = [t for t in terms if t.effect is lowest.term.effect and t.place != lowest.term.place]
+        last = len(lowest.fit.candidate.terms) - 1
+        found_there = _moved_modes(lowest, last, elsewhere, train, held)
+        more = [t for t in (settled, *found_there) if t is not None and not is_at_bound(t.fit)]
+        trials = [*(t for t in trials if t is not lowest), *(more or [lowest])]
     least = min(t.dispersion for t in trials)
     # Ranked by the training records; the held-out ones are tested above, parameter uncertainty included.
     ranked = sorted(((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in trials), key=lambda r: r[1])
@@ -734,19 +743,7 @@ def _exchange_cause(
     scores = [s for s in scores if s.gain > NEAR_BEST * lost_chi2]
     trials = [_refit_score(rest, s, train, held) for s in scores[:MOST_FITS]]
     # Without it the others have bent to hide it, and the screen's order of its places is theirs.
-    starts = [
-        _refit(
-            whole,
-            train,
-            held,
-            candidate=here.candidate.without(at).plus(t, own.x),
-            iterations=FIRST_MOVES,
-            quick=True,
-        )
-        for t in moved
-    ]
-    near = sorted((t for t in starts if t is not None), key=lambda t: t.fit.cost)[:MOVED]
-    trials += [_refit(t, train, held, iterations=MOVE_ITERATIONS, quick=True) for t in near]
+    trials += _moved_modes(whole, at, moved, train, held)
     possible = [t for t in trials if t is not None and not is_at_bound(t.fit) and not is_smaller_model(t)]
     fits = [own, *possible]
     least, rows = min(t.fit.dispersion for t in fits), here.dof
@@ -760,6 +757,22 @@ def _exchange_cause(
         order = [*range(at), count - 1, *range(at, count - 1)]
         whole = CandidateEvidence(reorder_effects(best.fit, order), best.held)
     return whole, Step(rest, best, tuple(ranked))
+
+
+def _moved_modes(
+    whole: CandidateEvidence,
+    at: int,
+    terms: Sequence[PlacedEffect],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+) -> list[CandidateEvidence]:
+    """Fits with mode ``at`` moved to each place of ``terms``; those that are lowest at first go on."""
+    candidate = whole.fit.candidate
+    here, x = candidate.without(at), candidate.x[at]
+    again = partial(_refit, train=train, held=held, quick=True)
+    starts = [again(whole, candidate=here.plus(t, x), iterations=FIRST_MOVES) for t in terms]
+    near = sorted((t for t in starts if t is not None), key=lambda t: t.fit.cost)[:MOVED]
+    return [t for n in near if (t := again(n, iterations=MOVE_ITERATIONS)) is not None]
 
 
 def _wald_ratio(found: JointFit, *numbers: int) -> float:
