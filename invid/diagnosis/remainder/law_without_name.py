@@ -240,11 +240,15 @@ def _score(
     if not np.isfinite(columns).all():
         return None
     straight = law.straight()
+    bent = columns - (columns @ straight) @ straight.T
+    shapes, x = smooth_parts(bent, -screen.residual, price, most, len(second))
     if place.kind != "spring":  # the stiffness and damper of a spring take it up, whatever it is read from
-        shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
+        if not x.size:
+            shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
+        # Beside what bends: a straight part that a damper undoes may be as large as it likes.
         straight = straight[:, _is_undone(columns @ straight, straight, shapes @ x, dispersion)]
-    columns = columns - (columns @ straight) @ straight.T
-    shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
+        columns = columns - (columns @ straight) @ straight.T
+        shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
     if not x.size:
         return None
     term = PlacedEffect(EmpiricalLaw(over, first, shapes, across, second), place)
