@@ -37,8 +37,8 @@ from invid.signals.spectral_record import SpectralRecord
 FIRST, FIRST_OF_TWO, ROUNDS = 6, 15, 3
 """Most shapes of a law that is fitted first, over one quantity and over two (all products up to the fourth
 order), and how often they are chosen anew (empirical)."""
-FITTED = 3
-"""Laws of the screen that are fitted jointly (empirical)."""
+FITTED, FITTED_OF_TWO = 3, 1
+"""Laws of the screen that are fitted jointly, over one quantity and over two (empirical, for the time)."""
 ITERATIONS = 12
 """Iterations of a fit with a law (empirical)."""
 
@@ -81,7 +81,7 @@ def _find_law(
     step = search.step(curves)
     if step is not None and not _is_above_noise(step.chosen, step.chosen.term.place.axis):
         return step
-    surfaces = search.step(search.scores(loud, PAIRS))
+    surfaces = search.step(search.promising(search.scores(loud, PAIRS), curves)[:FITTED_OF_TWO])
     if surfaces is None or not search.beats_curves(surfaces.chosen, curves):
         return step
     rows, dispersion = here.dof, surfaces.chosen.dispersion
@@ -135,6 +135,15 @@ class _Search:
             return None
         is_law = _is_known(best) and _takes_nearly_all(best, current)
         return Step(current, best, tuple(ranked)) if is_law else None
+
+    def promising(self, surfaces: Sequence[Score], curves: Sequence[Score]) -> list[Score]:
+        """The laws over two quantities that promise more than those over one at their place, price paid."""
+
+        def worth(s: Score) -> float:
+            return s.gain - s.size * self._price
+
+        most = {s.term.place: worth(s) for s in reversed(curves)}
+        return [s for s in surfaces if worth(s) > most.get(s.term.place, 0.0)]
 
     def beats_curves(self, law: CandidateEvidence, curves: Sequence[Score]) -> bool:
         """Whether the laws over one quantity at its place explain less, in training and kept out records."""
