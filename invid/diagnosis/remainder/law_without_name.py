@@ -251,7 +251,10 @@ def _score(
     straight = law.straight()
     bent = columns - (columns @ straight) @ straight.T
     shapes, x = smooth_parts(bent, -screen.residual, price, most, len(second))
-    if place.kind != "spring":  # the stiffness and damper of a spring take it up, whatever it is read from
+    # The stiffness and damper of a spring take it up, whatever it is read from, and so does viscous friction.
+    known = [t for t in screen.fit.candidate.terms if t.place == place]
+    is_damped = over in OF_RATE and any(t.effect.cause == "viscous_friction" for t in known)
+    if place.kind != "spring" and (across or not is_damped):
         if not x.size:
             shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
         # Beside what bends: a straight part that a damper undoes may be as large as it likes.
