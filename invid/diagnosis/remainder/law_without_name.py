@@ -39,6 +39,8 @@ FIRST, FIRST_OF_TWO, ROUNDS = 6, 15, 3
 order), and how often they are chosen anew (empirical)."""
 FITTED, FITTED_OF_TWO = 3, 1
 """Laws of the screen that are fitted jointly, over one quantity and over two (empirical, for the time)."""
+FLOOR_OF_TWO = 1.5
+"""Floors above which a law over two quantities is sought (empirical): its many numbers take minutes."""
 ITERATIONS = 12
 """Iterations of a fit with a law (empirical)."""
 
@@ -81,7 +83,8 @@ def _find_law(
     step = search.step(curves)
     if step is not None and not _is_above_noise(step.chosen, step.chosen.term.place.axis):
         return step
-    surfaces = search.step(search.promising(search.scores(loud, PAIRS), curves)[:FITTED_OF_TWO])
+    louder = {i for i in loud if _is_above_noise(current, i, FLOOR_OF_TWO)}
+    surfaces = search.step(search.promising(search.scores(louder, PAIRS), curves)[:FITTED_OF_TWO])
     if surfaces is None or not search.beats_curves(surfaces.chosen, curves):
         return step
     rows, dispersion = here.dof, surfaces.chosen.dispersion
@@ -159,9 +162,9 @@ class _Search:
         return [t for t in fits if t is not None]
 
 
-def _is_above_noise(current: CandidateEvidence, axis: int) -> bool:
+def _is_above_noise(current: CandidateEvidence, axis: int, times: float = FLOOR) -> bool:
     after, floor = rms_torque(current.held, axis)
-    return after > FLOOR * floor
+    return after > times * floor
 
 
 def _is_known(best: CandidateEvidence) -> bool:
