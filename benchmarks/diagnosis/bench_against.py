@@ -21,8 +21,10 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
+from bench_cells import add_lines
 from machines.mujoco_cells import SIZES, Cell, drawn, measured, users, write
 
 import invid
@@ -149,12 +151,10 @@ def main() -> None:
     args = parser.parse_args()
     if args.table is None:
         first, last = (int(n) for n in args.seeds.split(":"))
-        with tempfile.TemporaryDirectory() as scratch, args.out.open("a") as out:
+        with tempfile.TemporaryDirectory() as scratch:
             folder = args.keep or Path(scratch)
             folder.mkdir(parents=True, exist_ok=True)
-            for seed in range(first, last):
-                out.write(json.dumps(one(seed, args.budget, args.kind, folder)) + "\n")
-                out.flush()
+            add_lines(args.out, (one(seed, args.budget, args.kind, folder) for seed in range(first, last)))
     table([json.loads(line) for line in (args.table or args.out).read_text().splitlines()])
 
 

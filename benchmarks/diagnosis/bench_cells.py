@@ -14,6 +14,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,14 @@ def one(recording: invid.Recording, truth: Cell, budget: float) -> dict[str, Any
     out["cpu_s"] = round(sum(os.times()[:4]) - cpu, 1)
     out["wall_s"] = round(time.monotonic() - begun, 1)
     return out
+
+
+def add_lines(path: Path, rows: Iterable[dict[str, Any]]) -> None:
+    """Appends JSON lines, each as soon as it is there."""
+    with path.open("a") as out:
+        for found in rows:
+            out.write(json.dumps(found) + "\n")
+            out.flush()
 
 
 def row(cells: list[dict[str, Any]]) -> dict[str, str]:
@@ -84,12 +93,8 @@ def main() -> None:
         return
     first, last = (int(n) for n in args.seeds.split(":"))
     budgets = [float(b) for b in args.budgets.split(",")]
-    with args.out.open("a") as out:
-        for seed in range(first, last):
-            recording, truth = draw(seed)
-            for budget in budgets:
-                out.write(json.dumps(one(recording, truth, budget)) + "\n")
-                out.flush()
+    drawn = (draw(seed) for seed in range(first, last))
+    add_lines(args.out, (one(*cell, budget) for cell in drawn for budget in budgets))
 
 
 if __name__ == "__main__":

@@ -20,8 +20,10 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
+from bench_cells import add_lines
 from hidden.causes import CATALOGUE, Cause, available
 from hidden.generator import TrueEffect
 from hidden.measurement import Active, record, scales
@@ -204,11 +206,9 @@ def main() -> None:
     every = [n for n in available(CATALOGUE, args.axes, linear=False) if n not in UNLIMITED]
     causes = args.causes.split(",") if args.causes else every
     first, last = (int(n) for n in args.seeds.split(":"))
-    with args.out.open("a") as out:
-        for seed in range(first, last):
-            for line in case(seed, args.axes, causes, args.budget, at_limit=not args.drawn):
-                out.write(json.dumps(line) + "\n")
-            out.flush()
+    asked = args.axes, causes, args.budget
+    cases = (case(seed, *asked, at_limit=not args.drawn) for seed in range(first, last))
+    add_lines(args.out, (line for lines in cases for line in lines))
 
 
 if __name__ == "__main__":

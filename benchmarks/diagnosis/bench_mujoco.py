@@ -22,7 +22,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from bench_cells import LOUD, row
+from bench_cells import LOUD, add_lines, row
 from machines.mujoco_cells import SIZES, drawn, measured, write
 from machines.mujoco_score import scored, with_strengths
 
@@ -84,10 +84,8 @@ def main() -> None:
     args = parser.parse_args()
     if args.table is None:
         first, last = (int(n) for n in args.seeds.split(":"))
-        with tempfile.TemporaryDirectory() as folder, args.out.open("a") as out:
-            for seed in range(first, last):
-                out.write(json.dumps(one(seed, args.budget, Path(folder))) + "\n")
-                out.flush()
+        with tempfile.TemporaryDirectory() as folder:
+            add_lines(args.out, (one(seed, args.budget, Path(folder)) for seed in range(first, last)))
     table([json.loads(line) for line in (args.table or args.out).read_text().splitlines()])
 
 

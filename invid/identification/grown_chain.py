@@ -14,7 +14,7 @@ import numpy as np
 from invid.likelihood.fit import NOISE_SHARES, tempered
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
 from invid.likelihood.nuisance.torque_lags import add_coulomb_columns
-from invid.likelihood.records import problem_from_spectra
+from invid.likelihood.records import problem_from_spectra, transfer_parameters
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
@@ -105,8 +105,11 @@ def _with_one_mass_more(
     best: _Grown | None = None
     for i in (i for i, n in enumerate(have) if n < sizes[i]):
         problem = _problem(tuple(n + (k == i) for k, n in enumerate(have)), here.axes, spectra, grown.share)
+        start = transfer_parameters(grown.problem, grown.solution.p, problem)
+        beside = start[problem.structure.count :]
         for k in range(have[i]):
-            starts = [_carried_over(grown, problem, c) for c in _cut_in_two(here, i, k, new_springs)]
+            cut = _cut_in_two(here, i, k, new_springs)
+            starts = [np.append(problem.structure.vector(c), beside) for c in cut]
             for p in sorted(starts, key=lambda p: _cost(problem, p))[:FITTED]:
                 try:
                     found = gauss_newton(problem, p, iterations=ITERATIONS, tolerance=0.1)
@@ -146,22 +149,13 @@ def _least_end_mass(chains: CoupledChains, axis: int) -> float:
     return float(ends[axis, others] @ np.linalg.solve(ends[np.ix_(others, others)], ends[others, axis]))
 
 
-def _carried_over(grown: _Grown, problem: MissingTorqueProblem, chains: CoupledChains) -> Float64:
-    """(n,) parameters of a larger problem: its chains, and what is not of a chain as it was."""
-    p = problem.start(problem.structure.vector(chains))
-    before = dict(zip(grown.problem.names, grown.solution.p, strict=True))
-    first = problem.structure.count
-    p[first:] = [before.get(n, own) for n, own in zip(problem.names[first:], p[first:], strict=True)]
-    return p
-
-
 def _cost(problem: MissingTorqueProblem, p: Float64) -> float:
     """χ², infinite where it is none."""
     if not problem.structure.admissible(p[: problem.structure.count]):
         return np.inf
     with np.errstate(all="ignore"):
         try:
-            residual = problem.residual_of(p, list(problem.each_state(p)))
+            residual = problem.residual_of(p, problem.states(p))
         except np.linalg.LinAlgError:
             return np.inf
     cost = float(residual @ residual)

@@ -197,17 +197,13 @@ class HeldMotor:
 class LocalLaw:
     """A law of the motion at the same time or at neighbouring samples, beyond the band too."""
 
-    pattern: Pattern
-    """Pattern along which it reads motion and acts."""
+    acts_on: Pattern
+    """Pattern along which it reads motion as well."""
     smeared: bool
     compliance: Float64 | None
     position: tuple[Float64, Float64, Float64]
     """(n,) each: change of the force at the sample before, at and after the one that moves."""
     velocity: tuple[Float64, Float64, Float64]
-
-    @property
-    def acts_on(self) -> Pattern:
-        return self.pattern
 
     @classmethod
     def of(cls, view: View, effect: ForceEffect, term: PlacedEffect, x: Float64) -> LocalLaw:
@@ -236,11 +232,11 @@ class LocalLaw:
             same, mirrored = same + rate * own, mirrored - turned * own
         smear = view.averaging_gain if self.smeared else np.ones(own.size)
         nothing = np.zeros((own.size, change.springs.shape[1]), dtype=complex)
-        return _factors_of_lines({self.pattern: (same / smear[:, None], mirrored / smear[:, None])}, nothing)
+        return _factors_of_lines({self.acts_on: (same / smear[:, None], mirrored / smear[:, None])}, nothing)
 
     def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         record, own = view.record, 1j * view.omega[:, None]
-        lines, wander = motion_along(view, self.pattern, inner, jumps)
+        lines, wander = motion_along(view, self.acts_on, inner, jumps)
         shape = (record.samples, lines.shape[1])
         position = velocity = np.zeros(shape)  # a law seldom reads both
         if any(s.any() for s in self.position):
@@ -265,17 +261,13 @@ class LocalLaw:
 class PlaySlope:
     """Free play: spring and damper lose the deflection within it."""
 
-    pattern: Pattern
-    """Pattern along which it reads motion and acts."""
+    acts_on: Pattern
+    """Pattern along which it reads motion as well."""
     spring: int
     inside: Complex128
     """(F,) lines of the deflection that they lose, ``rate`` (F,) those of its rate."""
     rate: Complex128
     position: tuple[Float64, Float64, Float64]
-
-    @property
-    def acts_on(self) -> Pattern:
-        return self.pattern
 
     @classmethod
     def of(cls, view: View, term: PlacedEffect, gap: float) -> PlaySlope:
@@ -302,14 +294,12 @@ class PlaySlope:
         stiff = -(k + own * d)[:, None] / view.averaging_gain[:, None]
         same, mirrored = _convolution(view, self.position)
         moved = own[:, None] * change.dampers[self.spring] + change.springs[self.spring]
-        answer = {self.pattern: (stiff * same, stiff * mirrored)}
+        answer = {self.acts_on: (stiff * same, stiff * mirrored)}
         return _factors_of_lines(answer, -self.inside[:, None] * moved)
 
     def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         record, omega = view.record, view.omega[:, None]
-        lines, wander = motion_along(view, self.pattern, inner, jumps)
-        wave = record.to_waves(lines) + record.wave_time[:, None] * wander
-        inside = _apply_slopes(self.position, wave)
+        inside = _apply_slopes(self.position, wave_along(view, self.acts_on, inner, jumps))
         lost = view.to_lines(inside, smeared=True)
         rate = 1j * omega * lost
         if record.transient:
@@ -353,12 +343,9 @@ class GearSlope:
         return _factors_of_lines(answers, self.lines[:, None] * change.springs[self.spring])
 
     def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
-        record = view.record
         out: Complex128 = self.lines[:, None] * change.springs[self.spring]
         for pattern, slope in self.slopes.items():
-            lines, wander = motion_along(view, pattern, inner, jumps)
-            wave = record.to_waves(lines) + record.wave_time[:, None] * wander
-            out = out + view.to_lines(slope[:, None] * wave)
+            out = out + view.to_lines(slope[:, None] * wave_along(view, pattern, inner, jumps))
         return out
 
 
@@ -441,3 +428,9 @@ def motion_along(
     slopes = jumps[: inner.shape[1]] / view.record.span
     wander = np.asarray(sum(sign * slopes[at] for at, sign in pattern))
     return lines + along(pattern, view.closing.inner) @ jumps - view.slope * wander, wander
+
+
+def wave_along(view: View, pattern: Pattern, inner: Complex128, jumps: Float64) -> Float64:
+    """(n, P) the same over time."""
+    lines, wander = motion_along(view, pattern, inner, jumps)
+    return view.record.to_waves(lines) + view.record.wave_time[:, None] * wander

@@ -38,6 +38,18 @@ def on_surface(tables: Any, row: int, most: float, fastest: float, q: float, v: 
 
 
 @inlined
+def on_table(tables: Any, row: int, kind: float, most: float, fastest: float, q: float, v: float) -> float:
+    """Return what a row gives at ``q`` and ``v``; ``kind``: 0 over position, 1 over velocity, 2 over both."""
+    if kind == 2.0:
+        found = on_surface(tables, row, most, fastest, q, v)
+    elif kind == 1.0:
+        found = on_line(tables, row, 0, tables.shape[1], fastest, v)
+    else:
+        found = on_line(tables, row, 0, tables.shape[1], most, q)
+    return found
+
+
+@inlined
 def _law(
     e: int,
     law: int,
@@ -83,13 +95,8 @@ def _law(
         memory[e, 1] = va - vb
         memory[e, 0] = max(memory[e, 0], abs(qa - qb))
         memory[e, 2] = max(memory[e, 2], abs(rate))
-        row = int(parameters[e, 3])
-        if parameters[e, 0] == 2.0:
-            f = -on_surface(tables, row, parameters[e, 1], parameters[e, 2], qa - qb, rate)
-        elif parameters[e, 0] == 1.0:
-            f = -on_line(tables, row, 0, tables.shape[1], parameters[e, 2], rate)
-        else:
-            f = -on_line(tables, row, 0, tables.shape[1], parameters[e, 1], qa - qb)
+        kind, most, fastest = parameters[e, 0], parameters[e, 1], parameters[e, 2]
+        f = -on_table(tables, int(parameters[e, 3]), kind, most, fastest, qa - qb, rate)
     return f
 
 

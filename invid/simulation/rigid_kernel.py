@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from invid.numerics.compiled import compiled, inlined
-from invid.simulation.kernel import on_line, on_surface
+from invid.simulation.kernel import on_table
 
 
 @inlined
@@ -37,12 +37,7 @@ def _add_axis_forces(
         load[i] = weight + dry[i, 9] * smooth[i, 3]
         for r in range(static.shape[0]):
             if int(static[r, 0]) == i:
-                if static[r, 1] == 2.0:
-                    force[i] -= on_surface(tables, r, static[r, 2], static[r, 3], q[i], v[i])
-                elif static[r, 1] == 1.0:
-                    force[i] -= on_line(tables, r, 0, tables.shape[1], static[r, 3], v[i])
-                else:
-                    force[i] -= on_line(tables, r, 0, tables.shape[1], static[r, 2], q[i])
+                force[i] -= on_table(tables, r, static[r, 1], static[r, 2], static[r, 3], q[i], v[i])
         # Half of the step's viscous force at its end: second order, and stable for any coefficient.
         effective[i, i] += 0.5 * step * viscous
 

@@ -215,8 +215,7 @@ def _inertia(copy: SpecCopy, model: Model) -> None:
     for element in (
         e for t in model.effects if t.cause == "extra_mode" for e in elements_of(model.chains, t)
     ):
-        own = _own_hidden(copy, element.at) if isinstance(element, AddedMass) else None
-        if own is not None and isinstance(element, AddedMass):
+        if isinstance(element, AddedMass) and (own := _own_hidden(copy, element.at)) is not None:
             wanted[own[1], own[1]] = element.mass
     chains = model.chains
     wanted[flat, flat] = np.concatenate(chains.masses)

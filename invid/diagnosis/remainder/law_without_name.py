@@ -251,19 +251,22 @@ def _score(
     columns = screen.project([law.basis(v, place, ()) for v in screen.views])
     if not np.isfinite(columns).all():
         return None
+
+    def parts_without(straight: Float64) -> tuple[Float64, Float64]:
+        rest = columns - (columns @ straight) @ straight.T
+        return smooth_parts(rest, -screen.residual, price, most, len(second))
+
     straight = law.straight()
-    bent = columns - (columns @ straight) @ straight.T
-    shapes, x = smooth_parts(bent, -screen.residual, price, most, len(second))
+    shapes, x = parts_without(straight)
     # The stiffness and damper of a spring take it up, whatever it is read from, and so does viscous friction.
     known = [t for t in screen.fit.candidate.terms if t.place == place]
     is_damped = over in OF_RATE and any(t.effect.cause == "viscous_friction" for t in known)
     if place.kind != "spring" and (across or not is_damped):
         if not x.size:
-            shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
+            shapes, x = parts_without(straight[:, :0])
         # Beside what bends: a straight part that a damper undoes may be as large as it likes.
-        straight = straight[:, _is_undone(columns @ straight, straight, shapes @ x, dispersion)]
-        columns = columns - (columns @ straight) @ straight.T
-        shapes, x = smooth_parts(columns, -screen.residual, price, most, len(second))
+        undone = _is_undone(columns @ straight, straight, shapes @ x, dispersion)
+        shapes, x = parts_without(straight[:, undone])
     if not x.size:
         return None
     term = PlacedEffect(EmpiricalLaw(over, first, shapes, across, second), place)

@@ -409,27 +409,33 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
     least_gain = max(least_gain, SHARE * (here.cost - here.dof))
     scores = [s for s in scores if REACH * s.gain >= least_gain and not _is_below_all_lines(s, here)]
     before = _predicted_chi2(current, held)
+
+    def is_accepted(trial: CandidateEvidence) -> bool:
+        if is_at_bound(trial.fit) or is_smaller_model(trial):
+            return False
+        # A mode of no mass may ring on from a record's start: the gain is its ends', a tone's.
+        if is_size_significant(trial.fit, len(trial.fit.candidate.terms) - 1) is False:
+            return False
+        needed = chi2_isf(SIGNIFICANCE / len(terms), max(trial.term.size, 1))
+        needed = max(needed, np.log(max(rows, 2)) * trial.term.size) * trial.fit.dispersion
+        needed = max(needed, SHARE * (here.cost - here.dof))
+        if here.cost - trial.fit.cost < needed:
+            return False
+        if (before - _predicted_chi2(trial, held)) / trial.fit.dispersion < HELD_OUT:
+            return False
+        # A weight that another pose refutes stood for a ripple or a spring to another axis.
+        return trial.term.effect is not GRAVITY or trial.held.cost <= current.held.cost
+
     trials: list[CandidateEvidence] = []
     reached = 0.0
     for score in _one_weight_an_axis(scores)[:MOST_TRIED]:
         if score.gain < NEAR_BEST * reached or len(trials) == MOST_FITS:
             break
         trial = _refit_score(current, score, train, held)
-        if trial is None or is_at_bound(trial.fit) or is_smaller_model(trial):
-            continue
-        # A mode of no mass may ring on from a record's start: the gain is its ends', a tone's.
-        if is_size_significant(trial.fit, len(trial.fit.candidate.terms) - 1) is False:
-            continue
-        gain = here.cost - trial.fit.cost
-        needed = chi2_isf(SIGNIFICANCE / len(terms), max(trial.term.size, 1))
-        needed = max(needed, np.log(max(rows, 2)) * trial.term.size) * trial.fit.dispersion
-        needed = max(needed, SHARE * (here.cost - here.dof))
-        if gain < needed or (before - _predicted_chi2(trial, held)) / trial.fit.dispersion < HELD_OUT:
+        if trial is None or not is_accepted(trial):
             continue  # the next in the screen may keep what this one promised
-        if trial.term.effect is GRAVITY and trial.held.cost > current.held.cost:
-            continue  # a weight that another pose refutes stood for a ripple or a spring to another axis
         trials.append(trial)
-        reached = max(reached, gain)
+        reached = max(reached, here.cost - trial.fit.cost)
     if not trials:
         return None
     lowest = min(trials, key=lambda t: t.fit.cost)
@@ -437,9 +443,8 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
         # A mode on one mass is nearly that on another with another size, on any axis that couples.
         settled = _refit(lowest, train, held, iterations=MOVE_ITERATIONS, quick=True)
         elsewhere = [t for t in terms if t.effect is lowest.term.effect and t.place != lowest.term.place]
-        last = len(lowest.fit.candidate.terms) - 1
-        found_there = _moved_modes(lowest, last, elsewhere, train, held)
-        more = [t for t in (settled, *found_there) if t is not None and not is_at_bound(t.fit)]
+        moved = _moved_modes(lowest, len(here.candidate.terms), elsewhere, train, held)
+        more = [t for t in (settled, *moved) if t is not None and is_accepted(t)]
         trials = [*(t for t in trials if t is not lowest), *(more or [lowest])]
     least = min(t.dispersion for t in trials)
     # Ranked by the training records; the held-out ones are tested above, parameter uncertainty included.
