@@ -59,7 +59,7 @@ def test_what_the_page_shows_is_what_the_commands_print(ran, number):
 
 def test_the_commanded_current_acts_late_by_what_was_measured_independently(folder):
     found = json.loads((folder / "commanded.json").read_text(encoding="utf-8"))["findings"]
-    assert {f["cause"] for f in found} == {"torque_delay", "viscous_friction"}
+    assert {f["cause"] for f in found} == {"torque_delay", "viscous_friction", "empirical_law"}
     delay = next(f for f in found if f["cause"] == "torque_delay")
     measured = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))["model"]["fit"]
     late = sum(float(o["value"]) for o in measured["time_offset_s"].values())
