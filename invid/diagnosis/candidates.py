@@ -18,10 +18,9 @@ from invid.diagnosis.score_test import Score, Screen
 from invid.effects.motion import rms
 from invid.likelihood.candidate_pool import map_candidates
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit
-from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.likelihood.placed_effect import PlacedEffect
 from invid.model.place import Place
 from invid.numerics import budget
-from invid.numerics.arrays import Float64
 from invid.signals.spectral_record import SpectralRecord
 
 POLISHED, REFITTED, PLACES = 12, 6, 2
@@ -32,9 +31,6 @@ the nearest shape of the grid a mode with 2 % damping shows two thirds of its ga
 REACH = 3.0
 """Factor by which a refit may gain more than its screen predicted (shapes between the grid's, inner motion).
 Empirical; it only skips what could not be accepted at three times its prediction."""
-UNEXPLAINED = 1.5
-"""χ²/ν above which no candidate explains the records. Empirical; it only decides whether to try another
-start."""
 
 
 def screen_candidates(screen: Screen, terms: Sequence[PlacedEffect]) -> list[Score]:
@@ -123,43 +119,6 @@ def refit_candidates(
 
     trials = map_candidates(finish_refit, started, here, [*train, *held])
     return [t for t in trials if t is not None and not is_at_bound(t.fit) and not is_smaller_model(t)]
-
-
-def add_trials_from_other_start(
-    trials: Sequence[CandidateEvidence],
-    start: Float64,
-    here: JointFit,
-    train: Sequence[SpectralRecord],
-    held: Sequence[SpectralRecord],
-    terms: Sequence[PlacedEffect],
-) -> list[CandidateEvidence]:
-    """The ``trials`` and, where none of them explains the records, those from other linear parameters.
-
-    A strong cause can bias the linear fit without effects so far that no step leads back: friction of a far
-    mass changes a spring and a damper. The identification fits friction along, so its parameters ``start``
-    (n,) may be right where those of the fit are not.
-    """
-    best = min((t.fit.cost for t in trials), default=np.inf)
-    if best < UNEXPLAINED * here.dof or here.candidate.terms or start.size != here.p.size:
-        return list(trials)
-    other = evidence_if_finite(lambda: fit(here.layout, train, start, Candidate(), iterations=0), held)
-    if other is None:
-        return list(trials)
-    scores = [s for s in screen_candidates(Screen(other.fit), terms) if s.term.effect.cause != "torque_delay"]
-    others = refit_candidates(other.fit, train, held, scores, no_least_gain, best)
-    if not others:
-        return list(trials)
-    # Where the other linear parameters alone gain more than the cause adds, the gain is not the cause's.
-    cheapest = min(others, key=lambda t: t.fit.cost).fit
-    without_cause = fit_if_finite(lambda: fit(here.layout, train, cheapest.p, Candidate(), iterations=20))
-    if without_cause is None or here.cost - without_cause.cost > without_cause.cost - cheapest.cost:
-        return list(trials)
-    found = {(t.term.effect.cause, t.term.place): t for t in trials}
-    for trial in others:
-        key = (trial.term.effect.cause, trial.term.place)
-        if trial.fit.cost < (found[key].fit.cost if key in found else here.cost):
-            found[key] = trial
-    return list(found.values())
 
 
 def rivals_of_best(

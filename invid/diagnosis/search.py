@@ -18,7 +18,6 @@ from invid.diagnosis.acceptance import (
 )
 from invid.diagnosis.candidates import (
     REACH,
-    is_smaller_model,
     refit_candidates,
     report_candidate,
     rivals_of_best,
@@ -71,7 +70,7 @@ def select_causes(  # noqa: PLR0913 - what is known beside the records
     """Causes added while both the training and the held-out gain are significant.
 
     ``free`` (n,): parameters of the fit with unbounded time offsets, where delays start. ``start`` (n,):
-    parameters of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow
+    parameters of the model, from which known friction is fitted. ``moves``: slow
     moves beside the records, which tell laws of position apart. ``family``: the only family of causes to
     search. ``friction``: what the identification fitted along, where the search starts.
 
@@ -199,7 +198,6 @@ def _add_causes(
 
     A further cause is compared with the excess without causes, or with the known ones.
     """
-    found = cast(Selection, apply_rule("reversal-widths", found, train, held))
     start, current, steps, rejected = found.base, found.final, list(found.steps), found.rejected
     first, sure, small = current if known_count else start, found, set[tuple[str, Place]]()
     most = MOST_PER_AXIS * start.fit.layout.structure.motors + known_count
@@ -221,12 +219,10 @@ def _add_causes(
             break
         step = cast(Step, apply_rule("slow-moves", step, request.moves))
         added = apply_rule("friction-ladder", step, train, held)
-        now = Selection(start, added[-1].chosen, (*steps, *added))
-        now = cast(Selection, apply_rule("reversal-widths", now, train, held))
-        steps, current = list(now.steps), now.final
+        steps, current = [*steps, *added], added[-1].chosen
         small |= {_cause_and_place(s) for s in added if little}
         if not small:
-            sure = replace(now, is_cut_short=found.is_cut_short)
+            sure = Selection(start, current, tuple(steps), is_cut_short=found.is_cut_short)
     if small and current.cost > FAR * current.dof:
         # Far from the noise a cause that is small beside the first may be an error of the first one's law.
         return replace(sure, rejected=rejected, is_cut_short=found.is_cut_short)
@@ -325,13 +321,9 @@ def _find_step(  # noqa: PLR0913 - what a step is judged by
         and request.family in (None, t.effect.family)
     ]
     count, rows = max(len(terms), 1), here.dof
-    trials, scores = _fit_candidates(
-        here, train, held, request, terms, first=first, rejects=rejects, known=known
-    )
+    trials, scores = _fit_candidates(here, train, held, request, terms, first=first, known=known)
     least_left = min((t.fit.cost for t in trials), default=np.inf)
     trials = [apply_rule("change-retimed", t, train, held) if t.fit.cost <= least_left else t for t in trials]
-    trials = apply_rule("gradual-sign", trials, current, train, held)
-    trials = [t for t in trials if not is_smaller_model(t)]  # with the rounding some need no larger model
     trials = merge_trials(trials, known)
     if not trials:
         return None, tuple(scores[:5]), False
@@ -429,14 +421,12 @@ def _fit_candidates(  # noqa: PLR0913 - what a step is judged by
     terms: Sequence[PlacedEffect],
     *,
     first: bool,
-    rejects: bool,
     known: Sequence[CandidateEvidence],
 ) -> tuple[list[CandidateEvidence], list[Score]]:
     """Joint fits of the most promising candidates, and the scores of the screen."""
     scores = screen_candidates(Screen(here), terms)
     delays = [t for t in terms if t.effect.cause == "torque_delay"]
     trials = list(apply_rule("delay-beyond-bound", here, train, held, delays, request.free))
-    trials += apply_rule("lag-beside-delay", here, train, held, trials, terms)
     tried = {(t.term.effect.cause, t.term.place) for t in trials}
     # An effect without shapes has one minimum, and the known fit is in it.
     tried |= {(t.term.effect.cause, t.term.place) for t in known if not t.term.effect.shapes}
@@ -454,8 +444,6 @@ def _fit_candidates(  # noqa: PLR0913 - what a step is judged by
     reached = min((t.fit.cost for t in (*trials, *known)), default=np.inf)
     trials += refit_candidates(here, train, held, scores, least, reached)
     trials = merge_trials(trials, rivals_of_best(trials, scores, here, train, held))
-    if first and rejects and request.start is not None and not known:
-        trials = apply_rule("start-from-model", trials, request.start, here, train, held, terms)
     return trials, scores
 
 

@@ -6,18 +6,15 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from invid.diagnosis.candidates import add_trials_from_other_start
 from invid.diagnosis.context import Rule, Stage
 from invid.diagnosis.rules.asymmetric_pair import doubt_asymmetric_pairs
 from invid.diagnosis.rules.dropped_rows import find_dropped_rows
-from invid.diagnosis.rules.gradual_sign import fit_gradual_signs
 from invid.diagnosis.rules.known_friction import add_known_friction
 from invid.diagnosis.rules.load_change import search_around_change
 from invid.diagnosis.rules.mode_in_chain import fit_chain_with_mode
 from invid.diagnosis.rules.near_variants import (
     delay_variants,
     friction_ladder,
-    lag_variants,
     retime_load_change,
     try_other_places,
 )
@@ -26,7 +23,6 @@ from invid.diagnosis.rules.own_evidence import keep_independent_causes
 from invid.diagnosis.rules.slow_moves import rank_by_slow_moves
 from invid.diagnosis.rules.tones import find_common_tones
 from invid.diagnosis.rules.whole_search import search_beside_friction
-from invid.diagnosis.rules.widths import fit_sign_widths
 
 GENERATORS = "hidden plants of this project (docs/explanations/hidden-tests.md)"
 """Source of rules that are empirical: the hidden tests of this project."""
@@ -63,32 +59,9 @@ RULES: tuple[Rule, ...] = (
         GENERATORS, delay_variants, _empty_list, applies=lambda here, train, held, late, free: bool(late),
     ),
     Rule(
-        "lag-beside-delay", Stage.CANDIDATES,
-        "Near low frequencies a lag is a delay; each delay is weighed against the lag that is as late.",
-        GENERATORS, lag_variants, _empty_list,
-    ),
-    Rule(
-        "start-from-model", Stage.CANDIDATES,
-        "A strong cause bends the linear fit without it; the identification, which fits friction along, "
-        "starts nearer.",
-        GENERATORS, add_trials_from_other_start,
-    ),
-    Rule(
         "change-retimed", Stage.CANDIDATES,
         "In a period half of one load, half of another, a small change early and a large one late are alike.",
         GENERATORS, retime_load_change, applies=lambda trial, *_: trial.term.effect.family == "time",
-    ),
-    Rule(
-        "gradual-sign", Stage.CANDIDATES,
-        "No contact reverses at once: friction changes its sign over a range of velocity.",
-        "tanh law of velocity, as in Andersson, Söderberg, Björklund, Tribology International 40 (2007) 580",
-        fit_gradual_signs,
-    ),
-    Rule(
-        "reversal-widths", Stage.SELECTION,
-        "How gradually friction turns over shows once what acts beside it is in the model.",
-        "whole cells (tests/hidden/cells.py)", fit_sign_widths,
-        applies=lambda found, *_: bool(found.steps),
     ),
     Rule(
         "next-mass", Stage.CANDIDATES,

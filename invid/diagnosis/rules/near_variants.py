@@ -14,7 +14,6 @@ from invid.diagnosis.evidence import (
     evidence_if_finite,
     fit_if_finite,
     is_at_bound,
-    refit_with_effect,
 )
 from invid.diagnosis.score_test import terms_to_test
 from invid.diagnosis.thresholds import CLOSE, COMPETES
@@ -227,36 +226,3 @@ def delay_variants(
         if trial is not None:
             out.append(trial)
     return out
-
-
-MOST_HELD = 1.2
-"""Share held over the sample above which the torque loses more amplitude than holding explains; its bound is
-1.5 (empirical)."""
-
-
-def lag_variants(
-    here: JointFit,
-    train: Sequence[SpectralRecord],
-    held: Sequence[SpectralRecord],
-    delays: Sequence[CandidateEvidence],
-    terms: Sequence[PlacedEffect],
-) -> list[CandidateEvidence]:
-    """Torque lags that the screen may miss.
-
-    One beside every delay, with the same time: with another cause still missing, the delay would stand
-    without its nearest rival. And one where the torque loses more amplitude with frequency than holding over
-    the sample explains: the share held makes up for that until it is at its bound, and would fall with the
-    lag in the model.
-    """
-    starts = {d.term.place.axis: abs(float(d.x[0])) for d in delays}
-    for i, share in enumerate(here.layout.zoh_share(here.p)):
-        if share > MOST_HELD:  # as much amplitude as the rest takes
-            starts.setdefault(i, here.layout.step * float(np.sqrt((share - 1.0) / 12.0)))
-    lags = [t for t in terms if t.effect.cause == "torque_lag" and starts.get(t.place.axis, 0.0)]
-
-    def fit_lag(term: PlacedEffect) -> CandidateEvidence | None:
-        size = np.array([np.log(starts[term.place.axis])])
-        return evidence_if_finite(partial(refit_with_effect, here, train, term, size, 20), held)
-
-    trials = map_candidates(fit_lag, lags, here, [*train, *held])
-    return [t for t in trials if t is not None and not is_at_bound(t.fit)]
