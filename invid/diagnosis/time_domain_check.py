@@ -21,7 +21,7 @@ from invid.effects.registry import effects_of_plant
 from invid.errors import InvidError
 from invid.likelihood.evaluation import Evaluation, evaluate, record_views
 from invid.likelihood.joint_fit import JointFit
-from invid.likelihood.nuisance.transients import own_jump_response
+from invid.likelihood.nuisance.transients import jump_response
 from invid.likelihood.null_test import rms_torque
 from invid.likelihood.placed_effect import Candidate
 from invid.model.diagnosis_document import Diagnosis
@@ -262,11 +262,12 @@ def _remove_mode_transients(evaluation: Evaluation, candidate: Candidate) -> Eva
     for number, (view, root, basis) in enumerate(
         zip(evaluation.views, evaluation.roots, evaluation.bases, strict=True)
     ):
-        own = (own_jump_response(view, t, x) for t, x in zip(candidate.terms, candidate.x, strict=True))
-        columns = [torque for torque, _ in (pair for pair in own if pair is not None)]
-        if not columns:
+        plant = 2 * view.base.shape[1]
+        none = np.zeros((*view.base.shape, plant), dtype=complex)
+        columns = jump_response(view, candidate, none)[0][..., plant:]
+        if not columns.shape[-1]:
             return evaluation
-        part = stack(root @ np.concatenate(columns, axis=2))
+        part = stack(root @ columns)
         jumps = orthonormal(part - basis @ (basis.T @ part))
         rows = slice(at, at + part.shape[0])
         transient = jumps @ (jumps.T @ residual[rows])

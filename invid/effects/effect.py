@@ -407,14 +407,14 @@ class ImpedanceEffect(Effect):
         ]
 
     def of_jumps(self, view: View, place: Place, x: Sequence[float], moved: Complex128) -> Complex128:
-        """(F, 2ΣN) force along the pattern for a unit jump of each coordinate's position and velocity.
+        """(F, 2ΣN) force along the pattern, without its own answer, for a unit jump of each coordinate's
+        position and velocity.
 
         ``moved`` (F, ΣN, 2ΣN): motion of the linear plant for the jumps. Masses and dampers have ends of
         their own, (2/T)((d + jωm)Δx + mΔv).
         """
         pattern = self.pattern(view.structure, place, x)
-        z = self.impedance(view, place, x)
-        force: Complex128 = z[:, None] * along(pattern, moved)
+        force: Complex128 = self.impedance(view, place, x)[:, None] * along(pattern, moved)
         mass, damper = self.carries(view, x)
         stored = np.stack((damper + 1j * view.omega * mass, np.full(view.omega.size, mass, dtype=complex)))
         stored *= 2.0 / view.record.span
@@ -422,17 +422,16 @@ class ImpedanceEffect(Effect):
         for at, sign in pattern:
             force[:, at] += sign * stored[0]
             force[:, view.base.shape[1] + at] += sign * stored[1]
-        out: Complex128 = force / (1.0 + z * view.driving_point_receptance(pattern))[:, None]
-        return out
+        return force
 
     def carries(self, view: View, x: Sequence[float]) -> tuple[float | Complex128, float]:
         """Mass, or (F,) what stands where a mass would, and damper that its impedance contains."""
         return 0.0, 0.0
 
     def of_own_jumps(self, view: View, place: Place, x: Sequence[float]) -> Complex128 | None:
-        """(F, 2) force along the pattern for jumps of position and velocity of a mass of its own.
+        """(F, 2) force along the pattern, without its own answer, for jumps of a mass of its own.
 
-        Each jump is twice its motion; ``None`` for an effect without a mass of its own.
+        Of position and of velocity, each twice its motion; ``None`` for an effect without a mass of its own.
         """
         return None
 

@@ -11,7 +11,7 @@ from invid.effects.motion import View
 from invid.likelihood.inner_motion import learn_inner_directions
 from invid.likelihood.law_response import direct_effect_changes, effect_response
 from invid.likelihood.law_slopes import ForceChange, slopes_of
-from invid.likelihood.nuisance.transients import jump_response, own_jump_response
+from invid.likelihood.nuisance.transients import jump_response
 from invid.likelihood.placed_effect import Candidate, PlacedEffect, contributions, forces_of
 from invid.numerics.arrays import Complex128, Float64
 
@@ -121,27 +121,25 @@ def jump_columns(
     view: View, candidate: Candidate, motion: Complex128, jumps: Float64, columns: Complex128, at: int
 ) -> None:
     """Adds to the effects' columns their change at the ``jumps`` (2ΣN,) of a record that does not close."""
-    plant = motion.shape[-1]
-    first = plant
 
-    def at_jumps(term: PlacedEffect, x: Float64) -> tuple[Complex128, bool]:
-        """Missing torque (F, M) at the plant's jumps and at the mass' own, and whether it has one."""
-        torque: Complex128 = jump_response(view, Candidate((term,), (x,)), motion)[0] @ jumps[:plant]
-        own = own_jump_response(view, term, x)
-        return (torque, False) if own is None else (torque + own[0] @ jumps[first : first + 2], True)
+    def at_jumps(trial: Candidate) -> Complex128:
+        torque: Complex128 = jump_response(view, trial, motion)[0] @ jumps
+        return torque
 
-    for term, x in zip(candidate.terms, candidate.x, strict=True):
-        if not isinstance(term.effect, ImpedanceEffect):
+    here = (
+        at_jumps(candidate) if any(isinstance(t.effect, ImpedanceEffect) for t in candidate.terms) else None
+    )
+    for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True)):
+        if here is None or not isinstance(term.effect, ImpedanceEffect):
             at += x.size
             continue
-        here, has_mass = at_jumps(term, x)
         for k in range(x.size):
             h = _difference_step(view, term, x, k)
             more = x.copy()
             more[k] += h
-            columns[..., at] += (at_jumps(term, more)[0] - here) / h
+            changed = Candidate(candidate.terms, (*candidate.x[:number], more, *candidate.x[number + 1 :]))
+            columns[..., at] += (at_jumps(changed) - here) / h
             at += 1
-        first += 2 * has_mass
 
 
 def impedance_columns(

@@ -17,7 +17,7 @@ from invid.effects.motion import View, along
 from invid.likelihood.law_slopes import ForceChange, LawSlope
 from invid.likelihood.placed_effect import (
     Candidate,
-    CoupledImpedances,
+    coupled_impedances,
     force_patterns,
     impedances,
     law_part,
@@ -90,7 +90,7 @@ class LinearAnswer:
     def __init__(self, view: View, candidate: Candidate) -> None:
         self._view = view
         effects = linear_effects(candidate)
-        self._coupled = CoupledImpedances.of(view, effects) if effects else None
+        self._coupled = coupled_impedances(view, effects) if effects else None
         is_inner = any(t.depends_on_inner_motion(view) for t in candidate.terms)
         patterns = force_patterns(view, candidate) if is_inner else ()
         self._gain = view.correction_gain(patterns) if patterns else None

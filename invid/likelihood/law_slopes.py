@@ -16,7 +16,7 @@ from invid.effects.catalogue.backlash import Backlash, spring_index
 from invid.effects.catalogue.transmission_error import TransmissionError
 from invid.effects.effect import ForceEffect, ImpedanceEffect
 from invid.effects.laws.beyond_band import PASSES as BEYOND_PASSES
-from invid.effects.laws.beyond_band import beyond_band, solve_with_motion
+from invid.effects.laws.beyond_band import beyond_band, motion_of_force, solve_with_motion
 from invid.effects.laws.sign import DryLaw, clip_law
 from invid.effects.motion import View, along
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
@@ -247,7 +247,7 @@ class LocalLaw:
         if self.compliance is not None:
             rate = 1j * record.wave_omega[:, None]
             for _ in range(BEYOND_PASSES):
-                hidden = -self.compliance[:, None] * np.fft.rfft(force, axis=0)
+                hidden = motion_of_force(view, self.compliance, force)
                 more = (np.fft.irfft(h, record.samples, axis=0) for h in (hidden, rate * hidden))
                 force = 0.5 * (force + seen + self._force_along(*more))
         return view.to_lines(force, smeared=self.smeared)

@@ -150,8 +150,7 @@ def impedances(view: View, effects: _Impedances, back: Complex128) -> tuple[Comp
     Exact, each in the motion that the others and the laws (``back``, (F, ΣN)) cause: friction at a mass moves
     what a mode on it or a damper beside it feels.
     """
-    key = ("impedances", tuple((effect, place, tuple(x)) for effect, place, x in effects))
-    own = view.cached(key, lambda: CoupledImpedances.of(view, effects))
+    own = coupled_impedances(view, effects)
     motion = view.unfiltered + back
     alone = [
         z * along(pattern, motion) + effect.within(view, place, x.tolist())
@@ -161,6 +160,12 @@ def impedances(view: View, effects: _Impedances, back: Complex128) -> tuple[Comp
     return (own.condensed_force @ forces[..., None])[..., 0], -(own.inner_receptance @ forces[..., None])[
         ..., 0
     ]
+
+
+def coupled_impedances(view: View, effects: _Impedances) -> CoupledImpedances:
+    """The effects at their places, each in the motion of the others; cached."""
+    key = ("impedances", tuple((effect, place, tuple(x)) for effect, place, x in effects))
+    return view.cached(key, lambda: CoupledImpedances.of(view, effects))
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +197,7 @@ class CoupledImpedances:
             push,
             yields,
             size,
-            np.linalg.inv(np.eye(len(effects)) + np.stack(rows, axis=1)).astype(np.complex128),
+            np.linalg.inv(np.eye(len(patterns)) + np.stack(rows, axis=1)).astype(np.complex128),
         )
 
 

@@ -145,8 +145,7 @@ class BaseCompliance(ImpedanceEffect):
         jumps = np.stack((1j * w * float(np.exp(2 * x[1])), spring), axis=-1) * bound
         out: Complex128 = (2.0 * size / view.record.span) * jumps / below[:, None]
         out[0] *= 0.5
-        felt = 1.0 + self.impedance(view, place, x) * view.driving_point_receptance(pattern)
-        return out / felt[:, None]
+        return out
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         own = float(np.exp(2 * x[1]))

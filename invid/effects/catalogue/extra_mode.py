@@ -77,8 +77,7 @@ class ExtraMode(ImpedanceEffect):
         jumps = np.stack((1j * w * own**2, spring), axis=-1) * bound
         out: Complex128 = (2.0 * x[0] / view.record.span) * jumps / (spring - w**2)[:, None]
         out[0] *= 0.5
-        felt = 1.0 + self.impedance(view, place, x) * view.driving_point_receptance(pattern)
-        return out / felt[:, None]
+        return out
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {

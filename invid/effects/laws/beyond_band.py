@@ -25,11 +25,11 @@ resonance beyond the band the damping decides, and half steps would not settle."
 def beyond_band(view: View, place: Place) -> Float64 | None:
     """(n//2 + 1,) receptance along a place on the waves' lines above those in use.
 
-    ``None`` for motors, whose motion is measured, between axes, and for records that do not close.
+    ``None`` for motors, whose motion is measured, and between axes.
     """
     pattern, springs = place.pattern(view.structure), view.structure.spring_pairs
     at = [dof for dof, _ in pattern]
-    if view.record.transient or place.other >= 0 or (len(at) == 1 and at[0] in view.structure.motor_dofs):
+    if place.other >= 0 or (len(at) == 1 and at[0] in view.structure.motor_dofs):
         return None
     springs_beside = [
         q for q, ends in enumerate(springs) if (set(ends) == set(at) if len(at) == 2 else at[0] in ends)
@@ -59,9 +59,18 @@ def solve_with_motion(
     hidden: Complex128 = np.zeros(compliance.size, dtype=complex)
     try:
         for _ in range(PASSES):
-            hidden = -compliance * np.fft.rfft(wave)
+            hidden = motion_of_force(view, compliance, wave)
             view.set_hidden_motion(pattern, hidden)
             wave = 0.5 * (wave + resisting())
     finally:
         view.set_hidden_motion(pattern, None)
     return wave, hidden
+
+
+def motion_of_force(view: View, compliance: Float64, force: Float64) -> Complex128:
+    """(n//2 + 1, …) lines of the motion beyond the band that a force (n, …) causes."""
+    if view.record.transient:  # what jumps from the end to the start would ring at both
+        ramp = np.linspace(-0.5, 0.5, force.shape[0])
+        force = force - np.multiply.outer(ramp, force[-1] - force[0])
+    out: Complex128 = -(np.fft.rfft(force, axis=0).T * compliance).T
+    return out

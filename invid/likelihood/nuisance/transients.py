@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.effects.effect import ImpedanceEffect
 from invid.effects.motion import Closing, View
 from invid.likelihood.hypothesis import Layout
-from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.likelihood.placed_effect import Candidate, coupled_impedances, linear_effects
 from invid.model.parameters import ChainStructure
 from invid.model.transient_terms import end_columns, end_forces, end_points, motor_end_indices
 from invid.numerics.arrays import Complex128, Float64
@@ -31,14 +30,13 @@ class Ends:
     def with_effects(self, view: View, candidate: Candidate) -> Ends:
         """The responses with effects that are linear in motion, those of their own masses last."""
         torque, motion = jump_response(view, candidate, self.motion)
-        own = [own_jump_response(view, t, x) for t, x in zip(candidate.terms, candidate.x, strict=True)]
-        torques, motions = ([pair[k] for pair in own if pair is not None] for k in (0, 1))
-        return replace(
-            self,
-            torque=np.concatenate((self.torque + torque, *torques), axis=-1),
-            motion=np.concatenate((self.motion + motion, *motions), axis=-1),
-            inner=np.concatenate((self.inner + motion, *motions), axis=-1),
-        )
+        own = torque.shape[-1] - self.torque.shape[-1]
+
+        def padded(plant: Complex128) -> Complex128:
+            return np.pad(plant, ((0, 0), (0, 0), (0, own)))
+
+        torque, inner = padded(self.torque) + torque, padded(self.inner) + motion
+        return replace(self, torque=torque, motion=padded(self.motion) + motion, inner=inner)
 
 
 def record_ends(view: View, layout: Layout, p: Float64) -> Ends:
@@ -54,36 +52,27 @@ def record_ends(view: View, layout: Layout, p: Float64) -> Ends:
 
 
 def jump_response(view: View, candidate: Candidate, moved: Complex128) -> tuple[Complex128, Complex128]:
-    """(F, M, 2ΣN) missing torque and (F, ΣN, 2ΣN) motion of effects linear in motion for unit jumps.
+    """(F, M, k) missing torque and (F, ΣN, k) motion of effects linear in motion for unit jumps, those of the
+    plant's coordinates first, then those of the masses that effects have of their own.
 
-    ``moved`` is the motion of the linear plant for them.
+    ``moved`` is the motion of the linear plant for its jumps. A record that does not close does not close for
+    an effect's mass either: a light mode that rings on from before the record was else answered with a second
+    mode at the same frequency on the next mass. Each effect feels what the others do.
     """
-    torque = np.zeros((*view.acting.shape, moved.shape[-1]), dtype=complex)
-    motion = np.zeros_like(moved)
-    for term, x in zip(candidate.terms, candidate.x, strict=True):
-        if isinstance(term.effect, ImpedanceEffect):
-            pattern = term.effect.pattern(view.structure, term.place, x.tolist())
-            force = term.effect.of_jumps(view, term.place, x.tolist(), moved)[:, None, :]
-            torque += view.condensed_force(pattern)[:, :, None] * force
-            motion -= view.inner_receptance(pattern)[:, :, None] * force
-    return torque, motion
-
-
-def own_jump_response(view: View, term: PlacedEffect, x: Float64) -> tuple[Complex128, Complex128] | None:
-    """(F, M, 2) missing torque and (F, ΣN, 2) motion for jumps of the mass that an effect has of its own.
-
-    A record that does not close does not close for it either: a light mode that rings on from before the
-    record was else answered with a second mode at the same frequency on the next mass.
-    """
-    if not isinstance(term.effect, ImpedanceEffect):
-        return None
-    force = term.effect.of_own_jumps(view, term.place, x.tolist())
-    if force is None:
-        return None
-    pattern = term.effect.pattern(view.structure, term.place, x.tolist())
-    torque: Complex128 = view.condensed_force(pattern)[:, :, None] * force[:, None, :]
-    motion: Complex128 = -view.inner_receptance(pattern)[:, :, None] * force[:, None, :]
-    return torque, motion
+    effects, plant = linear_effects(candidate), moved.shape[-1]
+    if not effects:
+        none = np.zeros((view.omega.size, 1, plant), dtype=complex)
+        return none.repeat(view.acting.shape[1], axis=1), none.repeat(view.base.shape[1], axis=1)
+    alone = [effect.of_jumps(view, place, x.tolist(), moved) for effect, place, x in effects]
+    own = [(k, effect.of_own_jumps(view, place, x.tolist())) for k, (effect, place, x) in enumerate(effects)]
+    masses = [(k, force) for k, force in own if force is not None]
+    forces = np.zeros((view.omega.size, len(alone), plant + 2 * len(masses)), dtype=complex)
+    forces[..., :plant] = np.stack(alone, axis=1)
+    for number, (k, force) in enumerate(masses):
+        forces[:, k, plant + 2 * number : plant + 2 * number + 2] = force
+    coupled = coupled_impedances(view, effects)
+    forces = coupled.coupling @ forces
+    return coupled.condensed_force @ forces, -(coupled.inner_receptance @ forces)
 
 
 def solve_record_ends(view: View, ends: Ends, root: Complex128, linear: Complex128) -> Closing:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.effects.laws.beyond_band import LEAST_DIFFERENCE, beyond_band, solve_beyond_band
+from invid.effects.laws.beyond_band import LEAST_DIFFERENCE, beyond_band, motion_of_force, solve_beyond_band
 from invid.model.parameters import ChainStructure
 from invid.model.place import mass_places, spring_places
 
@@ -59,9 +59,18 @@ def test_it_is_that_of_the_chain_above_its_modes(place: Any) -> None:
     assert np.abs(found[LAST + 40 :] - exact).max() < 0.05 * np.abs(exact).max()
 
 
-def test_motors_are_measured_and_records_that_do_not_close_have_no_lines() -> None:
+def test_motors_are_measured() -> None:
     assert beyond_band(_view(), mass_places(_view().structure)[0]) is None
-    assert beyond_band(_view(transient=True), spring_places(_view().structure)[0]) is None
+
+
+def test_a_jump_between_the_ends_of_a_record_that_does_not_close_does_not_ring() -> None:
+    view = _view(transient=True)
+    compliance = beyond_band(view, spring_places(view.structure)[0])
+    assert compliance is not None
+    time = np.arange(SAMPLES) * STEP
+    wave = np.sin(2 * np.pi * 150 * time)
+    moved = motion_of_force(view, compliance, wave + 5.0 * time / time[-1])
+    assert np.abs(moved - motion_of_force(view, compliance, wave)).max() < 1e-3 * np.abs(moved).max()
 
 
 def test_nothing_is_said_next_to_a_resonance() -> None:

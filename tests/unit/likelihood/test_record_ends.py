@@ -100,6 +100,18 @@ def test_an_effect_that_is_linear_in_motion_makes_up_for_the_same_error_of_the_p
 
 
 @pytest.mark.parametrize("number", [0, 1])
+def test_two_such_effects_at_one_load_answer_to_each_other(number: int) -> None:
+    """Each took the jumps as if it were alone: at the resonance of the load ten times the noise was left."""
+    record = periods()[0][number]
+    heavier = PlacedEffect(PayloadChange(), Place("mass", 0, 2))
+    rubbing = PlacedEffect(ViscousFriction(), Place("mass", 0, 2))
+    both = Candidate((heavier, rubbing), (np.array([0.8, LONG_AGO]), np.array([0.0])))
+    assert abs(excess(record, both, mass=1.2)) < 5.0
+    braked = Candidate((heavier, rubbing, rubbing), (both.x[0], np.array([2.0]), np.array([-2.0])))
+    assert excess(record, braked, mass=1.2) == pytest.approx(excess(record, both, mass=1.2), abs=0.01)
+
+
+@pytest.mark.parametrize("number", [0, 1])
 def test_the_mass_of_a_mode_has_ends_of_its_own(number: int) -> None:
     """The load of the plant as a mode beside its motor: the same machine."""
     motor = ChainStructure((1,), ("A1",), viscous=True)
