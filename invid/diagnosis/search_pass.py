@@ -125,14 +125,15 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     left of what was missing) or was ended by the budget, and else the better one counts.
     """
     spectra, _, (base, _, train, held) = _fit_and_split(recording, model, PLAIN)
-    scatter = scatter_ratio(base, held)
-    if max(s.periods * r.lines.size for s in spectra for r in train if r.key == s.key) > MOST_WHOLE:
-        scatter = 0.0
+    is_short = max(s.periods * r.lines.size for s in spectra for r in train if r.key == s.key) <= MOST_WHOLE
+    scatter = scatter_ratio(base, held) if is_short else 0.0
+    is_settling = any(r.alone for r in (*train, *held))
     start = CandidateEvidence(base, evaluate_held_out(base, held))
     first: SearchPass | None = None
-    is_whole = scatter > 0.0 and not any(r.alone for r in (*train, *held))
     if len(model.axes) == 1:
-        return _search_one_axis(recording, model, scatter, is_whole)
+        return _search_one_axis(recording, model, scatter, scatter > 0.0 and not is_settling)
+    # Whole, a record that still settles has one pair of ends instead of one for each period.
+    is_whole = scatter > 0.0 or (is_settling and is_short)
     if start.rejects([*train, *held]):
         with budget.use_share(TIME_BESIDE_FRICTION, 0.05, 0.6):
             if is_whole and not budget.is_left_out(WHOLE_RECORDS):

@@ -206,13 +206,26 @@ def split_into_periods(
             continue
         experiment = experiments[record.key]
         record_of = partial(spectral_record, alone=True, demand=record.command is not None)
-        out += [record_of(s, experiment, slice(k, k + 1)) for k in range(s.periods)]
+        out += [_set_aside_as(record, record_of(s, experiment, slice(k, k + 1))) for k in range(s.periods)]
     return out
+
+
+def _set_aside_as(whole: SpectralRecord, part: SpectralRecord) -> SpectralRecord:
+    """A part of a record, its torque left out on the axes where that of the whole is."""
+    if not whole.set_aside.any():
+        return part
+    noise, at = part.noise.copy(), whole.set_aside.size + np.flatnonzero(whole.set_aside)
+    noise[:, at] = whole.noise[:, at].max(axis=0)
+    return replace(part, noise=noise, set_aside=whole.set_aside)
 
 
 LEAST_TORQUE = 3.0
 """Peak torque of a held axis over its Coulomb friction below which it counts as standing. Physical: a
 sinusoid of three times the friction is below it for a fifth of each period, and then barely moves."""
+
+
+MOST_STANDING = 0.1
+"""Share of a record up to which a held axis may stand and still count as moved (empirical: whole cells)."""
 
 
 def leave_out_sticking_axes(
@@ -258,17 +271,23 @@ def leave_out_sticking_axes(
 
 
 def _is_below_friction(record: SpectralRecord, axis: int, level: float) -> bool:
-    """Whether the torque of a held axis stays well below the ``level`` of its friction."""
+    """Whether the torque of a held axis stays well below the ``level`` of its friction, and it stands a good
+    part of the time: where the chain behind it moves it all the same, its friction is that of its motion."""
     wave = record.torque_wave[:, axis]
-    return bool(np.abs(wave - wave.mean()).max() < LEAST_TORQUE * level)
+    is_weak = bool(np.abs(wave - wave.mean()).max() < LEAST_TORQUE * level)
+    return is_weak and _slow_share(record, axis) > MOST_STANDING
 
 
 def _is_barely_moving(record: SpectralRecord, axis: int, _: float) -> bool:
     """Whether the sign of a motor's velocity, and so of its friction, is lost in noise for over half of a
     record."""
+    return not record.standing[axis] and _slow_share(record, axis) > 0.5
+
+
+def _slow_share(record: SpectralRecord, axis: int) -> float:
+    """Share of a record in which a motor may stand."""
     v = record.motor_velocity[:, axis]
-    slow = standstill_velocity(v, float(record.velocity_noise[axis]))
-    return not record.standing[axis] and float(np.mean(np.abs(v) < slow)) > 0.5
+    return float(np.mean(np.abs(v) < standstill_velocity(v, float(record.velocity_noise[axis]))))
 
 
 def line_weights(record: SpectralRecord, chosen: np.ndarray) -> SpectralRecord:

@@ -71,6 +71,8 @@ SETTLING_ITERATIONS = 10
 """Iterations of the fit with an accepted cause (empirical: most end before)."""
 STRUCTURE = ("extra_mode", "coupling_stiffness")
 """Causes that stand for another chain."""
+MODES = ("extra_mode", "base_compliance")
+"""Causes that put a resonance beside the chains, on any axis that couples."""
 TIMING = ("torque_delay", "torque_lag")
 """Causes that the free time constants and offsets of the drives replace here."""
 
@@ -197,10 +199,31 @@ def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
         trial = _refit_score(found.trial, score, found.train, found.held)
         if trial is None or here.cost - trial.fit.cost < _least_own_gain(trial.fit):
             continue
-        if trial.held.cost < found.trial.held.cost:
+        if _is_borne_out(found.trial, trial, found.train, found.held):
             step = Step(found.trial, trial, ((trial, trial.fit.cost),))
             found = replace(found, trial=trial, steps=(*found.steps, step))
     return found
+
+
+def _is_borne_out(
+    current: CandidateEvidence,
+    trial: CandidateEvidence,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+) -> bool:
+    """Whether the records kept out gain by a cause, at once or where both fits are of all records.
+
+    Another pose asks for combinations of parameters that the training leaves open.
+    """
+    if trial.held.cost <= current.held.cost:
+        return True
+    every = [*train, *held]
+    without = _refit(current, every, held, iterations=SETTLING_ITERATIONS, quick=True)
+    if without is None:
+        return False
+    candidate = without.fit.candidate.plus(trial.term, trial.x)
+    beside = _refit(without, every, held, candidate=candidate, iterations=SETTLING_ITERATIONS, quick=True)
+    return beside is not None and beside.held.cost < without.held.cost
 
 
 def _has_weight(here: JointFit, axis: int) -> bool:
@@ -424,7 +447,7 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
         if (before - _predicted_chi2(trial, held)) / trial.fit.dispersion < HELD_OUT:
             return False
         # A weight that another pose refutes stood for a ripple or a spring to another axis.
-        return trial.term.effect is not GRAVITY or trial.held.cost <= current.held.cost
+        return trial.term.effect is not GRAVITY or _is_borne_out(current, trial, train, held)
 
     trials: list[CandidateEvidence] = []
     reached = 0.0
@@ -739,7 +762,7 @@ def _exchange_cause(
             here.layout.structure, linear_axes=linear_axes, chosen=rest.fit.candidate.terms
         )
         if t.effect.cause in (term.effect.cause, *term.effect.looks_like)
-        and (t.place.axis == term.place.axis or t.effect.cause == term.effect.cause == "extra_mode")
+        and (t.place.axis == term.place.axis or {t.effect.cause, term.effect.cause} <= set(MODES))
         and (t.effect.cause, t.place) != (term.effect.cause, term.place)
     ]
     is_mode = term.effect.cause == "extra_mode"
