@@ -21,6 +21,9 @@ from invid.numerics.distributions import chi2_isf
 from invid.numerics.levenberg_marquardt import LARGEST_STEP
 from invid.signals.spectral_record import SpectralRecord
 
+MODES = ("extra_mode", "base_compliance")
+"""Causes that put a resonance beside the chains, on any axis that couples."""
+
 
 def excess_chi2(part: Evaluation, axes: Collection[int], *, moving: bool = False) -> float:
     """χ² beyond its expectation in the missing torque of the axes; ``moving``: without lines at 0 Hz."""
@@ -263,7 +266,7 @@ def is_at_bound(found: JointFit) -> bool:
         return False
     shapes = x[len(term.effect.coefficients) :]
     limits = term.effect.limits(views, term.place)
-    if term.effect.cause in ("extra_mode", "base_compliance"):
+    if term.effect.cause in MODES:
         # Nor is damping. But a mode outside all lines is none, and one with damping at its bound is friction,
         # or what a hold with other gains leaves (empirical: three of fifteen records without a cause).
         if shapes[1] >= limits[1][1] - 1e-3:

@@ -70,9 +70,9 @@ def select_causes(  # noqa: PLR0913 - what is known beside the records
     """Causes added while both the training and the held-out gain are significant.
 
     ``free`` (n,): parameters of the fit with unbounded time offsets, where delays start. ``start`` (n,):
-    parameters of the model, from which known friction is fitted. ``moves``: slow
-    moves beside the records, which tell laws of position apart. ``family``: the only family of causes to
-    search. ``friction``: what the identification fitted along, where the search starts.
+    parameters of the model, from which known friction is fitted. ``moves``: slow moves beside the records,
+    which tell laws of position apart. ``family``: the only family of causes to search. ``friction``: what the
+    identification fitted along, where the search starts.
 
     A lag keeps the time offset of its axis beside it: two timings where a delay is one. Where the excess of
     the lag's model is more than the χ² between the two, the data do not need the second timing, and the delay

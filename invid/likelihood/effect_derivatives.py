@@ -12,7 +12,7 @@ from invid.likelihood.inner_motion import learn_inner_directions
 from invid.likelihood.law_response import direct_effect_changes, effect_response
 from invid.likelihood.law_slopes import ForceChange, slopes_of
 from invid.likelihood.nuisance.transients import jump_response
-from invid.likelihood.placed_effect import Candidate, PlacedEffect, contributions, forces_of
+from invid.likelihood.placed_effect import Candidate, PlacedEffect, contributions, forces_of, linear_effects
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -126,11 +126,11 @@ def jump_columns(
         torque: Complex128 = jump_response(view, trial, motion)[0] @ jumps
         return torque
 
-    here = (
-        at_jumps(candidate) if any(isinstance(t.effect, ImpedanceEffect) for t in candidate.terms) else None
-    )
+    if not linear_effects(candidate):
+        return
+    here = at_jumps(candidate)
     for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True)):
-        if here is None or not isinstance(term.effect, ImpedanceEffect):
+        if not isinstance(term.effect, ImpedanceEffect):
             at += x.size
             continue
         for k in range(x.size):

@@ -222,8 +222,6 @@ def _set_aside_as(whole: SpectralRecord, part: SpectralRecord) -> SpectralRecord
 LEAST_TORQUE = 3.0
 """Peak torque of a held axis over its Coulomb friction below which it counts as standing. Physical: a
 sinusoid of three times the friction is below it for a fifth of each period, and then barely moves."""
-
-
 MOST_STANDING = 0.1
 """Share of a record up to which a held axis may stand and still count as moved (empirical: whole cells)."""
 
@@ -271,8 +269,10 @@ def leave_out_sticking_axes(
 
 
 def _is_below_friction(record: SpectralRecord, axis: int, level: float) -> bool:
-    """Whether the torque of a held axis stays well below the ``level`` of its friction, and it stands a good
-    part of the time: where the chain behind it moves it all the same, its friction is that of its motion."""
+    """Whether the torque of a held axis stays well below the ``level`` of its friction, and it stands.
+
+    Where the chain behind it moves it all the same, its friction is that of its motion.
+    """
     wave = record.torque_wave[:, axis]
     is_weak = bool(np.abs(wave - wave.mean()).max() < LEAST_TORQUE * level)
     return is_weak and _slow_share(record, axis) > MOST_STANDING

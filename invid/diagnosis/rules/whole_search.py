@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from invid.diagnosis.candidates import REACH, is_smaller_model, screen_candidates
 from invid.diagnosis.evidence import (
+    MODES,
     CandidateEvidence,
     Step,
     evidence_if_finite,
@@ -71,8 +72,6 @@ SETTLING_ITERATIONS = 10
 """Iterations of the fit with an accepted cause (empirical: most end before)."""
 STRUCTURE = ("extra_mode", "coupling_stiffness")
 """Causes that stand for another chain."""
-MODES = ("extra_mode", "base_compliance")
-"""Causes that put a resonance beside the chains, on any axis that couples."""
 TIMING = ("torque_delay", "torque_lag")
 """Causes that the free time constants and offsets of the drives replace here."""
 
@@ -199,31 +198,10 @@ def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
         trial = _refit_score(found.trial, score, found.train, found.held)
         if trial is None or here.cost - trial.fit.cost < _least_own_gain(trial.fit):
             continue
-        if _is_borne_out(found.trial, trial, found.train, found.held):
+        if found.bears_out(trial):
             step = Step(found.trial, trial, ((trial, trial.fit.cost),))
             found = replace(found, trial=trial, steps=(*found.steps, step))
     return found
-
-
-def _is_borne_out(
-    current: CandidateEvidence,
-    trial: CandidateEvidence,
-    train: Sequence[SpectralRecord],
-    held: Sequence[SpectralRecord],
-) -> bool:
-    """Whether the records kept out gain by a cause, at once or where both fits are of all records.
-
-    Another pose asks for combinations of parameters that the training leaves open.
-    """
-    if trial.held.cost <= current.held.cost:
-        return True
-    every = [*train, *held]
-    without = _refit(current, every, held, iterations=SETTLING_ITERATIONS, quick=True)
-    if without is None:
-        return False
-    candidate = without.fit.candidate.plus(trial.term, trial.x)
-    beside = _refit(without, every, held, candidate=candidate, iterations=SETTLING_ITERATIONS, quick=True)
-    return beside is not None and beside.held.cost < without.held.cost
 
 
 def _has_weight(here: JointFit, axis: int) -> bool:
@@ -286,11 +264,10 @@ def _find_with_held_out(found: SearchState, linear_axes: bool) -> SearchState:
     held = found.held
     if not null_test(_predicted_chi2(found.trial, held), found.trial.held.dof, held).rejects:
         return found
-    every = [*found.train, *held]
-    start = _refit(found.trial, every, held, iterations=NAMING_ITERATIONS, quick=True)
+    start = found.fitted_to_all
     if start is None:
         return found
-    state = replace(found, trial=start, train=every)
+    state = replace(found, trial=start, train=found.every)
     while state.rejects():
         before = state.trial.fit
         more = _add_cause(state, linear_axes)
@@ -380,6 +357,32 @@ class SearchState:
         """Whether the fit is so far from the noise that its chain may be wrong."""
         return self.trial.fit.cost > FAR * self.trial.fit.dof
 
+    @property
+    def every(self) -> list[SpectralRecord]:
+        """Training records and those kept out."""
+        return [*self.train, *self.held]
+
+    @cached_property
+    def fitted_to_all(self) -> CandidateEvidence | None:
+        """The fit of all records together; ``None`` where it is not finite."""
+        return _refit(self.trial, self.every, self.held, iterations=SETTLING_ITERATIONS, quick=True)
+
+    def bears_out(self, trial: CandidateEvidence) -> bool:
+        """Whether the records kept out gain by the cause of a trial, at once or where all are fitted.
+
+        Another pose asks for combinations of parameters that the training leaves open.
+        """
+        if trial.held.cost <= self.trial.held.cost:
+            return True
+        without = self.fitted_to_all
+        if without is None:
+            return False
+        candidate = without.fit.candidate.plus(trial.term, trial.x)
+        beside = _refit(
+            without, self.every, self.held, candidate=candidate, iterations=SETTLING_ITERATIONS, quick=True
+        )
+        return beside is not None and beside.held.cost < without.held.cost
+
     def settled(self) -> SearchState:
         """The state with its fit taken to the end: scores mean something at a minimum only.
 
@@ -447,7 +450,7 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
         if (before - _predicted_chi2(trial, held)) / trial.fit.dispersion < HELD_OUT:
             return False
         # A weight that another pose refutes stood for a ripple or a spring to another axis.
-        return trial.term.effect is not GRAVITY or _is_borne_out(current, trial, train, held)
+        return trial.term.effect is not GRAVITY or found.bears_out(trial)
 
     trials: list[CandidateEvidence] = []
     reached = 0.0

@@ -61,8 +61,8 @@ def jump_response(view: View, candidate: Candidate, moved: Complex128) -> tuple[
     """
     effects, plant = linear_effects(candidate), moved.shape[-1]
     if not effects:
-        none = np.zeros((view.omega.size, 1, plant), dtype=complex)
-        return none.repeat(view.acting.shape[1], axis=1), none.repeat(view.base.shape[1], axis=1)
+        torque = np.zeros((*view.acting.shape, plant), dtype=np.complex128)
+        return torque, np.zeros((*view.base.shape, plant), dtype=np.complex128)
     alone = [effect.of_jumps(view, place, x.tolist(), moved) for effect, place, x in effects]
     own = [(k, effect.of_own_jumps(view, place, x.tolist())) for k, (effect, place, x) in enumerate(effects)]
     masses = [(k, force) for k, force in own if force is not None]
