@@ -335,6 +335,15 @@ class ForceEffect(Effect):
             del known[next(iter(known))]
         return known[key]
 
+    def compliance_beyond_band(self, view: View, place: Place) -> Float64 | None:
+        """(n//2 + 1,) receptance beyond the band; ``None`` where the law does not respond to motion there.
+
+        Nor does one with memory in a record that does not close, where its state at the start is open.
+        """
+        if not self.answered or (view.record.transient and not self.local):
+            return None
+        return beyond_band(view, place)
+
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         reached = view.condensed_force(place.pattern(view.structure))
         out: Complex128 = reached[:, :, None] * self.force(view, place, shape)[:, None, :]
@@ -351,7 +360,8 @@ class ForceEffect(Effect):
     def _contribution(self, view: View, place: Place, x: Sequence[float]) -> tuple[Complex128, Complex128]:
         count = len(self.coefficients)
         pattern = place.pattern(view.structure)
-        if self.answered and (compliance := beyond_band(view, place)) is not None:
+        compliance = self.compliance_beyond_band(view, place)
+        if compliance is not None:
 
             def resisting() -> Float64:
                 out: Float64 = self.law(view, place, x[count:]) @ np.asarray(x[:count])

@@ -16,7 +16,7 @@ from invid.effects.catalogue.backlash import Backlash, spring_index
 from invid.effects.catalogue.transmission_error import TransmissionError
 from invid.effects.effect import ForceEffect, ImpedanceEffect
 from invid.effects.laws.beyond_band import PASSES as BEYOND_PASSES
-from invid.effects.laws.beyond_band import beyond_band, motion_of_force, solve_with_motion
+from invid.effects.laws.beyond_band import motion_of_force, solve_with_motion
 from invid.effects.laws.sign import DryLaw, clip_law
 from invid.effects.motion import View, along
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
@@ -213,7 +213,7 @@ class LocalLaw:
             out: Float64 = effect.law(view, term.place, x[count:].tolist()) @ x[:count]
             return out
 
-        compliance = beyond_band(view, term.place) if effect.answered else None
+        compliance = effect.compliance_beyond_band(view, term.place)
         try:
             if compliance is not None:
                 view.set_hidden_motion(pattern, solve_with_motion(view, pattern, compliance, law)[1])
