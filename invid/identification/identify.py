@@ -38,6 +38,7 @@ from invid.recording.plausibility import without_repeats
 from invid.recording.still_axes import masses_of_moving, moving_part
 from invid.signals.drive_torque import replace_by_acting_torque
 from invid.signals.encoder_glitches import remove_glitches
+from invid.signals.encoder_interpolation import remove_interpolation_error
 from invid.signals.frf import FrfMatrix
 from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
@@ -73,11 +74,12 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
     recording, repeats = without_repeats(recording)
-    recording, warnings = remove_glitches(recording)
-    warnings = [*repeats, *warnings]
+    recording, glitches = remove_glitches(recording)
     whole = recording
     recording, still = moving_part(recording)
-    masses, warnings = masses_of_moving(masses, whole, recording), [*warnings, *still]
+    masses = masses_of_moving(masses, whole, recording)
+    recording, waves = remove_interpolation_error(recording)
+    warnings = [*repeats, *glitches, *still, *waves]
     # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
     with budget.use_share(TIME_TO_SEARCH), np.errstate(all="ignore"):
         try:

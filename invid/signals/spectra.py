@@ -16,6 +16,7 @@ import numpy as np
 from invid.numerics.arrays import Bool, Complex128, Float64, frozen, frozen_float
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.recording.plausibility import held_sentence
+from invid.signals.encoder_interpolation import position_steps
 from invid.signals.lines import band_of, driven_axes, excited_lines, held_torque, highest_excited
 from invid.signals.noise import (
     ENOUGH,
@@ -285,7 +286,7 @@ def _periodic_spectra(
             ]
         )
         own = np.maximum(own, repeating * sensor_noise_share(mean[None, quiet], hz[quiet], data.step))
-    step = np.concatenate((quantisation_step(data.position), quantisation_step(data.torque)))
+    step = np.concatenate((position_steps(experiment, data.position), quantisation_step(data.torque)))
     single = sum(np.abs(one) ** 2 for one in spectra) / used
     rounding = _rounding_power(single, np.abs(mean) ** 2, step, band)
     floor = np.maximum(floor, step**2 / 12 * 4 / period)
@@ -338,7 +339,7 @@ def _whole_spectra(
     single = np.empty((nyquist, 2 * motors))
     plateaus, share = _quiet_noise([wave[:count]], hz, quiet, data.step, single)
     floor = np.array([p.level for p in plateaus]) * share
-    step = quantisation_step(wave)
+    step = np.concatenate((position_steps(experiment, data.position), quantisation_step(data.torque)))
     band = band_of(hz, top, band_hz)
     rounding = _rounding_power(single, single, step, band)
     floor = np.maximum(np.maximum(floor, step**2 / 12 * 4 / count), 1e-300)
