@@ -78,10 +78,13 @@ def spectral_record(
     filtered = clean[index] * (2.0 / count)
     floor = np.maximum(s.floor, 1e-300) * share
     # A torque without noise is a command: with none at all every error of the model would count as
-    # position noise, without end. A ten-thousandth of its lines' rms is below any drive's current noise.
-    power = np.abs(torque[used][np.asarray(s.excited)[used]]) ** 2
-    if power.size:
-        floor[motors:] = np.maximum(floor[motors:], 1e-8 * power.mean(axis=0))
+    # position noise, without end. A ten-thousandth of its rms is below any drive's current noise; of a
+    # sample's variance a line of n samples gets 4/n. A command gets that share of its lines' rms.
+    power, is_pushed = np.abs(torque[used]) ** 2, np.asarray(s.excited)[used]
+    is_command = floor[motors:] < 1e-8 * 2.0 * power.sum(axis=0) / (count * max(s.periods, 1))
+    if is_pushed.any():
+        least = 1e-8 * power[is_pushed].mean(axis=0)
+        floor[motors:] = np.where(is_command, np.maximum(floor[motors:], least), floor[motors:])
     noise = np.tile(floor, (index.size + 1, 1))
     noise[1:] = np.maximum(noise[1:], s.line_floor[used] * share)
     # A mean's variance is a quarter of a line's power, and real: half of it as a complex line.
