@@ -17,6 +17,9 @@ looks like any other smooth force of position, and only the screen tells them ap
 line."""
 MOST_PEAKS = 3
 """Lines of the spectrum over position that are tried (empirical: the ripple is rarely below the third)."""
+SLOW = 10.0
+"""Rms speed over the slowest that still shows a ripple in the band (empirical): every motor turns round, and
+slow parts alone show many cycles."""
 BINS = 1 << 18
 """Most bins of position; for a motion that needs more, the highest cycles are not searched."""
 MOST_CYCLES = 2000.0
@@ -44,8 +47,7 @@ def ripples(views: Sequence[View], coordinate: Pattern, force: Pattern) -> list[
         return []
     low = min(float(a.min()) for a in angles)
     span = max(float(a.max()) for a in angles) - low
-    # Three times the rms speed is rare: a ripple that only slow parts of the motion show in the band is not.
-    top = min(MOST_CYCLES, 3.0 * max(float(v.omega[-1]) for v, *_ in readable) / speed)
+    top = min(MOST_CYCLES, SLOW * max(float(v.omega[-1]) for v, *_ in readable) / speed)
     if span <= 0 or top <= LEAST_PHASE / size:
         return []
     width = max(2 * np.pi / (8.0 * top), span / BINS)
