@@ -37,8 +37,8 @@ from invid.signals.spectral_record import SpectralRecord
 FIRST, FIRST_OF_TWO, ROUNDS = 6, 15, 3
 """Most shapes of a law that is fitted first, over one quantity and over two (all products up to the fourth
 order), and how often they are chosen anew (empirical)."""
-FITTED, FITTED_OF_TWO = 3, 1
-"""Laws of the screen that are fitted jointly, over one quantity and over two (empirical, for the time)."""
+FITTED = 3
+"""Laws of the screen that are fitted jointly (empirical, for the time): the place is told by their fits."""
 FLOOR_OF_TWO = 1.5
 """Floors above which a law over two quantities is sought (empirical): its many numbers take minutes."""
 ITERATIONS = 12
@@ -84,7 +84,7 @@ def _find_law(
     if step is not None and not _is_above_noise(step.chosen, step.chosen.term.place.axis):
         return step
     louder = {i for i in loud if _is_above_noise(current, i, FLOOR_OF_TWO)}
-    surfaces = search.step(search.promising(search.scores(louder, PAIRS), curves)[:FITTED_OF_TWO])
+    surfaces = search.step(search.promising(search.scores(louder, PAIRS), curves))
     if surfaces is None or not search.beats_curves(surfaces.chosen, curves):
         return step
     rows, dispersion = here.dof, surfaces.chosen.dispersion
