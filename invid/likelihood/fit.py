@@ -20,6 +20,7 @@ from invid.likelihood.nuisance.torque_lags import (
     COULOMB_SIGMA,
     TORQUE_LAG,
     add_coulomb_columns,
+    add_weight_columns,
     fit_reversal_lags,
     fit_torque_lags,
 )
@@ -40,6 +41,9 @@ NOISE_SHARES = (0.1, 0.03, 0.01, 0.003)
 """Shares of every amplitude that count as noise while a start is led to its minimum. Empirical: under the
 sensors' noise alone a start 12 % off in one spring of a chain of five ends in another minimum; a tenth of the
 amplitude widens the valley, and each step starts within the next."""
+
+SAME_MINIMUM = 1e-3
+"""Relative difference of χ² up to which two starts have ended in the same minimum (numerical)."""
 
 AT_NOISE = 1.5
 """χ²/ν up to which a fit counts as at its noise and no further start is tried (empirical)."""
@@ -166,6 +170,46 @@ def fit_structure(
     )
 
 
+def nearest_minima(
+    spectra: Sequence[LineSpectra],
+    structure: ChainStructure,
+    starts: Iterable[CoupledChains],
+    *,
+    turning: bool,
+    most: int,
+) -> list[CoupledChains]:
+    """The chains, ``most`` at most, of the different minima that the starts lead to, the nearest first.
+
+    What no linear structure holds decides between minima that are nearly as good; only a fit with it tells
+    which is the machine's. ``turning``: beside a weight on every axis that turns far.
+    """
+    problem = add_coulomb_columns(problem_from_spectra(structure, spectra), spectra)
+    problem = add_weight_columns(problem, spectra) if turning else problem
+    wide = tempered(problem, NOISE_SHARES[0])
+    led = [
+        gauss_newton(wide, problem.start(problem.structure.vector(s)), iterations=15, tolerance=0.1)
+        for s in starts
+    ]
+    ends = []
+    for found in _distinct(led)[:most]:
+        if budget.is_spent():
+            break
+        p = found.p
+        for share in NOISE_SHARES[1:]:
+            p = gauss_newton(tempered(problem, share), p, iterations=15, tolerance=0.1).p
+        ends.append(gauss_newton(problem, p, iterations=30))
+    return [problem.structure.chains(s.p[: structure.count]) for s in _distinct(ends)]
+
+
+def _distinct(solutions: Sequence[Solution]) -> list[Solution]:
+    """One solution of each minimum, the nearest first."""
+    out: list[Solution] = []
+    for found in sorted(solutions, key=lambda s: s.chi2):
+        if not out or found.chi2 > (1.0 + SAME_MINIMUM) * out[-1].chi2:
+            out.append(found)
+    return out
+
+
 def is_costly_to_start(sizes: Sequence[int]) -> bool:
     """Whether a start for this plant takes longer than a fit from it."""
     return (sum(sizes) - len(sizes)) * len(sizes) ** 2 > MOST_MODERATE
@@ -197,7 +241,7 @@ def _fit_best_start(
         with_reversals, found = fit_gradual_reversals(
             problem, gauss_newton(problem, p, iterations=iterations), spectra
         )
-        is_repeated = best is not None and abs(found.chi2 - best.chi2) < 1e-3 * best.chi2
+        is_repeated = best is not None and abs(found.chi2 - best.chi2) < SAME_MINIMUM * best.chi2
         if best is None or found.chi2 < best.chi2:
             problem, best = with_reversals, found
         if is_repeated or best.reduced < AT_NOISE or (free is not None and free.is_no_better(problem, best)):

@@ -67,3 +67,28 @@ def test_a_stiffening_spring_is_found_where_no_period_is_like_the_next() -> None
     assert result["gravity"] == [1, 1]
     assert not result["wrong"]
     assert max(result["floors"]) <= 1.2
+
+
+def test_a_weight_that_turns_through_radians_does_not_choose_the_chain() -> None:
+    """Three masses; to a linear chain the weight is a spring, and a mass of a hundredth is the nearest."""
+    recording, truth = draw(410566)
+    diagnosis = diagnose(recording)
+    result = scored(truth, diagnosis)
+    assert [f[-1] for f in result["faults"]] == [True], result["named"]
+    assert not result["wrong"]
+    assert result["gravity"] == [1, 1]
+    assert max(result["floors"]) <= 1.2
+
+
+def test_a_ripple_that_only_slow_parts_of_the_motion_show_is_found() -> None:
+    """The motor turns by radians a second: 24 cycles a turn pass in the band near its reversals alone."""
+    recording, truth = draw(410563)
+    diagnosis = diagnose(recording)
+    result = scored(truth, diagnosis)
+    assert [f[-1] for f in result["faults"]] == [True], result["named"]
+    assert not result["wrong"]
+    cycles = [
+        f.effect.parameters["cycles_per_rev"].value for f in diagnosis.findings if f.effect.cause == "cogging"
+    ]
+    assert any(abs(n - 24.0) < 0.2 for n in cycles), cycles
+    assert max(result["floors"]) <= 1.2

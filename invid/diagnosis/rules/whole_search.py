@@ -24,7 +24,7 @@ from invid.diagnosis.evidence import (
     refit_with_effect,
     schwarz_penalty,
 )
-from invid.diagnosis.rules.structure_start import start_beside_friction
+from invid.diagnosis.rules.structure_start import starts_beside_friction
 from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import FAR, HELD_OUT, MOST, SHARE, SIGNIFICANCE
@@ -52,6 +52,9 @@ NEAR_BEST = 0.5
 FIRST_MOVES, MOVED, MOVE_ITERATIONS = 4, 2, 12
 """Iterations of a mode that is moved to each other mass beside all other causes, how many of these go on, and
 for how many more (empirical)."""
+SLOWER = 5.0
+"""χ² over the lowest up to which another chain goes on after its first iterations (empirical: a weight that
+is found late lowers it a hundred times at once)."""
 TIME_TO_FIND = 0.75
 """Share of the time for causes; the rest is for their parts, and for what they may be mistaken for
 (empirical)."""
@@ -109,7 +112,7 @@ def search_beside_friction(  # noqa: PLR0913 - a fit, its records and where they
     cut = False
     try:
         with budget.use_share(TIME_TO_FIND, 0.1, 0.7):
-            found = _with_weights(found, linear_axes).settled()
+            found = _with_weights(_from_other_chains(found, linear_axes), linear_axes).settled()
             found = _find_causes(found, (train, held), linear_axes)
             found = _find_with_held_out(found, linear_axes)
     except (_Cut, budget.BudgetSpent) as stopped:
@@ -155,7 +158,7 @@ def _find_causes(
             more = _add_cause(found, linear_axes)
             if not is_restarted and (more is None or more.trial.term.effect.cause in STRUCTURE):
                 # Another minimum of the chain is excluded before a mode or a spring is believed.
-                more, is_restarted = _restarted(found) or more, True
+                more, is_restarted = _restarted(found, linear_axes) or more, True
             elif more is not None:
                 is_restarted = False
         except budget.BudgetSpent:
@@ -171,6 +174,38 @@ def _find_causes(
         else:
             break
     return found
+
+
+def _from_other_chains(found: SearchState, linear_axes: bool) -> SearchState:
+    """The state from the nearest of the chains that the records lead to, each beside a weight on every axis.
+
+    A weight that turns through radians is a spring to a linear chain, and decides between its minima.
+    """
+    here = found.trial.fit
+    starts = _other_starts(found, linear_axes)
+    if not starts:
+        return found
+    heavy = here.candidate
+    for place in () if linear_axes else _end_places(here):
+        if not _has_weight(here, place.axis):
+            heavy = heavy.plus(PlacedEffect(GRAVITY, place), np.zeros(len(GRAVITY.coefficients)))
+    again = partial(_refit, train=found.train, held=found.held, quick=True)
+    trials = [again(found.trial, p=p, candidate=heavy, iterations=FIRST_MOVES) for p in (here.p, *starts)]
+    near = sorted((t for t in trials if t is not None), key=lambda t: t.cost)
+    near = [t for t in near if t.cost < SLOWER * near[0].cost][:MOVED]
+    ends = [end for t in near if (end := again(t, iterations=MOVE_ITERATIONS)) is not None]
+    best = min(ends, key=lambda t: t.cost, default=None)
+    if best is None or (trials[0] is not None and best.cost > (1.0 - SHARE) * trials[0].cost):
+        return found
+    bare = again(found.trial, p=best.fit.p, iterations=FIRST_MOVES)
+    return found if bare is None else replace(found, trial=bare)
+
+
+def _other_starts(found: SearchState, linear_axes: bool) -> list[Float64]:
+    """(n,) parameters with other chains, where the fit is so far from the noise that its own may be wrong."""
+    if not found.is_far():
+        return []
+    return starts_beside_friction(found.trial.fit, found.train, found.spectra, linear_axes=linear_axes)
 
 
 def _with_weights(found: SearchState, linear_axes: bool) -> SearchState:
@@ -219,22 +254,19 @@ def _least_own_gain(here: JointFit) -> float:
     return float(6.0 * np.log(max(here.dof, 2)) * max(here.dispersion, 1.0))
 
 
-def _restarted(found: SearchState) -> SearchState | None:
+def _restarted(found: SearchState, linear_axes: bool) -> SearchState | None:
     """The state with its chain identified anew beside its friction; ``None`` where it is near the noise or
     that is no nearer.
 
-    The chain was found beside what was missing then, and may lie in another minimum.
+    The chain was found beside what was missing then, and may lie in another minimum: each is tried.
     """
     here = found.trial.fit
-    if not found.is_far():
+    again = partial(_refit, found.trial, found.train, found.held, iterations=SETTLING_ITERATIONS, quick=True)
+    trials = [again(p=p) for p in _other_starts(found, linear_axes)]
+    best = min((t for t in trials if t is not None), key=lambda t: t.cost, default=None)
+    if best is None or best.fit.cost > (1.0 - SHARE) * here.cost:
         return None
-    p = start_beside_friction(here, found.train, found.spectra)
-    if p is None:
-        return None
-    trial = _refit(found.trial, found.train, found.held, p=p, iterations=SETTLING_ITERATIONS, quick=True)
-    if trial is None or trial.fit.cost > (1.0 - SHARE) * here.cost:
-        return None
-    return replace(found, trial=trial)
+    return replace(found, trial=best)
 
 
 def _refined(
@@ -447,7 +479,8 @@ def _add_cause(found: SearchState, linear_axes: bool) -> SearchState | None:
         needed = max(needed, SHARE * (here.cost - here.dof))
         if here.cost - trial.fit.cost < needed:
             return False
-        if (before - _predicted_chi2(trial, held)) / trial.fit.dispersion < HELD_OUT:
+        dispersion = max(trial.fit.dispersion, trial.held_dispersion)
+        if before - _predicted_chi2(trial, held) < HELD_OUT * dispersion:
             return False
         # A weight that another pose refutes stood for a ripple or a spring to another axis.
         return trial.term.effect is not GRAVITY or found.bears_out(trial)
@@ -630,25 +663,7 @@ def _name_friction(
         return Selection(base, base)
     whole = _without_needless_rounding(whole, known, train, held)
     all_steps = [*[Step(base, null, ((null, null.cost),)) for _ in friction], *steps]
-    needed: list[Step] = []
-    while not budget.is_spent():
-        sure = [n for n, step in enumerate(all_steps) if step in needed]
-        weak = _weak_causes(whole.fit, known, sure)
-        if not weak:
-            break
-        kept = [n for n in range(len(all_steps)) if n not in weak]
-        fewer = whole.fit.candidate.only([*range(known), *(known + n for n in kept)])
-        other = again(whole, candidate=fewer)
-        if other is None:
-            break
-        gone = [whole.fit.candidate.terms[known + n] for n in weak]
-        least = chi2_isf(SIGNIFICANCE, sum(t.size for t in gone)) * whole.fit.dispersion
-        if all(t.effect is GRAVITY for t in gone):
-            least = max(least, _least_own_gain(whole.fit))
-        if other.fit.cost - whole.fit.cost > least:
-            needed += [all_steps[n] for n in weak]  # strong together with others, whatever its own size
-            continue
-        whole, all_steps = other, [all_steps[n] for n in kept]
+    whole, all_steps = _without_weak_causes(whole, known, all_steps, train, held)
     out, cut = dict[int, Step](), False
     # What is lost without each, beside the others.
     losses = [_wald_ratio(whole.fit, known + n) for n in range(len(all_steps))]
@@ -672,6 +687,47 @@ def _name_friction(
     if cut:
         budget.leave_out("what the causes found may be mistaken for")
     return Selection(base, whole, tuple(out[n] for n in range(len(all_steps))), is_cut_short=cut)
+
+
+def _without_weak_causes(
+    whole: CandidateEvidence,
+    known: int,
+    steps: Sequence[Step],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+) -> tuple[CandidateEvidence, list[Step]]:
+    """The fit and its steps without the causes, after the ``known`` ones, that are not significant."""
+    again = partial(_refit, train=train, held=held, quick=True)
+    kept, needed = list(steps), list[Step]()
+    while not budget.is_spent():
+        sure = [n for n, step in enumerate(kept) if step in needed]
+        weak = _weak_causes(whole.fit, known, sure)
+        if not weak:
+            break
+        rest = [n for n in range(len(kept)) if n not in weak]
+        fewer = whole.fit.candidate.only([*range(known), *(known + n for n in rest)])
+        other = again(whole, candidate=fewer, is_last=True, iterations=NAMING_ITERATIONS)
+        if other is None:
+            break
+        gone = [whole.fit.candidate.terms[known + n] for n in weak]
+        least = chi2_isf(SIGNIFICANCE, sum(t.size for t in gone)) * whole.fit.dispersion
+        if all(t.effect is GRAVITY for t in gone):
+            least = max(least, _least_own_gain(whole.fit))
+        if other.fit.cost - whole.fit.cost > least:
+            needed += [kept[n] for n in weak]  # strong together with others, whatever its own size
+            continue
+        whole, kept = other, [kept[n] for n in rest]
+    # A gap has no size beside its uncertainty: one that has shrunk to nothing is told by the fit without it.
+    for n in reversed(range(len(kept))):
+        term = whole.fit.candidate.terms[known + n]
+        if term.effect.coefficients or budget.is_spent():
+            continue
+        other = again(whole, candidate=whole.fit.candidate.without(known + n), iterations=2)
+        least = chi2_isf(SIGNIFICANCE, term.size) * whole.fit.dispersion
+        if other is not None and other.fit.cost - whole.fit.cost < least:
+            whole = other
+            del kept[n]
+    return whole, kept
 
 
 def _weak_causes(found: JointFit, known: int, sure: Sequence[int]) -> list[int]:
@@ -718,12 +774,15 @@ def _without_needless_rounding(
         again = partial(_refit, start, train, held, is_last=True, iterations=ROUNDING_ITERATIONS)
         return again(candidate=candidate, quick=True)
 
-    best = with_roundings(whole, ()) if sharp else None
+    # Far from the noise a rounding tells nothing of the machine.
+    is_judged = sharp and whole.fit.cost <= FAR * whole.fit.dof
+    best = with_roundings(whole, ()) if is_judged else None
     if best is None:
         return whole
     kept: list[int] = []
     for k in sharp:
-        if budget.is_spent():
+        # No rounding gains more than all together.
+        if budget.is_spent() or best.fit.cost <= whole.fit.cost + penalty:
             break
         other = with_roundings(best, [*kept, k])
         if other is not None and other.fit.cost + penalty < best.fit.cost:
@@ -772,7 +831,8 @@ def _exchange_cause(
     moved = [t for t in terms if is_mode and t.effect.cause == term.effect.cause]
     scores = screen_candidates(screen, [t for t in terms if t not in moved])
     scores = [s for s in scores if s.gain > NEAR_BEST * lost_chi2]
-    trials = [_refit_score(rest, s, train, held) for s in scores[:MOST_FITS]]
+    settled = partial(_settled_rival, own=own, lost_chi2=lost_chi2, train=train, held=held)
+    trials = [settled(_refit_score(rest, s, train, held)) for s in scores[:MOST_FITS]]
     # Without it the others have bent to hide it, and the screen's order of its places is theirs.
     trials += _moved_modes(whole, at, moved, train, held)
     possible = [t for t in trials if t is not None and not is_at_bound(t.fit) and not is_smaller_model(t)]
@@ -788,6 +848,20 @@ def _exchange_cause(
         order = [*range(at), count - 1, *range(at, count - 1)]
         whole = CandidateEvidence(reorder_effects(best.fit, order), best.held)
     return whole, Step(rest, best, tuple(ranked))
+
+
+def _settled_rival(
+    trial: CandidateEvidence | None,
+    own: CandidateEvidence,
+    lost_chi2: float,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+) -> CandidateEvidence | None:
+    """A rival's fit at its end where it comes near: the other one is at its own."""
+    if trial is None or trial.fit.converged or trial.fit.cost - own.fit.cost > (1.0 - NEAR_BEST) * lost_chi2:
+        return trial
+    again = _refit(trial, train, held, iterations=SETTLING_ITERATIONS, quick=True)
+    return trial if again is None or again.fit.cost > trial.fit.cost else again
 
 
 def _moved_modes(
