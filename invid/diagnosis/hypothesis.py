@@ -1,0 +1,244 @@
+"""What a search supposes of a machine: structure, friction's shapes, laws at places; and the fit of it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
+from invid.likelihood.descent import Fit, fit
+from invid.likelihood.forces import FIRST, Spot, Spots, Where, colours
+from invid.likelihood.motor_laws import FrictionShape, MotorLaws
+from invid.likelihood.plant import Kind, Structure
+from invid.likelihood.smoother import SmoothedStack, smooth
+from invid.likelihood.stack import Stack
+from invid.likelihood.value import Column, Numbers, Problem
+from invid.numerics.arrays import Complex128, Float64
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedLaw:
+    """A law at a place with its shape."""
+
+    law: SupposedLaw
+    spot: Spot
+    shape: Shape = ()
+
+    @property
+    def key(self) -> tuple[str, Spot]:
+        """What may stand once."""
+        return self.law.cause, self.spot
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Structure, friction's shapes and laws; no numbers."""
+
+    structure: Structure
+    friction: tuple[FrictionShape, ...]
+    laws: tuple[PlacedLaw, ...] = ()
+    absent: frozenset[Hashable] = frozenset()
+    """Names of columns, and pairs of loads, that are held at zero."""
+
+
+class Motions:
+    """Motion at every place of a machine: of motors as measured, elsewhere as smoothed at a fit."""
+
+    def __init__(self, stacks: Sequence[Stack], structure: Structure, smoothed: Sequence[SmoothedStack] = ()) -> None:
+        self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
+        self._known: dict[Spot, list[list[SpotMotion]]] = {}
+
+    @classmethod
+    def at(cls, found: Fit) -> Motions:
+        """Smoothed at a fit."""
+        problem = found.problem
+        return cls(problem.stacks, found.numbers.plant.structure, smooth(problem, found.value))
+
+    def in_structure(self, structure: Structure) -> Motions:
+        """The same for a structure with one more mass: places keep their numbers, and their motion."""
+        out = Motions(self.stacks, structure, ())
+        out._known = self._all_known()
+        return out
+
+    def _all_known(self) -> dict[Spot, list[list[SpotMotion]]]:
+        if self.smoothed:
+            for spot in Spots.of(self.structure).spots:
+                if spot.where is Where.SPRING:
+                    self.of(spot)
+        return dict(self._known)
+
+    def of(self, spot: Spot) -> list[list[SpotMotion]]:
+        """Motion in each record of each stack."""
+        if spot not in self._known:
+            self._known[spot] = [self._of_stack(spot, k) for k in range(len(self.stacks))]
+        return self._known[spot]
+
+    def flat(self, spot: Spot) -> list[SpotMotion]:
+        """Motion in all records."""
+        return [m for stack in self.of(spot) for m in stack]
+
+    def _of_stack(self, spot: Spot, number: int) -> list[SpotMotion]:
+        records = self.stacks[number].records
+        if spot.where is Where.MOTOR:
+            i = spot.number
+            measured = [(r.motion.position[:, i], r.motion.velocity[:, i]) for r in records]
+            return [SpotMotion(q, v, q) for q, v in measured]
+        vector = vector_of(self.structure, spot)
+        unit = np.eye(self.structure.coordinates)
+        first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
+        position, velocity = self.smoothed[number].over_time(vector)
+        angle = self.smoothed[number].over_time(unit[first])[0]
+        return [SpotMotion(q, v, a) for q, v, a in zip(position, velocity, angle, strict=True)]
+
+
+def vector_of(structure: Structure, spot: Spot) -> Float64:
+    """(n,) coordinates that a force at a place acts on."""
+    spots = Spots.of(structure)
+    out: Float64 = spots.vectors[:, spots.number[spot]]
+    return out
+
+
+class Bench:
+    """Records with what they alone decide: friction's columns, kept by shape."""
+
+    def __init__(self, stacks: Sequence[Stack]) -> None:
+        self.stacks = tuple(stacks)
+        self.motor_laws = MotorLaws(stacks)
+
+    def columns(self, hypothesis: Hypothesis, motions: Motions) -> tuple[Column, ...]:
+        """Friction, then the laws."""
+        friction = self.motor_laws.columns(hypothesis.structure, hypothesis.friction)
+        laws = [c for law in hypothesis.laws for c in self.law_columns(hypothesis.structure, law, motions)]
+        return tuple(
+            replace(c, low=0.0, high=0.0) if c.name in hypothesis.absent else c for c in (*friction, *laws)
+        )
+
+    def law_columns(self, structure: Structure, placed: PlacedLaw, motions: Motions) -> tuple[Column, ...]:
+        """Columns of one law, one a coefficient."""
+        lines = self.law_lines(placed, motions)
+        vector = vector_of(structure, placed.spot)
+        return tuple(
+            Column(
+                (placed.law.cause, placed.spot, i),
+                vector,
+                tuple(stack[..., i] for stack in lines),
+                partial(_wide, placed, motions, i),
+                low=low,
+            )
+            for i, low in enumerate(placed.law.low)
+        )
+
+    def law_lines(self, placed: PlacedLaw, motions: Motions, shape: Shape | None = None, every: int = 1) -> list[Complex128]:
+        """(R, F, L) of each stack; on every ``every``-th instant of the motion."""
+        at = placed.shape if shape is None else shape
+        return [
+            np.array(
+                [r.lines(placed.law.waves(m.every(every), at)) for r, m in zip(stack.records, moved, strict=True)]
+            )
+            for stack, moved in zip(self.stacks, motions.of(placed.spot), strict=True)
+        ]
+
+
+def _wide(placed: PlacedLaw, motions: Motions, coefficient: int, number: int) -> Complex128:
+    records = motions.stacks[number].records
+    return np.array(
+        [
+            r.wide_lines(placed.law.waves(m, placed.shape)[:, coefficient])
+            for r, m in zip(records, motions.of(placed.spot)[number], strict=True)
+        ]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Supposed:
+    """A hypothesis with its fit, and the motions its laws were evaluated on."""
+
+    bench: Bench
+    hypothesis: Hypothesis
+    motions: Motions
+    fit: Fit
+
+    @property
+    def total(self) -> float:
+        """−2 ln L."""
+        return self.fit.total
+
+    @property
+    def numbers(self) -> Numbers:
+        """The numbers found."""
+        return self.fit.numbers
+
+    def refit(
+        self, hypothesis: Hypothesis | None = None, numbers: Numbers | None = None, iterations: int = 8
+    ) -> Supposed:
+        """Another hypothesis, on the same motions, from here."""
+        changed = self.hypothesis if hypothesis is None else hypothesis
+        start = carry_over(self.numbers if numbers is None else numbers, self.fit.problem.spots)
+        columns = self.bench.columns(changed, self.motions)
+        problem = replace(self.fit.problem, columns=columns)
+        if numbers is not None and numbers.plant.structure != self.numbers.plant.structure:
+            problem = Problem.about(self.bench.stacks, columns, start)
+        start, problem = without_pairs(start, problem, changed.absent)
+        return replace(self, hypothesis=changed, fit=fit(problem, start, iterations))
+
+    def renewed(self, iterations: int = 8) -> Supposed:
+        """The same with inner motion smoothed anew."""
+        return replace(self, motions=Motions.at(self.fit)).refit(iterations=iterations)
+
+    @property
+    def strength(self) -> list[tuple[float, Spot]]:
+        """Rms of the unknown force at every place [N·m], the strongest first."""
+        problem = self.fit.problem
+        power = sum(
+            (colours(s.omega, problem.corner) * s.weight[:, None]).sum(axis=0) @ self.numbers.strength.T
+            for s in problem.stacks
+        ) / len(problem.stacks)
+        rms = np.sqrt(power / 2.0)
+        return sorted(((float(v), s) for v, s in zip(rms, problem.spots.spots, strict=True)), key=lambda t: -t[0])
+
+    @property
+    def inner_strength(self) -> float:
+        """Rms of the strongest unknown force behind the motors [N·m]."""
+        return max((v for v, s in self.strength if s.where is not Where.MOTOR), default=0.0)
+
+
+HELD = 1e-9
+"""Standard deviation of a number that is held at zero."""
+
+
+def without_pairs(numbers: Numbers, problem: Problem, absent: frozenset[Hashable]) -> tuple[Numbers, Problem]:
+    """Numbers and problem with the springs between some pairs of loads held at zero."""
+    structure = numbers.plant.structure
+    first = structure.index(Kind.LOAD_SPRING).start
+    at = [first + k for k, pair in enumerate(structure.pairs) if pair in absent]
+    if not at:
+        return numbers, problem
+    x, centre, spread = numbers.x.copy(), problem.centre.copy(), problem.spread.copy()
+    x[at], centre[at], spread[at] = 0.0, 0.0, HELD
+    return numbers.moved(x), replace(problem, centre=centre, spread=spread)
+
+
+def carry_over(numbers: Numbers, spots: Spots) -> Numbers:
+    """The numbers with strengths for all places of their structure, known ones as they were."""
+    own = Spots.of(numbers.plant.structure)
+    if len(own.spots) == numbers.strength.shape[0]:
+        return numbers
+    known = {spot: numbers.strength[k] for k, spot in enumerate(spots.spots)}
+    first = np.full(2, np.median(numbers.strength))
+    return replace(numbers, strength=np.array([known.get(s, first) for s in own.spots]))
+
+
+def suppose(bench: Bench, hypothesis: Hypothesis, numbers: Numbers, iterations: int = 40) -> Supposed:
+    """The first fit of a hypothesis without laws."""
+    motions = Motions(bench.stacks, hypothesis.structure)
+    problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
+    return Supposed(bench, hypothesis, motions, fit(problem, numbers, iterations))
+
+
+def first_strength(stacks: Sequence[Stack], structure: Structure) -> Float64:
+    """(P, 2) small strengths to start from."""
+    noise = float(np.mean([s.torque_noise.mean() for s in stacks]))
+    return np.full((len(Spots.of(structure).spots), 2), FIRST * noise)

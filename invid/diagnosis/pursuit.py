@@ -1,0 +1,206 @@
+"""The search: laws and structures that lower −2 ln L by more than their price, one after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.diagnosis.hypothesis import Hypothesis, PlacedLaw, Supposed, carry_over
+from invid.diagnosis.reshape import reshape, scan_friction
+from invid.diagnosis.scoring import candidates, score
+from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
+from invid.likelihood.forces import Spot, Where
+from invid.likelihood.plant import Kind, Plant, Structure
+from invid.likelihood.value import Numbers
+from invid.numerics import budget
+from invid.numerics.arrays import Float64
+from invid.recording.model import Role
+
+PRICE = 60.0
+"""Fall of −2 ln L that a cause must bring: Schwarz's price of its numbers and of the places and shapes looked at is
+about 40; the rest is what friction's shape and the grid of motion leave (empirical: false falls, whole cells)."""
+EACH_ROLE = 10.0
+"""Least part of it from the records of either role."""
+REFINED = 4
+"""Leaders of the scores that are fitted."""
+MODE_SHARES, MODE_BANDS = (0.3,), (0.25, 0.42, 0.67, 1.08)
+"""Starts of one more mass: its share of its load, its frequency over the highest excited one."""
+MODE_MASS, MODE_BAND = (0.02, 2.0), (0.04, 1.6)
+"""Bounds of its mass over its chain's and of its frequency over the highest excited one."""
+OWN_STIFFNESS = (0.7, 1.4)
+"""Bounds of a gap's coefficient over its spring's stiffness."""
+UNBENT = 0.2
+"""Relative deviation of a spring's stiffness from which on no record bends it (empirical)."""
+LOST = 0.2
+"""Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A hypothesis with one cause more."""
+
+    cause: str
+    spot: Spot | None
+    found: Supposed
+    fall: float
+
+
+def price_of(now: Supposed) -> float:
+    """Fall of −2 ln L that a cause must bring."""
+    return PRICE
+
+
+def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
+    """Falls on the records for fitting and on those kept out."""
+    roles = np.array([r.role is Role.VALIDATE for s in before.bench.stacks for r in s.records])
+    fall = before.fit.value.share - after.fit.value.share
+    return float(fall[~roles].sum()), float(fall[roles].sum())
+
+
+def is_sound(found: Supposed) -> bool:
+    """Return whether every gap lies within its spring's motion and takes away that spring's own stiffness.
+
+    Of a spring that no record bends nothing is known, so no gap in it either.
+    """
+    plant = found.numbers.plant
+    names = [c.name for c in found.fit.problem.columns]
+    springs = plant.of_kind(Kind.SPRING)
+    deviation = np.sqrt(np.diag(found.fit.covariance))[plant.structure.index(Kind.SPRING)]
+    for placed in found.hypothesis.laws:
+        if not isinstance(placed.law, Backlash):
+            continue
+        number = placed.spot.number
+        size = found.fit.value.coefficients[names.index((*placed.key, 0))] / springs[number]
+        top = placed.law.bounds(found.motions.flat(placed.spot))[0][1]
+        if not OWN_STIFFNESS[0] < size < OWN_STIFFNESS[1] or placed.shape[0] >= top or deviation[number] > UNBENT:
+            return False
+    return True
+
+
+def try_law(now: Supposed, placed: PlacedLaw) -> Supposed:
+    """The hypothesis with one law more, its shape and all numbers at their best."""
+    found = now.refit(replace(now.hypothesis, laws=(*now.hypothesis.laws, placed)), iterations=5)
+    for _ in range(2):
+        found = reshape(found, 2)
+        found = found.renewed(5) if placed.spot.where is not Where.MOTOR else found
+    return found
+
+
+def settle(now: Supposed, rounds: int = 5) -> Supposed:
+    """Inner motion, shapes and numbers in turn until the value stands."""
+    for _ in range(rounds):
+        moved = reshape(now.renewed() if any(p.spot.where is not Where.MOTOR for p in now.hypothesis.laws) else now)
+        gained = now.total - moved.total
+        if gained > 0:
+            now = moved
+        if gained < 4.0:
+            break
+    return now
+
+
+def try_modes(now: Supposed) -> list[Trial]:
+    """One more mass behind each load that has none."""
+    out = []
+    top = 2 * np.pi * now.bench.stacks[0].records[0].top_hz
+    structure = now.hypothesis.structure
+    for branch in range(structure.motors):
+        if branch in structure.modes or structure.sizes[branch] < 2:
+            continue
+        starts = [with_mode(now, branch, share, band * top) for share in MODE_SHARES for band in MODE_BANDS]
+        best: Supposed | None = None
+        for hypothesis, numbers in starts:
+            try:
+                found = restructured(now, hypothesis, numbers, 5)
+            except np.linalg.LinAlgError:
+                continue
+            if best is None or found.total < best.total:
+                best = found
+        if best is None:
+            continue
+        best = best.refit(iterations=25)
+        if mode_is_real(best, branch, top):
+            out.append(Trial("extra_mode", Spot(Where.MOTOR, branch), best, now.total - best.total))
+    return out
+
+
+def with_mode(now: Supposed, branch: int, share: float, frequency: float) -> tuple[Hypothesis, Numbers]:
+    """A hypothesis with a share of a chain's load behind one more spring that alone swings at ``frequency``."""
+    structure, plant = now.hypothesis.structure, now.numbers.plant
+    wider = Structure(structure.sizes, (*structure.modes, branch))
+    load = structure.load[branch]
+    mass, spring, damper = (plant.of_kind(k) for k in (Kind.MASS, Kind.SPRING, Kind.DAMPER))
+    whole = mass[load]
+    masses = np.append(mass, whole * share)
+    masses[load] = whole * (1 - share)
+    stiffness = frequency**2 * whole * share * (1 - share)
+    values = np.concatenate(
+        (
+            masses,
+            np.append(spring, stiffness),
+            np.append(damper, 0.02 * stiffness / frequency),
+            plant.of_kind(Kind.COUPLING),
+            plant.of_kind(Kind.LOAD_SPRING),
+        )
+    )
+    numbers = replace(now.numbers, plant=Plant.of_values(wider, values))
+    return replace(now.hypothesis, structure=wider), numbers
+
+
+def restructured(now: Supposed, hypothesis: Hypothesis, numbers: Numbers, iterations: int) -> Supposed:
+    """The fit of another structure; its inner motion is that of the places both have."""
+    moved = replace(now, motions=now.motions.in_structure(hypothesis.structure))
+    return moved.refit(hypothesis, carry_over(numbers, now.fit.problem.spots), iterations)
+
+
+def mode_is_real(found: Supposed, branch: int, top: float) -> bool:
+    """Return whether a mode's mass and frequency are within what records can show."""
+    plant = found.numbers.plant
+    structure = plant.structure
+    at = sum(structure.sizes) + structure.modes.index(branch)
+    mass = plant.of_kind(Kind.MASS)
+    spring = plant.of_kind(Kind.SPRING)[len(structure.links) - len(structure.modes) + structure.modes.index(branch)]
+    chain = mass[structure.motor[branch] : structure.load[branch] + 1].sum()
+    return bool(
+        MODE_MASS[0] < mass[at] / chain < MODE_MASS[1]
+        and MODE_BAND[0] < np.sqrt(spring / mass[at]) / top < MODE_BAND[1]
+    )
+
+
+def pursue(now: Supposed, laws: Sequence[SupposedLaw] = SUPPOSED, say: Say = lambda _: None, rounds: int = 8) -> Supposed:
+    """Causes taken one after another, each the one that lowers −2 ln L most, until none pays its price."""
+    now = reshape(scan_friction(now))
+    say(f"null {now.total:.1f} inner {now.inner_strength:.2f}")
+    for _ in range(rounds):
+        if budget.is_left_out("further causes"):
+            break
+        now = replace(now, motions=now.motions if now.motions.smoothed else type(now.motions).at(now.fit))
+        now = now.renewed(3)
+        looked = candidates(now, laws)
+        falls = score(now, looked)
+        trials: list[Trial] = []
+        tried: set[tuple[str, Spot]] = set()
+        for k in np.argsort(-falls):
+            placed = looked[int(k)]
+            if falls[k] < 6.0 or len(tried) >= REFINED:
+                break
+            if placed.key in tried:
+                continue
+            tried.add(placed.key)
+            found = try_law(now, placed)
+            if is_sound(found):
+                trials.append(Trial(placed.law.cause, placed.spot, found, now.total - found.total))
+        best = max((t.fall for t in trials), default=0.0)
+        if best < 2000.0 or now.inner_strength > LOST:
+            trials += try_modes(now)
+        trials.sort(key=lambda t: -t.fall)
+        say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
+        taken = next((t for t in trials if t.fall > PRICE and min(role_falls(now, t.found)) > EACH_ROLE), None)
+        if taken is None:
+            break
+        now = settle(reshape(scan_friction(taken.found)))
+        say(f"  took {taken.cause} {taken.spot}: {now.total:.1f} inner {now.inner_strength:.2f}")
+    return now

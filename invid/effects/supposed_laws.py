@@ -1,0 +1,188 @@
+"""Laws that a search supposes: waves of resistance on the motion at a place, one a coefficient.
+
+A law opposes: its force on the place is −Σ coefficient·wave. Shapes are logarithms.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.numerics.arrays import Float64
+
+
+@dataclass(frozen=True, eq=False)
+class SpotMotion:
+    """Motion at a place over time, each (k,): position and velocity along it, and the position of its motor side.
+
+    Of a spring the position is its deflection.
+    """
+
+    position: Float64
+    velocity: Float64
+    angle: Float64
+
+    def every(self, count: int) -> SpotMotion:
+        """Every ``count``-th instant."""
+        return SpotMotion(self.position[::count], self.velocity[::count], self.angle[::count])
+
+
+Shape = tuple[float, ...]
+
+
+class SupposedLaw(ABC):
+    """One law of the search."""
+
+    cause: str
+    at: str
+    """Kind of place: "motor", "mass", "load" or "spring"."""
+    low: tuple[float, ...] = (-np.inf,)
+    several = False
+    """Whether it may stand at one place several times."""
+    shape_step = 0.01
+    """Step of a shape for its derivative."""
+    coarse = False
+    """Whether its waves are smooth enough for a coarser grid of time while it is only scored."""
+
+    @abstractmethod
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        """(k, L) resistance for each coefficient at one."""
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        """Shapes to score."""
+        return [()]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
+        """Bounds of each shape."""
+        return []
+
+
+def _extent(values: Sequence[Float64], share: float) -> float:
+    return float(np.quantile(np.abs(np.concatenate(list(values))), share))
+
+
+class Backlash(SupposedLaw):
+    """Free play: a spring gives no force, and its damper none, while its deflection lies within ±gap/2.
+
+    Its coefficients are the spring's own stiffness and damping, its shape is ln(gap).
+    """
+
+    cause, at, low = "backlash", "spring", (0.0, -np.inf)
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        half = 0.5 * float(np.exp(shape[0]))
+        inside = np.abs(motion.position) < half
+        return np.stack((-np.clip(motion.position, -half, half), -motion.velocity * inside), axis=1)
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        top = 2.0 * _extent([m.position for m in motions], 0.995)
+        return [(float(np.log(top * share)),) for share in (0.03, 0.06, 0.1, 0.16, 0.25, 0.4, 0.6)]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
+        top = 2.0 * _extent([m.position for m in motions], 0.999)
+        return [(float(np.log(1e-3 * top)), float(np.log(top)))]
+
+
+class CubicStiffness(SupposedLaw):
+    """A spring that hardens (or softens) with the third power of its deflection."""
+
+    cause, at = "cubic_stiffness", "spring"
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return (motion.position**3)[:, None]
+
+
+class Cogging(SupposedLaw):
+    """A torque that is a sinusoid of the motor's position; shape ln(cycles)."""
+
+    cause, at, low = "cogging", "motor", (-np.inf, -np.inf)
+    several = coarse = True
+    shape_step = 1e-3
+    LEAST, MOST, PER_SPAN = 0.5, 400.0, 0.35
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        turn = float(np.exp(shape[0])) * motion.position
+        return np.stack((np.sin(turn), np.cos(turn)), axis=1)
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        # Few cycles on a small motion are a spring to ground and a constant torque.
+        span = _extent([m.position - m.position.mean() for m in motions], 0.98)
+        step = max(self.PER_SPAN / span, 0.25)
+        first = max(self.LEAST / span, 1.5)
+        return [(float(np.log(n)),) for n in np.arange(first, max(self.MOST / 4, 12 * first), step)]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
+        span = _extent([m.position - m.position.mean() for m in motions], 0.98)
+        return [(float(np.log(self.LEAST / span)), float(np.log(2000.0)))]
+
+
+class TransmissionError(SupposedLaw):
+    """A sinusoid of the gear's angle in the deflection of its spring; shape ln(cycles)."""
+
+    cause, at, low = "transmission_error", "spring", (-np.inf, -np.inf)
+    coarse = True
+    shape_step = 1e-3
+    LEAST, MOST = 2.0, 120.0
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        turn = float(np.exp(shape[0])) * motion.angle
+        return np.stack((np.sin(turn), np.cos(turn)), axis=1)
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        span = _extent([m.angle - m.angle.mean() for m in motions], 0.98)
+        return [(float(np.log(n)),) for n in np.arange(self.LEAST / span, self.MOST, max(0.35 / span, 0.25))]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
+        span = _extent([m.angle - m.angle.mean() for m in motions], 0.98)
+        return [(float(np.log(self.LEAST / span)), float(np.log(self.MOST)))]
+
+
+class InnerViscous(SupposedLaw):
+    """Viscous friction of a mass behind the motor."""
+
+    cause, at, low = "viscous_friction", "mass", (0.0,)
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return motion.velocity[:, None]
+
+
+class InnerDry(SupposedLaw):
+    """Dry friction of a mass behind the motor; shape ln(width of its turn)."""
+
+    cause, at, low = "coulomb_friction", "mass", (0.0,)
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return np.tanh(motion.velocity / np.exp(shape[0]))[:, None]
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        size = _extent([m.velocity for m in motions], 0.7)
+        return [(float(np.log(0.02 * size)),)]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
+        size = _extent([m.velocity for m in motions], 0.7)
+        return [(float(np.log(2e-3 * size)), float(np.log(0.3 * size)))]
+
+
+class QuadraticEven(SupposedLaw):
+    """Friction that differs between the directions: a part ∝ |v|."""
+
+    cause, at = "asymmetric_friction", "motor"
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return np.abs(motion.velocity)[:, None]
+
+
+class Gravity(SupposedLaw):
+    """Weight of a load: sine and cosine of its angle."""
+
+    cause, at, low = "gravity", "load", (-np.inf, -np.inf)
+    coarse = True
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return np.stack((np.sin(motion.position), np.cos(motion.position) - 1.0), axis=1)
+
+
+SUPPOSED: tuple[SupposedLaw, ...] = (Backlash(), CubicStiffness(), Cogging())

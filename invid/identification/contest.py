@@ -1,0 +1,74 @@
+"""Where a search begins: starts of both classes in short fits, the best of each class to the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from invid.diagnosis.hypothesis import Bench, Hypothesis, Supposed, first_strength, suppose
+from invid.identification.first_plants import fraction_plants, random_plants
+from invid.likelihood.motor_laws import first_shapes
+from invid.likelihood.plant import Plant, Structure
+from invid.likelihood.timing import Timing
+from invid.likelihood.value import Numbers
+from invid.numerics import budget
+
+RANDOM = 12
+"""Random splits: of one alone one in three comes home."""
+ROUNDS = ((6, 4), (12, 2), (40, 1))
+"""Iterations of each round, and how many of each class go on."""
+HOME = 0.01
+"""Unknown force behind the motors over the torque's rms, below which a start is home (empirical)."""
+
+
+def torque_rms(bench: Bench) -> float:
+    """Rms of the torque on the likelihood's lines."""
+    power = [(np.abs(s.parts.sum(axis=0)) ** 2 * s.weight[:, None]).sum(axis=1).mean() for s in bench.stacks]
+    return float(np.sqrt(np.mean(power) / 2.0))
+
+
+def is_home(found: Supposed) -> bool:
+    """Return whether nothing unknown acts behind the motors that counts."""
+    return found.inner_strength < HOME * torque_rms(found.bench)
+
+
+def begin(bench: Bench, structure: Structure, seed: int = 1) -> Supposed:
+    """The fit of a structure with friction at the motors, from the best of all starts."""
+    fractions = fraction_plants(bench.stacks, structure)
+    if fractions:
+        found = _from_plant(bench, structure, fractions[0], ROUNDS[-1][0])
+        if found is not None and is_home(found):
+            return found
+    rng = np.random.default_rng(seed)
+    classes = [fractions, random_plants(bench.stacks, structure, RANDOM, rng)]
+    ends = [_contest(bench, structure, plants) for plants in classes if plants]
+    best = min((e for e in ends if e is not None), key=lambda e: e.total, default=None)
+    if best is None:
+        raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
+    return best
+
+
+def _contest(bench: Bench, structure: Structure, plants: Sequence[Plant]) -> Supposed | None:
+    first = [_from_plant(bench, structure, p, ROUNDS[0][0]) for p in plants]
+    return contest([f for f in first if f is not None])
+
+
+def contest(pool: Sequence[Supposed], say: Callable[[str], None] = lambda _: None) -> Supposed | None:
+    """The best of several fits, run further in rounds."""
+    fits = sorted(pool, key=lambda f: f.total)[: ROUNDS[0][1]]
+    for iterations, kept in ROUNDS[1:]:
+        if budget.is_left_out("further starts") and fits:
+            break
+        say(str([round(f.total) for f in fits]))
+        fits = sorted((f.refit(iterations=iterations) for f in fits), key=lambda f: f.total)[:kept]
+    return fits[0] if fits else None
+
+
+def _from_plant(bench: Bench, structure: Structure, plant: Plant, iterations: int) -> Supposed | None:
+    stack = bench.stacks[0]
+    numbers = Numbers(plant, Timing.nominal(structure.motors, stack.step), first_strength(bench.stacks, structure))
+    try:
+        return suppose(bench, Hypothesis(structure, first_shapes(bench.stacks)), numbers, iterations)
+    except np.linalg.LinAlgError:
+        return None
