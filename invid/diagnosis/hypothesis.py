@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from enum import Enum
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from invid.likelihood.motor_laws import FrictionShape, MotorLaws
 from invid.likelihood.plant import Kind, Structure
 from invid.likelihood.smoother import SmoothedStack, smooth
 from invid.likelihood.stack import Stack
-from invid.likelihood.value import Column, Numbers, Problem
+from invid.likelihood.value import Column, Numbers, Problem, Value, evaluate
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -33,6 +34,17 @@ class PlacedLaw:
         return self.law.cause, self.spot
 
 
+class Channel(Enum):
+    """What a drive may do to its torque."""
+
+    DELAY = "torque_delay"
+    LAG = "torque_lag"
+
+
+FREE_TIME = 30.0
+"""Standard deviation of a supposed delay or lag [samples]: not bounded by it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """Structure, friction's shapes and laws; no numbers."""
@@ -42,6 +54,8 @@ class Hypothesis:
     laws: tuple[PlacedLaw, ...] = ()
     absent: frozenset[Hashable] = frozenset()
     """Names of columns, and pairs of loads, that are held at zero."""
+    channels: frozenset[tuple[Channel, int]] = frozenset()
+    """Axes whose drive is late or lags by more than a sample's convention."""
 
 
 class Motions:
@@ -82,16 +96,21 @@ class Motions:
 
     def _of_stack(self, spot: Spot, number: int) -> list[SpotMotion]:
         records = self.stacks[number].records
+        clocks = [r.start + r.motion.step * np.arange(r.motion.position.shape[0]) for r in records]
         if spot.where is Where.MOTOR:
             i = spot.number
-            measured = [(r.motion.position[:, i], r.motion.velocity[:, i]) for r in records]
-            return [SpotMotion(q, v, q) for q, v in measured]
+            out = []
+            for r, clock in zip(records, clocks, strict=True):
+                q, v = r.motion.position[:, i], r.motion.velocity[:, i]
+                torque = np.interp(clock - r.start, np.arange(r.torque_wave.shape[0]) * r.step, r.torque_wave[:, i])
+                out.append(SpotMotion(q, v, q, clock, torque))
+            return out
         vector = vector_of(self.structure, spot)
         unit = np.eye(self.structure.coordinates)
         first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
         position, velocity = self.smoothed[number].over_time(vector)
         angle = self.smoothed[number].over_time(unit[first])[0]
-        return [SpotMotion(q, v, a) for q, v, a in zip(position, velocity, angle, strict=True)]
+        return [SpotMotion(*each) for each in zip(position, velocity, angle, clocks, strict=True)]
 
 
 def vector_of(structure: Structure, spot: Spot) -> Float64:
@@ -154,22 +173,39 @@ def _wide(placed: PlacedLaw, motions: Motions, coefficient: int, number: int) ->
 
 @dataclass(frozen=True, eq=False)
 class Supposed:
-    """A hypothesis with its fit, and the motions its laws were evaluated on."""
+    """A hypothesis with its fit, the motions its laws were evaluated on, and the same of the records kept out."""
 
     bench: Bench
     hypothesis: Hypothesis
     motions: Motions
     fit: Fit
+    kept: Bench | None = None
+    kept_motions: Motions | None = None
 
     @property
     def total(self) -> float:
-        """−2 ln L."""
+        """−2 ln L of the records fitted."""
         return self.fit.total
 
     @property
     def numbers(self) -> Numbers:
         """The numbers found."""
         return self.fit.numbers
+
+    @cached_property
+    def kept_value(self) -> Value | None:
+        """−2 ln L of the records kept out, at the numbers and coefficients that were fitted."""
+        if self.kept is None or self.kept_motions is None:
+            return None
+        problem = replace(
+            self.fit.problem, stacks=self.kept.stacks, columns=self.kept.columns(self.hypothesis, self.kept_motions)
+        )
+        return evaluate(problem, self.numbers, self.fit.value.coefficients)
+
+    @property
+    def kept_total(self) -> float:
+        """−2 ln L of the records kept out; that of those fitted where none are."""
+        return self.total if self.kept_value is None else float(self.kept_value.share.sum())
 
     def refit(
         self, hypothesis: Hypothesis | None = None, numbers: Numbers | None = None, iterations: int = 8
@@ -178,15 +214,37 @@ class Supposed:
         changed = self.hypothesis if hypothesis is None else hypothesis
         start = carry_over(self.numbers if numbers is None else numbers, self.fit.problem.spots)
         columns = self.bench.columns(changed, self.motions)
-        problem = replace(self.fit.problem, columns=columns)
-        if numbers is not None and numbers.plant.structure != self.numbers.plant.structure:
-            problem = Problem.about(self.bench.stacks, columns, start)
-        start, problem = without_pairs(start, problem, changed.absent)
+        problem = Problem.about(self.bench.stacks, columns, start)
+        if start.plant.structure == self.numbers.plant.structure:
+            problem = replace(problem, centre=self.fit.problem.centre)
+        start, problem = bounded(start, problem, changed)
         return replace(self, hypothesis=changed, fit=fit(problem, start, iterations))
 
     def renewed(self, iterations: int = 8) -> Supposed:
         """The same with inner motion smoothed anew."""
-        return replace(self, motions=Motions.at(self.fit)).refit(iterations=iterations)
+        return self.smoothed().refit(iterations=iterations)
+
+    def smoothed(self) -> Supposed:
+        """The same on inner motion smoothed at its own fit."""
+        structure, value = self.numbers.plant.structure, self.kept_value
+        kept = None
+        if self.kept is not None and value is not None:
+            problem = replace(
+                self.fit.problem,
+                stacks=self.kept.stacks,
+                columns=self.kept.columns(self.hypothesis, self.kept_motions or Motions(self.kept.stacks, structure)),
+            )
+            kept = Motions(self.kept.stacks, structure, smooth(problem, value))
+        return replace(self, motions=Motions.at(self.fit), kept_motions=kept)
+
+    def in_structure(self, structure: Structure) -> Supposed:
+        """The same with its motions at the places of a structure with one more mass."""
+        kept = self.kept_motions
+        return replace(
+            self,
+            motions=self.motions.in_structure(structure),
+            kept_motions=None if kept is None else kept.in_structure(structure),
+        )
 
     @property
     def strength(self) -> list[tuple[float, Spot]]:
@@ -209,15 +267,17 @@ HELD = 1e-9
 """Standard deviation of a number that is held at zero."""
 
 
-def without_pairs(numbers: Numbers, problem: Problem, absent: frozenset[Hashable]) -> tuple[Numbers, Problem]:
-    """Numbers and problem with the springs between some pairs of loads held at zero."""
-    structure = numbers.plant.structure
+def bounded(numbers: Numbers, problem: Problem, hypothesis: Hypothesis) -> tuple[Numbers, Problem]:
+    """Numbers and problem with absent springs between loads held at zero, and supposed channels free."""
+    structure, motors = numbers.plant.structure, numbers.plant.structure.motors
     first = structure.index(Kind.LOAD_SPRING).start
-    at = [first + k for k, pair in enumerate(structure.pairs) if pair in absent]
-    if not at:
-        return numbers, problem
+    at = [first + k for k, pair in enumerate(structure.pairs) if pair in hypothesis.absent]
     x, centre, spread = numbers.x.copy(), problem.centre.copy(), problem.spread.copy()
     x[at], centre[at], spread[at] = 0.0, 0.0, HELD
+    times = numbers.plant.x.size
+    for channel, axis in hypothesis.channels:
+        free = [axis, motors + axis] if channel is Channel.DELAY else [4 * motors + axis]
+        spread[[times + k for k in free]] = FREE_TIME
     return numbers.moved(x), replace(problem, centre=centre, spread=spread)
 
 
@@ -231,11 +291,13 @@ def carry_over(numbers: Numbers, spots: Spots) -> Numbers:
     return replace(numbers, strength=np.array([known.get(s, first) for s in own.spots]))
 
 
-def suppose(bench: Bench, hypothesis: Hypothesis, numbers: Numbers, iterations: int = 40) -> Supposed:
-    """The first fit of a hypothesis without laws."""
+def suppose(benches: tuple[Bench, Bench | None], hypothesis: Hypothesis, numbers: Numbers, iterations: int = 40) -> Supposed:
+    """The first fit of a hypothesis without laws, on records fitted and kept out."""
+    bench, kept = benches
     motions = Motions(bench.stacks, hypothesis.structure)
     problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
-    return Supposed(bench, hypothesis, motions, fit(problem, numbers, iterations))
+    kept_motions = None if kept is None else Motions(kept.stacks, hypothesis.structure)
+    return Supposed(bench, hypothesis, motions, fit(problem, numbers, iterations), kept, kept_motions)
 
 
 def first_strength(stacks: Sequence[Stack], structure: Structure) -> Float64:

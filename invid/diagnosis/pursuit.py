@@ -15,8 +15,6 @@ from invid.likelihood.forces import Spot, Where
 from invid.likelihood.plant import Kind, Plant, Structure
 from invid.likelihood.value import Numbers
 from invid.numerics import budget
-from invid.numerics.arrays import Float64
-from invid.recording.model import Role
 
 PRICE = 60.0
 """Fall of −2 ln L that a cause must bring: Schwarz's price of its numbers and of the places and shapes looked at is
@@ -49,16 +47,9 @@ class Trial:
     fall: float
 
 
-def price_of(now: Supposed) -> float:
-    """Fall of −2 ln L that a cause must bring."""
-    return PRICE
-
-
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
-    """Falls on the records for fitting and on those kept out."""
-    roles = np.array([r.role is Role.VALIDATE for s in before.bench.stacks for r in s.records])
-    fall = before.fit.value.share - after.fit.value.share
-    return float(fall[~roles].sum()), float(fall[roles].sum())
+    """Falls on the records fitted and on those kept out."""
+    return before.total - after.total, before.kept_total - after.kept_total
 
 
 def is_sound(found: Supposed) -> bool:
@@ -152,8 +143,7 @@ def with_mode(now: Supposed, branch: int, share: float, frequency: float) -> tup
 
 def restructured(now: Supposed, hypothesis: Hypothesis, numbers: Numbers, iterations: int) -> Supposed:
     """The fit of another structure; its inner motion is that of the places both have."""
-    moved = replace(now, motions=now.motions.in_structure(hypothesis.structure))
-    return moved.refit(hypothesis, carry_over(numbers, now.fit.problem.spots), iterations)
+    return now.in_structure(hypothesis.structure).refit(hypothesis, carry_over(numbers, now.fit.problem.spots), iterations)
 
 
 def mode_is_real(found: Supposed, branch: int, top: float) -> bool:
@@ -177,7 +167,6 @@ def pursue(now: Supposed, laws: Sequence[SupposedLaw] = SUPPOSED, say: Say = lam
     for _ in range(rounds):
         if budget.is_left_out("further causes"):
             break
-        now = replace(now, motions=now.motions if now.motions.smoothed else type(now.motions).at(now.fit))
         now = now.renewed(3)
         looked = candidates(now, laws)
         falls = score(now, looked)

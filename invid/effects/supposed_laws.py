@@ -8,9 +8,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from invid.effects.laws.slider import slide
 from invid.numerics.arrays import Float64
 
 
@@ -18,16 +20,27 @@ from invid.numerics.arrays import Float64
 class SpotMotion:
     """Motion at a place over time, each (k,): position and velocity along it, and the position of its motor side.
 
-    Of a spring the position is its deflection.
+    Of a spring the position is its deflection. ``time`` is the recording's clock [s], ``torque`` the torque that
+    acts there, of motors alone.
     """
 
     position: Float64
     velocity: Float64
     angle: Float64
+    time: Float64
+    torque: Float64 | None = None
+
+    @cached_property
+    def acceleration(self) -> Float64:
+        """(k,) derivative of the velocity."""
+        out: Float64 = np.gradient(self.velocity, self.time[1] - self.time[0])
+        return out
 
     def every(self, count: int) -> SpotMotion:
         """Every ``count``-th instant."""
-        return SpotMotion(self.position[::count], self.velocity[::count], self.angle[::count])
+        torque = None if self.torque is None else self.torque[::count]
+        parts = (self.position, self.velocity, self.angle, self.time)
+        return SpotMotion(*(p[::count] for p in parts), torque)
 
 
 Shape = tuple[float, ...]
@@ -166,13 +179,110 @@ class InnerDry(SupposedLaw):
         return [(float(np.log(2e-3 * size)), float(np.log(0.3 * size)))]
 
 
-class QuadraticEven(SupposedLaw):
-    """Friction that differs between the directions: a part ∝ |v|."""
+class UnevenFriction(SupposedLaw):
+    """Friction that differs between the directions: what it has beside friction that is the same.
 
-    cause, at = "asymmetric_friction", "motor"
+    Coefficients: half the difference of the viscous and of the dry parts; shape ln(width of the turn).
+    """
+
+    cause, at, low = "asymmetric_friction", "motor", (-np.inf,)
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return np.abs(motion.velocity)[:, None]
+
+
+class Slider(SupposedLaw):
+    """A spring that slides at its limit, beside a spring or at a motor; shape ln(deflection at which it slides).
+
+    The coefficient is the torque at which it slides.
+    """
+
+    low = (0.0,)
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        most = float(np.exp(shape[0]))
+        return slide(motion.position, most, periodic=False)[:, None] / most
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        size = _extent([m.position - m.position.mean() for m in motions], 0.9)
+        return [(float(np.log(size * share)),) for share in (0.03, 0.1, 0.3)]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
+        size = _extent([m.position - m.position.mean() for m in motions], 0.9)
+        return [(float(np.log(1e-3 * size)), float(np.log(size)))]
+
+
+class SpringHysteresis(Slider):
+    """A slider beside a spring."""
+
+    cause, at = "spring_hysteresis", "spring"
+
+
+class PreslidingFriction(Slider):
+    """Dry friction of a motor that yields elastically before it slides."""
+
+    cause, at = "presliding_friction", "motor"
+
+
+class TorqueSaturation(SupposedLaw):
+    """Torque beyond a limit does not act; shape ln(limit). Its coefficient is one."""
+
+    cause, at, low = "torque_saturation", "motor", (0.0,)
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        limit = float(np.exp(shape[0]))
+        torque = np.zeros(motion.position.size) if motion.torque is None else motion.torque
+        return (torque - np.clip(torque, -limit, limit))[:, None]
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        top = max(float(np.abs(m.torque).max()) for m in motions if m.torque is not None)
+        return [(float(np.log(top * share)),) for share in (0.5, 0.65, 0.8, 0.9)]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
+        top = max(float(np.abs(m.torque).max()) for m in motions if m.torque is not None)
+        return [(float(np.log(0.2 * top)), float(np.log(0.98 * top)))]
+
+
+class TorqueGain(SupposedLaw):
+    """More or less torque acts than is recorded, by a share of it."""
+
+    cause, at = "torque_gain", "motor"
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        torque = np.zeros(motion.position.size) if motion.torque is None else motion.torque
+        return -torque[:, None]
+
+
+class PayloadChange(SupposedLaw):
+    """A mass that comes on at a load at a time [s] of the recording's clock; shape ln(time)."""
+
+    cause, at = "payload_change", "load"
+    shape_step = 2e-3
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        late = (motion.time - float(np.exp(shape[0]))) / (motion.time[1] - motion.time[0])
+        return (motion.acceleration * np.clip(late + 0.5, 0.0, 1.0))[:, None]
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        first = max(m.time[0] for m in motions)
+        last = min(m.time[-1] for m in motions)
+        return [(float(np.log(first + (last - first) * share)),) for share in np.linspace(0.1, 0.9, 9)]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
+        first = max(m.time[0] for m in motions)
+        last = min(m.time[-1] for m in motions)
+        span = last - first
+        return [(float(np.log(first + 0.02 * span)), float(np.log(last - 0.02 * span)))]
+
+
+class SpringDrift(SupposedLaw):
+    """A spring whose stiffness changes with time, by a rate a second."""
+
+    cause, at = "parameter_drift", "spring"
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        middle = 0.5 * (motion.time[0] + motion.time[-1])
+        return (motion.position * (motion.time - middle))[:, None]
 
 
 class Gravity(SupposedLaw):
@@ -185,4 +295,18 @@ class Gravity(SupposedLaw):
         return np.stack((np.sin(motion.position), np.cos(motion.position) - 1.0), axis=1)
 
 
-SUPPOSED: tuple[SupposedLaw, ...] = (Backlash(), CubicStiffness(), Cogging())
+SUPPOSED: tuple[SupposedLaw, ...] = (
+    Backlash(),
+    CubicStiffness(),
+    Cogging(),
+    TransmissionError(),
+    SpringHysteresis(),
+    PreslidingFriction(),
+    UnevenFriction(),
+    TorqueSaturation(),
+    TorqueGain(),
+    PayloadChange(),
+    SpringDrift(),
+    InnerViscous(),
+    InnerDry(),
+)

@@ -14,6 +14,8 @@ from invid.likelihood.timing import Timing
 from invid.likelihood.value import Numbers
 from invid.numerics import budget
 
+Benches = tuple[Bench, Bench | None]
+"""Records fitted and kept out."""
 RANDOM = 12
 """Random splits: of one alone one in three comes home."""
 ROUNDS = ((6, 4), (12, 2), (40, 1))
@@ -33,24 +35,24 @@ def is_home(found: Supposed) -> bool:
     return found.inner_strength < HOME * torque_rms(found.bench)
 
 
-def begin(bench: Bench, structure: Structure, seed: int = 1) -> Supposed:
+def begin(bench: Bench, structure: Structure, kept: Bench | None = None, seed: int = 1) -> Supposed:
     """The fit of a structure with friction at the motors, from the best of all starts."""
     fractions = fraction_plants(bench.stacks, structure)
     if fractions:
-        found = _from_plant(bench, structure, fractions[0], ROUNDS[-1][0])
+        found = _from_plant((bench, kept), structure, fractions[0], ROUNDS[-1][0])
         if found is not None and is_home(found):
             return found
     rng = np.random.default_rng(seed)
     classes = [fractions, random_plants(bench.stacks, structure, RANDOM, rng)]
-    ends = [_contest(bench, structure, plants) for plants in classes if plants]
+    ends = [_contest((bench, kept), structure, plants) for plants in classes if plants]
     best = min((e for e in ends if e is not None), key=lambda e: e.total, default=None)
     if best is None:
         raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
     return best
 
 
-def _contest(bench: Bench, structure: Structure, plants: Sequence[Plant]) -> Supposed | None:
-    first = [_from_plant(bench, structure, p, ROUNDS[0][0]) for p in plants]
+def _contest(benches: Benches, structure: Structure, plants: Sequence[Plant]) -> Supposed | None:
+    first = [_from_plant(benches, structure, p, ROUNDS[0][0]) for p in plants]
     return contest([f for f in first if f is not None])
 
 
@@ -65,10 +67,11 @@ def contest(pool: Sequence[Supposed], say: Callable[[str], None] = lambda _: Non
     return fits[0] if fits else None
 
 
-def _from_plant(bench: Bench, structure: Structure, plant: Plant, iterations: int) -> Supposed | None:
-    stack = bench.stacks[0]
-    numbers = Numbers(plant, Timing.nominal(structure.motors, stack.step), first_strength(bench.stacks, structure))
+def _from_plant(benches: Benches, structure: Structure, plant: Plant, iterations: int) -> Supposed | None:
+    stacks = benches[0].stacks
+    timing = Timing.nominal(structure.motors, stacks[0].step)
+    numbers = Numbers(plant, timing, first_strength(stacks, structure))
     try:
-        return suppose(bench, Hypothesis(structure, first_shapes(bench.stacks)), numbers, iterations)
+        return suppose(benches, Hypothesis(structure, first_shapes(stacks)), numbers, iterations)
     except np.linalg.LinAlgError:
         return None

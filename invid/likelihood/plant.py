@@ -54,14 +54,16 @@ class Element:
 
 @dataclass(frozen=True)
 class Structure:
-    """Which parameters a plant has: chains of ``sizes`` masses, one more mass behind the loads of ``modes``.
+    """Which parameters a plant has: chains of ``sizes`` masses, one more mass behind the loads of ``modes``, and a
+    ``base`` under all loads on a spring to ground.
 
-    Coordinates stand chain after chain, then the masses of ``modes``. All loads are coupled through inertia and
-    through springs.
+    Coordinates stand chain after chain, then the masses of ``modes``, then the base. All loads are coupled through
+    inertia and through springs; the base is coupled to them through inertia.
     """
 
     sizes: tuple[int, ...]
     modes: tuple[int, ...] = ()
+    base: bool = False
 
     @property
     def motors(self) -> int:
@@ -71,7 +73,7 @@ class Structure:
     @property
     def coordinates(self) -> int:
         """n."""
-        return sum(self.sizes) + len(self.modes)
+        return sum(self.sizes) + len(self.modes) + self.base
 
     @cached_property
     def motor(self) -> tuple[int, ...]:
@@ -112,11 +114,14 @@ class Structure:
     @cached_property
     def elements(self) -> tuple[Element, ...]:
         """The parameters in the order of ``Plant.x``."""
+        grounded = [(self.coordinates - 1, -1)] if self.base else []
+        stands_on = [(load, self.coordinates - 1) for load in self.load] if self.base else []
+        coupled = [*((self.load[i], self.load[j]) for i, j in self.pairs), *stands_on]
         return (
             *(Element(Kind.MASS, i) for i in range(self.coordinates)),
-            *(Element(Kind.SPRING, a, b) for a, b in self.links),
-            *(Element(Kind.DAMPER, a, b) for a, b in self.links),
-            *(Element(Kind.COUPLING, self.load[i], self.load[j]) for i, j in self.pairs),
+            *(Element(Kind.SPRING, a, b) for a, b in (*self.links, *grounded)),
+            *(Element(Kind.DAMPER, a, b) for a, b in (*self.links, *grounded)),
+            *(Element(Kind.COUPLING, a, b) for a, b in coupled),
             *(Element(Kind.LOAD_SPRING, self.tip[i], self.tip[j]) for i, j in self.pairs),
         )
 
@@ -198,9 +203,10 @@ class Plant:
         mass = values[structure.index(Kind.MASS)]
         springs = values[structure.index(Kind.SPRING)]
         dampers = structure.index(Kind.DAMPER)
-        least = [1e-3 * np.sqrt(k / (1 / mass[a] + 1 / mass[b])) for k, (a, b) in zip(springs, structure.links, strict=True)]
+        joined = structure.elements[structure.index(Kind.SPRING)]
+        eased = [1 / mass[e.a] + (1 / mass[e.b] if e.b >= 0 else 0.0) for e in joined]
         values = values.copy()
-        values[dampers] = np.maximum(values[dampers], least)
+        values[dampers] = np.maximum(values[dampers], 1e-3 * np.sqrt(springs / np.array(eased).reshape(-1)))
         for p, e in enumerate(structure.elements):
             if e.kind is Kind.COUPLING:
                 unit[p] = np.sqrt(mass[e.a] * mass[e.b])

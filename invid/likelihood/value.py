@@ -163,8 +163,9 @@ class Value:
         return float(self.share.sum()) + self.prior
 
 
-def evaluate(problem: Problem, numbers: Numbers) -> Value:
-    """−2 ln L at ``numbers``, the coefficients and ends profiled out.
+def evaluate(problem: Problem, numbers: Numbers, coefficients: Float64 | None = None) -> Value:
+    """−2 ln L at ``numbers``, the coefficients and ends profiled out; of kept-out records with ``coefficients``
+    (J,) as they were fitted.
 
     Raises
     ------
@@ -172,7 +173,10 @@ def evaluate(problem: Problem, numbers: Numbers) -> Value:
         The numbers are so far off that a covariance is not positive.
     """
     work = tuple(_work(problem, numbers, k) for k in range(len(problem.stacks)))
-    coefficients, free = _coefficients(problem, work)
+    if coefficients is None:
+        coefficients, free = _coefficients(problem, work)
+    else:
+        free = np.zeros(coefficients.size, dtype=bool)
     share = [
         part
         for w in work
@@ -411,11 +415,10 @@ def inner_motion(problem: Problem, value: Value, number: int) -> Complex128:
 
 
 def _timing_columns(work: StackWork, timing: Timing) -> Complex128:
-    """(R, F, M, 4M) whitened −dτ by the timing's numbers: of axis m at motor m alone."""
+    """(R, F, M, 5M) whitened −dτ by the timing's numbers: of axis m at motor m alone."""
     slopes = timing.slopes(work.stack)
-    motors = slopes.shape[2]
     columns = -work.whitener[None, :, :, None, :] * slopes.transpose(0, 1, 3, 2)[:, :, None]
-    return columns.reshape(*slopes.shape[:2], motors, 4 * motors)
+    return columns.reshape(*slopes.shape[:3], slopes.shape[2] * slopes.shape[3])
 
 
 def _covariance_slope(

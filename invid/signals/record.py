@@ -62,8 +62,8 @@ class Record:
         (A, M) amplitudes.
     position_noise, torque_noise
         (M,) power of the sensors' noise on a line.
-    span, step
-        T and the sampling interval [s].
+    span, step, start
+        T, the sampling interval and the time at which the span begins [s].
     hold
         (M,) torque per position by which axes are held; NaN where a drive holds by itself.
     hold_damping
@@ -90,6 +90,7 @@ class Record:
     torque_noise: Float64
     span: float
     step: float
+    start: float
     hold: Float64
     hold_damping: Float64
     driven: np.ndarray
@@ -188,6 +189,7 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
         torque_noise=torque_noise,
         span=span,
         step=step,
+        start=float(experiment.time[0]) + step * (even.samples - count - int(count < even.samples)),
         hold=hold,
         hold_damping=_hold_damping((omega, lines, spectrum[wide]), hold, free, 2.0 / span * jump),
         driven=driven,
