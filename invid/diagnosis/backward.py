@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.hypothesis import PlacedLaw, Supposed
+from invid.diagnosis.hypothesis import Channel, PlacedLaw, Supposed
 from invid.diagnosis.pursuit import EACH_ROLE, PRICE, restructured, role_falls
 from invid.diagnosis.reshape import reshape
 from invid.likelihood.forces import Spot, Where
@@ -32,7 +32,7 @@ class Worth:
     def stays(self) -> bool:
         """Whether it pays its price."""
         price = PRICE_OF_FRICTION if isinstance(self.key, tuple) and isinstance(self.key[0], Part) else PRICE
-        return self.rise > price and min(self.roles) > 0.0
+        return self.rise > price and sum(self.roles) > price
 
 
 def worths(now: Supposed) -> list[Worth]:
@@ -53,6 +53,10 @@ def worths(now: Supposed) -> list[Worth]:
         for part, cause in ((Part.OFFSET, "torque_offset"), (Part.RISE, "stribeck_friction"), (Part.VISCOUS, "viscous_friction"), (Part.DRY, "coulomb_friction")):
             if now.fit.value.coefficients[names.index((part, motor))]:
                 out.append(_worth(now, cause, (part, motor), _without(now, (part, motor))))
+    for channel, axis in now.hypothesis.channels:
+        absent = now.hypothesis.absent | {(Channel.DELAY, axis)}
+        less = replace(now.hypothesis, channels=now.hypothesis.channels - {(channel, axis)}, absent=absent)
+        out.append(_worth(now, channel.value, (channel, axis), now.refit(less, iterations=15)))
     for branch in structure.modes:
         out.append(_worth(now, "extra_mode", ("mode", branch), without_mode(now, branch)))
     return out

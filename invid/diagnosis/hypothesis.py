@@ -16,6 +16,7 @@ from invid.likelihood.motor_laws import FrictionShape, MotorLaws
 from invid.likelihood.plant import Kind, Structure
 from invid.likelihood.smoother import SmoothedStack, smooth
 from invid.likelihood.stack import Stack
+from invid.likelihood.timing import Timing
 from invid.likelihood.value import Column, Numbers, Problem, Value, evaluate
 from invid.numerics.arrays import Complex128, Float64
 
@@ -53,7 +54,7 @@ class Hypothesis:
     friction: tuple[FrictionShape, ...]
     laws: tuple[PlacedLaw, ...] = ()
     absent: frozenset[Hashable] = frozenset()
-    """Names of columns, and pairs of loads, that are held at zero."""
+    """Names of columns, and pairs of loads, that are held at zero; delays held within a sample."""
     channels: frozenset[tuple[Channel, int]] = frozenset()
     """Axes whose drive is late or lags by more than a sample's convention."""
 
@@ -275,6 +276,10 @@ def bounded(numbers: Numbers, problem: Problem, hypothesis: Hypothesis) -> tuple
     x, centre, spread = numbers.x.copy(), problem.centre.copy(), problem.spread.copy()
     x[at], centre[at], spread[at] = 0.0, 0.0, HELD
     times = numbers.plant.x.size
+    late = [times + k for k in range(2 * motors) if (Channel.DELAY, k % motors) in hypothesis.absent]
+    usual = Timing.nominal(motors, 1.0).x[[k - times for k in late]]
+    x[late] = centre[late] = usual + np.clip(x[late] - usual, -1.0, 1.0)
+    spread[late] = HELD
     for channel, axis in hypothesis.channels:
         free = [axis, motors + axis] if channel is Channel.DELAY else [4 * motors + axis]
         spread[[times + k for k in free]] = FREE_TIME

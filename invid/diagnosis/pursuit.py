@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.hypothesis import Hypothesis, PlacedLaw, Supposed, carry_over
+from invid.diagnosis.hypothesis import Channel, Hypothesis, PlacedLaw, Supposed, carry_over
 from invid.diagnosis.reshape import reshape, scan_friction
 from invid.diagnosis.scoring import candidates, score
 from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.likelihood.forces import Spot, Where
 from invid.likelihood.plant import Kind, Plant, Structure
+from invid.likelihood.timing import EXPECTED_DELAY
 from invid.likelihood.value import Numbers
 from invid.numerics import budget
 
@@ -31,6 +32,8 @@ OWN_STIFFNESS = (0.7, 1.4)
 """Bounds of a gap's coefficient over its spring's stiffness."""
 UNBENT = 0.2
 """Relative deviation of a spring's stiffness from which on no record bends it (empirical)."""
+SURELY_LATE = 5.0
+"""Deviations by which a delay has to exceed a sample before a late drive is supposed."""
 LOST = 0.2
 """Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
 
@@ -44,7 +47,13 @@ class Trial:
     cause: str
     spot: Spot | None
     found: Supposed
-    fall: float
+    base: Supposed
+    """The hypothesis without it."""
+
+    @property
+    def fall(self) -> float:
+        """Fall of −2 ln L."""
+        return self.base.total - self.found.total
 
 
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
@@ -93,6 +102,29 @@ def settle(now: Supposed, rounds: int = 5) -> Supposed:
     return now
 
 
+def try_channels(now: Supposed) -> list[Trial]:
+    """Drives whose torque acts late by more than a sample, or lags, each against no such thing."""
+    out = []
+    timing, motors = now.numbers.timing, now.hypothesis.structure.motors
+    deviation = np.sqrt(np.diag(now.fit.covariance))[now.numbers.plant.x.size :]
+    for axis in range(motors):
+        if any(a == axis for _, a in now.hypothesis.channels):
+            continue
+        spot = Spot(Where.MOTOR, axis)
+        late = max(
+            (abs(timing.delay[part, axis] - EXPECTED_DELAY[part]) - 1.0) / max(deviation[part * motors + axis], 1e-9) for part in (0, 1)
+        )
+        if late < SURELY_LATE:
+            continue
+        without = now.refit(replace(now.hypothesis, absent=now.hypothesis.absent | {(Channel.DELAY, axis)}), iterations=15)
+        for channel in Channel:
+            found = now.refit(replace(now.hypothesis, channels=now.hypothesis.channels | {(channel, axis)}), iterations=15)
+            if channel is Channel.LAG:
+                found = found.refit(replace(found.hypothesis, absent=found.hypothesis.absent | {(Channel.DELAY, axis)}), iterations=15)
+            out.append(Trial(channel.value, spot, found, without))
+    return out
+
+
 def try_modes(now: Supposed) -> list[Trial]:
     """One more mass behind each load that has none."""
     out = []
@@ -114,7 +146,7 @@ def try_modes(now: Supposed) -> list[Trial]:
             continue
         best = best.refit(iterations=25)
         if mode_is_real(best, branch, top):
-            out.append(Trial("extra_mode", Spot(Where.MOTOR, branch), best, now.total - best.total))
+            out.append(Trial("extra_mode", Spot(Where.MOTOR, branch), best, now))
     return out
 
 
@@ -160,8 +192,22 @@ def mode_is_real(found: Supposed, branch: int, top: float) -> bool:
     )
 
 
-def pursue(now: Supposed, laws: Sequence[SupposedLaw] = SUPPOSED, say: Say = lambda _: None, rounds: int = 8) -> Supposed:
+@dataclass(frozen=True, eq=False)
+class Pursued:
+    """Where a search ended, and the rivals of each cause that it took on the way."""
+
+    end: Supposed
+    rivals: tuple[tuple[Trial, Trial], ...]
+    """Taken, and beside it what did nearly as well."""
+
+
+NEARLY_AS_WELL = 0.15
+"""Share of the fall of the cause taken that a rival may miss and is looked at again at the end."""
+
+
+def pursue(now: Supposed, laws: Sequence[SupposedLaw] = SUPPOSED, say: Say = lambda _: None, rounds: int = 8) -> Pursued:
     """Causes taken one after another, each the one that lowers −2 ln L most, until none pays its price."""
+    rivals: list[tuple[Trial, Trial]] = []
     now = reshape(scan_friction(now))
     say(f"null {now.total:.1f} inner {now.inner_strength:.2f}")
     for _ in range(rounds):
@@ -181,15 +227,18 @@ def pursue(now: Supposed, laws: Sequence[SupposedLaw] = SUPPOSED, say: Say = lam
             tried.add(placed.key)
             found = try_law(now, placed)
             if is_sound(found):
-                trials.append(Trial(placed.law.cause, placed.spot, found, now.total - found.total))
+                trials.append(Trial(placed.law.cause, placed.spot, found, now))
         best = max((t.fall for t in trials), default=0.0)
         if best < 2000.0 or now.inner_strength > LOST:
             trials += try_modes(now)
+        trials += try_channels(now)
         trials.sort(key=lambda t: -t.fall)
         say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
-        taken = next((t for t in trials if t.fall > PRICE and min(role_falls(now, t.found)) > EACH_ROLE), None)
+        taken = next((t for t in trials if t.fall > PRICE and min(role_falls(t.base, t.found)) > EACH_ROLE), None)
         if taken is None:
             break
+        close = taken.fall - max(NEARLY_AS_WELL * taken.fall, PRICE)
+        rivals += [(taken, t) for t in trials if t is not taken and t.fall > close]
         now = settle(reshape(scan_friction(taken.found)))
         say(f"  took {taken.cause} {taken.spot}: {now.total:.1f} inner {now.inner_strength:.2f}")
-    return now
+    return Pursued(now, tuple(rivals))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from invid.diagnosis.hypothesis import Hypothesis, Supposed, vector_of
 from invid.likelihood.motor_laws import FrictionShape, Part
 from invid.likelihood.plant import Structure
 from invid.likelihood.value import along, evaluate, number_rows, whitened_rows
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Complex128, Float64, Int64
 
 LARGEST = 0.5
 """Largest step of a shape's logarithm."""
@@ -24,8 +25,9 @@ FRICTION_STEP = 0.05
 
 @dataclass(frozen=True)
 class ShapeAt:
-    """One shape of a hypothesis: where it stands, its bounds, its step for a derivative."""
+    """One shape of a hypothesis: whose it is, where it stands, its bounds, its derivative."""
 
+    name: Hashable
     get: Callable[[Hypothesis], float]
     put: Callable[[Hypothesis, float], Hypothesis]
     slope: Callable[[Supposed], list[Complex128]]
@@ -82,7 +84,7 @@ def _friction_shape(motor: int, name: str, vector: Float64, bounds: tuple[float,
             out.append(_friction_force(now, motor, shape, names, value))
         return [(a - b) / (2 * FRICTION_STEP) for a, b in zip(*out, strict=True)]
 
-    return ShapeAt(get, put, slope, vector, float(np.log(bounds[0] * speed)), float(np.log(bounds[1] * speed)))
+    return ShapeAt((Part.DRY, motor, name), get, put, slope, vector, float(np.log(bounds[0] * speed)), float(np.log(bounds[1] * speed)))
 
 
 def _friction_force(now: Supposed, motor: int, shape: FrictionShape, names: list[object], value: Float64) -> list[Complex128]:
@@ -114,7 +116,7 @@ def _law_shape(now: Supposed, number: int, shape: int, bounds: tuple[float, floa
             out.append([lines @ value for lines in now.bench.law_lines(placed, now.motions, at)])
         return [(a - b) / (2 * step) for a, b in zip(*out, strict=True)]
 
-    return ShapeAt(get, put, slope, vector_of(structure, now.hypothesis.laws[number].spot), *bounds)
+    return ShapeAt((number, shape), get, put, slope, vector_of(structure, now.hypothesis.laws[number].spot), *bounds)
 
 
 def _first_column(now: Supposed, number: int) -> int:
@@ -159,33 +161,55 @@ def reshape(now: Supposed, rounds: int = 4) -> Supposed:
     return now
 
 
-def _step(now: Supposed) -> Supposed | None:
-    shapes = shapes_of(now)
-    if not shapes:
-        return None
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """Half the gradient and the curvature of −2 ln L by the numbers, the free coefficients and the shapes."""
+
+    gradient: Float64
+    matrix: Float64
+    numbers: int
+    free: Int64
+    shapes: tuple[ShapeAt, ...]
+
+    @cached_property
+    def covariance(self) -> Float64:
+        """Joint covariance in the same order."""
+        unit = np.sqrt(np.diag(self.matrix)) + 1e-300
+        out: Float64 = np.linalg.inv(self.matrix / unit[:, None] / unit + 1e-12 * np.eye(unit.size))
+        return out / unit[:, None] / unit
+
+
+def curvature(now: Supposed) -> Curvature:
+    """The curvature at a fit, its shapes included."""
+    shapes = tuple(shapes_of(now))
     value, around = now.fit.value, now.fit.slope
     columns = [shape.slope(now) for shape in shapes]
-    size = around.gradient.size
+    size, count = around.gradient.size, len(shapes)
     free = np.flatnonzero(value.free)
-    cross, own, pull = np.zeros((size + free.size, len(shapes))), np.zeros((len(shapes),) * 2), np.zeros(len(shapes))
-    for k, work in enumerate(value.work):
-        lines = [c[k][..., None] * along(work.condensed.motion, s.vector[:, None])[..., 0] for c, s in zip(columns, shapes, strict=True)]
-        rows = whitened_rows(work, np.stack(lines, axis=-1))
-        both = joint_rows(now, k)
-        flat = rows.reshape(-1, len(shapes))
-        cross += both.T @ flat
+    cross, own, pull = np.zeros((size + free.size, count)), np.zeros((count, count)), np.zeros(count)
+    for k, work in enumerate(value.work if shapes else ()):
+        reach = [along(work.condensed.motion, s.vector[:, None])[..., 0] for s in shapes]
+        lines = [c[k][..., None] * r for c, r in zip(columns, reach, strict=True)]
+        flat = whitened_rows(work, np.stack(lines, axis=-1)).reshape(-1, count)
+        cross += joint_rows(now, k).T @ flat
         own += flat.T @ flat
         pull += flat.T @ (work.missing + work.laws @ value.coefficients).ravel()
     gradient = np.concatenate((around.gradient, np.zeros(free.size), pull))
-    whole = np.block([[around.joint, cross], [cross.T, own]])
-    unit = np.sqrt(np.diag(whole)) + 1e-300
-    damped = whole / unit[:, None] / unit + 1e-6 * np.eye(unit.size)
-    step = -np.linalg.solve(damped, gradient / unit) / unit
-    if -float(gradient @ step) < FALL:
+    return Curvature(gradient, np.block([[around.joint, cross], [cross.T, own]]), size, free, shapes)
+
+
+def _step(now: Supposed) -> Supposed | None:
+    around = curvature(now)
+    if not around.shapes:
+        return None
+    unit = np.sqrt(np.diag(around.matrix)) + 1e-300
+    damped = around.matrix / unit[:, None] / unit + 1e-6 * np.eye(unit.size)
+    step = -np.linalg.solve(damped, around.gradient / unit) / unit
+    if -float(around.gradient @ step) < FALL:
         return None
     for share in (1.0, 0.4, 0.1):
         hypothesis = now.hypothesis
-        for shape, move in zip(shapes, step[size + free.size :], strict=True):
+        for shape, move in zip(around.shapes, step[-len(around.shapes) :], strict=True):
             at = shape.get(hypothesis) + share * float(np.clip(move, -LARGEST, LARGEST))
             hypothesis = shape.put(hypothesis, float(np.clip(at, shape.low, shape.high)))
         trial = now.refit(hypothesis, iterations=3)

@@ -50,6 +50,8 @@ class SupposedLaw(ABC):
     """One law of the search."""
 
     cause: str
+    main = "torque"
+    """The parameter that its coefficient is."""
     at: str
     """Kind of place: "motor", "mass", "load" or "spring"."""
     low: tuple[float, ...] = (-np.inf,)
@@ -63,6 +65,10 @@ class SupposedLaw(ABC):
     @abstractmethod
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         """(k, L) resistance for each coefficient at one."""
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        """The contract's parameters; ``stiffness`` is that of the spring at its place."""
+        return {self.main: float(coefficients[0])}
 
     def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
         """Shapes to score."""
@@ -98,11 +104,15 @@ class Backlash(SupposedLaw):
         top = 2.0 * _extent([m.position for m in motions], 0.999)
         return [(float(np.log(1e-3 * top)), float(np.log(top)))]
 
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return {"gap": float(np.exp(shape[0]))}
+
 
 class CubicStiffness(SupposedLaw):
     """A spring that hardens (or softens) with the third power of its deflection."""
 
     cause, at = "cubic_stiffness", "spring"
+    main = "coefficient"
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return (motion.position**3)[:, None]
@@ -131,6 +141,14 @@ class Cogging(SupposedLaw):
         span = _extent([m.position - m.position.mean() for m in motions], 0.98)
         return [(float(np.log(self.LEAST / span)), float(np.log(2000.0)))]
 
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        sine, cosine = coefficients
+        return {
+            "torque": float(np.hypot(sine, cosine)),
+            "cycles_per_rev": float(np.exp(shape[0])),
+            "phase": float(np.arctan2(cosine, sine)),
+        }
+
 
 class TransmissionError(SupposedLaw):
     """A sinusoid of the gear's angle in the deflection of its spring; shape ln(cycles)."""
@@ -152,11 +170,20 @@ class TransmissionError(SupposedLaw):
         span = _extent([m.angle - m.angle.mean() for m in motions], 0.98)
         return [(float(np.log(self.LEAST / span)), float(np.log(self.MOST)))]
 
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        sine, cosine = coefficients
+        return {
+            "amplitude": float(np.hypot(sine, cosine)) / stiffness,
+            "cycles_per_rev": float(np.exp(shape[0])),
+            "phase": float(np.arctan2(cosine, sine)),
+        }
+
 
 class InnerViscous(SupposedLaw):
     """Viscous friction of a mass behind the motor."""
 
     cause, at, low = "viscous_friction", "mass", (0.0,)
+    main = "coefficient"
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return motion.velocity[:, None]
@@ -211,6 +238,10 @@ class Slider(SupposedLaw):
         size = _extent([m.position - m.position.mean() for m in motions], 0.9)
         return [(float(np.log(1e-3 * size)), float(np.log(size)))]
 
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        torque = float(coefficients[0])
+        return {"stiffness": torque / float(np.exp(shape[0])), "torque": torque}
+
 
 class SpringHysteresis(Slider):
     """A slider beside a spring."""
@@ -242,6 +273,9 @@ class TorqueSaturation(SupposedLaw):
         top = max(float(np.abs(m.torque).max()) for m in motions if m.torque is not None)
         return [(float(np.log(0.2 * top)), float(np.log(0.98 * top)))]
 
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return {"limit": float(np.exp(shape[0]))}
+
 
 class TorqueGain(SupposedLaw):
     """More or less torque acts than is recorded, by a share of it."""
@@ -251,6 +285,9 @@ class TorqueGain(SupposedLaw):
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         torque = np.zeros(motion.position.size) if motion.torque is None else motion.torque
         return -torque[:, None]
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return {"gain": 1.0 + float(coefficients[0])}
 
 
 class PayloadChange(SupposedLaw):
@@ -273,6 +310,9 @@ class PayloadChange(SupposedLaw):
         last = min(m.time[-1] for m in motions)
         span = last - first
         return [(float(np.log(first + 0.02 * span)), float(np.log(last - 0.02 * span)))]
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return {"mass": float(coefficients[0]), "time": float(np.exp(shape[0]))}
 
 
 class SpringDrift(SupposedLaw):

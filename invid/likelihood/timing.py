@@ -23,6 +23,8 @@ DELAY_PRIOR, SHARE_PRIOR = 0.5, 0.3
 convention leaves open (physical)."""
 NO_LAG = 1e-9
 """Standard deviation of a lag that is not supposed."""
+EXPECTED_DELAY = (-0.5, 0.0)
+"""Delay [samples] of a command, which acts over the sample before the SYNC that shows it, and of a hold."""
 EXPECTED_SHARE = (1.0, 0.5)
 """Share of a command that is held over the sample, and of a hold, which works inside the drive or outside."""
 PER_AXIS = 5
@@ -40,9 +42,9 @@ class Timing:
 
     @classmethod
     def nominal(cls, motors: int, step: float) -> Timing:
-        """Torque at the instants of the position's samples."""
-        share = np.repeat(np.array(EXPECTED_SHARE)[:, None], motors, axis=1)
-        return cls(np.zeros((2, motors)), share, np.zeros(motors), step)
+        """What a drive shows at a SYNC of the command acted over the sample before it, of its hold at it."""
+        delay, share = (np.repeat(np.array(v)[:, None], motors, axis=1) for v in (EXPECTED_DELAY, EXPECTED_SHARE))
+        return cls(delay, share, np.zeros(motors), step)
 
     @property
     def motors(self) -> int:

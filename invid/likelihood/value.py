@@ -20,7 +20,7 @@ normal equations over all stacks.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,7 +29,7 @@ from invid.likelihood.forces import CORNER, LEAST, PACE, MissingNoise, Spots, co
 from invid.likelihood.plant import Condensed, Plant
 from invid.likelihood.stack import Stack
 from invid.likelihood.timing import Timing
-from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.numerics.arrays import Bool, Complex128, Float64, Int64
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +82,8 @@ class Problem:
     corner: float
     least: float
     """Least strength [(N·m)²]."""
+    shut: Int64 = field(default_factory=lambda: np.zeros(0, dtype=int))
+    """Places whose strength stays as it is."""
 
     @classmethod
     def about(cls, stacks: tuple[Stack, ...], columns: tuple[Column, ...], numbers: Numbers) -> Problem:
@@ -457,7 +459,7 @@ def stronger(problem: Problem, value: Value, steps: int = 3) -> Numbers:
     Multiplicative steps q ← q·(Σ w g |Hᴴ S⁻¹ r|² / Σ w R g Hᴴ S⁻¹ H)^½…, laws and ends as they are.
     """
     strength = value.numbers.strength
-    missed = [_missed(value, k) for k in range(len(value.work))]
+    missed = [missing_torque(value, k) for k in range(len(value.work))]
     for _ in range(steps):
         push, hold = np.zeros(strength.shape), np.zeros(strength.shape)
         for work, residual in zip(value.work, missed, strict=True):
@@ -473,11 +475,13 @@ def stronger(problem: Problem, value: Value, steps: int = 3) -> Numbers:
             expected = stack.count * (np.abs(reach) ** 2).sum(axis=1)
             push += (told * stack.weight[:, None]).T @ shape
             hold += (expected * stack.weight[:, None]).T @ shape
-        strength = np.maximum(strength * (push / np.maximum(hold, 1e-300)) ** PACE, problem.least)
+        moved = np.maximum(strength * (push / np.maximum(hold, 1e-300)) ** PACE, problem.least)
+        moved[problem.shut] = strength[problem.shut]
+        strength = moved
     return replace(value.numbers, strength=strength)
 
 
-def _missed(value: Value, number: int) -> Complex128:
+def missing_torque(value: Value, number: int) -> Complex128:
     """(R, F, M) missing torque with laws and ends in it."""
     work = value.work[number]
     count, lines, motors = work.shape
