@@ -7,21 +7,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.hypothesis import Channel, PlacedLaw, Supposed
-from invid.diagnosis.pursuit import EACH_ROLE, PRICE, restructured, role_falls
-from invid.diagnosis.reshape import reshape
+from invid.diagnosis.pursuit import PRICE, restructured, role_falls
 from invid.likelihood.forces import Spot, Where
 from invid.likelihood.motor_laws import Part
 from invid.likelihood.plant import Kind, Plant, Structure
+from invid.likelihood.shapes import reshape
+from invid.likelihood.supposition import Channel, PlacedLaw, Supposed
 
 PRICE_OF_FRICTION = 25.0
-"""Rise of −2 ln L for a part of the friction of a motor, which is expected on every motor: Schwarz's price of its
-two numbers and ten thousand rows."""
+"""Rise of −2 ln L for a part of the friction of a motor, which is expected on every motor: Schwarz's price
+of its two numbers and ten thousand rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Worth:
-    """A cause of the final hypothesis with the rise of −2 ln L on all records and on either role's without it."""
+    """A cause of the final hypothesis with the rise of −2 ln L on all records and on either role's without
+    it."""
 
     cause: str
     key: Hashable
@@ -50,7 +51,12 @@ def worths(now: Supposed) -> list[Worth]:
             out.append(_worth(now, "coupling_stiffness", pair, _without(now, pair)))
     names = [c.name for c in now.fit.problem.columns]
     for motor in range(structure.motors):
-        for part, cause in ((Part.OFFSET, "torque_offset"), (Part.RISE, "stribeck_friction"), (Part.VISCOUS, "viscous_friction"), (Part.DRY, "coulomb_friction")):
+        for part, cause in (
+            (Part.OFFSET, "torque_offset"),
+            (Part.RISE, "stribeck_friction"),
+            (Part.VISCOUS, "viscous_friction"),
+            (Part.DRY, "coulomb_friction"),
+        ):
             if now.fit.value.coefficients[names.index((part, motor))]:
                 out.append(_worth(now, cause, (part, motor), _without(now, (part, motor))))
     for channel, axis in now.hypothesis.channels:

@@ -1,4 +1,5 @@
-"""Diagnosis of a machine of elastic chains: records, the basin, the search, what each cause is worth, the document."""
+"""Diagnosis of a machine of elastic chains: records, the basin, the search, what each cause is worth, the
+document."""
 
 from __future__ import annotations
 
@@ -8,18 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.diagnosis.backward import Worth, worths
-from invid.diagnosis.hypothesis import Bench, Channel, Supposed
 from invid.diagnosis.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
 from invid.diagnosis.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, explained_share, finding_of
 from invid.diagnosis.pursuit import Pursued, pursue
-from invid.diagnosis.reshape import curvature
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.contest import begin
 from invid.likelihood.motor_laws import Part
 from invid.likelihood.plant import Kind, Structure
+from invid.likelihood.shapes import curvature
 from invid.likelihood.stack import stack_records
+from invid.likelihood.supposition import Bench, Channel, Supposed
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Unexplained
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
@@ -31,7 +32,8 @@ from invid.signals.record import Record, make_record
 SURE_RISE = 30.0
 """Rise of −2 ln L beyond a cause's price at which its confidence comes within a hundredth of one."""
 COMPETES = 10.0
-"""Rise of −2 ln L by which a rival is worse and still cannot be told from the cause (nine is three deviations)."""
+"""Rise of −2 ln L by which a rival is worse and still cannot be told from the cause (nine is three
+deviations)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,9 @@ def search_elastic(recording: Recording, sizes: Sequence[int]) -> ElasticSearch:
     try:
         first = begin(bench, Structure(tuple(sizes)), Bench(stack_records(kept)) if kept else None)
     except np.linalg.LinAlgError as error:
-        raise NotIdentifiableError(f"{recording.source}: {error}; check signs, units and the number of masses") from None
+        raise NotIdentifiableError(
+            f"{recording.source}: {error}; check signs, units and the number of masses"
+        ) from None
     budget.tell("searching causes", 0.4)
     pursued = pursue(first)
     found = tuple(worths(pursued.end))
@@ -80,7 +84,9 @@ def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
     pairs = {k for k in now.hypothesis.structure.pairs if not any(w.key == k and w.stays for w in found)}
     absent = now.hypothesis.absent | columns | pairs
     channels = frozenset(c for c in now.hypothesis.channels if c not in gone)
-    return now.refit(replace(now.hypothesis, laws=laws, absent=frozenset(absent), channels=channels), iterations=15)
+    return now.refit(
+        replace(now.hypothesis, laws=laws, absent=frozenset(absent), channels=channels), iterations=15
+    )
 
 
 def without_causes(now: Supposed) -> Supposed:
@@ -100,7 +106,9 @@ def diagnose_elastic(recording: Recording, sizes: Sequence[int]) -> Diagnosis:
     explained = explained_share(residual)
     sizes = tuple(sizes)
     findings = [finding_of(c, explained, sizes, recording.axes, at_noise=True) for c in causes]
-    findings = [replace(f, confidence=min(f.confidence, confidence_of(found, f.effect, causes))) for f in findings]
+    findings = [
+        replace(f, confidence=min(f.confidence, confidence_of(found, f.effect, causes))) for f in findings
+    ]
     sure = [f for f in found.forces if f.is_sure]
     left = describe_left(found, sure, recording)
     return assemble_diagnosis(
@@ -143,7 +151,11 @@ def named_causes(found: ElasticSearch, before: AxisMissing, after: AxisMissing) 
             terms.append((term, worth.rise))
     terms += [(writer.load_spring(p), stays[p].rise) for p in end.hypothesis.structure.pairs if p in stays]
     terms += [(writer.channel(*c), stays[c].rise) for c in end.hypothesis.channels if c in stays]
-    terms += [(writer.mode(b), stays["mode", b].rise) for b in end.hypothesis.structure.modes if ("mode", b) in stays]
+    terms += [
+        (writer.mode(b), stays["mode", b].rise)
+        for b in end.hypothesis.structure.modes
+        if ("mode", b) in stays
+    ]
     out = []
     for term, rise in terms:
         axis = axes.index(term.axis)
@@ -164,12 +176,18 @@ def confidence_of(found: ElasticSearch, term: EffectTerm, causes: Sequence[Cause
     return 0.999
 
 
-def describe_left(found: ElasticSearch, sure: Sequence[PlaceForce], recording: Recording) -> Unexplained | None:
+def describe_left(
+    found: ElasticSearch, sure: Sequence[PlaceForce], recording: Recording
+) -> Unexplained | None:
     """What still acts where, in words."""
     if not sure:
         return None
     worst = max(sure, key=lambda f: f.rms)
-    axis, element = axis_and_element(found.end.hypothesis.structure, worst.spot) if worst.spot.other < 0 else (worst.spot.number, "load")
+    axis, element = (
+        axis_and_element(found.end.hypothesis.structure, worst.spot)
+        if worst.spot.other < 0
+        else (worst.spot.number, "load")
+    )
     unit = unit_of("torque", recording.linear)
     said = f"{recording.axes[axis]}: a force of {worst.rms:.2g} {unit} rms at {element} has no name"
     return Unexplained(recording.axes[axis], (), (), said)

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.hypothesis import Supposed
 from invid.likelihood.descent import fit
 from invid.likelihood.forces import Spot
+from invid.likelihood.supposition import Supposed
 from invid.likelihood.value import Value, missing_torque
 from invid.numerics.arrays import Float64
 
 SURE = 40.0
-"""Rise of −2 ln L without a strength from which something acts at its place: at 1 % false alarms over thirty places
-chance alone gives 13; the rest is friction's own shape (empirical: nulls of another hand)."""
+"""Rise of −2 ln L without a strength from which something acts at its place: at 1 % false alarms over
+thirty places chance alone gives 13; the rest is friction's own shape (empirical: nulls of another hand)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,8 @@ class AxisMissing:
 
 
 def axis_missing(found: Supposed) -> AxisMissing:
-    """On the records kept out, else on those fitted: rms over lines on which torque stands above the sensors."""
+    """On the records kept out, else on those fitted: rms over lines on which torque stands above the
+    sensors."""
     value: Value = found.kept_value or found.fit.value
     motors = found.hypothesis.structure.motors
     power, floor, count = np.zeros(motors), np.zeros(motors), 0
@@ -68,4 +69,3 @@ def place_forces(found: Supposed, most: int = 4) -> list[PlaceForce]:
         without = fit(closed, replace(found.numbers, strength=strength), 8)
         out.append(PlaceForce(spot, rms, without.total - found.total))
     return out
-

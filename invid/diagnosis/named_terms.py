@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.diagnosis.hypothesis import Channel, PlacedLaw, Supposed
-from invid.diagnosis.reshape import Curvature, curvature
 from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
 from invid.likelihood.forces import Spot, Where
 from invid.likelihood.motor_laws import Part
 from invid.likelihood.plant import Kind, Structure
+from invid.likelihood.shapes import Curvature, curvature
+from invid.likelihood.supposition import Channel, PlacedLaw, Supposed
 from invid.likelihood.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import Float64
@@ -52,7 +52,9 @@ class Quantities:
         shapes = [s.get(self.now.hypothesis) for s in self.around.shapes]
         return np.concatenate((self.now.numbers.x, coefficients, shapes))
 
-    def estimate(self, size: Callable[[Float64], float], indices: Sequence[int | None], unit: str | None) -> Estimate:
+    def estimate(
+        self, size: Callable[[Float64], float], indices: Sequence[int | None], unit: str | None
+    ) -> Estimate:
         """A function of some of the values, with its deviation to first order; absent ones are zero."""
         known = [k for k in indices if k is not None]
         values = self.values[known]
@@ -80,11 +82,9 @@ def axis_and_element(structure: Structure, spot: Spot) -> tuple[int, str]:
     if spot.where is Where.MOTOR:
         return spot.number, "mass 1"
     first = structure.links[spot.number][0] if spot.where is Where.SPRING else spot.number
-    chain = sum(structure.sizes)
-    if first >= chain:
-        axis = structure.modes[first - chain]
+    axis = structure.axis_of(first)
+    if first >= sum(structure.sizes):
         return axis, f"mass {structure.sizes[axis] + 1}"
-    axis = max(i for i, a in enumerate(structure.motor) if a <= first)
     number = first - structure.motor[axis] + 1
     return axis, f"{'spring' if spot.where is Where.SPRING else 'mass'} {number}"
 
@@ -101,18 +101,21 @@ class TermWriter:
         return unit_of(BY_CAUSE[cause].parameters[parameter], self.linear)
 
     def _term(
-        self, cause: str, axis: int, sizes: Mapping[str, tuple[Callable[[Float64], float], Sequence[int | None]]], **place: str
+        self,
+        cause: str,
+        axis: int,
+        sizes: Mapping[str, tuple[Callable[[Float64], float], Sequence[int | None]]],
+        **place: str,
     ) -> EffectTerm:
         parameters = {
-            name: self.known.estimate(size, indices, self._unit(cause, name)) for name, (size, indices) in sizes.items()
+            name: self.known.estimate(size, indices, self._unit(cause, name))
+            for name, (size, indices) in sizes.items()
         }
         return EffectTerm(cause, self.axes[axis], parameters, place.get("element"), place.get("other_axis"))
 
     def friction(self, motor: int, parts: frozenset[Part]) -> list[EffectTerm]:
         """Terms of a motor's friction for the parts that stay."""
-        dry, rise, viscous = (
-            self.known.coefficient((p, motor)) for p in (Part.DRY, Part.RISE, Part.VISCOUS)
-        )
+        dry, rise, viscous = (self.known.coefficient((p, motor)) for p in (Part.DRY, Part.RISE, Part.VISCOUS))
         out = []
         if Part.RISE in parts:
             velocity = self.known.shape((Part.DRY, motor, "stribeck"))
@@ -123,13 +126,17 @@ class TermWriter:
             }
             out.append(self._term("stribeck_friction", motor, sizes, element="mass 1"))
         elif Part.DRY in parts:
-            out.append(self._term("coulomb_friction", motor, {"torque": (lambda v: v[0], [dry])}, element="mass 1"))
+            out.append(
+                self._term("coulomb_friction", motor, {"torque": (lambda v: v[0], [dry])}, element="mass 1")
+            )
         if Part.VISCOUS in parts:
             sizes = {"coefficient": (lambda v: v[0], [viscous])}
             out.append(self._term("viscous_friction", motor, sizes, element="mass 1"))
         if Part.OFFSET in parts:
             offset = self.known.coefficient((Part.OFFSET, motor))
-            out.append(self._term("torque_offset", motor, {"torque": (lambda v: v[0], [offset])}, element="mass 1"))
+            out.append(
+                self._term("torque_offset", motor, {"torque": (lambda v: v[0], [offset])}, element="mass 1")
+            )
         return out
 
     def law(self, placed: PlacedLaw) -> EffectTerm:
@@ -170,7 +177,9 @@ class TermWriter:
         unit = self.now.numbers.plant.unit[at]
         sizes = {"stiffness": (lambda v: v[0] * unit, [at])}
         element = f"mass {self.structure.sizes[pair[0]]}"
-        return self._term("coupling_stiffness", pair[0], sizes, element=element, other_axis=self.axes[pair[1]])
+        return self._term(
+            "coupling_stiffness", pair[0], sizes, element=element, other_axis=self.axes[pair[1]]
+        )
 
     def channel(self, channel: Channel, axis: int) -> EffectTerm:
         """Term of a drive that is late or lags."""

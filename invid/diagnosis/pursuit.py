@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.hypothesis import Channel, Hypothesis, PlacedLaw, Supposed, carry_over
-from invid.diagnosis.reshape import reshape, scan_friction
 from invid.diagnosis.scoring import candidates, score
 from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.likelihood.forces import Spot, Where
 from invid.likelihood.plant import Kind, Plant, Structure
+from invid.likelihood.shapes import reshape, scan_friction
+from invid.likelihood.supposition import Channel, Hypothesis, PlacedLaw, Supposed, carry_over
 from invid.likelihood.timing import EXPECTED_DELAY
 from invid.likelihood.value import Numbers
 from invid.numerics import budget
 
 PRICE = 60.0
-"""Fall of −2 ln L that a cause must bring: Schwarz's price of its numbers and of the places and shapes looked at is
-about 40; the rest is what friction's shape and the grid of motion leave (empirical: false falls, whole cells)."""
+"""Fall of −2 ln L that a cause must bring: Schwarz's price of its numbers and of the places and shapes
+looked at is
+about 40; the rest is what friction's shape and the grid of motion leave (empirical: false falls, whole
+cells)."""
 EACH_ROLE = 10.0
 """Least part of it from the records of either role."""
 REFINED = 4
 """Leaders of the scores that are fitted."""
-MODE_SHARES, MODE_BANDS = (0.3,), (0.25, 0.42, 0.67, 1.08)
-"""Starts of one more mass: its share of its load, its frequency over the highest excited one."""
+MODE_SHARES, MODE_BANDS, MODE_STARTS = (0.2, 0.45), (0.2, 0.3, 0.42, 0.58, 0.8, 1.1), 3
+"""Starts of one more mass: its share of its load, its frequency over the highest excited one; how many are
+fitted."""
 MODE_MASS, MODE_BAND = (0.02, 2.0), (0.04, 1.6)
 """Bounds of its mass over its chain's and of its frequency over the highest excited one."""
 OWN_STIFFNESS = (0.7, 1.4)
@@ -76,7 +80,11 @@ def is_sound(found: Supposed) -> bool:
         number = placed.spot.number
         size = found.fit.value.coefficients[names.index((*placed.key, 0))] / springs[number]
         top = placed.law.bounds(found.motions.flat(placed.spot))[0][1]
-        if not OWN_STIFFNESS[0] < size < OWN_STIFFNESS[1] or placed.shape[0] >= top or deviation[number] > UNBENT:
+        if (
+            not OWN_STIFFNESS[0] < size < OWN_STIFFNESS[1]
+            or placed.shape[0] >= top
+            or deviation[number] > UNBENT
+        ):
             return False
     return True
 
@@ -93,7 +101,9 @@ def try_law(now: Supposed, placed: PlacedLaw) -> Supposed:
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Inner motion, shapes and numbers in turn until the value stands."""
     for _ in range(rounds):
-        moved = reshape(now.renewed() if any(p.spot.where is not Where.MOTOR for p in now.hypothesis.laws) else now)
+        moved = reshape(
+            now.renewed() if any(p.spot.where is not Where.MOTOR for p in now.hypothesis.laws) else now
+        )
         gained = now.total - moved.total
         if gained > 0:
             now = moved
@@ -112,46 +122,74 @@ def try_channels(now: Supposed) -> list[Trial]:
             continue
         spot = Spot(Where.MOTOR, axis)
         late = max(
-            (abs(timing.delay[part, axis] - EXPECTED_DELAY[part]) - 1.0) / max(deviation[part * motors + axis], 1e-9) for part in (0, 1)
+            (abs(timing.delay[part, axis] - EXPECTED_DELAY[part]) - 1.0)
+            / max(deviation[part * motors + axis], 1e-9)
+            for part in (0, 1)
         )
         if late < SURELY_LATE:
             continue
-        without = now.refit(replace(now.hypothesis, absent=now.hypothesis.absent | {(Channel.DELAY, axis)}), iterations=15)
+        without = now.refit(
+            replace(now.hypothesis, absent=now.hypothesis.absent | {(Channel.DELAY, axis)}), iterations=15
+        )
         for channel in Channel:
-            found = now.refit(replace(now.hypothesis, channels=now.hypothesis.channels | {(channel, axis)}), iterations=15)
+            found = now.refit(
+                replace(now.hypothesis, channels=now.hypothesis.channels | {(channel, axis)}), iterations=15
+            )
             if channel is Channel.LAG:
-                found = found.refit(replace(found.hypothesis, absent=found.hypothesis.absent | {(Channel.DELAY, axis)}), iterations=15)
+                found = found.refit(
+                    replace(found.hypothesis, absent=found.hypothesis.absent | {(Channel.DELAY, axis)}),
+                    iterations=15,
+                )
             out.append(Trial(channel.value, spot, found, without))
     return out
 
 
 def try_modes(now: Supposed) -> list[Trial]:
-    """One more mass behind each load that has none."""
+    """One more mass behind each load on whose axis something unknown acts behind the motor."""
     out = []
     top = 2 * np.pi * now.bench.stacks[0].records[0].top_hz
     structure = now.hypothesis.structure
+    shaken = _axes_with_force(now)
     for branch in range(structure.motors):
-        if branch in structure.modes or structure.sizes[branch] < 2:
+        if branch in structure.modes or structure.sizes[branch] < 2 or branch not in shaken:
             continue
-        starts = [with_mode(now, branch, share, band * top) for share in MODE_SHARES for band in MODE_BANDS]
-        best: Supposed | None = None
-        for hypothesis, numbers in starts:
-            try:
-                found = restructured(now, hypothesis, numbers, 5)
-            except np.linalg.LinAlgError:
-                continue
-            if best is None or found.total < best.total:
-                best = found
-        if best is None:
+        pool = [with_mode(now, branch, share, band * top) for share in MODE_SHARES for band in MODE_BANDS]
+        starts = []
+        for hypothesis, numbers in pool:
+            with suppress(np.linalg.LinAlgError):
+                starts.append(restructured(now, hypothesis, numbers, 0))
+        starts = sorted(starts, key=lambda f: f.total)[:MODE_STARTS]
+        found = sorted((f.refit(iterations=6) for f in starts), key=lambda f: f.total)
+        if not found:
             continue
-        best = best.refit(iterations=25)
+        best = found[0].refit(iterations=25)
         if mode_is_real(best, branch, top):
             out.append(Trial("extra_mode", Spot(Where.MOTOR, branch), best, now))
     return out
 
 
+def _axes_with_force(now: Supposed) -> set[int]:
+    """Axes that have an unknown force behind the motor of a tenth of the strongest, or more."""
+    structure = now.hypothesis.structure
+    least = 0.1 * now.inner_strength
+    out: set[int] = set()
+    for rms, spot in now.strength:
+        if rms < least or spot.where is Where.MOTOR:
+            continue
+        if spot.where is Where.PAIR:
+            out |= {spot.number, spot.other}
+        else:
+            out.add(
+                structure.axis_of(
+                    structure.links[spot.number][0] if spot.where is Where.SPRING else spot.number
+                )
+            )
+    return out
+
+
 def with_mode(now: Supposed, branch: int, share: float, frequency: float) -> tuple[Hypothesis, Numbers]:
-    """A hypothesis with a share of a chain's load behind one more spring that alone swings at ``frequency``."""
+    """A hypothesis with a share of a chain's load behind one more spring that alone swings at
+    ``frequency``."""
     structure, plant = now.hypothesis.structure, now.numbers.plant
     wider = Structure(structure.sizes, (*structure.modes, branch))
     load = structure.load[branch]
@@ -175,7 +213,9 @@ def with_mode(now: Supposed, branch: int, share: float, frequency: float) -> tup
 
 def restructured(now: Supposed, hypothesis: Hypothesis, numbers: Numbers, iterations: int) -> Supposed:
     """The fit of another structure; its inner motion is that of the places both have."""
-    return now.in_structure(hypothesis.structure).refit(hypothesis, carry_over(numbers, now.fit.problem.spots), iterations)
+    return now.in_structure(hypothesis.structure).refit(
+        hypothesis, carry_over(numbers, now.fit.problem.spots), iterations
+    )
 
 
 def mode_is_real(found: Supposed, branch: int, top: float) -> bool:
@@ -184,7 +224,9 @@ def mode_is_real(found: Supposed, branch: int, top: float) -> bool:
     structure = plant.structure
     at = sum(structure.sizes) + structure.modes.index(branch)
     mass = plant.of_kind(Kind.MASS)
-    spring = plant.of_kind(Kind.SPRING)[len(structure.links) - len(structure.modes) + structure.modes.index(branch)]
+    spring = plant.of_kind(Kind.SPRING)[
+        len(structure.links) - len(structure.modes) + structure.modes.index(branch)
+    ]
     chain = mass[structure.motor[branch] : structure.load[branch] + 1].sum()
     return bool(
         MODE_MASS[0] < mass[at] / chain < MODE_MASS[1]
@@ -205,7 +247,9 @@ NEARLY_AS_WELL = 0.15
 """Share of the fall of the cause taken that a rival may miss and is looked at again at the end."""
 
 
-def pursue(now: Supposed, laws: Sequence[SupposedLaw] = SUPPOSED, say: Say = lambda _: None, rounds: int = 8) -> Pursued:
+def pursue(
+    now: Supposed, laws: Sequence[SupposedLaw] = SUPPOSED, say: Say = lambda _: None, rounds: int = 8
+) -> Pursued:
     """Causes taken one after another, each the one that lowers −2 ln L most, until none pays its price."""
     rivals: list[tuple[Trial, Trial]] = []
     now = reshape(scan_friction(now))
@@ -234,7 +278,9 @@ def pursue(now: Supposed, laws: Sequence[SupposedLaw] = SUPPOSED, say: Say = lam
         trials += try_channels(now)
         trials.sort(key=lambda t: -t.fall)
         say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
-        taken = next((t for t in trials if t.fall > PRICE and min(role_falls(t.base, t.found)) > EACH_ROLE), None)
+        taken = next(
+            (t for t in trials if t.fall > PRICE and min(role_falls(t.base, t.found)) > EACH_ROLE), None
+        )
         if taken is None:
             break
         close = taken.fall - max(NEARLY_AS_WELL * taken.fall, PRICE)

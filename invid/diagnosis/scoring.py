@@ -1,4 +1,5 @@
-"""Scores of laws: by how much −2 ln L would fall with a law, everything else moving with it to first order."""
+"""Scores of laws: by how much −2 ln L would fall with a law, everything else moving with it to first
+order."""
 
 from __future__ import annotations
 
@@ -6,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from invid.diagnosis.hypothesis import PlacedLaw, Supposed, vector_of
-from invid.diagnosis.reshape import joint_rows
+from invid.effects.supposed_laws import SupposedLaw
 from invid.likelihood.forces import Spot, Where
 from invid.likelihood.plant import Structure
+from invid.likelihood.shapes import joint_rows
+from invid.likelihood.supposition import PlacedLaw, Supposed, vector_of
 from invid.likelihood.value import along, whitened_rows
-from invid.effects.supposed_laws import SupposedLaw
 from invid.numerics.arrays import Float64
 
 COARSE = 4
@@ -28,7 +29,8 @@ def spots_of(law: SupposedLaw, structure: Structure) -> list[Spot]:
         return [Spot(Where.SPRING, k) for k in range(len(structure.links))]
     if law.at == "load":
         return [
-            Spot(Where.MOTOR, i) if a == structure.motor[i] else Spot(Where.MASS, a) for i, a in enumerate(structure.tip)
+            Spot(Where.MOTOR, i) if a == structure.motor[i] else Spot(Where.MASS, a)
+            for i, a in enumerate(structure.tip)
         ]
     return [Spot(Where.MASS, a) for a in structure.inner]
 

@@ -18,10 +18,11 @@ from invid.numerics.arrays import Float64
 
 @dataclass(frozen=True, eq=False)
 class SpotMotion:
-    """Motion at a place over time, each (k,): position and velocity along it, and the position of its motor side.
+    """Motion at a place over time, each (k,): position and velocity along it, and the position of its motor
+    side.
 
-    Of a spring the position is its deflection. ``time`` is the recording's clock [s], ``torque`` the torque that
-    acts there, of motors alone.
+    Of a spring the position is its deflection. ``time`` is the recording's clock [s], ``torque`` the torque
+    that acts there, of motors alone.
     """
 
     position: Float64
@@ -219,7 +220,8 @@ class UnevenFriction(SupposedLaw):
 
 
 class Slider(SupposedLaw):
-    """A spring that slides at its limit, beside a spring or at a motor; shape ln(deflection at which it slides).
+    """A spring that slides at its limit, beside a spring or at a motor; shape ln(deflection at which it
+    slides).
 
     The coefficient is the torque at which it slides.
     """

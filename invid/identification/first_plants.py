@@ -1,8 +1,8 @@
 """Plants to start from: two classes that fail in different places, so that they compete apart.
 
 *Random splits*: the inertia of each chain from its slowest lines, shared out at random, springs at random
-frequencies of the band. *Continued fractions*: interlaced zeros and poles on a grid against the motor's own dynamic
-stiffness, each set made a chain by Cauer's continued fraction of the lossless stiffness
+frequencies of the band. *Continued fractions*: interlaced zeros and poles on a grid against the motor's own
+dynamic stiffness, each set made a chain by Cauer's continued fraction of the lossless stiffness
 
     Z(λ) = −M λ Π(1 − λ/p_k)/Π(1 − λ/z_k),   λ = ω².
 """
@@ -58,11 +58,16 @@ def total_inertias(stacks: Sequence[Stack]) -> Float64:
                 if use.sum() < 3:
                     use = (omega > 0) & (omega < 2 * SLOW[1] * top)
                 w, theta = omega[use], stack.position[k, use, m]
-                rows.append(np.stack((-(w**2) * theta, 1j * w * theta, 1j * theta / (np.abs(theta) + 1e-300)), axis=1))
+                rows.append(
+                    np.stack((-(w**2) * theta, 1j * w * theta, 1j * theta / (np.abs(theta) + 1e-300)), axis=1)
+                )
                 right.append(torque[k, use, m])
         if rows:
             columns, target = np.concatenate(rows), np.concatenate(right)
-            columns, target = np.concatenate((columns.real, columns.imag)), np.concatenate((target.real, target.imag))
+            columns, target = (
+                np.concatenate((columns.real, columns.imag)),
+                np.concatenate((target.real, target.imag)),
+            )
             unit = np.linalg.norm(columns, axis=0) + 1e-300
             out[m] = (np.linalg.lstsq(columns / unit, target, rcond=None)[0] / unit)[0]
     return np.maximum(out, 1e-3 * np.abs(out).max())
@@ -78,7 +83,9 @@ def plant_of_chains(structure: Structure, chains: Sequence[Chain]) -> Plant:
     return Plant.of_values(structure, np.concatenate((mass, spring, damper, none)))
 
 
-def random_plants(stacks: Sequence[Stack], structure: Structure, count: int, rng: np.random.Generator) -> list[Plant]:
+def random_plants(
+    stacks: Sequence[Stack], structure: Structure, count: int, rng: np.random.Generator
+) -> list[Plant]:
     """Random splits of the chains' inertia."""
     total = total_inertias(stacks)
     top = 2 * np.pi * stacks[0].records[0].top_hz
@@ -105,7 +112,10 @@ def fraction_plants(stacks: Sequence[Stack], structure: Structure) -> list[Plant
     seen: dict[tuple[int, ...], None] = {}
     for choice in choices:
         seen[tuple(min(c, len(found) - 1) for c, found in zip(choice, chains, strict=True))] = None
-    return [plant_of_chains(structure, [found[c] for c, found in zip(choice, chains, strict=True)]) for choice in seen]
+    return [
+        plant_of_chains(structure, [found[c] for c, found in zip(choice, chains, strict=True)])
+        for choice in seen
+    ]
 
 
 def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int = 4) -> list[Chain]:
@@ -132,7 +142,9 @@ def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int 
         if any(np.abs(sets[k] - sets[j]).max() < APART for j in taken):
             continue
         taken.append(int(k))
-        mass, spring = cauer_chain(float(np.exp(inertia[k])), grid[sets[k, 1::2]] ** 2, grid[sets[k, 0::2]] ** 2)
+        mass, spring = cauer_chain(
+            float(np.exp(inertia[k])), grid[sets[k, 1::2]] ** 2, grid[sets[k, 0::2]] ** 2
+        )
         if (mass > 0).all() and (spring > 0).all():
             out.append((mass, spring))
         if len(out) >= most:
@@ -143,12 +155,15 @@ def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int 
 def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:
     """Lines [rad/s] and |Z| of a motor with the other motors still, from the records that drive each axis.
 
-    Where there are not as many independent records as motors, torque over motion of the records that drive it.
+    Where there are not as many independent records as motors, torque over motion of the records that drive
+    it.
     """
     stack = max(stacks, key=lambda s: s.count)
     motors = stack.position.shape[2]
     torque = stack.parts.sum(axis=0)
-    number = [[k for k, r in enumerate(stack.records) if r.driven[m] and r.driven.sum() == 1] for m in range(motors)]
+    number = [
+        [k for k, r in enumerate(stack.records) if r.driven[m] and r.driven.sum() == 1] for m in range(motors)
+    ]
     driven = np.abs(stack.parts[0]).max(axis=(0, 2))
     lines = np.flatnonzero((stack.omega > 0) & (driven > 0.1 * driven.max()))
     omega = stack.omega[lines]
@@ -164,7 +179,8 @@ def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64
 
 
 def cauer_chain(inertia: float, poles: Float64, zeros: Float64) -> Chain:
-    """Masses and springs of the lossless chain with these resonances and (motor fixed) antiresonances [rad²/s²]."""
+    """Masses and springs of the lossless chain with these resonances and (motor fixed) antiresonances
+    [rad²/s²]."""
     upper = polynomial.polymul([0.0, -inertia], polynomial.polyfromroots(poles) / np.prod(-poles))
     lower = polynomial.polyfromroots(zeros) / np.prod(-zeros)
     mass, spring = [], []

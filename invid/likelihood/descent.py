@@ -13,10 +13,12 @@ from invid.numerics.arrays import Float64
 LARGEST_STEP = 0.7
 """Largest step of a number in one iteration: of a logarithm a factor of two."""
 TOLERANCE = 1.0
-"""Fall of −2 ln L in an iteration below which a fit has arrived: no number would then move by its deviation."""
+"""Fall of −2 ln L in an iteration below which a fit has arrived: no number would then move by its
+deviation."""
 TRIALS = 8
 FIRST, LESS, MORE, LEAST_DAMPING, RESTART = 1e-2, 0.2, 5.0, 1e-7, 1e-3
-"""Damping of numbers scaled to unit curvature: at the start, its factors, its least, and where it begins again."""
+"""Damping of numbers scaled to unit curvature: at the start, its factors, its least, and where it begins
+again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +57,9 @@ def fit(problem: Problem, start: Numbers, iterations: int = 30) -> Fit:
         No value at the start.
     """
     now = evaluate(problem, start)
-    renewed = evaluate(problem, stronger(problem, now))
-    now = renewed if renewed.total < now.total else now
+    if iterations:
+        renewed = evaluate(problem, stronger(problem, now))
+        now = renewed if renewed.total < now.total else now
     around, damping, converged = slope(problem, now), FIRST, False
     for _ in range(iterations):
         if budget.is_left_out("fits to their end"):

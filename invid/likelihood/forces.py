@@ -1,7 +1,9 @@
 """Unknown forces: where something may act that no law names, and how strong it is there.
 
-At every place p (a unit vector or a difference of two, b_p) acts a force of zero mean and power q_p·g(ω), g one of
-``COLOURS``. In the covariance of the motors' missing torque it adds q_p g H_p H_pᴴ with H_p = V b_p: noise of the
+At every place p (a unit vector or a difference of two, b_p) acts a force of zero mean and power q_p·g(ω), g
+one of
+``COLOURS``. In the covariance of the motors' missing torque it adds q_p g H_p H_pᴴ with H_p = V b_p: noise
+of the
 right place and colour, so that what is not modelled neither biases the plant nor speaks for a wrong cause.
 """
 
@@ -17,13 +19,13 @@ from invid.likelihood.plant import Structure
 from invid.numerics.arrays import Complex128, Float64
 
 CORNER = 0.4
-"""Corner of the coloured force over the highest excited line: friction and play fall off with frequency, a torque
-that ripples does not (empirical: 5 Hz for a band of 12)."""
+"""Corner of the coloured force over the highest excited line: friction and play fall off with frequency, a
+torque that ripples does not (empirical: 5 Hz for a band of 12)."""
 LEAST, FIRST = 1e-9, 1e-3
 """Least and first strength over the torque noise of a line: a strength of zero could not grow again."""
 PACE = 0.6
-"""Power of the multiplicative step; up to 1 it cannot raise −2 ln L where it is small (Févotte and Idier 2011 for
-the exponent one half)."""
+"""Power of the multiplicative step; up to 1 it cannot raise −2 ln L where it is small (Févotte and Idier
+2011 for the exponent one half)."""
 
 
 class Where(Enum):
@@ -37,7 +39,8 @@ class Where(Enum):
 
 @dataclass(frozen=True)
 class Spot:
-    """A place of an unknown force: a motor or inner mass (coordinate), a spring (its number), or two loads."""
+    """A place of an unknown force: a motor or inner mass (coordinate), a spring (its number), or two
+    loads."""
 
     where: Where
     number: int

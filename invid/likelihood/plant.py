@@ -2,8 +2,8 @@
 
     D(ω) = Σ_p v_p Σ_t s_t (jω)^k_t u_t u_tᵀ
 
-Every parameter p adds terms u uᵀ of stiffness (k = 0), damping (1) or inertia (2), so that no derivative needs
-code of its own: a change of D by u uᵀ changes the dynamic stiffness at the motors by V u uᵀ Vᵀ.
+Every parameter p adds terms u uᵀ of stiffness (k = 0), damping (1) or inertia (2), so that no derivative
+needs code of its own: a change of D by u uᵀ changes the dynamic stiffness at the motors by V u uᵀ Vᵀ.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from invid.numerics.arrays import Bool, Complex128, Float64, Int64
 
 
 class Kind(Enum):
-    """Kinds of parameters, each with the standard deviation of its weak prior, in the units in which it moves.
+    """Kinds of parameters, each with the standard deviation of its weak prior, in the units in which it
+    moves.
 
     Masses, springs and dampers move as logarithms, couplings and load springs in units of their own
     (``Plant.unit``). The priors keep what the data do not show near its start (empirical: a factor of twenty
@@ -54,11 +55,11 @@ class Element:
 
 @dataclass(frozen=True)
 class Structure:
-    """Which parameters a plant has: chains of ``sizes`` masses, one more mass behind the loads of ``modes``, and a
-    ``base`` under all loads on a spring to ground.
+    """Which parameters a plant has: chains of ``sizes`` masses, one more mass behind the loads of
+    ``modes``, and a ``base`` under all loads on a spring to ground.
 
-    Coordinates stand chain after chain, then the masses of ``modes``, then the base. All loads are coupled through
-    inertia and through springs; the base is coupled to them through inertia.
+    Coordinates stand chain after chain, then the masses of ``modes``, then the base. All loads are coupled
+    through inertia and through springs; the base is coupled to them through inertia.
     """
 
     sizes: tuple[int, ...]
@@ -98,11 +99,20 @@ class Structure:
             tips[branch] = sum(self.sizes) + k
         return tuple(tips)
 
+    def axis_of(self, coordinate: int) -> int:
+        """The chain to which a mass belongs, that of a mode included."""
+        chain = sum(self.sizes)
+        if coordinate >= chain:
+            return self.modes[coordinate - chain]
+        return max(i for i, first in enumerate(self.motor) if first <= coordinate)
+
     @cached_property
     def links(self) -> tuple[tuple[int, int], ...]:
         """Coordinates that each spring joins, chain after chain, then those of ``modes``."""
         chain = [
-            (first + q, first + q + 1) for first, n in zip(self.motor, self.sizes, strict=True) for q in range(n - 1)
+            (first + q, first + q + 1)
+            for first, n in zip(self.motor, self.sizes, strict=True)
+            for q in range(n - 1)
         ]
         return (*chain, *((self.load[b], sum(self.sizes) + k) for k, b in enumerate(self.modes)))
 
@@ -178,7 +188,8 @@ class Terms:
         return np.add.reduceat(values, self._first, axis=-1)
 
     def factors(self, omega: Float64, slope: Float64) -> Complex128:
-        """(F, T) what each term is multiplied by for a step of its parameter, of slope (p,) in physical units."""
+        """(F, T) what each term is multiplied by for a step of its parameter, of slope (p,) in physical
+        units."""
         powers = (1j * omega)[:, None] ** self.power
         out: Complex128 = powers * (self.sign * slope[self.owner])
         return out
@@ -196,8 +207,8 @@ class Plant:
     def of_values(cls, structure: Structure, values: Float64) -> Plant:
         """The plant with physical ``values`` (p,) [kg·m², N·m/rad, N·m·s/rad or of linear axes].
 
-        Couplings move in units of their loads' masses, load springs in units of the springs' geometric mean; a
-        damper of zero moves from a thousandth of what its spring and masses make aperiodic.
+        Couplings move in units of their loads' masses, load springs in units of the springs' geometric
+        mean; a damper of zero moves from a thousandth of what its spring and masses make aperiodic.
         """
         unit, log = np.ones(len(values)), structure.logarithmic
         mass = values[structure.index(Kind.MASS)]
@@ -273,7 +284,8 @@ class Plant:
 class Condensed:
     """The plant as the motors see it on F lines.
 
-    ``receptance`` (F, n, n): X, inverse of D over the inner coordinates, zero elsewhere. ``motion`` (F, M, n):
+    ``receptance`` (F, n, n): X, inverse of D over the inner coordinates, zero elsewhere. ``motion`` (F, M,
+    n):
     V = [I, −D_mi X], what a force at any coordinate asks of the motors, and (transposed) how every coordinate
     moves with them. ``stiffness`` (F, M, M): Z = V D_·m.
     """

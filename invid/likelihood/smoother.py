@@ -6,8 +6,8 @@ With S the covariance of the missing torque r at the fitted numbers
     motor motion         θ̂ = θ − C_θ Zᴴ S⁻¹ r
     inner motion         q = Vᵀθ̂ − X(laws + ends − Σ b_p f̂_p)
 
-Where a place is well modelled this is the motion that follows from the motor's; where it is not, it is read from
-the torque (the paper's peeling, after equation 22). There is no fixed point, and nothing chaotic.
+Where a place is well modelled this is the motion that follows from the motor's; where it is not, it is read
+from the torque (the paper's peeling, after equation 22). There is no fixed point, and nothing chaotic.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from invid.numerics.arrays import Complex128, Float64
 class SmoothedStack:
     """Motion in the records of one stack.
 
-    ``lines`` (R, A, n) of every coordinate; ``jump`` (R, n) and ``bend`` (R, n) of its position and velocity from a
-    record's start to its end; ``force`` (R, A, P) unknown forces.
+    ``lines`` (R, A, n) of every coordinate; ``jump`` (R, n) and ``bend`` (R, n) of its position and
+    velocity from a record's start to its end; ``force`` (R, A, P) unknown forces.
     """
 
     stack: Stack
@@ -97,9 +97,14 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
     white = (noise.whitener @ missing[..., None])[..., 0]
     solved = (noise.whitener.conj().transpose(0, 2, 1) @ white[..., None])[..., 0]
     force = power * (reach.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
-    motor = wide.position - stack.position_noise * (stiffness.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
+    motor = (
+        wide.position
+        - stack.position_noise * (stiffness.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
+    )
     pushed = named - along(force, problem.spots.vectors.T)
-    lines = ((motion.transpose(0, 2, 1) @ motor[..., None]) - (condensed.receptance @ pushed[..., None]))[..., 0]
+    lines = ((motion.transpose(0, 2, 1) @ motor[..., None]) - (condensed.receptance @ pushed[..., None]))[
+        ..., 0
+    ]
     jump, bend = _jumps(numbers.plant, ends * stack.span / 2.0)
     return SmoothedStack(stack, lines, jump, bend, force)
 
@@ -115,4 +120,3 @@ def _jumps(plant: Plant, ends: Float64) -> tuple[Float64, Float64]:
     jump: Float64 = ends[:, n:] @ inverse
     bend: Float64 = (ends[:, :n] - jump @ damping) @ inverse
     return jump, bend
-

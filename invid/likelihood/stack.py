@@ -1,12 +1,12 @@
 """Records on the same lines, worked on together: one plant, one covariance, one whitening for all of them.
 
-The recorded torque has two parts, each with its own time: what the drive was commanded (E, held over each sample)
-and what a known hold gives (H = −Kθ − D·dθ/dt). Their sum acts on the motors,
+The recorded torque has two parts, each with its own time: what the drive was commanded (E, held over each
+sample) and what a known hold gives (H = −Kθ − D·dθ/dt). Their sum acts on the motors,
 
     A(p) = Σ_parts part·e^{−jωδ}·(1 − s·loss),
 
-δ the part's delay and s the share of it that is held over the sample, loss = 1 − sinc(ωh/2): the amplitude that
-holding takes away. Delays count from the middle of the sample where a part is held.
+δ the part's delay and s the share of it that is held over the sample, loss = 1 − sinc(ωh/2): the amplitude
+that holding takes away. Delays count from the middle of the sample where a part is held.
 """
 
 from __future__ import annotations

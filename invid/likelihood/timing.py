@@ -43,7 +43,9 @@ class Timing:
     @classmethod
     def nominal(cls, motors: int, step: float) -> Timing:
         """What a drive shows at a SYNC of the command acted over the sample before it, of its hold at it."""
-        delay, share = (np.repeat(np.array(v)[:, None], motors, axis=1) for v in (EXPECTED_DELAY, EXPECTED_SHARE))
+        delay, share = (
+            np.repeat(np.array(v)[:, None], motors, axis=1) for v in (EXPECTED_DELAY, EXPECTED_SHARE)
+        )
         return cls(delay, share, np.zeros(motors), step)
 
     @property

@@ -9,12 +9,14 @@ weights w
 
     −2 ln L = 2 Σ w [rᴴS⁻¹r + ln|S|] − 4 Σ w ln|Z + L|.
 
-The last term, L the torque per position of the records' holds, makes it the density of what was measured with the
-drives' commands free (restricted likelihood: the contrast r of motion and torque, whose Jacobian by the motion is
+The last term, L the torque per position of the records' holds, makes it the density of what was measured
+with the
+drives' commands free (restricted likelihood: the contrast r of motion and torque, whose Jacobian by the
+motion is
 Z + L). Without it lines on which the machine answers an unknown force through plant and hold pull Z to zero.
 
-Ends and coefficients are profiled out: the ends by a QR for each stack, the coefficients, within their bounds, by
-normal equations over all stacks.
+Ends and coefficients are profiled out: the ends by a QR for each stack, the coefficients, within their
+bounds, by normal equations over all stacks.
 """
 
 from __future__ import annotations
@@ -36,10 +38,11 @@ from invid.numerics.arrays import Bool, Complex128, Float64, Int64
 class Column:
     """A law with its coefficient at one.
 
-    ``vector`` (n,) is its place and ``lines`` its transform (R, F) in every stack, or (R, F, M) what it asks of
-    the motors where it acts on no coordinate. ``wide`` gives the transform on all lines of a stack up to where
-    motion is known. ``damps``: the motor at which it is viscous friction, which belongs to the loop of plant and
-    hold.
+    ``vector`` (n,) is its place and ``lines`` its transform (R, F) in every stack, or (R, F, M) what it
+    asks of
+    the motors where it acts on no coordinate. ``wide`` gives the transform on all lines of a stack up to
+    where motion is known. ``damps``: the motor at which it is viscous friction, which belongs to the loop of
+    plant and hold.
     """
 
     name: Hashable
@@ -149,7 +152,8 @@ class StackWork:
 class Value:
     """−2 ln L at some numbers, with the coefficients (J,) that minimise it.
 
-    ``share`` (records,) is each record's part of it, ``free`` (J,) which coefficients are within their bounds.
+    ``share`` (records,) is each record's part of it, ``free`` (J,) which coefficients are within their
+    bounds.
     """
 
     numbers: Numbers
@@ -166,8 +170,8 @@ class Value:
 
 
 def evaluate(problem: Problem, numbers: Numbers, coefficients: Float64 | None = None) -> Value:
-    """−2 ln L at ``numbers``, the coefficients and ends profiled out; of kept-out records with ``coefficients``
-    (J,) as they were fitted.
+    """−2 ln L at ``numbers``, the coefficients and ends profiled out; of kept-out records with
+    ``coefficients`` (J,) as they were fitted.
 
     Raises
     ------
@@ -180,9 +184,7 @@ def evaluate(problem: Problem, numbers: Numbers, coefficients: Float64 | None = 
     else:
         free = np.zeros(coefficients.size, dtype=bool)
     share = [
-        part
-        for w in work
-        for part in _shares(problem, w, w.missing + w.laws @ coefficients, coefficients)
+        part for w in work for part in _shares(problem, w, w.missing + w.laws @ coefficients, coefficients)
     ]
     off = (numbers.x - problem.centre) / problem.spread
     return Value(numbers, coefficients, free, np.array(share), float(off @ off), work)
@@ -213,9 +215,7 @@ def _work(problem: Problem, numbers: Numbers, number: int) -> StackWork:
     inside = basis.T @ rows
     rows = rows - basis @ inside
     back = np.linalg.inv(triangle) / length[:, None]
-    return StackWork(
-        stack, condensed, noise, whitener, basis, back, rows[..., :-1], rows[..., -1], inside
-    )
+    return StackWork(stack, condensed, noise, whitener, basis, back, rows[..., :-1], rows[..., -1], inside)
 
 
 def _law_columns(problem: Problem, number: int, whitener: Complex128, motion: Complex128) -> Complex128:
@@ -299,8 +299,8 @@ def _loop(problem: Problem, work: StackWork, coefficients: Float64) -> Complex12
 class Slope:
     """Half the gradient (p,) of −2 ln L by the numbers, and its curvature (p, p) with the laws profiled out.
 
-    For a step s the value falls by −2·gradient·s − sᵀ·curvature·s. ``joint`` (p + J', p + J') is the curvature
-    with the J' free coefficients beside the numbers.
+    For a step s the value falls by −2·gradient·s − sᵀ·curvature·s. ``joint`` (p + J', p + J') is the
+    curvature with the J' free coefficients beside the numbers.
     """
 
     gradient: Float64
@@ -324,7 +324,7 @@ def slope(problem: Problem, value: Value) -> Slope:
         columns = number_rows(problem, value, k)
         flat = np.concatenate((columns, work.laws[..., free]), axis=2).reshape(-1, joint.shape[0])
         joint += flat.T @ flat
-        gradient += (columns.reshape(-1, size).T @ rows.ravel())
+        gradient += columns.reshape(-1, size).T @ rows.ravel()
         white = (rows[:, : lines * motors] + 1j * rows[:, lines * motors :]).reshape(count, lines, motors)
         gradient[:plant] += terms.by_parameter(_covariance_slope(problem, value, work, white, seen, factor))
     prior = 1.0 / problem.spread**2
@@ -361,7 +361,9 @@ def _through_viscous(problem: Problem, value: Value, joint: Float64, size: int) 
         loop = _loop(problem, work, value.coefficients)
         if not loop.size:
             continue
-        answer = np.einsum("rfii->rfi", np.linalg.inv(loop)) * (1j * work.stack.omega * work.stack.weight)[:, None]
+        answer = (
+            np.einsum("rfii->rfi", np.linalg.inv(loop)) * (1j * work.stack.omega * work.stack.weight)[:, None]
+        )
         each = -2.0 * answer.real.sum(axis=(0, 1))
         pull += [each[problem.columns[j].damps] if problem.columns[j].damps >= 0 else 0.0 for j in free]
     if not pull.any():
@@ -408,7 +410,8 @@ def named_force(problem: Problem, value: Value, number: int) -> Complex128:
 
 
 def inner_motion(problem: Problem, value: Value, number: int) -> Complex128:
-    """(R, F, n) motion of every coordinate that measured motor motion, laws and ends ask for: Vᵀθ − X·force."""
+    """(R, F, n) motion of every coordinate that measured motor motion, laws and ends ask for: Vᵀθ −
+    X·force."""
     work = value.work[number]
     motion, receptance = work.condensed.motion, work.condensed.receptance
     moved = (motion.transpose(0, 2, 1) @ work.stack.position[..., None])[..., 0]
@@ -426,10 +429,11 @@ def _timing_columns(work: StackWork, timing: Timing) -> Complex128:
 def _covariance_slope(
     problem: Problem, value: Value, work: StackWork, white: Complex128, seen: Complex128, factor: Complex128
 ) -> Float64:
-    """(T,) half the gradient by each term through S, in the quadratic form and in ln|S|, and through the loop.
+    """(T,) half the gradient by each term through S, in the quadratic form and in ln|S|, and through the
+    loop.
 
-    With G = R·S⁻¹ − Σ S⁻¹r rᴴS⁻¹ (weights included) half the change is Re tr(G·dZ C_θ Zᴴ) + Re tr(G·dH q g Hᴴ),
-    dZ = V u uᵀ Vᵀ, dH = −V u uᵀ X b.
+    With G = R·S⁻¹ − Σ S⁻¹r rᴴS⁻¹ (weights included) half the change is Re tr(G·dZ C_θ Zᴴ) + Re tr(G·dH q g
+    Hᴴ), dZ = V u uᵀ Vᵀ, dH = −V u uᵀ X b.
     """
     turned = work.whitener.conj().transpose(0, 2, 1)
     pulled = turned @ white.transpose(1, 2, 0)
@@ -466,11 +470,14 @@ def stronger(problem: Problem, value: Value, steps: int = 3) -> Numbers:
             stack = work.stack
             shape = colours(stack.omega, problem.corner)
             noise = missing_noise(
-                work.condensed.stiffness, work.noise.reach, shape @ strength.T, (stack.position_noise, stack.torque_noise)
+                work.condensed.stiffness,
+                work.noise.reach,
+                shape @ strength.T,
+                (stack.position_noise, stack.torque_noise),
             )
             whitener = noise.whitener
             reach = whitener @ work.noise.reach
-            white = (whitener @ residual.transpose(1, 2, 0))
+            white = whitener @ residual.transpose(1, 2, 0)
             told = (np.abs(reach.conj().transpose(0, 2, 1) @ white) ** 2).sum(axis=2)
             expected = stack.count * (np.abs(reach) ** 2).sum(axis=1)
             push += (told * stack.weight[:, None]).T @ shape

@@ -4,7 +4,8 @@ Whatever moved the axes, the transform over a span T of a plant's motion obeys
 
     Z θ = τ + V(α + jωβ)·2/T,
 
-where α, β belong to the record's two ends. Transforms are integrals over the span, X(ω) = 2/T ∫ x e^{−jωt} dt, by
+where α, β belong to the record's two ends. Transforms are integrals over the span, X(ω) = 2/T ∫ x e^{−jωt}
+dt, by
 the trapezoidal rule; of positions the parabola that has their jumps of value and slope from end to start is
 transformed exactly, since the rule errs by (ωh)²/12 of a jump.
 """
@@ -21,21 +22,22 @@ from invid.recording.model import Experiment, Role
 from invid.signals.timebase import resample_uniformly
 
 DENSE = 1.3
-"""Lines up to this multiple of the highest excited one are all used, beyond it every fifth of a period's up to
-``REACH`` times: they show what friction and play make there (empirical, whole cells)."""
+"""Lines up to this multiple of the highest excited one are all used, beyond it every fifth of a period's up
+to ``REACH`` times: they show what friction and play make there (empirical, whole cells)."""
 REACH, SPARSE = 2.5, 5
 WIDE = 5.0
 """Motion within a record is known up to this multiple of the highest excited line."""
 FINENESS = 160
-"""Points of the grid of motion in a period of the highest excited line: reversals of friction and the edges of a
-gap are read to a few thousandths of it."""
+"""Points of the grid of motion in a period of the highest excited line: reversals of friction and the edges
+of a gap are read to a few thousandths of it."""
 QUIET_BAND = (0.05, 0.45)
-"""Share of the sampling rate between which lines show the sensors alone: motion falls off with the second power
-of frequency (or of the lines above ``WIDE`` where the band reaches higher)."""
+"""Share of the sampling rate between which lines show the sensors alone: motion falls off with the second
+power of frequency (or of the lines above ``WIDE`` where the band reaches higher)."""
 SLOWEST_COUNTS = 50.0
 """Most by which the rounding of a slow axis gathers at low frequencies."""
 MOST_LINES = 4000
-"""Most lines of a record; of longer ones every k-th is used, which loses their resolution and keeps their noise."""
+"""Most lines of a record; of longer ones every k-th is used, which loses their resolution and keeps their
+noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +257,8 @@ def _counts(position: Float64) -> Float64:
 def _rounding(position: Float64, step: float, counts: Float64) -> Float64:
     """(M,) variance of the rounding of a sample, as far as it lies in the band of slow motion.
 
-    An axis that passes fewer counts a second than half the sampling rate rounds slowly: its rounding lies below
-    its own rate of counts.
+    An axis that passes fewer counts a second than half the sampling rate rounds slowly: its rounding lies
+    below its own rate of counts.
     """
     rate = np.abs(np.diff(position, axis=0)).mean(axis=0) / step / np.maximum(counts, 1e-300)
     crowding = np.clip(0.5 / step / np.maximum(rate, 1e-9), 1.0, SLOWEST_COUNTS)
@@ -298,10 +300,13 @@ def _used_lines(frequency: Float64, top: float, periods: int) -> Int64:
     return within[:: -(-within.size // MOST_LINES)]
 
 
-def _hold_damping(lines: tuple[Float64, Complex128, Complex128], hold: Float64, free: np.ndarray, end: Float64) -> Float64:
+def _hold_damping(
+    lines: tuple[Float64, Complex128, Complex128], hold: Float64, free: np.ndarray, end: Float64
+) -> Float64:
     """(M,) damping D of holds: torque = −K·position − D·velocity on the lines without a command.
 
-    ``lines``: [rad/s], position, torque. ``free`` (A, M) which lines have none; ``end`` (M,) the jump of position
+    ``lines``: [rad/s], position, torque. ``free`` (A, M) which lines have none; ``end`` (M,) the jump of
+    position
     over half the span. NaN where a hold is unknown, or explains less than nine tenths of what is left there.
     """
     omega, position, torque = lines

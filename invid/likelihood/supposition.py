@@ -62,7 +62,9 @@ class Hypothesis:
 class Motions:
     """Motion at every place of a machine: of motors as measured, elsewhere as smoothed at a fit."""
 
-    def __init__(self, stacks: Sequence[Stack], structure: Structure, smoothed: Sequence[SmoothedStack] = ()) -> None:
+    def __init__(
+        self, stacks: Sequence[Stack], structure: Structure, smoothed: Sequence[SmoothedStack] = ()
+    ) -> None:
         self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
         self._known: dict[Spot, list[list[SpotMotion]]] = {}
 
@@ -103,7 +105,9 @@ class Motions:
             out = []
             for r, clock in zip(records, clocks, strict=True):
                 q, v = r.motion.position[:, i], r.motion.velocity[:, i]
-                torque = np.interp(clock - r.start, np.arange(r.torque_wave.shape[0]) * r.step, r.torque_wave[:, i])
+                torque = np.interp(
+                    clock - r.start, np.arange(r.torque_wave.shape[0]) * r.step, r.torque_wave[:, i]
+                )
                 out.append(SpotMotion(q, v, q, clock, torque))
             return out
         vector = vector_of(self.structure, spot)
@@ -151,12 +155,17 @@ class Bench:
             for i, low in enumerate(placed.law.low)
         )
 
-    def law_lines(self, placed: PlacedLaw, motions: Motions, shape: Shape | None = None, every: int = 1) -> list[Complex128]:
+    def law_lines(
+        self, placed: PlacedLaw, motions: Motions, shape: Shape | None = None, every: int = 1
+    ) -> list[Complex128]:
         """(R, F, L) of each stack; on every ``every``-th instant of the motion."""
         at = placed.shape if shape is None else shape
         return [
             np.array(
-                [r.lines(placed.law.waves(m.every(every), at)) for r, m in zip(stack.records, moved, strict=True)]
+                [
+                    r.lines(placed.law.waves(m.every(every), at))
+                    for r, m in zip(stack.records, moved, strict=True)
+                ]
             )
             for stack, moved in zip(self.stacks, motions.of(placed.spot), strict=True)
         ]
@@ -174,7 +183,8 @@ def _wide(placed: PlacedLaw, motions: Motions, coefficient: int, number: int) ->
 
 @dataclass(frozen=True, eq=False)
 class Supposed:
-    """A hypothesis with its fit, the motions its laws were evaluated on, and the same of the records kept out."""
+    """A hypothesis with its fit, the motions its laws were evaluated on, and the same of the records kept
+    out."""
 
     bench: Bench
     hypothesis: Hypothesis
@@ -199,7 +209,9 @@ class Supposed:
         if self.kept is None or self.kept_motions is None:
             return None
         problem = replace(
-            self.fit.problem, stacks=self.kept.stacks, columns=self.kept.columns(self.hypothesis, self.kept_motions)
+            self.fit.problem,
+            stacks=self.kept.stacks,
+            columns=self.kept.columns(self.hypothesis, self.kept_motions),
         )
         return evaluate(problem, self.numbers, self.fit.value.coefficients)
 
@@ -233,7 +245,9 @@ class Supposed:
             problem = replace(
                 self.fit.problem,
                 stacks=self.kept.stacks,
-                columns=self.kept.columns(self.hypothesis, self.kept_motions or Motions(self.kept.stacks, structure)),
+                columns=self.kept.columns(
+                    self.hypothesis, self.kept_motions or Motions(self.kept.stacks, structure)
+                ),
             )
             kept = Motions(self.kept.stacks, structure, smooth(problem, value))
         return replace(self, motions=Motions.at(self.fit), kept_motions=kept)
@@ -256,7 +270,9 @@ class Supposed:
             for s in problem.stacks
         ) / len(problem.stacks)
         rms = np.sqrt(power / 2.0)
-        return sorted(((float(v), s) for v, s in zip(rms, problem.spots.spots, strict=True)), key=lambda t: -t[0])
+        return sorted(
+            ((float(v), s) for v, s in zip(rms, problem.spots.spots, strict=True)), key=lambda t: -t[0]
+        )
 
     @property
     def inner_strength(self) -> float:
@@ -296,7 +312,9 @@ def carry_over(numbers: Numbers, spots: Spots) -> Numbers:
     return replace(numbers, strength=np.array([known.get(s, first) for s in own.spots]))
 
 
-def suppose(benches: tuple[Bench, Bench | None], hypothesis: Hypothesis, numbers: Numbers, iterations: int = 40) -> Supposed:
+def suppose(
+    benches: tuple[Bench, Bench | None], hypothesis: Hypothesis, numbers: Numbers, iterations: int = 40
+) -> Supposed:
     """The first fit of a hypothesis without laws, on records fitted and kept out."""
     bench, kept = benches
     motions = Motions(bench.stacks, hypothesis.structure)

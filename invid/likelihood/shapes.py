@@ -1,4 +1,5 @@
-"""Shapes of laws and of friction, moved together with all numbers: Gauss and Newton with each shape's own column."""
+"""Shapes of laws and of friction, moved together with all numbers: Gauss and Newton with each shape's own
+column."""
 
 from __future__ import annotations
 
@@ -8,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.diagnosis.hypothesis import Hypothesis, Supposed, vector_of
 from invid.likelihood.motor_laws import FrictionShape, Part
 from invid.likelihood.plant import Structure
+from invid.likelihood.supposition import Hypothesis, Supposed, vector_of
 from invid.likelihood.value import along, evaluate, number_rows, whitened_rows
 from invid.numerics.arrays import Complex128, Float64, Int64
 
@@ -66,7 +67,9 @@ def _speeds(now: Supposed) -> Float64:
     return out
 
 
-def _friction_shape(motor: int, name: str, vector: Float64, bounds: tuple[float, float], speed: float) -> ShapeAt:
+def _friction_shape(
+    motor: int, name: str, vector: Float64, bounds: tuple[float, float], speed: float
+) -> ShapeAt:
     def get(h: Hypothesis) -> float:
         return float(np.log(getattr(h.friction[motor], name)))
 
@@ -84,16 +87,28 @@ def _friction_shape(motor: int, name: str, vector: Float64, bounds: tuple[float,
             out.append(_friction_force(now, motor, shape, names, value))
         return [(a - b) / (2 * FRICTION_STEP) for a, b in zip(*out, strict=True)]
 
-    return ShapeAt((Part.DRY, motor, name), get, put, slope, vector, float(np.log(bounds[0] * speed)), float(np.log(bounds[1] * speed)))
+    return ShapeAt(
+        (Part.DRY, motor, name),
+        get,
+        put,
+        slope,
+        vector,
+        float(np.log(bounds[0] * speed)),
+        float(np.log(bounds[1] * speed)),
+    )
 
 
-def _friction_force(now: Supposed, motor: int, shape: FrictionShape, names: list[object], value: Float64) -> list[Complex128]:
+def _friction_force(
+    now: Supposed, motor: int, shape: FrictionShape, names: list[object], value: Float64
+) -> list[Complex128]:
     parts = [(p, value[names.index((p, motor))]) for p in (Part.DRY, Part.RISE)]
     lines = [[size * s for s in now.bench.motor_laws.lines(motor, p, shape)] for p, size in parts if size]
     return [np.sum(stack, axis=0) for stack in zip(*lines, strict=True)]
 
 
-def _law_shape(now: Supposed, number: int, shape: int, bounds: tuple[float, float], structure: Structure) -> ShapeAt:
+def _law_shape(
+    now: Supposed, number: int, shape: int, bounds: tuple[float, float], structure: Structure
+) -> ShapeAt:
     def get(h: Hypothesis) -> float:
         return h.laws[number].shape[shape]
 
@@ -108,7 +123,11 @@ def _law_shape(now: Supposed, number: int, shape: int, bounds: tuple[float, floa
         placed = now.hypothesis.laws[number]
         step = placed.law.shape_step
         names = [c.name for c in now.fit.problem.columns]
-        first = names.index((placed.law.cause, placed.spot, 0)) if not placed.law.several else _first_column(now, number)
+        first = (
+            names.index((placed.law.cause, placed.spot, 0))
+            if not placed.law.several
+            else _first_column(now, number)
+        )
         value = now.fit.value.coefficients[first : first + len(placed.law.low)]
         out = []
         for sign in (1.0, -1.0):
@@ -116,7 +135,9 @@ def _law_shape(now: Supposed, number: int, shape: int, bounds: tuple[float, floa
             out.append([lines @ value for lines in now.bench.law_lines(placed, now.motions, at)])
         return [(a - b) / (2 * step) for a, b in zip(*out, strict=True)]
 
-    return ShapeAt((number, shape), get, put, slope, vector_of(structure, now.hypothesis.laws[number].spot), *bounds)
+    return ShapeAt(
+        (number, shape), get, put, slope, vector_of(structure, now.hypothesis.laws[number].spot), *bounds
+    )
 
 
 def _first_column(now: Supposed, number: int) -> int:
@@ -139,7 +160,8 @@ def scan_friction(now: Supposed) -> Supposed:
             for share in STRIBECK_GRID:
                 shapes = list(hypothesis.friction)
                 shapes[motor] = FrictionShape(
-                    float(np.clip(first.width * width, *(b * speed[motor] for b in WIDTH_BOUNDS))), share * speed[motor]
+                    float(np.clip(first.width * width, *(b * speed[motor] for b in WIDTH_BOUNDS))),
+                    share * speed[motor],
                 )
                 trial = replace(hypothesis, friction=tuple(shapes))
                 problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
@@ -224,4 +246,3 @@ def joint_rows(now: Supposed, number: int) -> Float64:
     rows = number_rows(now.fit.problem, now.fit.value, number)
     free = np.flatnonzero(now.fit.value.free)
     return np.concatenate((rows, work.laws[..., free]), axis=2).reshape(-1, rows.shape[2] + free.size)
-
