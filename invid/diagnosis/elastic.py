@@ -51,7 +51,7 @@ class ElasticSearch:
 def records_of(recording: Recording) -> list[Record]:
     """The experiments as records on lines up to the highest frequency that any of them excites."""
     tops = [float(e.frequencies_hz.max()) for e in recording.experiments if e.frequencies_hz.size]
-    top = max(tops, default=None)  # type: ignore[type-var]
+    top = max(tops, default=None)
     return [make_record(e, recording.encoder_resolution, top) for e in recording.experiments]
 
 
@@ -202,7 +202,7 @@ def model_of(found: ElasticSearch, effects: tuple[EffectTerm, ...]) -> Model:
     slope = plant.slope
     covariance = around.covariance[:size, :size] * slope[:, None] * slope
     masses = plant.of_kind(Kind.MASS)
-    chains, names = [], {}
+    names: dict[str, int] = {}
     axes = recording.axes
     springs, dampers = plant.of_kind(Kind.SPRING), plant.of_kind(Kind.DAMPER)
     link = 0
@@ -221,7 +221,6 @@ def model_of(found: ElasticSearch, effects: tuple[EffectTerm, ...]) -> Model:
     for k, (i, j) in enumerate(structure.pairs):
         couplings[i, j] = couplings[j, i] = plant.of_kind(Kind.COUPLING)[k]
         names[f"{axes[i]}-{axes[j]}.coupling"] = structure.index(Kind.COUPLING).start + k
-    del chains
     built = CoupledChains.build(parts["mass"], parts["spring"], parts["damper"], couplings, axes=axes)
     known, _ = parameter_vector(built)
     index = [names[n] for n in known]

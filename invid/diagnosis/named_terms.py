@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ from invid.likelihood.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import Float64
 
+Sizes = dict[str, tuple[Callable[[Float64], float], list[int | None]]]
+"""A cause's parameters: each a function of some of the values, and which."""
 STEP = 1e-4
 """Relative step of the differences by which deviations pass to a cause's own parameters."""
 
@@ -36,14 +38,14 @@ class Quantities:
 
     def coefficient(self, name: object) -> int | None:
         """Index of a law's coefficient; ``None`` where it is at a bound."""
-        at = [c.name for c in self.now.fit.problem.columns].index(name)  # type: ignore[arg-type]
+        at = [c.name for c in self.now.fit.problem.columns].index(name)
         where = np.flatnonzero(self.around.free == at)
         return self.around.numbers + int(where[0]) if where.size else None
 
     def shape(self, name: object) -> int:
         """Index of a shape."""
         names = [s.name for s in self.around.shapes]
-        return self.around.numbers + self.around.free.size + names.index(name)  # type: ignore[arg-type]
+        return self.around.numbers + self.around.free.size + names.index(name)
 
     @property
     def values(self) -> Float64:
@@ -104,7 +106,7 @@ class TermWriter:
         self,
         cause: str,
         axis: int,
-        sizes: Mapping[str, tuple[Callable[[Float64], float], Sequence[int | None]]],
+        sizes: Sizes,
         **place: str,
     ) -> EffectTerm:
         parameters = {
@@ -119,7 +121,7 @@ class TermWriter:
         out = []
         if Part.RISE in parts:
             velocity = self.known.shape((Part.DRY, motor, "stribeck"))
-            sizes = {
+            sizes: Sizes = {
                 "static": (lambda v: v[0] + v[1], [dry, rise]),
                 "coulomb": (lambda v: v[0], [dry]),
                 "velocity": (lambda v: float(np.exp(v[0])), [velocity]),
@@ -165,7 +167,7 @@ class TermWriter:
         number = structure.modes.index(branch)
         mass = structure.index(Kind.MASS).start + sum(structure.sizes) + number
         spring = structure.index(Kind.SPRING).start + len(structure.links) - len(structure.modes) + number
-        sizes = {
+        sizes: Sizes = {
             "mass": (lambda v: float(np.exp(v[0])), [mass]),
             "stiffness": (lambda v: float(np.exp(v[0])), [spring]),
         }

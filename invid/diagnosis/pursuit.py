@@ -49,7 +49,7 @@ class Trial:
     """A hypothesis with one cause more."""
 
     cause: str
-    spot: Spot | None
+    spot: Spot
     found: Supposed
     base: Supposed
     """The hypothesis without it."""

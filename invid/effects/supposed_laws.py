@@ -41,7 +41,8 @@ class SpotMotion:
         """Every ``count``-th instant."""
         torque = None if self.torque is None else self.torque[::count]
         parts = (self.position, self.velocity, self.angle, self.time)
-        return SpotMotion(*(p[::count] for p in parts), torque)
+        position, velocity, angle, time = (p[::count] for p in parts)
+        return SpotMotion(position, velocity, angle, time, torque)
 
 
 Shape = tuple[float, ...]
@@ -116,7 +117,8 @@ class CubicStiffness(SupposedLaw):
     main = "coefficient"
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        return (motion.position**3)[:, None]
+        cube: Float64 = (motion.position**3)[:, None]
+        return cube
 
 
 class Cogging(SupposedLaw):
@@ -196,7 +198,8 @@ class InnerDry(SupposedLaw):
     cause, at, low = "coulomb_friction", "mass", (0.0,)
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        return np.tanh(motion.velocity / np.exp(shape[0]))[:, None]
+        turn: Float64 = np.tanh(motion.velocity / np.exp(shape[0]))[:, None]
+        return turn
 
     def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
         size = _extent([m.velocity for m in motions], 0.7)
@@ -300,7 +303,8 @@ class PayloadChange(SupposedLaw):
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         late = (motion.time - float(np.exp(shape[0]))) / (motion.time[1] - motion.time[0])
-        return (motion.acceleration * np.clip(late + 0.5, 0.0, 1.0))[:, None]
+        force: Float64 = (motion.acceleration * np.clip(late + 0.5, 0.0, 1.0))[:, None]
+        return force
 
     def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
         first = max(m.time[0] for m in motions)
@@ -324,7 +328,8 @@ class SpringDrift(SupposedLaw):
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         middle = 0.5 * (motion.time[0] + motion.time[-1])
-        return (motion.position * (motion.time - middle))[:, None]
+        force: Float64 = (motion.position * (motion.time - middle))[:, None]
+        return force
 
 
 class Gravity(SupposedLaw):

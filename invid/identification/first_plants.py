@@ -70,7 +70,8 @@ def total_inertias(stacks: Sequence[Stack]) -> Float64:
             )
             unit = np.linalg.norm(columns, axis=0) + 1e-300
             out[m] = (np.linalg.lstsq(columns / unit, target, rcond=None)[0] / unit)[0]
-    return np.maximum(out, 1e-3 * np.abs(out).max())
+    least: Float64 = np.maximum(out, 1e-3 * np.abs(out).max())
+    return least
 
 
 def plant_of_chains(structure: Structure, chains: Sequence[Chain]) -> Plant:
@@ -94,7 +95,7 @@ def random_plants(
         chains = []
         for whole, n in zip(total, structure.sizes, strict=True):
             mass = rng.dirichlet(np.full(n, SPLIT)) * whole
-            frequency = top * np.exp(rng.uniform(*np.log(FREQUENCIES), n - 1))
+            frequency = top * np.exp(rng.uniform(np.log(FREQUENCIES[0]), np.log(FREQUENCIES[1]), n - 1))
             chains.append((mass, frequency**2 / (1 / mass[:-1] + 1 / mass[1:])))
         out.append(plant_of_chains(structure, chains))
     return out

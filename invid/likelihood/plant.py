@@ -191,8 +191,7 @@ class Terms:
         """(F, T) what each term is multiplied by for a step of its parameter, of slope (p,) in physical
         units."""
         powers = (1j * omega)[:, None] ** self.power
-        out: Complex128 = powers * (self.sign * slope[self.owner])
-        return out
+        return np.asarray(powers * (self.sign * slope[self.owner]), dtype=np.complex128)
 
 
 @dataclass(frozen=True, eq=False)

@@ -197,8 +197,8 @@ class Curvature:
     def covariance(self) -> Float64:
         """Joint covariance in the same order."""
         unit = np.sqrt(np.diag(self.matrix)) + 1e-300
-        out: Float64 = np.linalg.inv(self.matrix / unit[:, None] / unit + 1e-12 * np.eye(unit.size))
-        return out / unit[:, None] / unit
+        scaled = self.matrix / unit[:, None] / unit + 1e-12 * np.eye(unit.size)
+        return np.asarray(np.linalg.inv(scaled) / unit[:, None] / unit, dtype=np.float64)
 
 
 def curvature(now: Supposed) -> Curvature:

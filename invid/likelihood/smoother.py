@@ -49,7 +49,8 @@ class SmoothedStack:
         The parabola with the record's jumps is taken out of the lines, and put back exactly.
         """
         omega, span = self.stack.records[0].wide, self.stack.span
-        lines, jump, bend = (values @ vector for values in (self.lines, self.jump, self.bend))
+        lines: Complex128 = self.lines @ vector
+        jump, bend = self.jump @ vector, self.bend @ vector
         turning = np.where(omega > 0, omega, 1.0)
         parabola = (2.0 / span) * (1j * jump[:, None] / turning + bend[:, None] / turning**2)
         parabola[:, 0] = 0.0
@@ -59,7 +60,9 @@ class SmoothedStack:
         ramp = jump[:, None] * (time - 0.5) + bend[:, None] * span * (time**2 / 2 - time / 2 + 1 / 12)
         slope = jump[:, None] / span + bend[:, None] * (time - 0.5)
         rate = clean * 1j * np.pad(omega, (0, clean.shape[1] - omega.size))
-        return self._wave(clean) + ramp, self._wave(rate) + slope
+        where: Float64 = self._wave(clean) + ramp
+        speed: Float64 = self._wave(rate) + slope
+        return where, speed
 
     def _wave(self, lines: Complex128) -> Float64:
         wave = np.fft.irfft(lines, self.grid, axis=1) * (self.grid / 2)

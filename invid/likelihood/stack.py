@@ -81,8 +81,7 @@ class Stack:
     @cached_property
     def closed(self) -> Bool:
         """(R,) records whose holds are all known."""
-        out: Bool = np.isfinite(self.loop).all(axis=(1, 2))
-        return out
+        return np.asarray(np.isfinite(self.loop).all(axis=(1, 2)))
 
 
 def stack_records(records: Sequence[Record]) -> tuple[Stack, ...]:

@@ -99,7 +99,9 @@ class Motions:
 
     def _of_stack(self, spot: Spot, number: int) -> list[SpotMotion]:
         records = self.stacks[number].records
-        clocks = [r.start + r.motion.step * np.arange(r.motion.position.shape[0]) for r in records]
+        clocks: list[Float64] = [
+            r.start + r.motion.step * np.arange(r.motion.position.shape[0], dtype=np.float64) for r in records
+        ]
         if spot.where is Where.MOTOR:
             i = spot.number
             out = []
@@ -115,7 +117,9 @@ class Motions:
         first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
         position, velocity = self.smoothed[number].over_time(vector)
         angle = self.smoothed[number].over_time(unit[first])[0]
-        return [SpotMotion(*each) for each in zip(position, velocity, angle, clocks, strict=True)]
+        return [
+            SpotMotion(q, v, a, t) for q, v, a, t in zip(position, velocity, angle, clocks, strict=True)
+        ]
 
 
 def vector_of(structure: Structure, spot: Spot) -> Float64:

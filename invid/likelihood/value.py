@@ -494,5 +494,4 @@ def missing_torque(value: Value, number: int) -> Complex128:
     count, lines, motors = work.shape
     rows = work.missing + work.laws @ value.coefficients
     white = (rows[:, : lines * motors] + 1j * rows[:, lines * motors :]).reshape(count, lines, motors)
-    out: Complex128 = (np.linalg.inv(work.whitener) @ white[..., None])[..., 0]
-    return out
+    return np.asarray((np.linalg.inv(work.whitener) @ white[..., None])[..., 0], dtype=np.complex128)

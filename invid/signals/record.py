@@ -155,7 +155,7 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
         torque = np.concatenate((torque, 2 * torque[-1:] - torque[-2:-1]))
     position, torque = position[-count - 1 :], torque[-count - 1 :]
     span = count * step
-    frequency = np.fft.rfftfreq(count, step)
+    frequency: Float64 = np.fft.rfftfreq(count, step).astype(np.float64)
     spectrum = transform(torque, np.arange(frequency.size))
     top = top_hz or _top(experiment, frequency, spectrum)
     quiet = _quiet_lines(frequency, step, top, periods)
@@ -170,7 +170,7 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     rest = transform(position - ramp * time - square * time**2, np.arange(frequency.size))
     position_noise = np.maximum(_level(rest[quiet]), rounding)
     wide = np.arange(int(np.searchsorted(frequency, min(WIDE * top, 0.4 / step), side="right")))
-    omega = 2 * np.pi * frequency[wide]
+    omega: Float64 = 2 * np.pi * frequency[wide]
     turning = np.where(omega > 0, omega, 1.0)[:, None]
     parabola = (2.0 / span) * (1j * jump / turning + bend / turning**2)
     parabola[0] = (2.0 / span) * (ramp * span**2 / 2.0 + square * span**3 / 3.0)
