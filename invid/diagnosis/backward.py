@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.pursuit import PRICE, restructured, role_falls
+from invid.diagnosis.pursuit import pays, restructured, role_falls
 from invid.likelihood.forces import Spot, Where
 from invid.likelihood.motor_laws import Part
 from invid.likelihood.plant import Kind, Plant, Structure
@@ -32,8 +32,10 @@ class Worth:
     @property
     def stays(self) -> bool:
         """Whether it pays its price."""
-        price = PRICE_OF_FRICTION if isinstance(self.key, tuple) and isinstance(self.key[0], Part) else PRICE
-        return self.rise > price and sum(self.roles) > price
+        if isinstance(self.key, tuple) and isinstance(self.key[0], Part):
+            # Its strength left at a motor makes a fit without it less sure of the records kept out.
+            return self.rise > PRICE_OF_FRICTION and sum(self.roles) > PRICE_OF_FRICTION
+        return pays(*self.roles)
 
 
 def worths(now: Supposed) -> list[Worth]:

@@ -3,7 +3,7 @@ document."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from invid.diagnosis.backward import Worth, worths
 from invid.diagnosis.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
 from invid.diagnosis.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, explained_share, finding_of
-from invid.diagnosis.pursuit import Pursued, pursue
+from invid.diagnosis.pursuit import Pursued, Trial, is_sound, pursue, try_law
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.contest import begin
@@ -20,7 +20,7 @@ from invid.likelihood.motor_laws import Part
 from invid.likelihood.plant import Kind, Structure
 from invid.likelihood.shapes import curvature
 from invid.likelihood.stack import stack_records
-from invid.likelihood.supposition import Bench, Channel, Supposed
+from invid.likelihood.supposition import Bench, Supposed
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Unexplained
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
@@ -106,9 +106,6 @@ def diagnose_elastic(recording: Recording, sizes: Sequence[int]) -> Diagnosis:
     explained = explained_share(residual)
     sizes = tuple(sizes)
     findings = [finding_of(c, explained, sizes, recording.axes, at_noise=True) for c in causes]
-    findings = [
-        replace(f, confidence=min(f.confidence, confidence_of(found, f.effect, causes))) for f in findings
-    ]
     sure = [f for f in found.forces if f.is_sure]
     left = describe_left(found, sure, recording)
     return assemble_diagnosis(
@@ -141,7 +138,14 @@ def named_causes(found: ElasticSearch, before: AxisMissing, after: AxisMissing) 
     stays = {w.key: w for w in found.worths if w.stays}
     whole = max(found.bare.total - end.total, 1.0)
     terms: list[tuple[EffectTerm, float]] = []
+    rivals: dict[int, tuple[Alternative, ...]] = {}
+    contested = rivals_of(found)
     for placed in end.hypothesis.laws:
+        rivals[len(terms)] = tuple(
+            Alternative(r.cause, axes[axis], element, missing)
+            for r, missing in contested.get(placed.key, [])
+            for axis, element in (axis_and_element(end.hypothesis.structure, r.spot),)
+        )
         terms.append((writer.law(placed), stays[placed.key].rise))
     for motor in range(end.hypothesis.structure.motors):
         parts = frozenset(p for p in Part if (p, motor) in stays)
@@ -157,7 +161,7 @@ def named_causes(found: ElasticSearch, before: AxisMissing, after: AxisMissing) 
         if ("mode", b) in stays
     ]
     out = []
-    for term, rise in terms:
+    for number, (term, rise) in enumerate(terms):
         axis = axes.index(term.axis)
         out.append(
             Cause(
@@ -166,14 +170,10 @@ def named_causes(found: ElasticSearch, before: AxisMissing, after: AxisMissing) 
                 float(after.missing[axis]),
                 float(np.clip(rise / whole, 0.0, 1.0)),
                 float(1.0 - 0.5 * np.exp(-rise / SURE_RISE)),
+                rivals.get(number, ()),
             )
         )
     return sorted(out, key=lambda c: -c.fraction)
-
-
-def confidence_of(found: ElasticSearch, term: EffectTerm, causes: Sequence[Cause]) -> float:
-    """Most confidence that strengths left behind allow."""
-    return 0.999
 
 
 def describe_left(
@@ -240,9 +240,20 @@ def model_of(found: ElasticSearch, effects: tuple[EffectTerm, ...]) -> Model:
     )
 
 
-def alternatives_of(found: ElasticSearch, cause: Cause) -> tuple[Alternative, ...]:
-    """Rivals that do nearly as well in its place."""
-    return ()
-
-
-__all__ = ["Channel", "diagnose_elastic"]
+def rivals_of(found: ElasticSearch) -> dict[Hashable, list[tuple[Trial, float]]]:
+    """By the key of a law that stays: rivals that do as well in its place, with what all axes then miss."""
+    out: dict[Hashable, list[tuple[Trial, float]]] = {}
+    for taken, rival in found.pursued.rivals:
+        own = next((p for p in found.end.hypothesis.laws if taken.placed and p.key == taken.placed.key), None)
+        if own is None or rival.placed is None or budget.is_left_out("rivals of the causes"):
+            continue
+        others = tuple(p for p in found.end.hypothesis.laws if p is not own)
+        if any(p.key == rival.placed.key for p in others):
+            continue
+        less = found.end.refit(replace(found.end.hypothesis, laws=others), iterations=10)
+        instead = try_law(less, rival.placed)
+        worse = instead.total - found.end.total + instead.kept_total - found.end.kept_total
+        if is_sound(instead) and worse < COMPETES:
+            missing = float(np.sqrt((axis_missing(instead).missing ** 2).mean()))
+            out.setdefault(own.key, []).append((rival, missing))
+    return out

@@ -18,13 +18,13 @@ from invid.likelihood.timing import EXPECTED_DELAY
 from invid.likelihood.value import Numbers
 from invid.numerics import budget
 
-PRICE = 60.0
-"""Fall of −2 ln L that a cause must bring: Schwarz's price of its numbers and of the places and shapes
-looked at is
-about 40; the rest is what friction's shape and the grid of motion leave (empirical: false falls, whole
-cells)."""
-EACH_ROLE = 10.0
-"""Least part of it from the records of either role."""
+PRICE, LEAST_FITTED, LEAST_KEPT = 120.0, 40.0, 10.0
+"""Fall of −2 ln L that a cause must bring on all records, on those fitted and on those kept out.
+
+Schwarz's price of its numbers, and of the places and shapes looked at, is about 40; the rest is what the shape
+of friction and the grid of motion leave (empirical: false falls of up to 60 of −ln L in sixty rounds of whole
+cells of another hand).
+"""
 REFINED = 4
 """Leaders of the scores that are fitted."""
 MODE_SHARES, MODE_BANDS, MODE_STARTS = (0.2, 0.45), (0.2, 0.3, 0.42, 0.58, 0.8, 1.1), 3
@@ -53,6 +53,8 @@ class Trial:
     found: Supposed
     base: Supposed
     """The hypothesis without it."""
+    placed: PlacedLaw | None = None
+    """The law, where it is one."""
 
     @property
     def fall(self) -> float:
@@ -63,6 +65,12 @@ class Trial:
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
     """Falls on the records fitted and on those kept out."""
     return before.total - after.total, before.kept_total - after.kept_total
+
+
+def pays(fitted: float, kept: float, price: float = PRICE) -> bool:
+    """Return whether falls on the records fitted and kept out pay a price."""
+    share = price / PRICE
+    return fitted + kept > price and fitted > share * LEAST_FITTED and kept > share * LEAST_KEPT
 
 
 def is_sound(found: Supposed) -> bool:
@@ -271,19 +279,17 @@ def pursue(
             tried.add(placed.key)
             found = try_law(now, placed)
             if is_sound(found):
-                trials.append(Trial(placed.law.cause, placed.spot, found, now))
+                trials.append(Trial(placed.law.cause, placed.spot, found, now, placed))
         best = max((t.fall for t in trials), default=0.0)
         if best < 2000.0 or now.inner_strength > LOST:
             trials += try_modes(now)
         trials += try_channels(now)
         trials.sort(key=lambda t: -t.fall)
         say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
-        taken = next(
-            (t for t in trials if t.fall > PRICE and min(role_falls(t.base, t.found)) > EACH_ROLE), None
-        )
+        taken = next((t for t in trials if pays(*role_falls(t.base, t.found))), None)
         if taken is None:
             break
-        close = taken.fall - max(NEARLY_AS_WELL * taken.fall, PRICE)
+        close = taken.fall - max(NEARLY_AS_WELL * taken.fall, LEAST_FITTED)
         rivals += [(taken, t) for t in trials if t is not taken and t.fall > close]
         now = settle(reshape(scan_friction(taken.found)))
         say(f"  took {taken.cause} {taken.spot}: {now.total:.1f} inner {now.inner_strength:.2f}")
