@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from invid.identification.first_plants import fraction_plants, random_plants
-from invid.likelihood.motor_laws import first_shapes
-from invid.likelihood.plant import Plant, Structure
-from invid.likelihood.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
-from invid.likelihood.timing import Timing
-from invid.likelihood.value import Numbers
+from invid.likelihood.unknown_forces.motor_laws import first_shapes
+from invid.likelihood.unknown_forces.plant import Plant, Structure
+from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.value import Numbers
 from invid.numerics import budget
 
 Benches = tuple[Bench, Bench | None]

@@ -15,8 +15,8 @@ from itertools import combinations
 import numpy as np
 from numpy.polynomial import polynomial
 
-from invid.likelihood.plant import Plant, Structure
-from invid.likelihood.stack import Stack
+from invid.likelihood.unknown_forces.plant import Plant, Structure
+from invid.likelihood.unknown_forces.stack import Stack
 from invid.numerics.arrays import Float64
 
 DAMPING_RATIO = 0.02

@@ -168,13 +168,15 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     square = bend / (2.0 * span)
     ramp = jump / span - square * span
     rest = transform(position - ramp * time - square * time**2, np.arange(frequency.size))
-    position_noise = np.maximum(_level(rest[quiet]), rounding)
     wide = np.arange(int(np.searchsorted(frequency, min(WIDE * top, 0.4 / step), side="right")))
     omega: Float64 = 2 * np.pi * frequency[wide]
     turning = np.where(omega > 0, omega, 1.0)[:, None]
     parabola = (2.0 / span) * (1j * jump / turning + bend / turning**2)
     parabola[0] = (2.0 / span) * (ramp * span**2 / 2.0 + square * span**3 / 3.0)
     lines = rest[wide] + parabola
+    used = _used_lines(frequency[wide], top, periods)
+    rounded = _rounding_seen(motion.position[:: round(step / motion.step)], counts, used)
+    position_noise = np.maximum(_level(rest[quiet]), rounded)
     driven = _driven(experiment, position.shape[1])
     hold = np.asarray(experiment.hold_gain, dtype=float)
     # Between the lines of a period stands what it took to reach it, without a command of its own.
@@ -184,7 +186,7 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
         key=experiment.key,
         role=experiment.role,
         wide=omega,
-        used=_used_lines(frequency[wide], top, periods),
+        used=used,
         position=lines,
         torque=spectrum[wide],
         position_noise=position_noise,
@@ -263,6 +265,18 @@ def _rounding(position: Float64, step: float, counts: Float64) -> Float64:
     rate = np.abs(np.diff(position, axis=0)).mean(axis=0) / step / np.maximum(counts, 1e-300)
     crowding = np.clip(0.5 / step / np.maximum(rate, 1e-9), 1.0, SLOWEST_COUNTS)
     return counts**2 / 12.0 * np.where(counts > 0, crowding, 1.0)
+
+
+def _rounding_seen(position: Float64, counts: Float64, used: Int64) -> Float64:
+    """(M,) mean power on the used lines of what rounding to counts does to this very motion.
+
+    A periodic motion is rounded alike in every period, a slow one by slow errors: neither is white.
+    """
+    whole = position / np.where(counts > 0, counts, 1.0)
+    error = np.where(counts > 0, np.round(whole) - whole, 0.0) * counts
+    lines = transform(error, used[used > 0])
+    out: Float64 = (np.abs(lines) ** 2).mean(axis=0)
+    return out
 
 
 def _smooth(position: Float64, step: float, top: float, noise: Float64) -> SmoothMotion:

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from unit.likelihood.chain_plant import RATE, ChainPlant
 
-from invid.likelihood.forces import Where
-from invid.likelihood.motor_laws import first_shapes
-from invid.likelihood.plant import Kind, Plant, Structure
-from invid.likelihood.smoother import smooth
-from invid.likelihood.stack import stack_records
-from invid.likelihood.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
-from invid.likelihood.timing import Timing
-from invid.likelihood.value import Numbers, evaluate, slope
+from invid.likelihood.unknown_forces.forces import Where
+from invid.likelihood.unknown_forces.motor_laws import first_shapes
+from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.smoother import smooth
+from invid.likelihood.unknown_forces.stack import stack_records
+from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.value import Numbers, evaluate, slope
 from invid.recording.model import Role
 from invid.signals.record import make_record
 

@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.backward import Worth, worths
-from invid.diagnosis.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
-from invid.diagnosis.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, explained_share, finding_of
-from invid.diagnosis.pursuit import Pursued, Trial, is_sound, pursue, try_law
+from invid.diagnosis.unknown_forces.backward import Worth, worths
+from invid.diagnosis.unknown_forces.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
+from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
+from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.contest import begin
-from invid.likelihood.motor_laws import Part
-from invid.likelihood.plant import Kind, Structure
-from invid.likelihood.shapes import curvature
-from invid.likelihood.stack import stack_records
-from invid.likelihood.supposition import Bench, Supposed
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.plant import Kind, Structure
+from invid.likelihood.unknown_forces.shapes import curvature
+from invid.likelihood.unknown_forces.stack import stack_records
+from invid.likelihood.unknown_forces.supposition import Bench, Supposed
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Unexplained
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.likelihood.stack import Stack
+from invid.likelihood.unknown_forces.stack import Stack
 from invid.numerics.arrays import Complex128, Float64
 
 COMMAND, HOLD = 0, 1

@@ -27,10 +27,18 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.likelihood.forces import CORNER, LEAST, PACE, MissingNoise, Spots, colours, missing_noise
-from invid.likelihood.plant import Condensed, Plant
-from invid.likelihood.stack import Stack
-from invid.likelihood.timing import Timing
+from invid.likelihood.unknown_forces.forces import (
+    CORNER,
+    LEAST,
+    PACE,
+    MissingNoise,
+    Spots,
+    colours,
+    missing_noise,
+)
+from invid.likelihood.unknown_forces.plant import Condensed, Plant
+from invid.likelihood.unknown_forces.stack import Stack
+from invid.likelihood.unknown_forces.timing import Timing
 from invid.numerics.arrays import Bool, Complex128, Float64, Int64
 
 

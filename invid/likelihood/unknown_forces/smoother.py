@@ -17,10 +17,10 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.likelihood.forces import colours, missing_noise
-from invid.likelihood.plant import Plant
-from invid.likelihood.stack import Stack
-from invid.likelihood.value import Problem, Value, along, ends_of
+from invid.likelihood.unknown_forces.forces import colours, missing_noise
+from invid.likelihood.unknown_forces.plant import Plant
+from invid.likelihood.unknown_forces.stack import Stack
+from invid.likelihood.unknown_forces.value import Problem, Value, along, ends_of
 from invid.numerics.arrays import Complex128, Float64
 
 

@@ -14,9 +14,9 @@ from functools import partial
 
 import numpy as np
 
-from invid.likelihood.plant import Structure
-from invid.likelihood.stack import Stack
-from invid.likelihood.value import Column
+from invid.likelihood.unknown_forces.plant import Structure
+from invid.likelihood.unknown_forces.stack import Stack
+from invid.likelihood.unknown_forces.value import Column
 from invid.numerics.arrays import Complex128, Float64
 
 

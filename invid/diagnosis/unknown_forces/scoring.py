@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from invid.effects.supposed_laws import SupposedLaw
-from invid.likelihood.forces import Spot, Where
-from invid.likelihood.plant import Structure
-from invid.likelihood.shapes import joint_rows
-from invid.likelihood.supposition import PlacedLaw, Supposed, vector_of
-from invid.likelihood.value import along, whitened_rows
+from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.plant import Structure
+from invid.likelihood.unknown_forces.shapes import joint_rows
+from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, vector_of
+from invid.likelihood.unknown_forces.value import along, whitened_rows
 from invid.numerics.arrays import Float64
 
 COARSE = 4

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.likelihood.value import Numbers, Problem, Slope, Value, evaluate, slope, stronger
+from invid.likelihood.unknown_forces.value import Numbers, Problem, Slope, Value, evaluate, slope, stronger
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 

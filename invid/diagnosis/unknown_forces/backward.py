@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.pursuit import pays, restructured, role_falls
-from invid.likelihood.forces import Spot, Where
-from invid.likelihood.motor_laws import Part
-from invid.likelihood.plant import Kind, Plant, Structure
-from invid.likelihood.shapes import reshape
-from invid.likelihood.supposition import Channel, PlacedLaw, Supposed
+from invid.diagnosis.unknown_forces.pursuit import pays, restructured, role_falls
+from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.shapes import reshape
+from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
 
 PRICE_OF_FRICTION = 25.0
 """Rise of −2 ln L for a part of the friction of a motor, which is expected on every motor: Schwarz's price

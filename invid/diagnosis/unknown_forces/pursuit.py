@@ -8,20 +8,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.scoring import candidates, score
+from invid.diagnosis.unknown_forces.scoring import candidates, score
 from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
-from invid.likelihood.forces import Spot, Where
-from invid.likelihood.plant import Kind, Plant, Structure
-from invid.likelihood.shapes import reshape, scan_friction
-from invid.likelihood.supposition import Channel, Hypothesis, PlacedLaw, Supposed, carry_over
-from invid.likelihood.timing import EXPECTED_DELAY
-from invid.likelihood.value import Numbers
+from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
+from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, PlacedLaw, Supposed, carry_over
+from invid.likelihood.unknown_forces.timing import EXPECTED_DELAY
+from invid.likelihood.unknown_forces.value import Numbers
 from invid.numerics import budget
 
 PRICE, LEAST_FITTED, LEAST_KEPT = 120.0, 40.0, 10.0
 """Fall of −2 ln L that a cause must bring on all records, on those fitted and on those kept out.
 
-Schwarz's price of its numbers, and of the places and shapes looked at, is about 40; the rest is what the shape
+Schwarz's price of its numbers, and of the places and shapes looked at, is about 40; the rest is what the form
 of friction and the grid of motion leave (empirical: false falls of up to 60 of −ln L in sixty rounds of whole
 cells of another hand).
 """

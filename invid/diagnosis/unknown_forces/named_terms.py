@@ -9,12 +9,12 @@ import numpy as np
 
 from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
-from invid.likelihood.forces import Spot, Where
-from invid.likelihood.motor_laws import Part
-from invid.likelihood.plant import Kind, Structure
-from invid.likelihood.shapes import Curvature, curvature
-from invid.likelihood.supposition import Channel, PlacedLaw, Supposed
-from invid.likelihood.timing import COMMAND, EXPECTED_DELAY, HOLD
+from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.plant import Kind, Structure
+from invid.likelihood.unknown_forces.shapes import Curvature, curvature
+from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import Float64
 
@@ -75,7 +75,7 @@ class Quantities:
             down[i] -= step
             slope[i] = (at(up) - at(down)) / (2 * step)
         block = self.around.covariance[np.ix_(known, known)]
-        deviation = float(np.sqrt(max(slope @ block @ slope, 0.0)))
+        deviation = float(np.sqrt(max(float(slope @ block @ slope), 0.0)))
         return Estimate(float(at(values)), deviation if np.isfinite(deviation) else None, unit)
 
 
@@ -122,8 +122,8 @@ class TermWriter:
         if Part.RISE in parts:
             velocity = self.known.shape((Part.DRY, motor, "stribeck"))
             sizes: Sizes = {
-                "static": (lambda v: v[0] + v[1], [dry, rise]),
-                "coulomb": (lambda v: v[0], [dry]),
+                "static": (lambda v: float(v[0] + v[1]), [dry, rise]),
+                "coulomb": (lambda v: float(v[0]), [dry]),
                 "velocity": (lambda v: float(np.exp(v[0])), [velocity]),
             }
             out.append(self._term("stribeck_friction", motor, sizes, element="mass 1"))

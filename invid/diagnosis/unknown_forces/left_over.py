@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.likelihood.descent import fit
-from invid.likelihood.forces import Spot
-from invid.likelihood.supposition import Supposed
-from invid.likelihood.value import Value, missing_torque
+from invid.likelihood.unknown_forces.descent import fit
+from invid.likelihood.unknown_forces.forces import Spot
+from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.value import Value, missing_torque
 from invid.numerics.arrays import Float64
 
 SURE = 40.0

@@ -10,14 +10,14 @@ from functools import cached_property, partial
 import numpy as np
 
 from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
-from invid.likelihood.descent import Fit, fit
-from invid.likelihood.forces import FIRST, Spot, Spots, Where, colours
-from invid.likelihood.motor_laws import FrictionShape, MotorLaws
-from invid.likelihood.plant import Kind, Structure
-from invid.likelihood.smoother import SmoothedStack, smooth
-from invid.likelihood.stack import Stack
-from invid.likelihood.timing import Timing
-from invid.likelihood.value import Column, Numbers, Problem, Value, evaluate
+from invid.likelihood.unknown_forces.descent import Fit, fit
+from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours
+from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws
+from invid.likelihood.unknown_forces.plant import Kind, Structure
+from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
+from invid.likelihood.unknown_forces.stack import Stack
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -117,9 +117,7 @@ class Motions:
         first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
         position, velocity = self.smoothed[number].over_time(vector)
         angle = self.smoothed[number].over_time(unit[first])[0]
-        return [
-            SpotMotion(q, v, a, t) for q, v, a, t in zip(position, velocity, angle, clocks, strict=True)
-        ]
+        return [SpotMotion(q, v, a, t) for q, v, a, t in zip(position, velocity, angle, clocks, strict=True)]
 
 
 def vector_of(structure: Structure, spot: Spot) -> Float64:
