@@ -19,7 +19,7 @@ from invid.identification.contest import begin
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Kind, Structure
 from invid.likelihood.unknown_forces.shapes import curvature
-from invid.likelihood.unknown_forces.stack import stack_records
+from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import Bench, Supposed
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Unexplained
@@ -62,9 +62,10 @@ def search_elastic(recording: Recording, sizes: Sequence[int]) -> ElasticSearch:
     kept = [r for r in records if r.role is Role.VALIDATE]
     if not fitted:
         raise InputError(f"{recording.source}: no experiment with role 'identify'")
-    bench = Bench(stack_records(fitted))
+    damping = hold_damping(records)
+    bench = Bench(stack_records(fitted, damping))
     try:
-        first = begin(bench, Structure(tuple(sizes)), Bench(stack_records(kept)) if kept else None)
+        first = begin(bench, Structure(tuple(sizes)), Bench(stack_records(kept, damping)) if kept else None)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"

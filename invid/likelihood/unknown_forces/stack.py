@@ -84,9 +84,8 @@ class Stack:
         return np.asarray(np.isfinite(self.loop).all(axis=(1, 2)))
 
 
-def stack_records(records: Sequence[Record]) -> tuple[Stack, ...]:
-    """The records in stacks of those with the same lines."""
-    damping = hold_damping(records)
+def stack_records(records: Sequence[Record], damping: Float64) -> tuple[Stack, ...]:
+    """The records in stacks of those with the same lines; ``damping`` (M,) is that of each axis' hold."""
     groups: dict[tuple[float, ...], list[Record]] = {}
     for record in records:
         key = (record.span, record.step, float(record.periods), float(record.used.size), record.top_hz)

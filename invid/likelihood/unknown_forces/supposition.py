@@ -17,7 +17,7 @@ from invid.likelihood.unknown_forces.plant import Kind, Structure
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.timing import Timing
-from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate
+from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate, stronger
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -207,7 +207,10 @@ class Supposed:
 
     @cached_property
     def kept_value(self) -> Value | None:
-        """−2 ln L of the records kept out, at the numbers and coefficients that were fitted."""
+        """−2 ln L of the records kept out, at the numbers and coefficients that were fitted.
+
+        Strengths are their own: what friction's shape leaves depends on how the axes moved there.
+        """
         if self.kept is None or self.kept_motions is None:
             return None
         problem = replace(
@@ -215,7 +218,9 @@ class Supposed:
             stacks=self.kept.stacks,
             columns=self.kept.columns(self.hypothesis, self.kept_motions),
         )
-        return evaluate(problem, self.numbers, self.fit.value.coefficients)
+        coefficients = self.fit.value.coefficients
+        first = evaluate(problem, self.numbers, coefficients)
+        return evaluate(problem, stronger(problem, first, KEPT_STEPS), coefficients)
 
     @property
     def kept_total(self) -> float:
@@ -282,6 +287,8 @@ class Supposed:
         return max((v for v, s in self.strength if s.where is not Where.MOTOR), default=0.0)
 
 
+KEPT_STEPS = 8
+"""Steps by which the strengths of records kept out are found."""
 HELD = 1e-9
 """Standard deviation of a number that is held at zero."""
 

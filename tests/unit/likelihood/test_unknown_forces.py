@@ -12,7 +12,7 @@ from invid.likelihood.unknown_forces.forces import Where
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.smoother import smooth
-from invid.likelihood.unknown_forces.stack import stack_records
+from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Numbers, evaluate, slope
@@ -35,13 +35,9 @@ def fitted(gap: float = 0.0, seed: int = 3) -> tuple[ChainPlant, Supposed]:
     """The first fit, from a start a tenth off in every number."""
     plant = ChainPlant(gaps={0: gap} if gap else {})
     recording = plant.recording(seed)
-    stacks = stack_records(
-        [
-            make_record(e, recording.encoder_resolution)
-            for e in recording.experiments
-            if e.role is Role.IDENTIFY
-        ]
-    )
+    records = [make_record(e, recording.encoder_resolution) for e in recording.experiments]
+    fitted_ones = [r for r in records if r.role is Role.IDENTIFY]
+    stacks = stack_records(fitted_ones, hold_damping(records))
     structure = Structure(plant.sizes)
     off = np.exp(0.1 * np.random.default_rng(seed).standard_normal(true_values(plant).size))
     numbers = Numbers(
