@@ -258,6 +258,17 @@ def test_the_list_of_commands_loads_no_command() -> None:
         assert len(line.split()) > 3
 
 
+def test_an_identification_loads_only_what_loads_fast_of_scipy(
+    case: tuple[invid.Recording, Truth], tmp_path: Path
+) -> None:
+    invid.write_recording(case[0], tmp_path / "rec.h5")
+    code = "import sys, invid; invid.identify(invid.read_recording('rec.h5')); print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert not {"scipy.signal", "scipy.stats"} & set(done.stdout.split())
+
+
 def test_every_public_name_is_there_and_documented() -> None:
     for name in invid.__all__:
         assert getattr(invid, name).__doc__, name
