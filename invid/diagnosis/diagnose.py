@@ -98,11 +98,14 @@ def _diagnose_clean(
     dropped = apply_rule("dropped-rows", recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
     if model is None:
-        with budget.use_share(TIME_TO_IDENTIFY, 0.0, 0.3):
-            kind = machine_kind(recording, masses, lambda: identify_chains(repaired, masses))
+        with budget.use_share(1.0, 0.0, 0.3):
+            kind = machine_kind(
+                recording, masses, lambda: identify_chains(repaired, masses), TIME_TO_IDENTIFY
+            )
             model = kind.model
             if model is None and not kind.rigid:
-                model = identify_chains(repaired, masses)
+                with budget.use_share(TIME_TO_IDENTIFY):
+                    model = identify_chains(repaired, masses)
         if model is None:
             result = diagnose_trajectory(recording, analysis=kind.analysis)
             return replace(result, warnings=(*result.warnings, kind.sentence)) if kind.sentence else result
