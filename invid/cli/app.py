@@ -61,12 +61,12 @@ def create_app(command: str | None = None, *, overview: bool = False) -> typer.T
 
 
 def _summary(point: EntryPoint) -> str:
-    """Return what a command does: its module's docstring after the colon, read without loading the module."""
+    """Return what a command does: its module's docstring behind its name, read without loading it."""
     spec = find_spec(point.module)
     source = spec.loader.get_source(point.module) if spec and isinstance(spec.loader, SourceLoader) else None
     first = (ast.get_docstring(ast.parse(source or "")) or "").partition("\n")[0]
-    text = first.partition("``: ")[2]
-    return text[:1].upper() + text[1:]
+    text = first.partition(f"``invid {point.name}``: ")[2].partition("; ``")[0].rstrip(".")
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _unloaded() -> None:

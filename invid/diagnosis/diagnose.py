@@ -32,10 +32,9 @@ from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model
 from invid.numerics import budget
 from invid.recording.model import Recording
-from invid.recording.still_axes import masses_of_moving, moving_part
-from invid.signals.encoder_glitches import remove_glitches
-from invid.signals.encoder_interpolation import remove_interpolation_error
+from invid.recording.still_axes import masses_of_moving
 from invid.signals.plausibility import check_units
+from invid.signals.repair import repair
 
 NOTABLE_SHARE = 0.1
 """Share of a hold inside the drive from which a warning says so (empirical)."""
@@ -68,12 +67,9 @@ def diagnose(
     InputError, NotIdentifiableError
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
-    recording, glitches = remove_glitches(recording)
     whole = recording
-    recording, still = moving_part(recording, None if model is None else model.axes)
+    recording, notes = repair(recording, None if model is None else model.axes)
     masses = masses_of_moving(masses, whole, recording)
-    recording, waves = remove_interpolation_error(recording)
-    encoder_notes = [*glitches, *still, *waves]
     # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
     with use_context(current_context().fresh()) as context, np.errstate(all="ignore"):
         try:
@@ -88,25 +84,28 @@ def diagnose(
     if budget_warning is not None:
         kept = [w for w in result.warnings if not w.startswith(budget.SPENT)]
         result = replace(result, warnings=(*kept, budget_warning))
-    if encoder_notes:
-        result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *encoder_notes])))
+    if notes:
+        result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *notes])))
     return grade_consequences(result, recording)
 
 
 def _diagnose_clean(
     recording: Recording, model: Model | None, masses: Sequence[int] | Literal["auto"] | None
 ) -> Diagnosis:
-    """The diagnosis of a recording whose encoders are corrected."""
+    """The diagnosis of a recording that is repaired."""
     if model is not None and is_of_rigid_axes(model, recording):
         return diagnose_trajectory(recording, model=model)
     dropped = apply_rule("dropped-rows", recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
     if model is None:
-        with budget.use_share(TIME_TO_IDENTIFY, 0.0, 0.3):
-            kind = machine_kind(recording, masses, lambda: identify_chains(repaired, masses))
+        with budget.use_share(1.0, 0.0, 0.3):
+            kind = machine_kind(
+                recording, masses, lambda: identify_chains(repaired, masses), TIME_TO_IDENTIFY
+            )
             model = kind.model
             if model is None and not kind.rigid:
-                model = identify_chains(repaired, masses)
+                with budget.use_share(TIME_TO_IDENTIFY):
+                    model = identify_chains(repaired, masses)
         if model is None:
             result = diagnose_trajectory(recording, analysis=kind.analysis)
             return replace(result, warnings=(*result.warnings, kind.sentence)) if kind.sentence else result

@@ -97,16 +97,28 @@ def group_clause(
     return Statement("headline.clause", {"what": what, "todo": todo})
 
 
-def _group_name(group: Sequence[Finding], axes: Sequence[str]) -> Statement:
+def _group_name(group: Sequence[Finding], axes: Sequence[str]) -> Value:
     if len(group) == 1:
         effect = group[0].effect
         causes = dict.fromkeys([effect.cause, *(a.cause for a in group[0].alternatives[:1])])
         return place_phrase(
             Listed(tuple(map(cause_name, causes)), "or"), effect.axis, effect.element, effect.other_axis
         )
-    titles = Listed(tuple(map(cause_name, dict.fromkeys(f.effect.cause for f in group))), "titles")
-    where = axes_phrase([f.effect.axis for f in group], axes)
-    named = Statement("headline.on", {"what": titles, "axes": where})
+    places: dict[str, list[str]] = {}
+    for f in group:
+        places.setdefault(f.effect.cause, []).append(f.effect.axis)
+    alike: dict[frozenset[str], list[str]] = {}
+    for cause, at in places.items():
+        alike.setdefault(frozenset(at), []).append(cause)
+    named = Listed(
+        tuple(
+            Statement(
+                "headline.on",
+                {"what": Listed(tuple(map(cause_name, causes)), "titles"), "axes": axes_phrase([*at], axes)},
+            )
+            for at, causes in alike.items()
+        )
+    )
     contested: dict[str, list[str]] = {}
     for f in group:
         for other in f.alternatives[:1]:

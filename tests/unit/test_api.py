@@ -253,9 +253,22 @@ def test_the_list_of_commands_loads_no_command() -> None:
     code = "import sys; from invid.cli.app import run; run(['--help']); print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not set(HEAVY) - {"typer"} & {m.split(".")[0] for m in done.stderr.split()}
-    for command in ("measure", "identify", "serve"):
-        (line,) = [row for row in done.stdout.splitlines() if row.split()[:1] == [command]]
-        assert len(line.split()) > 3
+    said = {
+        row.split()[0]: row.split()[1:] for row in done.stdout.splitlines() if row[:2] == "  " and row[2:]
+    }
+    assert all(len(said[command]) > 3 for command in ("measure", "identify", "serve"))
+    assert said["serve"] != said["keys"]
+
+
+def test_an_identification_loads_only_what_loads_fast_of_scipy(
+    case: tuple[invid.Recording, Truth], tmp_path: Path
+) -> None:
+    invid.write_recording(case[0], tmp_path / "rec.h5")
+    code = "import sys, invid; invid.identify(invid.read_recording('rec.h5')); print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert not {"scipy.signal", "scipy.stats"} & set(done.stdout.split())
 
 
 def test_every_public_name_is_there_and_documented() -> None:

@@ -15,6 +15,7 @@ from invid.config import CellConfig
 from invid.errors import InvidError
 from invid.planning.build import axes_left_out, subset_sentence
 from invid_drivers.cia402.holding import Reason as CellReason
+from invid_drivers.cia402.scales import MUCH_OF_RATED, limit_over_rated
 from invid_service.jobs.live import LiveRun
 
 _KEPT_S = 4.0
@@ -23,7 +24,14 @@ _FIRST_S = 1.0
 """The first answer is waited for so long."""
 
 
-class Reason(BaseModel):
+class _Said(BaseModel):
+    text: str
+    fix: str
+    values: dict[str, str] = {}
+    """What stands in the text, for whoever says it in another language."""
+
+
+class Reason(_Said):
     """One reason why a cell cannot start: a stable code, a sentence, a way out."""
 
     code: Literal[
@@ -38,10 +46,15 @@ class Reason(BaseModel):
         "axis_suspect",
         "check_refused",
     ]
-    text: str
-    fix: str
-    values: dict[str, str] = {}
-    """What stands in the text, for whoever says it in another language."""
+
+
+class Note(_Said):
+    """What keeps nothing from starting and must be known: a stable code, a sentence, a way out.
+
+    Axes that are energised and will be taken over; torque limits beyond what their drives give.
+    """
+
+    code: Literal["axis_energised", "limit_beyond_drive"]
 
 
 class Readiness(BaseModel):
@@ -49,8 +62,7 @@ class Readiness(BaseModel):
 
     can_start: bool
     reasons: list[Reason]
-    notes: list[Reason] = []
-    """What keeps nothing from starting and must be known: axes that are energised and will be taken over."""
+    notes: list[Note] = []
     simulated: bool = False
 
 
@@ -177,10 +189,39 @@ def readiness(s: Situation) -> Readiness:
                 values={"axes": ", ".join(left_out)},
             )
         )
-    notes = [_of_drive(d) for d in drives if d.taken_over]
+    notes = [_taken_over(d) for d in drives if d.taken_over] + _limits_beyond_drives(s.config)
     return Readiness(can_start=not reasons, reasons=reasons, notes=notes, simulated=s.config.simulated)
 
 
 def _of_drive(found: CellReason) -> Reason:
     values = {"axis": found.axis, "node": str(found.node_id)}
     return Reason(code=found.code, text=found.text, fix=found.fix, values=values)
+
+
+def _taken_over(found: CellReason) -> Note:
+    return Note(code="axis_energised", **_of_drive(found).model_dump(exclude={"code"}))
+
+
+def _limits_beyond_drives(config: CellConfig) -> list[Note]:
+    """Torque limits far beyond the rated torque that the config states; no drive is asked for it."""
+    notes = []
+    for a in config.axes:
+        rated, limit = a.rated_torque, a.limits.torque
+        if rated is None or limit <= MUCH_OF_RATED * rated:
+            continue
+        notes.append(
+            Note(
+                code="limit_beyond_drive",
+                text=f"axis {a.name}: {limit_over_rated(limit, rated, linear=config.linear)}",
+                fix="correct the limit or its unit in the config; the drive's own limit holds where it "
+                "is lower",
+                values={
+                    "axis": a.name,
+                    "limit": f"{limit:g}",
+                    "rated": f"{rated:g}",
+                    "times": f"{limit / rated:.3g}",
+                    "unit": "N" if config.linear else "N·m",
+                },
+            )
+        )
+    return notes

@@ -18,8 +18,10 @@ from invid.cli.app import run
 from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.rules.dropped_rows import find_dropped_rows
 from invid.errors import InputError
+from invid.identification.identify import identify
 from invid.model.diagnosis_document import Verdict
-from invid.recording import Role, write_recording
+from invid.recording import Experiment, Recording, Role, write_recording
+from invid.recording.check import COLUMNS
 
 QUICK = {"seed": 11, "motors": 1}
 
@@ -80,6 +82,32 @@ def test_dropped_samples_are_found_with_their_share_and_sound_ones_are_not() -> 
     assert [recording.axes[f.axis] for f in found] == [truth.effects[0].axis]
     assert found[0].fraction == pytest.approx(truth.effects[0].parameters["fraction"], rel=0.3)
     assert find_dropped_rows(make(None, **QUICK)[0]) == []
+
+
+def held(recording: Recording, rows: int) -> Recording:
+    """The recording as a logger writes that is ``rows`` times as fast as the values it is given."""
+
+    def logged(e: Experiment) -> Experiment:
+        rate = rows * e.sample_rate_hz
+        columns = {
+            n: np.repeat(v, rows, axis=0) for n in (*COLUMNS, "status") if (v := getattr(e, n)) is not None
+        }
+        time = e.time[0] + np.arange(rows * e.samples) / rate
+        return replace(e, time=time, sample_rate_hz=rate, period_samples=rows * e.period_samples, **columns)
+
+    return replace(recording, experiments=tuple(map(logged, recording.experiments)))
+
+
+def test_a_sound_machine_whose_rows_are_held_has_dropped_none() -> None:
+    """Identification and diagnosis see one row of each value, and the same machine."""
+    recording, truth = make(None, **QUICK)
+    logged = held(recording, 5)
+    d, model = diagnose(logged), identify(logged)
+    assert d.verdict is Verdict.CONSISTENT
+    assert any("one row of each is used" in w for w in d.warnings)
+    for found in (d.model.chains, model.chains):
+        for value, true in zip(found.masses[0], truth.chains.masses[0], strict=True):
+            assert value == pytest.approx(true, rel=0.01)
 
 
 def test_a_held_axis_whose_torque_follows_from_its_coarse_position_has_lost_no_rows() -> None:

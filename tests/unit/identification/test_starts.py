@@ -96,3 +96,20 @@ def test_two_branches_alike_that_do_not_move_one_another_are_each_found_on_their
     for masses, springs in zip(start.masses, start.springs, strict=True):
         assert masses == pytest.approx(branch[0], rel=0.1)
         assert springs == pytest.approx(branch[1], rel=0.1)
+
+
+def test_periods_that_still_settle_need_no_chain_grown_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    grown = []
+    monkeypatch.setattr("invid.identification.starts.grow_chains", lambda *given: grown.append(given))
+    plant = oracle.OraclePlant(
+        [[0.8, 1.6], [1.1, 2.0]], [[1800.0], [2500.0]], [[0.3], [0.4]], couplings={(0, 1): 0.3}
+    )
+    peak = 10.0 * np.array([sum(m) for m in plant.masses])
+    recording = measure(
+        plant, np.random.default_rng(78), period=5000, periods=2, settle=0, band=(0.3, 12.0), peak=peak,
+        bits=20,
+    )  # fmt: skip
+    assert all(s.transient and s.periods == 2 for s in all_spectra(recording))
+    values, std = estimate(identify(recording, masses=(2, 2)))
+    assert np.abs((values - truth(plant)) / std).max() < 6
+    assert not grown

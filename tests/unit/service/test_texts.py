@@ -15,7 +15,7 @@ from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Grade
 from invid.planning import make_plan
 from invid.report.branch_drawing import WORDS
-from invid_service.cells.readiness import Reason
+from invid_service.cells.readiness import Note, Reason
 from invid_service.jobs.states import State
 from invid_service.jobs.stops import STOPS, Run, action_for
 from invid_service.jobs.worker import FIXES, error_info
@@ -82,6 +82,8 @@ def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
         wanted |= {f"state.{s}" for s in State} | {f"grade.{g}" for g in Grade}
         for code in get_args(Reason.model_fields["code"].annotation):
             wanted |= {f"reason.{code}", f"reason.{code}.fix"}
+        for code in get_args(Note.model_fields["code"].annotation):
+            wanted |= {f"note.{code}", f"note.{code}.fix"}
         wanted |= {f"problem.{kind}" for kind in PROBLEMS}
         for name in FIXES:
             code = error_info(getattr(errors, name)("x"))["code"]

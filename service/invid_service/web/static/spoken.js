@@ -7,7 +7,7 @@ const ours = (key) => !english && has(key);
 const detail = (text) => el("small", { lang: "en" }, sentence(text));
 
 // A reason why a cell cannot start, or a note beside it, with its way out.
-/** @param {Api["Reason"]} r */
+/** @param {Api["Reason"] | Api["Note"]} r */
 export function reasonItem(r, key = `reason.${r.code}`) {
   const known = ours(key), [text, fix] = known ? [t(key, r.values), t(`${key}.fix`, r.values)] : [sentence(r.text), r.fix];
   return el("li", { lang: known ? null : "en" }, [el("b", {}, text), t("ready.todo", { fix })]);
