@@ -106,7 +106,7 @@ def test_the_page_is_without_barriers_at_every_step(tmp_path: Path) -> None:
         page.shown("arm")
         look("plan")
         page.press(driver.find_element("id", "arm"))
-        page.shown("live")
+        page.wait_text("run-title", "Measuring")
         look("moving")
         page.shown("accept", 120)
         page.drawing()

@@ -57,7 +57,6 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
                 if '"state":"awaiting_accept"' in line:
                     break
         assert kinds.count("progress") >= 3
-        assert "response" in kinds
         model = model_from_json(service.client.get(f"{location}/model").json())
         # The truth stands in the cell's config above the test, not in the service.
         assert model.chains.masses[0].tolist() == pytest.approx([1.0, 2.0], rel=0.05)

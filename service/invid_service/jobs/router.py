@@ -266,7 +266,7 @@ async def follow_identification(
     ] = None,
     follow: Annotated[bool, Query(description="false: what there is, then the end")] = True,
 ) -> StreamingResponse:
-    """Stream server-sent events ``state``, ``plan``, ``progress``, ``response``; ends when the run has ended.
+    """Stream server-sent events ``state``, ``plan``, ``progress``; ends when the run has ended.
 
     Ids grow; ``Last-Event-ID`` resumes after one. A comment every few seconds keeps the line open.
     """
