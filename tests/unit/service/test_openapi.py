@@ -19,7 +19,7 @@ from invid_service.keys import add_key
 from invid_service.problems import CATALOGUE
 
 COMMITTED = Path(__file__).parents[3] / "docs" / "reference" / "openapi.json"
-VERB = r"(get|list|start|act|follow|upload|analyse|restore|change|export|stop)(_[a-z]+)+"
+VERB = r"(get|list|start|act|follow|upload|analyse|restore|change|stop)(_[a-z]+)+"
 CONTRACT = {
     ("get", "/api/v1/cells"),
     ("get", "/api/v1/cells/{cell}"),

@@ -136,7 +136,6 @@ def test_every_body_of_a_simulated_cell_says_so(tmp_path: Path) -> None:
             client.get("/api/v1/cells/cell/series"),
             client.get("/api/v1/cells/cell/changes", params={"nonsense": 1}),
             act(client, location, "dance"),
-            client.get(f"{location}/export", params={"to": "paper"}),
         ):
             assert answer.status_code in (404, 422), answer.text
             assert answer.json().get("simulated") is True, answer.text
