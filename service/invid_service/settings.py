@@ -47,8 +47,6 @@ class Settings(BaseSettings):
     """Largest body of every other request."""
     upload_stall_s: float = Field(default=30.0, gt=0)
     """An upload that sends nothing for so long is given up."""
-    header_timeout_s: float = Field(default=20.0, gt=0)
-    """A connection that does not bring a whole request header in so long is closed."""
     min_free_bytes: int = Field(default=500 * MEBIBYTE, ge=0)
     """No run starts with less room than this on the disk of ``data_dir``."""
     worker_memory_bytes: int = Field(default=16 * 1024 * MEBIBYTE, gt=0)

@@ -225,13 +225,12 @@ def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
         return pages * resource.getpagesize()
 
-    with serving(tmp_path, env={"INVID_HEADER_TIMEOUT_S": "2"}) as service, contextlib.ExitStack() as stack:
+    with serving(tmp_path) as service, contextlib.ExitStack() as stack:
         host, port = service.url.removeprefix("http://").split(":")
 
         def connect() -> socket.socket:
             return stack.enter_context(socket.create_connection((host, int(port)), timeout=20))
 
-        began = time.monotonic()
         hanging = [connect() for _ in range(300)]
         for n, line in enumerate(hanging):
             line.sendall(b"GET /health/live HTTP/1.1\r\nX-Slow: "[: n % 30])
@@ -247,15 +246,6 @@ def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_
         assert said.startswith(b"HTTP/1.1 400")
         assert b"application/problem+json" in said
         assert b"urn:invid:problem:bad-request" in said
-        # A byte now and then does not put the end off.
-        while time.monotonic() - began < 3.0:
-            time.sleep(0.25)
-            with contextlib.suppress(OSError):
-                hanging[5].sendall(b"x")
-        for line in hanging[:5] + hanging[6:]:
-            assert line.recv(1) == b""
-        with contextlib.suppress(ConnectionResetError):
-            assert hanging[5].recv(1) == b""
         assert service.client.get("/health/ready").status_code == 200
 
 
