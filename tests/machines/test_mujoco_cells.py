@@ -34,6 +34,7 @@ def test_a_base_that_mujoco_lets_give_way_is_named(tmp_path: Path) -> None:
     assert not score["sure_and_wrong"]
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("kind", "sizes"),
     [("cogging", (1,)), ("hard dry", (1,)), ("plastic", (2,)), ("delay", (2,)), ("cubic", (2,))],

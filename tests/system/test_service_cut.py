@@ -28,7 +28,7 @@ from invid.errors import InvidError
 from invid.recording import Outcome, Recording, read_recording
 from invid.recording.spool import has_rows, is_spool
 
-pytestmark = [pytest.mark.xdist_group("service"), pytest.mark.slow]
+pytestmark = pytest.mark.service
 
 CELL = SMALL_CELL.replace("periods: 3", "periods: 12").replace("periods: 2,", "periods: 8,")
 """Forty seconds of record: some five of a quiet machine in virtual time."""

@@ -11,9 +11,11 @@ import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, serving
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service")]
+pytestmark = [pytest.mark.browser, pytest.mark.service]
 
 
+@pytest.mark.panel
+@pytest.mark.campaign
 @needs_browser
 def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_page(tmp_path: Path) -> None:
     # With dry friction far above the noise there is a cause to be shown.
@@ -135,6 +137,7 @@ def test_the_page_says_so_when_the_service_is_gone(tmp_path: Path) -> None:
         page.wait_text("stop-note", "USE THE EMERGENCY STOP")
 
 
+@pytest.mark.campaign
 @needs_browser
 def test_everything_can_be_reached_by_keyboard_with_a_visible_focus(tmp_path: Path) -> None:
     from selenium.webdriver.common.action_chains import ActionChains

@@ -16,7 +16,7 @@ from service_process import SMALL_CELL, Serving, serving
 
 from invid_service.keys import add_key, revoke_key
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
+pytestmark = [pytest.mark.browser, pytest.mark.service, needs_browser]
 LONG = SMALL_CELL.replace("periods: 3}", "periods: 120}")
 
 
@@ -130,6 +130,7 @@ def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(tmp_path
         picture(page, tmp_path, "stop-confirmed")
 
 
+@pytest.mark.campaign
 def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_stops(tmp_path: Path) -> None:
     with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
         start(service, "small")
@@ -178,6 +179,7 @@ def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) ->
         assert up - began < 60
 
 
+@pytest.mark.campaign
 def test_a_run_that_another_one_starts_shows_at_once_over_an_old_result_and_the_history(
     tmp_path: Path,
 ) -> None:

@@ -14,7 +14,7 @@ from service_process import SMALL_CELL, serving
 from test_service_next_step import progress_of
 
 TEXTS = Path(__file__).parents[2] / "service/invid_service/web/static/texts/en.json"
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
+pytestmark = [pytest.mark.campaign, pytest.mark.browser, pytest.mark.service, needs_browser]
 STIFF = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 1.0}}}\n"
 # Members that the service gives in other situations than a small healthy cell can be brought into.
 ANSWERS = """const real = window.fetch;

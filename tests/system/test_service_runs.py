@@ -18,7 +18,7 @@ from invid.model.document import model_from_json
 from invid.recording import read_recording
 
 # As many as all others together; every one needs a process with numba in it.
-pytestmark = pytest.mark.xdist_group("service")
+pytestmark = pytest.mark.service
 
 
 def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> None:

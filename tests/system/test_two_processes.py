@@ -139,7 +139,6 @@ def until_rows(process: subprocess.Popen[str], folder: Path) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.slow
 def test_a_measurement_over_a_unix_socket_completes_and_leaves_every_drive_off(
     simcell: subprocess.Popen[str], folder: Path
 ) -> None:
@@ -181,7 +180,6 @@ def kill_and_look(simcell: subprocess.Popen[str], folder: Path, victim: str) -> 
     return measure
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("victim", ["parent", "cycle process"])
 def test_kill_9_of_either_process_of_the_master_stops_the_drives(
     simcell: subprocess.Popen[str], folder: Path, victim: str
@@ -199,7 +197,6 @@ def test_kill_9_of_either_process_of_the_master_stops_the_drives(
     assert read_recording(left).experiments[0].samples > 0
 
 
-@pytest.mark.slow
 def test_a_cell_that_dies_ends_the_measurement_with_exit_5_and_keeps_the_samples(
     simcell: subprocess.Popen[str], folder: Path
 ) -> None:
@@ -211,7 +208,6 @@ def test_a_cell_that_dies_ends_the_measurement_with_exit_5_and_keeps_the_samples
     assert recording.experiments[0].samples > 100
 
 
-@pytest.mark.slow
 def test_ctrl_c_stops_in_order_and_exits_4(simcell: subprocess.Popen[str], folder: Path) -> None:
     measure = recording_begun(folder, "--json")
     time.sleep(1.0)
@@ -228,7 +224,6 @@ def test_ctrl_c_stops_in_order_and_exits_4(simcell: subprocess.Popen[str], folde
     assert not list((folder / "state").rglob("*.journal"))
 
 
-@pytest.mark.slow
 def test_ctrl_c_before_anything_is_recorded_says_so_and_leaves_no_file(
     simcell: subprocess.Popen[str], folder: Path
 ) -> None:
@@ -243,7 +238,6 @@ def test_ctrl_c_before_anything_is_recorded_says_so_and_leaves_no_file(
     assert all(d["state"].upper().replace(" ", "_") in STOPPED for d in end(simcell))
 
 
-@pytest.mark.slow
 def test_init_writes_a_first_config_from_a_live_cell(simcell: subprocess.Popen[str], folder: Path) -> None:
     """Over the socket that the cell listens on; what it writes passes the check once limits are set."""
     scan = start(
@@ -263,7 +257,6 @@ def test_init_writes_a_first_config_from_a_live_cell(simcell: subprocess.Popen[s
     assert json.loads(out)["ready"] is True
 
 
-@pytest.mark.slow
 def test_the_same_over_the_kernels_virtual_can(folder: Path) -> None:
     if not Path("/sys/class/net/vcan0").exists():
         pytest.skip(

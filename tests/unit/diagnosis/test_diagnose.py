@@ -33,6 +33,7 @@ def test_a_plant_without_effect_is_consistent_and_nothing_is_named() -> None:
         assert r.after == pytest.approx(r.noise_floor, rel=0.25)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("cause", "parameter", "tolerance", "seed"),
     [
@@ -58,6 +59,7 @@ def test_a_hidden_cause_is_named_at_its_place_with_its_size(cause, parameter, to
     assert d.residual[0].after < d.residual[0].before
 
 
+@pytest.mark.campaign
 def test_masses_come_out_closer_with_the_cause_in_the_model() -> None:
     recording, truth = make("coulomb_friction", target_db=25, **QUICK)
     d = diagnose(recording)
@@ -102,6 +104,7 @@ def test_a_model_of_another_robot_is_refused_with_both_lists_of_axes() -> None:
         diagnose(other, model=d.model)
 
 
+@pytest.mark.campaign
 def test_the_command_writes_the_contract_s_document_and_prints_it_alone(tmp_path, capsys) -> None:
     recording, _ = make("coulomb_friction", target_db=20, **QUICK)
     path, out = tmp_path / "r.h5", tmp_path / "d.json"

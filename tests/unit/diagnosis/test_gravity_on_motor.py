@@ -15,6 +15,7 @@ from hidden.foreign import make_foreign
 from hidden.generator import make
 
 
+@pytest.mark.campaign
 def test_weight_at_the_motor_is_gravity_with_its_place_open() -> None:
     recording, truth = make_foreign(640013)  # two axes, gravity before the springs of A2
     (finding,) = diagnose(recording).findings
@@ -26,6 +27,7 @@ def test_weight_at_the_motor_is_gravity_with_its_place_open() -> None:
     assert finding.confidence < 0.9
 
 
+@pytest.mark.campaign
 def test_a_cause_whose_size_is_not_told_from_none_is_not_sure() -> None:
     """Seed 640010: cogging of 0.2 ± 0.3 N·m was named at 1.00 beside the strong cause."""
     recording, _ = make_foreign(640010)

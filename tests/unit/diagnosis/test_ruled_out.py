@@ -23,6 +23,7 @@ def quiet(seed: int) -> dict:
     return {"seed": seed, "masses": (2,), "noise": 0.003, "drive": "smooth"}
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("cause", "element", "parameter"),
     [

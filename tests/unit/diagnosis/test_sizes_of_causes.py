@@ -32,6 +32,7 @@ def test_a_delay_is_not_longer_by_the_half_sample_that_holding_a_torque_takes() 
     assert found.std < half
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("cause", "masses", "seed", "parameter"),
     [

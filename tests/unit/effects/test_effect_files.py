@@ -42,6 +42,7 @@ def drag() -> tuple[Recording, Truth, invid.Diagnosis]:
     return recording, truth, invid.diagnose(recording, effects=[DRAG])
 
 
+@pytest.mark.campaign
 def test_drag_that_was_hidden_is_found_named_and_measured(
     drag: tuple[Recording, Truth, invid.Diagnosis],
 ) -> None:
@@ -70,6 +71,7 @@ def test_without_its_file_the_same_drag_is_not_explained_by_that_name() -> None:
     assert effect_of("quadratic_drag") is None
 
 
+@pytest.mark.campaign
 def test_another_kind_of_law_with_a_place_of_its_own_is_found_too() -> None:
     recording, truth = make("end_stop", seed=3, motors=1, target_db=25)
     diagnosis = invid.diagnose(recording, effects=[CUSHION, DRAG])
@@ -92,6 +94,7 @@ def error_of(model: invid.Model, recording: Recording) -> float:
     return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
 
 
+@pytest.mark.campaign
 def test_it_is_saved_reloaded_simulated_and_known_to_the_next_diagnosis(
     drag: tuple[Recording, Truth, invid.Diagnosis], tmp_path: Path
 ) -> None:
@@ -142,6 +145,7 @@ EFFECT = Plain()
 """
 
 
+@pytest.mark.campaign
 def test_the_simulation_reads_a_law_from_a_table_as_exactly_as_it_is_written(tmp_path: Path) -> None:
     """Viscous friction at the load as a static law, and as the damper that it is: the same motion."""
     recording, truth = make(None, seed=4, motors=1, moves=False, periods=2)
@@ -174,6 +178,7 @@ def test_a_rigid_machine_in_large_motion_shows_it_as_well() -> None:
     assert np.isfinite(answer.experiments[0].position).all()
 
 
+@pytest.mark.campaign
 def test_the_commands_take_a_file_and_the_table_of_results_holds_its_cause(
     drag: tuple[Recording, Truth, invid.Diagnosis], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

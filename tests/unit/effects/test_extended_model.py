@@ -171,6 +171,7 @@ def test_a_drifting_parameter_may_be_called_by_its_name() -> None:
         model_from_json(document)
 
 
+@pytest.mark.campaign
 def test_an_effect_that_is_in_the_model_is_not_found_again_and_leaves_nothing_missing() -> None:
     recording, truth = make("coulomb_friction", seed=11, motors=1, target_db=20)
     first = diagnose(recording)
@@ -187,6 +188,7 @@ def test_an_effect_that_is_in_the_model_is_not_found_again_and_leaves_nothing_mi
     assert r.after < 1.2 * r.noise_floor
 
 
+@pytest.mark.campaign
 def test_friction_that_has_gone_since_comes_out_as_nothing_and_nothing_takes_its_place() -> None:
     recording, truth = make("coulomb_friction", seed=11, motors=1, target_db=20)
     wrong = diagnose(recording).model

@@ -61,12 +61,14 @@ def worst(model: Model, plant: oracle.OraclePlant) -> float:
 FAINT = oracle.OraclePlant([[4.0, 1.0, 3.0, 0.6]], [[900.0, 1500.0, 1800.0]], [[0.4, 0.5, 0.4]])
 
 
+@pytest.mark.campaign
 def test_a_chain_of_four_with_a_barely_visible_mode_is_found_without_help() -> None:
     model = identify(record(FAINT, band=(0.3, 14.0)), masses=(4,))
     assert model.fit["trustworthy"]
     assert worst(model, FAINT) < 0.05
 
 
+@pytest.mark.campaign
 def test_the_search_for_poles_finds_the_modes_of_the_plant() -> None:
     recording = record(FAINT, band=(0.3, 14.0))
     found = search_modes(all_spectra(recording), (4,))
@@ -85,6 +87,7 @@ def test_a_motor_tied_to_ground_is_identified_with_its_spring() -> None:
     assert worst(model, plant) < 0.02
 
 
+@pytest.mark.campaign
 def test_friction_that_reverses_late_does_not_pass_for_motor_inertia() -> None:
     plant = oracle.OraclePlant([[1.0, 2.0]], [[1500.0]], [[0.8]], coulomb=(0.6,))
     deviations = []
@@ -154,6 +157,7 @@ def test_a_demand_logged_in_periods_that_still_settle_tells_when_the_hold_acts()
     assert worst(model, plant) < 0.003
 
 
+@pytest.mark.campaign
 def test_too_few_masses_are_doubted_and_the_command_says_so_with_status_3(tmp_path: Path) -> None:
     plant = oracle.OraclePlant([[1.0, 2.0, 1.5]], [[3000.0, 2500.0]], [[1.0, 1.0]])
     recording = replace(record(plant, band=(0.5, 14.0)), masses_per_axis=(2,))

@@ -29,6 +29,7 @@ def recorded(plant: oracle.OraclePlant, top_hz: float) -> Recording:
     )  # fmt: skip
 
 
+@pytest.mark.campaign
 def test_three_branches_alike_share_poles_and_are_found_without_a_search_under_the_noise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -49,6 +50,7 @@ def test_three_branches_alike_share_poles_and_are_found_without_a_search_under_t
     assert not searched
 
 
+@pytest.mark.campaign
 def test_a_fit_in_a_wrong_minimum_is_led_out_by_the_papers_inverse_that_contradicts_it() -> None:
     plant = oracle.OraclePlant(
         [[0.889, 1.176, 0.511, 1.096], [0.885, 0.948, 1.536, 1.188]],

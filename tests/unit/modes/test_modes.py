@@ -50,6 +50,7 @@ def largest_error(found: CoupledChains, truth: CoupledChains) -> float:
     return float(max([*errors, np.abs(found.couplings - truth.couplings).max() / scale]))
 
 
+@pytest.mark.campaign
 def test_resonances_come_out_between_the_lines_and_within_their_deviations() -> None:
     truth = case_study(damping_ratio=0.01)
     modes = fit_modes(*measured(truth), (3, 3, 3))
@@ -62,6 +63,7 @@ def test_resonances_come_out_between_the_lines_and_within_their_deviations() -> 
     assert modes.chi2 / modes.dof == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.campaign
 def test_antiresonances_come_with_deviations_that_hold() -> None:
     truth = case_study(damping_ratio=0.002)
     misses, total = 0, 0
@@ -92,6 +94,7 @@ def test_the_case_study_is_identified_within_one_per_cent_at_half_a_per_cent_noi
     assert np.all((dampers > 0.7) & (dampers < 1.4))
 
 
+@pytest.mark.campaign
 def test_deviations_of_the_paper_method_hold() -> None:
     truth = case_study(damping_ratio=0.002)
     upper = np.triu_indices(3, 1)
@@ -111,6 +114,7 @@ def test_deviations_of_the_paper_method_hold() -> None:
     assert 0.6 < float(np.sqrt(np.mean(np.square(scores)))) < 1.6
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("sign", [-1.0, 0.0])
 def test_couplings_are_found_with_their_sign_and_when_there_are_none(sign: float) -> None:
     plain = case_study(damping_ratio=0.01)
@@ -119,6 +123,7 @@ def test_couplings_are_found_with_their_sign_and_when_there_are_none(sign: float
     assert largest_error(result.chains, truth) < 0.05
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("coupling", [0.5, 0.0])
 def test_equal_branches_share_modes_and_are_identified_all_the_same(coupling: float) -> None:
     off = coupling * (np.ones((3, 3)) - np.eye(3))
@@ -138,6 +143,7 @@ def test_branches_of_one_two_and_three_masses_are_identified_together() -> None:
     assert largest_error(result.chains, truth) < 0.02
 
 
+@pytest.mark.campaign
 def test_viscous_friction_at_the_motors_does_not_lead_the_inverse_astray() -> None:
     truth = case_study(damping_ratio=0.01)
     result = identify_paper(*measured(truth.with_holds(np.zeros(3), [1.0, 2.0, 2.0])), (3, 3, 3))
@@ -175,6 +181,7 @@ def test_too_few_lines_are_refused_with_the_number_needed() -> None:
         fit_modes(frequency, g, variance, (3, 3, 3))
 
 
+@pytest.mark.campaign
 def test_lines_with_nan_are_left_out() -> None:
     frequency, g, variance = measured(case_study(damping_ratio=0.01))
     g[10], variance[20] = np.nan, np.nan
@@ -190,6 +197,7 @@ def test_shapes_that_do_not_fit_are_named() -> None:
         fit_modes(frequency, g, variance[:, :2], (3, 3, 3))
 
 
+@pytest.mark.campaign
 def test_resonances_above_the_band_are_warned_of() -> None:
     truth = case_study(damping_ratio=0.01)
     result = identify_paper(*measured(truth, lines=200, top=7.8), (3, 3, 3))

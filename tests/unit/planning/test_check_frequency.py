@@ -52,6 +52,7 @@ def test_a_plan_beyond_what_the_computer_carries_is_told_so() -> None:
     assert "bus.cycle_s" in warning
 
 
+@pytest.mark.campaign
 def test_a_dry_run_says_up_to_which_frequency_lines_can_be_trusted() -> None:
     config = str(Path(__file__).parents[3] / "configs" / "case-study-unix.yaml")
     done = CliRunner().invoke(create_app(), ["measure", config, "--dry-run", "--json"])

@@ -33,6 +33,7 @@ def with_limits(cell: CellConfig, **limits: float) -> CellConfig:
     return CellConfig.model_validate(document)
 
 
+@pytest.mark.campaign
 def test_a_block_shakes_all_axes_at_once_each_on_lines_of_its_own(design: GoalPlan) -> None:
     (block, *_) = design.plan.experiments
     # the ramps at the ends smear each line over its neighbours, ten times weaker two lines off
@@ -89,6 +90,7 @@ def test_a_parameter_that_no_excited_axis_reaches_is_named_not_planned_for(
     assert design.expected.worst[0] in design.sentence
 
 
+@pytest.mark.campaign
 def test_amplitude_by_frequency_knows_the_worst_parameter_better_than_equal_shares(
     cell: CellConfig, belief: Belief
 ) -> None:
@@ -106,6 +108,7 @@ def test_amplitude_by_frequency_knows_the_worst_parameter_better_than_equal_shar
     assert worst[0] < worst[1]
 
 
+@pytest.mark.campaign
 def test_creep_is_planned_where_friction_is_near_the_torque_and_the_config_allows_it(
     cell: CellConfig, belief: Belief
 ) -> None:
@@ -164,6 +167,7 @@ def test_the_measurement_stops_as_soon_as_the_measured_covariance_is_there(
     assert result.duration_s < design.plan.duration_s + 20
 
 
+@pytest.mark.campaign
 def test_whoever_judges_sees_every_finished_experiment_as_it_stands_in_the_file(
     cell: CellConfig, design: GoalPlan, tmp_path: Path
 ) -> None:

@@ -66,6 +66,7 @@ def test_every_family_gives_a_plan_that_the_limits_allow(cause: str, rival: str)
         assert (np.abs(e.torque).max(axis=0) <= limits).all()
 
 
+@pytest.mark.campaign
 def test_friction_gets_amplitudes_and_slow_moves_of_its_axis_alone() -> None:
     config = load_config(CONFIG)
     plan = make_plan(to_separate(diagnosis("coulomb_friction", "presliding_friction"), config).config)
@@ -106,6 +107,7 @@ def test_what_cannot_be_separated_is_said(document: dict, words: str) -> None:
         to_separate(document, load_config(CONFIG))
 
 
+@pytest.mark.campaign
 def test_the_command_plans_it_dry_in_one_document(tmp_path, capsys) -> None:
     path = tmp_path / "d.json"
     path.write_text(json.dumps(diagnosis("coulomb_friction", "stribeck_friction")))

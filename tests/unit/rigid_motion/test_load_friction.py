@@ -48,6 +48,7 @@ def test_friction_that_grows_with_the_weight_is_named_with_its_size_beside_gravi
     assert named.after < named.before
 
 
+@pytest.mark.campaign
 def test_what_the_weight_leaves_is_coulomb_friction_beside_it():
     diagnosis = loaded(np.random.default_rng(2), stroke=1.5, dry=0.4, grows=0.2)
     found = {f.effect.cause: f.effect for f in diagnosis.findings}

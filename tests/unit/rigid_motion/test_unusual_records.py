@@ -42,6 +42,7 @@ def test_friction_in_one_direction_only_comes_to_an_end(seed: int) -> None:
     assert found.findings
 
 
+@pytest.mark.campaign
 def test_a_fast_record_kept_out_of_slow_ones_leaves_numbers() -> None:
     rng = np.random.default_rng(3)
     records = []

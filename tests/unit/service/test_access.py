@@ -233,6 +233,7 @@ def test_a_missing_database_driver_names_the_way_out(tmp_path: Path) -> None:
         build(settings, Director().launch, utc_now)
 
 
+@pytest.mark.campaign
 def test_a_copy_taken_while_the_service_runs_can_be_served(tmp_path: Path) -> None:
     with running(tmp_path) as (client, _):
         location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
