@@ -260,6 +260,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
             process.wait()
 
 
+@pytest.mark.campaign
 def test_a_cluster_gives_the_same_bit_for_bit_and_a_worker_killed_under_way_loses_nothing(
     folder: Path, local: Path, tmp_path: Path, cluster: Cluster
 ) -> None:

@@ -43,6 +43,7 @@ def test_a_wrong_simulator_is_judged_and_its_corrected_copy_fetched(tmp_path: Pa
         assert str(tmp_path) not in error["text"]
 
 
+@pytest.mark.campaign
 @needs_browser
 @pytest.mark.browser
 def test_a_simulator_is_chosen_on_the_page_and_its_corrected_copy_is_offered(tmp_path: Path) -> None:

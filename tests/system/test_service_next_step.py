@@ -146,6 +146,7 @@ def test_related_axes_do_no_more_than_was_announced_without_a_model_and_with_one
                 service.client.post(f"{location}/actions", json={"type": "cancel"})
 
 
+@pytest.mark.campaign
 def test_a_run_that_a_dead_encoder_stops_shows_where_and_one_action(tmp_path: Path) -> None:
     with serving(tmp_path, cell=SMALL_CELL + STUCK) as service:
         location = service.start()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from page_browser import Page, browser, needs_browser
-from service_process import SMALL_CELL, serving
+from service_process import SMALL_CELL, STIFF_CELL, serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.service]
 
@@ -19,8 +19,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.service]
 @needs_browser
 def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_page(tmp_path: Path) -> None:
     # With dry friction far above the noise there is a cause to be shown.
-    stiff = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 1.0}}}\n"
-    with serving(tmp_path, cell=stiff) as service, browser(tmp_path / "profile") as driver:
+    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "profile") as driver:
         page = Page(driver)
         driver.get(service.url + "/")
         page.wait_text("ready-title", "Ready to measure")
@@ -119,6 +118,7 @@ def test_the_stop_button_and_the_escape_key_stop_the_robot_at_once(tmp_path: Pat
         assert "What to do" in page.text("run-card")
 
 
+@pytest.mark.campaign
 @needs_browser
 def test_the_page_says_so_when_the_service_is_gone(tmp_path: Path) -> None:
     with serving(tmp_path) as service, browser(tmp_path / "profile", 390, 800) as driver:

@@ -107,7 +107,7 @@ def test_a_stop_in_mid_motion_stops_the_drives_and_keeps_the_recording(tmp_path:
         assert service.runners() == []
 
 
-@pytest.mark.parametrize("state", ["running", "awaiting_arm"])
+@pytest.mark.parametrize("state", ["running", pytest.param("awaiting_arm", marks=pytest.mark.campaign)])
 def test_a_service_killed_in_mid_run_takes_its_motion_with_it_and_starts_again_clean(
     tmp_path: Path, state: str
 ) -> None:
@@ -160,6 +160,7 @@ def test_a_signal_stops_the_motion_before_the_service_ends(tmp_path: Path) -> No
         assert service.client.get(location).json()["state"] == "interrupted"
 
 
+@pytest.mark.campaign
 def test_a_bomb_is_refused_and_the_service_lives_on(tmp_path: Path) -> None:
     bomb = tmp_path / "bomb.h5"
     with h5py.File(bomb, "w") as file:
@@ -202,6 +203,7 @@ def test_a_bomb_is_refused_and_the_service_lives_on(tmp_path: Path) -> None:
         assert service.client.get("/health/ready").status_code == 200
 
 
+@pytest.mark.campaign
 def test_a_slow_upload_is_given_up_while_others_are_served(tmp_path: Path) -> None:
     import socket
 

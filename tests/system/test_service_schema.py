@@ -51,6 +51,8 @@ def try_out(operation: Any, mode: GenerationMode, known: dict[str, str], tried: 
     check()
 
 
+@pytest.mark.panel
+@pytest.mark.campaign
 def test_no_request_that_schemathesis_makes_up_breaks_the_schema_or_the_service(tmp_path: Path) -> None:
     with serving(tmp_path) as service:
         location = service.start(arm=False)

@@ -38,6 +38,7 @@ def test_a_cause_whose_size_is_not_told_from_none_is_not_sure() -> None:
             assert size.value > 2.0 * size.std or finding.confidence <= 0.5
 
 
+@pytest.mark.campaign
 def test_a_weight_that_looked_like_a_spring_to_ground_leaves_no_such_spring() -> None:
     """Around its place of rest a weight is a spring; the identification knows springs, and no weights."""
     size = {"torque": 300.0, "angle": 0.4}

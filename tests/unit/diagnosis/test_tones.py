@@ -47,6 +47,7 @@ def _recording(tone: float, noise: float) -> Recording:
     )
 
 
+@pytest.mark.campaign
 def test_a_tone_that_repeats_with_no_period_is_said_with_its_frequency() -> None:
     found = diagnose(_recording(tone=0.5, noise=0.0))
     assert found.verdict is Verdict.UNEXPLAINED

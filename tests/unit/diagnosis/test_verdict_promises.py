@@ -226,6 +226,7 @@ def test_where_more_than_half_of_the_torque_is_missed_the_command_ends_with_thre
     assert "misses" in document["warnings"][0]
 
 
+@pytest.mark.campaign
 def test_the_same_holds_for_chains_and_for_the_identification(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
