@@ -135,33 +135,3 @@ def test_the_page_says_so_when_the_service_is_gone(tmp_path: Path) -> None:
         assert not driver.find_element("id", "prepare").is_enabled()
         driver.find_element("id", "stop").click()
         page.wait_text("stop-note", "USE THE EMERGENCY STOP")
-
-
-@pytest.mark.campaign
-@needs_browser
-def test_everything_can_be_reached_by_keyboard_with_a_visible_focus(tmp_path: Path) -> None:
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.keys import Keys
-
-    with serving(tmp_path) as service, browser(tmp_path / "profile") as driver:
-        page = Page(driver)
-        driver.get(service.url + "/")
-        page.wait_text("ready-title", "Ready")
-        reached = set()
-        for _ in range(25):
-            ActionChains(driver).send_keys(Keys.TAB).perform()
-            seen = driver.execute_script(
-                "const e = document.activeElement; return [e.id || e.name || e.dataset.view || e.tagName,"
-                " getComputedStyle(e).outlineStyle]"
-            )
-            reached.add(seen[0])
-            assert seen[1] != "none" or seen[0] in ("BODY", "main"), seen
-        assert {"cell", "work", "history", "upload", "mode", "axis", "prepare", "stop"} <= reached
-        driver.execute_script("document.getElementById('prepare').focus()")
-        ActionChains(driver).send_keys(Keys.ENTER).perform()
-        page.shown("arm")
-        # On from the headline: Enter pressed twice must not arm, and Tab need not begin at the top.
-        page.wait_focus("run-title")
-        ActionChains(driver).send_keys(Keys.ENTER, Keys.TAB, Keys.TAB).perform()  # past the fold
-        page.wait_focus("arm")
-        assert "Ready to move" in page.text("run-title")

@@ -33,16 +33,6 @@ def _recorded(path: Path, hold_gain: float, declared: float) -> Path:
     return path
 
 
-@pytest.mark.campaign
-@pytest.mark.parametrize("declared", [np.nan, 60.0])
-def test_friction_no_larger_than_a_holds_timing_makes_is_no_finding(tmp_path: Path, declared: float) -> None:
-    path = _recorded(tmp_path / "rec.h5", 60.0, declared)
-    found = diagnose(read_recording(path), masses=[2])
-    assert found.findings == ()
-    assert found.verdict == "consistent"
-    assert found.model.effects == ()
-
-
 def test_a_stiff_hold_inside_the_drive_is_read_off_its_smooth_command_and_is_no_friction(
     tmp_path: Path,
 ) -> None:

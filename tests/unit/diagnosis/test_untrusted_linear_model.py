@@ -71,10 +71,3 @@ def test_a_record_shorter_than_its_period_is_no_ground_for_a_name(recording) -> 
     if d.verdict is not Verdict.CONSISTENT:
         assert "of one period" in d.sentences[0]
         assert not d.model.fit["trustworthy"]
-
-
-@pytest.mark.campaign
-def test_a_strong_cause_on_the_right_model_is_still_named() -> None:
-    hidden, _ = make("coulomb_friction", seed=SEED, motors=1, target_db=38)
-    d = diagnose(hidden)
-    assert [f.effect.cause for f in d.findings] == ["coulomb_friction"]

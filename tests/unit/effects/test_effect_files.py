@@ -22,7 +22,7 @@ import invid
 from invid.cli.app import run
 from invid.effects.registry import effect_of, registered_effects
 from invid.model.document import EffectTerm, Estimate
-from invid.recording import Recording, Role, write_recording
+from invid.recording import Recording, write_recording
 from invid.report import figure_data, render_report
 from invid.report.dependence import linear_model_of
 
@@ -84,31 +84,6 @@ def test_another_kind_of_law_with_a_place_of_its_own_is_found_too() -> None:
         assert found.value == pytest.approx(value, abs=4 * found.std), name
     again = invid.diagnose(recording, model=diagnosis.model, effects=[CUSHION])
     assert (again.verdict, again.findings) == ("consistent", ())
-
-
-def error_of(model: invid.Model, recording: Recording) -> float:
-    """Rms of simulated less measured motion over all experiments for validation."""
-    answer = invid.simulate(model, recording, effects=[DRAG])
-    held = [k for k, e in enumerate(recording.experiments) if e.role is Role.VALIDATE]
-    left = [answer.experiments[k].position - recording.experiments[k].position for k in held]
-    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
-
-
-@pytest.mark.campaign
-def test_it_is_saved_reloaded_simulated_and_known_to_the_next_diagnosis(
-    drag: tuple[Recording, Truth, invid.Diagnosis], tmp_path: Path
-) -> None:
-    recording, _, diagnosis = drag
-    diagnosis.model.save(tmp_path / "model.json")
-    model = invid.load_model(tmp_path / "model.json")
-    assert model.effects == diagnosis.model.effects
-    assert error_of(model, recording) < 0.5 * error_of(linear_model_of(diagnosis), recording)
-    again = invid.diagnose(recording, model=model, effects=[DRAG])
-    assert (again.verdict, again.findings) == ("consistent", ())
-    with pytest.raises(invid.ModelError, match="--effects"):
-        invid.simulate(model, recording)
-    with pytest.raises(invid.ModelError, match="--effects"):
-        invid.diagnose(recording, model=model)
 
 
 def test_it_is_drawn_as_the_parabola_that_it_is(drag: tuple[Recording, Truth, invid.Diagnosis]) -> None:

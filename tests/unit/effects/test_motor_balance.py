@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from invid.effects.laws.motor_balance import follow_motor
-from invid.effects.laws.sign import sign_law
 
 STEP, FINE = 2e-3, 400
 INERTIA = 1.5
@@ -99,14 +98,3 @@ def test_a_motor_that_stands_is_held_by_what_acts_on_it(
     assert error < 0.02 * (high - low), (error, plain)
     assert error < 0.2 * plain, (error, plain)
     assert share.mean() == pytest.approx(motor.stood, abs=0.02)
-
-
-@pytest.mark.campaign
-def test_a_motor_that_only_turns_round_loses_nothing() -> None:
-    motor = _motor(3, 60.0, -2.0, 2.0)
-    assert motor.stood < 0.005
-    mean, share = _followed(motor, motor.velocity, (-2.0, 2.0, 0.0))
-    straight = 2.0 * sign_law(motor.velocity, 1e-9)
-    around = 0.5 * (motor.friction + np.roll(motor.friction, 1))
-    assert np.std(0.5 * (mean + np.roll(mean, 1)) - around) < np.std(straight - around)
-    assert share.max() < 0.5

@@ -130,23 +130,6 @@ def test_sizes_lie_within_their_standard_deviations_and_the_rest_at_the_floor():
 
 
 @pytest.mark.campaign
-def test_friction_that_bends_sharply_never_pushes():
-    for seed in range(3):
-        rng = np.random.default_rng(7200 + seed)
-        dry = of_torque(rng, 0.5, 1.5)
-        axis = Axis(of_torque(rng, 0.5, 2.0), (dry, dry), static=dry * rng.uniform(2.0, 3.0), slow=0.3)
-        for _ in range(3):
-            axis.record(rng, wander(rng))
-        causes = found(axis.diagnosis())
-        assert "stribeck_friction" in causes, (seed, causes)
-        assert causes["stribeck_friction"]["static"][0] == pytest.approx(axis.static, rel=0.02)
-        assert causes["stribeck_friction"]["coulomb"][0] == pytest.approx(dry, rel=0.02)
-        for cause, parameters in causes.items():
-            for name, (value, _) in parameters.items():
-                assert value >= 0 or not cause.endswith("friction"), (seed, cause, name, value)
-
-
-@pytest.mark.campaign
 def test_a_drag_with_the_square_of_the_speed_is_a_law_without_a_name():
     laws = 0
     for seed in range(5):
@@ -167,26 +150,6 @@ def test_a_drag_with_the_square_of_the_speed_is_a_law_without_a_name():
             drag = axis.drag * at * np.abs(at)
             assert value == pytest.approx(drag, abs=0.1 * np.abs(drag).max())
     assert laws >= 4  # where validation is faster than what was fitted, no law need hold
-
-
-@pytest.mark.campaign
-def test_a_coefficient_at_its_bound_is_zero_and_has_a_standard_deviation():
-    for seed in range(3):
-        rng = np.random.default_rng(7300 + seed)
-        dry = (of_torque(rng, 0.5, 1.0), of_torque(rng, 1.5, 3.0))
-        axis = Axis(of_torque(rng, 0.5, 2.0), dry, (0.0, of_torque(rng, 0.5, 1.0)))
-        for _ in range(2):
-            axis.record(rng, wander(rng))
-        friction = found(axis.diagnosis())["asymmetric_friction"]
-        value, std = friction["viscous_positive"]
-        assert 0.0 <= value < 4 * std
-        assert 0 < std < 0.01
-        for name, truth in (
-            ("coulomb_positive", dry[0]),
-            ("coulomb_negative", dry[1]),
-            ("viscous_negative", axis.wet[1]),
-        ):
-            assert friction[name][0] == pytest.approx(truth, rel=5e-3)
 
 
 @pytest.mark.campaign
