@@ -13,6 +13,8 @@ from machines import mujoco_cells
 from machines.mujoco_cells import SIZES, drawn, measured, write
 from machines.mujoco_score import scored, with_strengths
 
+pytestmark = pytest.mark.campaign
+
 
 def said(folder: Path, **draw: Any) -> dict[str, Any]:
     cell = drawn(**draw)
@@ -34,7 +36,6 @@ def test_a_base_that_mujoco_lets_give_way_is_named(tmp_path: Path) -> None:
     assert not score["sure_and_wrong"]
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("kind", "sizes"),
     [("cogging", (1,)), ("hard dry", (1,)), ("plastic", (2,)), ("delay", (2,)), ("cubic", (2,))],

@@ -89,7 +89,13 @@ def is_worked_out(service: Serving, location: str) -> None:
         assert body["error"]["code"] not in ("internal-error", "runner-died")
 
 
-@pytest.mark.parametrize("victim", ["runner", "service", "both"])
+BY_NIGHT = pytest.mark.campaign
+"""What a kill of one of the two ends is in `make test` by ``test_service_runs.py``."""
+
+
+@pytest.mark.parametrize(
+    "victim", [pytest.param("runner", marks=BY_NIGHT), pytest.param("service", marks=BY_NIGHT), "both"]
+)
 def test_a_kill_at_a_random_instant_leaves_a_readable_recording_that_is_offered_and_worked_out(
     tmp_path: Path, victim: str
 ) -> None:

@@ -53,6 +53,7 @@ def test_the_command_leaves_with_3_and_one_document_when_the_model_is_wrong(
     assert "cannot be trusted" in out["warnings"][0]
 
 
+@pytest.mark.campaign
 def test_a_record_shorter_than_its_period_is_no_ground_for_a_name(recording) -> None:
     rows = slice(0, recording.experiments[0].period_samples // 4)
     cut = tuple(

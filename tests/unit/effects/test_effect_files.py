@@ -64,6 +64,7 @@ def test_drag_that_was_hidden_is_found_named_and_measured(
     assert pickle.loads(pickle.dumps(diagnosis)).findings[0].cause == "quadratic_drag"
 
 
+@pytest.mark.campaign
 def test_without_its_file_the_same_drag_is_not_explained_by_that_name() -> None:
     assert effect_of("quadratic_drag") is None
     with registered_effects([DRAG]):
@@ -86,6 +87,7 @@ def test_another_kind_of_law_with_a_place_of_its_own_is_found_too() -> None:
     assert (again.verdict, again.findings) == ("consistent", ())
 
 
+@pytest.mark.campaign
 def test_it_is_drawn_as_the_parabola_that_it_is(drag: tuple[Recording, Truth, invid.Diagnosis]) -> None:
     recording, _, diagnosis = drag
     linear = linear_model_of(diagnosis)

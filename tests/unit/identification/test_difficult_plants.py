@@ -59,6 +59,7 @@ def worst(model: Model, plant: oracle.OraclePlant) -> float:
 # The third mode (9.4 Hz) moves the motor by a hundredth of the first: its peak is lost in a 2 % error.
 
 
+@pytest.mark.campaign
 def test_a_motor_tied_to_ground_is_identified_with_its_spring() -> None:
     plant = oracle.OraclePlant([[1.0, 2.0]], [[3000.0]], [[1.0]])
     model = identify(record(plant, band=(0.5, 14.0), stiff=2500.0), masses=(2,))

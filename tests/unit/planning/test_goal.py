@@ -123,6 +123,7 @@ def test_an_axis_that_is_not_there_is_refused(cell: CellConfig, belief: Belief) 
         plan_for_goal(cell, belief, sensor_noise(cell), 0.01, axes=["B7"])
 
 
+@pytest.mark.campaign
 def test_the_measurement_stops_as_soon_as_the_measured_covariance_is_there(
     cell: CellConfig, design: GoalPlan, tmp_path: Path
 ) -> None:

@@ -73,6 +73,7 @@ def test_the_inertia_of_a_corrected_xml_is_the_one_asked_for_with_the_coupling_o
     np.testing.assert_allclose(claimed.chains.couplings, diagnosis.model.chains.couplings, atol=1e-4)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("kind", ["plastic", "cogging"])
 def test_a_missing_cause_is_named_and_stands_in_the_copy_as_an_element_of_mujoco(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
