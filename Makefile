@@ -27,7 +27,7 @@ demo: $(PRODUCT)
 test: $(COMPILED) system-packages
 	$(PYTEST) -m "not campaign"
 
-# About ten of the campaign, always the same ones: CI, after `make test`.
+# A dozen of the campaign, always the same ones: CI, after `make test`.
 test-panel: $(COMPILED) system-packages
 	$(PYTEST) -m panel
 
