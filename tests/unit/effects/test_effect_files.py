@@ -140,6 +140,7 @@ def test_the_simulation_reads_a_law_from_a_table_as_exactly_as_it_is_written(tmp
     assert np.abs(answers[1] - answers[0])[late].max() < 5e-3 * np.abs(plain - answers[0])[late].max()
 
 
+@pytest.mark.campaign
 def test_a_rigid_machine_in_large_motion_shows_it_as_well() -> None:
     one, other = (
         integrate(np.random.default_rng(k), mass=0.5, dry=(1.0, 1.0), extra=lambda q, v, t: 0.3 * v * abs(v))
