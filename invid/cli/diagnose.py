@@ -75,12 +75,6 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option("--corrected", metavar="OUT", help="Where the simulator's corrected copy goes."),
         ] = None,
-        without_rule: Annotated[
-            list[str] | None,
-            typer.Option(
-                "--without-rule", metavar="NAME", hidden=True, help="A special rule of the search off."
-            ),
-        ] = None,
         language: SpokenLanguage = "en",
         as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
     ) -> int:
@@ -89,10 +83,6 @@ def register(app: typer.Typer) -> None:
         from invid.recording.concatenation import concatenate_recordings
 
         use_effects(context, effects)
-        if without_rule:
-            from invid.diagnosis.context import context_without, use_context
-
-            context.with_resource(use_context(context_without(without_rule)))
         wanted = parse_masses(masses)
         if model is not None and masses is not None:
             raise InputError(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
-from invid.diagnosis.context import apply_rule, current_context, use_context
 from invid.diagnosis.judged_search import JudgedSearch
 from invid.diagnosis.known_effects import merge_spring_damping
 from invid.diagnosis.limits.ruled_out import ruled_out
@@ -18,9 +18,11 @@ from invid.diagnosis.remainder.law_without_name import add_laws
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import (
     add_dropped_rows_finding,
+    find_dropped_rows,
     interpolate_dropped_rows,
     rms_before_repair,
 )
+from invid.diagnosis.rules.own_evidence import keep_independent_causes
 from invid.diagnosis.search_pass import run_search_pass
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
@@ -71,7 +73,7 @@ def diagnose(
     recording, notes = repair(recording, None if model is None else model.axes)
     masses = masses_of_moving(masses, whole, recording)
     # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
-    with use_context(current_context().fresh()) as context, np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         try:
             result = _diagnose_clean(recording, model, masses)
         except np.linalg.LinAlgError as error:
@@ -79,7 +81,6 @@ def diagnose(
                 f"{recording.source}: the model is so far from these records that no fit of both is finite "
                 f"({error}); give the model of this robot, or diagnose without one"
             ) from None
-        result = replace(result, details={**result.details, "rules": context.fired_rules()})
     budget_warning = budget.warning()
     if budget_warning is not None:
         kept = [w for w in result.warnings if not w.startswith(budget.SPENT)]
@@ -95,7 +96,7 @@ def _diagnose_clean(
     """The diagnosis of a recording that is repaired."""
     if model is not None and is_of_rigid_axes(model, recording):
         return diagnose_trajectory(recording, model=model)
-    dropped = apply_rule("dropped-rows", recording)
+    dropped = find_dropped_rows(recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
     if model is None:
         with budget.use_share(1.0, 0.0, 0.3):
@@ -125,7 +126,8 @@ def _diagnose_clean(
     selection = search.selection.widen_by_remainder()
     result = found.diagnosis(selection)
     if result.verdict is Verdict.UNEXPLAINED and selection.steps:
-        independent = apply_rule("own-evidence", selection, train, held)
+        alone = partial(keep_independent_causes, selection, train, held)
+        independent = budget.or_else("own evidence", alone, None)
         if independent is not None:
             selection = independent.widen_by_remainder()
             result = found.diagnosis(selection)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from invid.diagnosis.confidence import effect_term, is_at_floor, judge
-from invid.diagnosis.context import apply_rule
 from invid.diagnosis.known_effects import effects_in_model
 from invid.diagnosis.outcome import assemble_diagnosis, explained_share
 from invid.diagnosis.remainder.residual_character import describe_unexplained
+from invid.diagnosis.rules.nonrepeating_torque import describe_scatter
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN
 from invid.diagnosis.tone import Tone, describe_tones, tone_power
@@ -83,7 +83,7 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
     as_found = as_found and explained is not None and explained > BROUGHT_DOWN
     quiet = not tones and (not coherent or as_found)
     if quiet:
-        unexplained = apply_rule("nonrepeating-torque", (base.fit.evaluation, base.held), recording, unit)
+        unexplained = describe_scatter((base.fit.evaluation, base.held), recording, unit)
     elif named and nameless:
         unexplained = describe_unexplained(nameless[0].before, recording)
     elif not named:

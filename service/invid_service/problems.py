@@ -49,7 +49,6 @@ CATALOGUE: dict[str, tuple[int, str]] = {
     "idempotency-key-reused": (422, "The Idempotency-Key was used with another body"),
     "upload-stalled": (408, "The upload stalled"),
     "internal-error": (500, "An error of the service"),
-    "export-unavailable": (501, "The model cannot be written in this format here"),
     "store-unavailable": (503, "The store does not answer"),
     "disk-full": (507, "There is no room to store this"),
 }

@@ -101,6 +101,7 @@ def test_the_demo_says_that_its_friction_is_as_expected(demo: tuple[dict, Path])
             assert abs(f["consequence"]["share_of_rated_torque"] - 0.002) < 0.0003
 
 
+@pytest.mark.campaign
 def test_every_cell_of_the_notebook_runs(
     demo: tuple[dict, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 from page_browser import Page, browser, needs_browser
-from service_process import SMALL_CELL, Serving, serving
+from service_process import SMALL_CELL, STIFF_CELL, Serving, serving
 
 from invid_service.keys import add_key, revoke_key
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
+pytestmark = [pytest.mark.browser, pytest.mark.service, needs_browser]
 LONG = SMALL_CELL.replace("periods: 3}", "periods: 120}")
 
 
@@ -46,6 +46,7 @@ def view(page: Page, name: str) -> None:
     page.driver.find_element("css selector", f"[data-view={name}]").click()
 
 
+@pytest.mark.campaign
 def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(LONG.replace("small cell", "robot 02").replace("channel: small", "channel: two"))
@@ -130,6 +131,7 @@ def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(tmp_path
         picture(page, tmp_path, "stop-confirmed")
 
 
+@pytest.mark.campaign
 def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_stops(tmp_path: Path) -> None:
     with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
         start(service, "small")
@@ -154,6 +156,7 @@ def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_s
         page.wait_text("run-title", "Stopped")
 
 
+@pytest.mark.campaign
 def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) -> None:
     with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
         location = start(service, "small")
@@ -178,11 +181,11 @@ def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) ->
         assert up - began < 60
 
 
+@pytest.mark.campaign
 def test_a_run_that_another_one_starts_shows_at_once_over_an_old_result_and_the_history(
-    tmp_path: Path,
+    finished: str, tmp_path: Path
 ) -> None:
-    with serving(tmp_path) as service, looking(tmp_path, service) as page:
-        service.run_to_result()
+    with serving(tmp_path, cell=STIFF_CELL) as service, looking(tmp_path, service) as page:
         page.shown("accept", 20)
         page.shown("where")
         location = service.start(arm=False)

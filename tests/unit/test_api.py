@@ -82,6 +82,7 @@ def _plain(document: Any) -> Any:
     return [_plain(v) for v in document] if isinstance(document, list | tuple) else document
 
 
+@pytest.mark.campaign
 def test_a_diagnosis_leaves_the_recording_as_it_was(case: tuple[invid.Recording, Truth]) -> None:
     recording = case[0]
     experiments = tuple(
@@ -97,6 +98,7 @@ def test_a_diagnosis_leaves_the_recording_as_it_was(case: tuple[invid.Recording,
     assert writable.experiments[0].position.flags.writeable
 
 
+@pytest.mark.campaign
 def test_results_survive_pickling(case: tuple[invid.Recording, Truth], diagnosis: invid.Diagnosis) -> None:
     comparison = invid.compare(diagnosis.model, diagnosis.model)
     for thing in (case[0], diagnosis, diagnosis.model, comparison):
@@ -116,6 +118,7 @@ def test_results_refuse_to_be_changed(diagnosis: invid.Diagnosis) -> None:
         diagnosis.model.chains.masses[0][0] = 1.0
 
 
+@pytest.mark.campaign
 def test_several_recordings_of_one_machine_are_diagnosed_together(
     case: tuple[invid.Recording, Truth],
 ) -> None:

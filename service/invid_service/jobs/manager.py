@@ -272,8 +272,6 @@ class JobManager:
                         message.get("cause"),
                     )
                 )
-            case "response":
-                run.events.append("response", message["response"])
             case "measured":
                 run.motion_ended.set()
                 if run.wish is None:

@@ -16,7 +16,6 @@ from invid_drivers.readiness import loads_to_support, support_sentence
 from invid_service.jobs.analysis_progress import BEGINS
 from invid_service.jobs.line import Line, plain
 from invid_service.jobs.protocol import Job
-from invid_service.jobs.response import ResponseWatch
 
 _SETTLED_S = 2.0
 """Robot time after which the pace of the motion so far says how long the rest takes."""
@@ -78,16 +77,15 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
             motion_left_s=left,
         )
 
-    with ResponseWatch(target, lambda response: line.tell("response", response=response)):
-        result = measure_to_file(
-            config,
-            target,
-            axes=job.axes,
-            amplitude_scale=job.amplitude_scale,
-            progress=progress,
-            stop=line.stop,
-            model=model,
-        )
+    result = measure_to_file(
+        config,
+        target,
+        axes=job.axes,
+        amplitude_scale=job.amplitude_scale,
+        progress=progress,
+        stop=line.stop,
+        model=model,
+    )
     line.check_stop()
     seen: dict[str, Any] = plain(result.to_json())
     del seen["recording"]

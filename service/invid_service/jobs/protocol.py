@@ -2,7 +2,7 @@
 
 Service → runner: the job, then ``{"type": "arm"}`` or ``{"type": "stop"}``; the end of the pipe means
 stop, so that a service that dies takes its motion with it. Runner → service: ``planned``,
-``running``, ``progress``, ``response``, ``measured``, ``done``, ``stopped``, ``failed``.
+``running``, ``progress``, ``measured``, ``done``, ``stopped``, ``failed``.
 """
 
 from __future__ import annotations

@@ -266,7 +266,7 @@ async def follow_identification(
     ] = None,
     follow: Annotated[bool, Query(description="false: what there is, then the end")] = True,
 ) -> StreamingResponse:
-    """Stream server-sent events ``state``, ``plan``, ``progress``, ``response``; ends when the run has ended.
+    """Stream server-sent events ``state``, ``plan``, ``progress``; ends when the run has ended.
 
     Ids grow; ``Last-Event-ID`` resumes after one. A comment every few seconds keeps the line open.
     """
@@ -330,7 +330,7 @@ async def _stored(service: Service, record: RunRecord, kind: str) -> Blob:
     return blob
 
 
-async def artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
+async def _artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
     """Return the stored file of a run as an answer."""
     record, _ = await service.run(identification)
     blob = await _stored(service, record, kind)
@@ -354,7 +354,7 @@ def _offer_file(kind: str, operation: str, text: str) -> None:
     """Add the route of one of the stored files of a run."""
 
     async def get(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-        return await artefact(service, identification, kind, request)
+        return await _artefact(service, identification, kind, request)
 
     path = f"/identifications/{{identification}}/{kind}"
     responses = _file_responses(KINDS[kind][1])

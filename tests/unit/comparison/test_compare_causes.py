@@ -115,6 +115,7 @@ def reported(size: float, std: float, rng: np.random.Generator) -> Model:
     return model(*usual(), *((play(seen, std),) if seen > 4.4 * std else ()))
 
 
+@pytest.mark.campaign
 def test_a_cause_at_the_edge_of_what_is_named_does_not_appear_and_vanish_from_run_to_run() -> None:
     """Now named, now not, of one and the same size: neither appeared nor gone."""
     rng = np.random.default_rng(5)

@@ -80,6 +80,7 @@ def short(accepted: Model) -> Plan:
     return screening_plan(config, from_model(accepted, config), sensor_noise(config)).plan
 
 
+@pytest.mark.campaign
 def test_an_unchanged_cell_is_said_to_be_unchanged_after_seconds(
     accepted: Model, short: Plan, tmp_path: Path
 ) -> None:
@@ -92,7 +93,7 @@ def test_an_unchanged_cell_is_said_to_be_unchanged_after_seconds(
     assert "nothing changed" in found.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_heavier_tool_on_a2_names_a2_and_all_are_shaken_where_holding_the_others_takes_their_torque(
     accepted: Model, tmp_path: Path
 ) -> None:
@@ -120,7 +121,7 @@ def test_a_heavier_tool_on_a2_names_a2_and_all_are_shaken_where_holding_the_othe
     assert {e.excited_axis for e in recording.experiments[1:]} == {-1}
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_a_changed_coupling_is_measured_again_on_its_two_axes_in_the_band_that_tells_about_it(
     accepted: Model, tmp_path: Path
 ) -> None:

@@ -35,39 +35,6 @@ def test_a_plant_without_effect_is_consistent_and_nothing_is_named() -> None:
         assert r.after == pytest.approx(r.noise_floor, rel=0.25)
 
 
-@pytest.mark.parametrize(
-    ("cause", "parameter", "tolerance", "seed"),
-    [
-        ("coulomb_friction", "torque", 0.1, 11),
-        # The demand is logged: without it so little could be the timing of the hold inside the drive.
-        ("viscous_friction", "coefficient", 0.1, 12),
-        ("cubic_stiffness", "coefficient", 0.1, 11),
-        ("backlash", "gap", 0.1, 11),
-        # The sampling offset, free up to a sample, shares the phase with the lag in a narrow band.
-        ("torque_lag", "time_constant", 0.4, 11),
-        ("cogging", "torque", 0.1, 11),
-    ],
-)
-def test_a_hidden_cause_is_named_at_its_place_with_its_size(cause, parameter, tolerance, seed) -> None:
-    recording, truth = make(cause, target_db=15, motors=1, seed=seed)
-    d = diagnose(recording)
-    assert [f.effect.cause for f in d.findings] == [cause]
-    found, true = d.findings[0].effect, truth.effects[0]
-    if true.element is not None:
-        assert found.element == true.element
-    assert found.parameters[parameter].value == pytest.approx(true.parameters[parameter], rel=tolerance)
-    assert d.explained_fraction > 0.9
-    assert d.residual[0].after < d.residual[0].before
-
-
-def test_masses_come_out_closer_with_the_cause_in_the_model() -> None:
-    recording, truth = make("coulomb_friction", target_db=25, **QUICK)
-    d = diagnose(recording)
-    for found, true in zip(d.model.chains.masses[0], truth.chains.masses[0], strict=True):
-        assert found == pytest.approx(true, rel=0.01)
-    assert d.model.effects[0].cause == "coulomb_friction"
-
-
 def test_without_validation_experiments_something_is_kept_out_and_a_warning_says_so() -> None:
     recording, _ = make("coulomb_friction", target_db=20, **QUICK)
     alone = replace(recording, experiments=tuple(e for e in recording.experiments if e.role is Role.IDENTIFY))
@@ -130,6 +97,7 @@ def test_a_model_of_another_robot_is_refused_with_both_lists_of_axes() -> None:
         diagnose(other, model=d.model)
 
 
+@pytest.mark.campaign
 def test_the_command_writes_the_contract_s_document_and_prints_it_alone(tmp_path, capsys) -> None:
     recording, _ = make("coulomb_friction", target_db=20, **QUICK)
     path, out = tmp_path / "r.h5", tmp_path / "d.json"

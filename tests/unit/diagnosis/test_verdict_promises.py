@@ -181,6 +181,7 @@ ELASTIC = (
 )  # fmt: skip
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(("cause", "seed"), ELASTIC)
 def test_diagnoses_of_elastic_machines_keep_them(cause: str | None, seed: int) -> None:
     recording, _ = make(cause, seed=seed, motors=1, target_db=None if cause is None else 25)
@@ -198,12 +199,15 @@ RIGID = {
 }
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("case", RIGID)
 def test_diagnoses_of_rigid_machines_keep_them(case: str) -> None:
     recording = recording_of(large_motion(np.random.default_rng(5), seconds=12.0, **RIGID[case]))
     assert broken(diagnosis_to_json(diagnose(recording)), recording) == []
 
 
+@pytest.mark.panel
+@pytest.mark.campaign
 def test_where_more_than_half_of_the_torque_is_missed_the_command_ends_with_three(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -222,6 +226,7 @@ def test_where_more_than_half_of_the_torque_is_missed_the_command_ends_with_thre
     assert "misses" in document["warnings"][0]
 
 
+@pytest.mark.campaign
 def test_the_same_holds_for_chains_and_for_the_identification(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

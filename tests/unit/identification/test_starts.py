@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.identification.bench_identify import estimate, measure, truth
+from benchmarks.identification.bench_identify import measure
 from benchmarks.shared import plant_oracle as oracle
-from invid.identification.identify import identify, restart_from_second_route
+from invid.identification.identify import restart_from_second_route
 from invid.identification.separate_branches import start_separate_branches
 from invid.inverse import PaperResult
 from invid.likelihood.fit import fit_structure
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
-from invid.modes.pole_search import search_modes
 from invid.recording.model import Recording
 from invid.signals.spectra import all_spectra
 
@@ -29,26 +27,7 @@ def recorded(plant: oracle.OraclePlant, top_hz: float) -> Recording:
     )  # fmt: skip
 
 
-def test_three_branches_alike_share_poles_and_are_found_without_a_search_under_the_noise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    searched = []
-
-    def noted(*args: Any, **settings: Any) -> Any:
-        searched.append(args)
-        return search_modes(*args, **settings)
-
-    monkeypatch.setattr("invid.identification.starts.search_modes", noted)
-    branch = ([0.8, 1.1, 1.5], [1800.0, 4000.0], [1.0, 1.0])
-    plant = oracle.OraclePlant([branch[0]] * 3, [branch[1]] * 3, [branch[2]] * 3)
-    plant = replace(plant, couplings={(0, 1): 0.3, (0, 2): 0.3, (1, 2): 0.3})
-    model = identify(recorded(plant, 20.0), masses=(3, 3, 3))
-    values, std = estimate(model)
-    assert model.fit["trustworthy"]
-    assert np.abs((values - truth(plant)) / std).max() < 6
-    assert not searched
-
-
+@pytest.mark.campaign
 def test_a_fit_in_a_wrong_minimum_is_led_out_by_the_papers_inverse_that_contradicts_it() -> None:
     plant = oracle.OraclePlant(
         [[0.889, 1.176, 0.511, 1.096], [0.885, 0.948, 1.536, 1.188]],

@@ -241,6 +241,7 @@ def test_json_stays_alone_on_stdout_and_the_budget_ends_the_command(
     assert json.loads(capsys.readouterr().out)["format"] == "invid-diagnosis"
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("fresh", [True, False])
 def test_the_first_run_after_an_installation_says_that_it_compiles(tmp_path: Path, fresh: bool) -> None:
     """With an empty cache, and with the one that this run then filled."""

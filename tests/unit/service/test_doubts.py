@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from service_doubles import Director, running, wait_for
 
 START = "/api/v1/cells/cell/identifications"
@@ -12,6 +13,7 @@ UNSEEN = {"code": "unseen", "text": "A1.damper.1: not seen by these data", "valu
 MISSED = {"code": "missed_torque", "text": "The model cannot be trusted: …", "values": {"share": 0.79}}
 
 
+@pytest.mark.campaign
 def test_the_weightiest_doubt_is_the_reason_and_stays_it_in_a_test_run(tmp_path: Path) -> None:
     director = Director()
     director.summary = {"trustworthy": False, "warnings": [PLANNED], "distrust": [UNSEEN, MISSED]}

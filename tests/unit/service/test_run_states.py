@@ -112,6 +112,7 @@ def test_a_test_run_asks_for_at_most_a_tenth_of_the_torque(tmp_path: Path) -> No
     assert director.workers[1].job.amplitude_scale == 1.0
 
 
+@pytest.mark.campaign
 def test_every_body_of_a_simulated_cell_says_so(tmp_path: Path) -> None:
     with running(tmp_path) as (client, _):
         location = start(client)
@@ -136,7 +137,6 @@ def test_every_body_of_a_simulated_cell_says_so(tmp_path: Path) -> None:
             client.get("/api/v1/cells/cell/series"),
             client.get("/api/v1/cells/cell/changes", params={"nonsense": 1}),
             act(client, location, "dance"),
-            client.get(f"{location}/export", params={"to": "paper"}),
         ):
             assert answer.status_code in (404, 422), answer.text
             assert answer.json().get("simulated") is True, answer.text
@@ -342,6 +342,7 @@ def test_a_run_nobody_arms_is_cancelled_after_its_time(tmp_path: Path) -> None:
         assert cancelled["error"]["code"] == "timeout"
 
 
+@pytest.mark.campaign
 def test_accepted_models_form_a_history_and_can_be_restored(tmp_path: Path) -> None:
     director = Director()
     with running(tmp_path, director) as (client, _):
@@ -399,6 +400,7 @@ def test_results_within_the_stated_bounds_are_accepted_automatically(
         assert client.get(second).json()["state"] == state
 
 
+@pytest.mark.campaign
 def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
     director = Director()
     with running(tmp_path, director) as (client, _):
@@ -416,6 +418,7 @@ def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
         problem(client.get("/api/v1/cells/cell/changes?from=nothing"), 404, "model-not-found")
 
 
+@pytest.mark.campaign
 def test_the_default_changes_average_accepted_runs_and_two_named_models_only_where_asked(
     tmp_path: Path,
 ) -> None:

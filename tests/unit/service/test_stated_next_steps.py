@@ -146,6 +146,7 @@ def test_a_long_trace_is_thinned_and_keeps_its_end() -> None:
     assert trace["position"]["A1"][-1] == 0.6
 
 
+@pytest.mark.campaign
 def test_the_overview_says_state_last_run_and_what_changed(tmp_path: Path) -> None:
     director = Director()
     director.summary = {"headline": "As expected.", "grade": "as_expected"}

@@ -3,7 +3,6 @@ import { Problem, call, download, get, onKeyRefused, post, useKey } from "./api.
 import { ask } from "./ask.js";
 import { why } from "./findings.js";
 import { showHistory } from "./history.js";
-import { clearLive, showLive } from "./live.js";
 import { showOverview, stateText } from "./overview.js";
 import { showPlan } from "./plan.js";
 import { redraw } from "./plots.js";
@@ -85,7 +84,6 @@ function follow(c) {
   if (state.details?.of !== of) details(c.cell, of);
   if (!id) { if (run) show(null); } else if (run?.id !== id || (c.run === id ? run.state !== c.state : MOVING.includes(run.state))) fetchRun(id);
   if (!state.run && Date.now() - state.at > READY_EVERY_MS) refresh();
-  if (run && run.id === c.run && ["running", "analysing"].includes(c.state) && viewed() === "work") showLive(run, state.details?.axes ?? []);
 }
 
 const once = new Set();
@@ -189,7 +187,6 @@ function show(run) {
     for (const question of $$("main form.ask")) question.remove();
     keepFocus(run ? (result ? "sentence" : "run-title") : "ready-title");
   }
-  if (before?.id !== run?.id) clearLive();
   if (!run) { $("result-card").hidden = true; refresh(); return; }
   $("start-card").hidden = $("ready-card").hidden = true;
   title();

@@ -32,11 +32,11 @@ window.addEventListener("afterprint", () => {
 });
 const DASHES = [[], [10, 5], [3, 4]];
 
-function axes(x, y, logX) {
+function axes(x, y) {
   const base = { stroke: colour("--ink"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--grid") }, font: "14px system-ui", labelFont: "14px system-ui", labelSize: 28 };
   const plain = (u, ticks) => ticks.map((v) => (v == null ? "" : short(v)));
   const decades = (u, ticks) => ticks.map((v) => (v == null || !round(v) ? "" : short(v)));
-  return [{ ...base, label: x, values: logX ? decades : plain, filter: logX ? (u, splits) => splits : undefined }, { ...base, label: y, size: 78, values: plain }];
+  return [{ ...base, label: x, values: decades, filter: (u, splits) => splits }, { ...base, label: y, size: 78, values: plain }];
 }
 // 1, 2 or 5 times a power of ten: what a logarithmic axis is labelled at.
 function round(v) { const mantissa = v / 10 ** Math.floor(Math.log10(v) + 1e-9); return [1, 2, 5, 10].some((m) => Math.abs(mantissa - m) < 1e-6); }
@@ -47,7 +47,7 @@ function joined(series) {
   const at = new Map(all.map((v, i) => [v, i]));
   const columns = series.map((s) => {
     const column = new Array(all.length).fill(undefined);
-    s.x.forEach((v, i) => { column[at.get(v)] = s.y[i] > 0 || !s.positive ? s.y[i] : null; });
+    s.x.forEach((v, i) => { column[at.get(v)] = s.y[i] > 0 ? s.y[i] : null; });
     return column;
   });
   return [all, ...columns];
@@ -58,17 +58,17 @@ export function curves(target, picture) {
   return drawCurves(target, picture);
 }
 
-function drawCurves(target, { x, y, series, peaks = [], logX = true, logY = true, alt = "" }) {
+function drawCurves(target, { x, y, series, peaks = [], alt = "" }) {
   target.replaceChildren();
   target.setAttribute("role", "img");
   target.setAttribute("aria-label", alt || `${y}, ${x}: ${series.map((s) => s.label).join(", ")}`);
   const shown = series.filter((s) => s.x.length);
   if (!shown.length) return null;
-  const data = joined(shown.map((s) => ({ ...s, positive: logY })));
+  const data = joined(shown);
   const options = {
     width: Math.max(280, target.clientWidth), height: Math.min(420, Math.max(300, Math.round(target.clientWidth * 0.5))),
-    scales: { x: { time: false, distr: logX ? 3 : 1, range: (u, low, high) => [low * 0.97, high * 1.03] }, y: { distr: logY ? 3 : 1 } },
-    axes: axes(x, y, logX), legend: { live: false }, cursor: { drag: { x: true, y: false } },
+    scales: { x: { time: false, distr: 3, range: (u, low, high) => [low * 0.97, high * 1.03] }, y: { distr: 3 } },
+    axes: axes(x, y), legend: { live: false }, cursor: { drag: { x: true, y: false } },
     series: [{}, ...shown.map((s, k) => ({
       label: s.label, stroke: colour(s.colour), width: s.points ? 0 : s.width ?? 2.5, dash: s.points ? undefined : DASHES[s.dash ?? k % 3], spanGaps: true,
       points: s.points ? { show: true, size: 6, stroke: colour(s.colour), fill: colour(s.colour) } : { show: false },
