@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.identification.bench_identify import measure
+from benchmarks.identification.bench_identify import estimate, measure, truth
 from benchmarks.shared import plant_oracle as oracle
-from invid.identification.identify import restart_from_second_route
+from invid.identification.identify import identify, restart_from_second_route
 from invid.identification.separate_branches import start_separate_branches
 from invid.inverse import PaperResult
 from invid.likelihood.fit import fit_structure
