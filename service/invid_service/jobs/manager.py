@@ -20,6 +20,7 @@ from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Progress, WrongStateError
 from invid_service.jobs.protocol import ErrorInfo, Job
 from invid_service.jobs.results import Results
+from invid_service.jobs.run_log import tell_began, tell_ended
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.jobs.stops import without_trace
 from invid_service.store.store import RunRecord, Store, StoredEvent
@@ -105,6 +106,7 @@ class JobManager:
         """Run the job in the background."""
         if run.record.cell is not None and run.record.mode != UPLOAD:
             self._latest[run.record.cell] = run
+        tell_began(run.record)
         self._spawn(self._run(run, job))
 
     def _spawn(self, work: Any) -> None:
@@ -403,6 +405,8 @@ class JobManager:
         """Store the state of a run; a store that does not answer is asked again later, motion does not
         wait.
         """
+        if run.ended or run.record.state is State.AWAITING_ACCEPT:
+            tell_ended(run.record)
         try:
             await asyncio.to_thread(self._store.save_state, run.record, event)
         except SQLAlchemyError as error:
