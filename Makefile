@@ -21,7 +21,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 demo: $(PRODUCT)
 	$(BIN)/invid demo --out invid-demo
 
-# What guards behaviour, before every commit: six minutes on two quiet cores.
+# What guards behaviour, before every commit; pytest says at its end how long it took.
 test: $(COMPILED) system-packages
 	$(PYTEST) -m "not campaign"
 
@@ -58,6 +58,7 @@ docs: $(DEV)
 
 pictures: demo
 	$(BIN)/python docs/pictures.py invid-demo docs/images
+	$(BIN)/python docs/screenshot.py docs/images/page.png
 	$(BIN)/python docs/gallery.py
 
 serve: $(PRODUCT)

@@ -47,9 +47,7 @@ class Job(BaseModel):
     the service takes a run for hung."""
 
 
-DISK_FULL_FIX = (
-    "make room on the disk of the service, then start again; what was measured is kept"
-)
+DISK_FULL_FIX = "make room on the disk of the service, then start again; what was measured is kept"
 
 
 class ErrorInfo(BaseModel):
