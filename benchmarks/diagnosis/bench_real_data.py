@@ -1,7 +1,8 @@
 """Records of real machines from raw file to named cause, by the commands: figure asked, figure reached.
 
-Reads the records of ``records`` (`invid fetch-data --to records`) or ``../shared/data``. Nothing here is known to the product: maps are ordinary map files,
-and what a record must show stands in this table only. Records that are not there are named, loudly.
+Reads the records of ``records`` (`invid fetch-data --to records`) or ``../shared/data``. Nothing here is
+known to the product: maps are ordinary map files, and what a record must show stands in this table only.
+Records that are not there are named, loudly.
 
     python benchmarks/diagnosis/bench_real_data.py [WORD …]
         records whose title holds a word; all without
