@@ -62,6 +62,7 @@ docs: $(DEV)
 
 pictures: demo
 	$(BIN)/python docs/pictures.py invid-demo docs/images
+	$(BIN)/python docs/screenshot.py docs/images/page.png
 	$(BIN)/python docs/gallery.py
 
 serve: $(PRODUCT)

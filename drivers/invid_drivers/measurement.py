@@ -20,6 +20,7 @@ from invid.planning import AxisForecast, Plan, make_plan
 from invid.planning.belief import Belief
 from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Outcome, Recording, RecordingWriter
+from invid.recording.writer import require_room
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
@@ -240,6 +241,7 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         # before anything is enabled: what would end with missing answers is refused
         found = prepare(cell, config, Wish(plan=plan), cancelled=cell.cancelled)
         plan, notes = found.plan, [*notes, *found.said]
+        require_room(out, sum(e.record_to - e.record_from for e in plan.experiments), len(plan.axes))
         header = _header(config, cell)
         if open_sink is not None:
             recorder = open_sink(header)

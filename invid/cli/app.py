@@ -9,12 +9,14 @@ import warnings
 from importlib.abc import SourceLoader
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
+from pathlib import Path
 
 import typer
 
 from invid import __version__
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, emit, note
-from invid.errors import InvidError, SafetyStop
+from invid.disk import is_full, not_written
+from invid.errors import DiskFullError, InvidError, SafetyStop
 
 GROUP = "invid.commands"
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h: not one of the contract's, because it is our fault
@@ -110,6 +112,9 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         if os.environ.get("INVID_DEBUG"):
             raise
+        if isinstance(error, OSError) and is_full(error):
+            note(f"invid: {not_written(Path(error.filename or 'the output'), error)}")
+            return DiskFullError.exit_code
         note(
             f"invid: internal error, please report it: {type(error).__name__}: {error} "
             "(set INVID_DEBUG=1 and run again to see where)"

@@ -12,6 +12,7 @@ from invid.cli.display import ends_on_interrupt, shown_progress
 from invid.cli.identify import parse_masses
 from invid.cli.options import BUDGET, Budget, Effects, SpokenLanguage, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
+from invid.disk import not_written
 from invid.errors import InputError, ModelError
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        raise not_written(path, error) from None
 
 
 def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> list[Path]:

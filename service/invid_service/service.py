@@ -30,6 +30,7 @@ from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager, Limits
 from invid_service.jobs.orphans import settle
 from invid_service.jobs.results import Results, load
+from invid_service.jobs.run_log import tell_ended
 from invid_service.jobs.states import State
 from invid_service.keys import Keys
 from invid_service.links import API, set_root
@@ -88,7 +89,7 @@ class Service:
         now = self.clock()
         cut = await asyncio.to_thread(self.store.interrupt_unfinished, now)
         for record in cut:
-            log.warning("identification %s was cut off by a restart: interrupted", record.id)
+            tell_ended(record)
         await asyncio.to_thread(self._keep_leftovers, now)
         for cell in self.cells:
             for record in await asyncio.to_thread(self.store.runs, cell=cell, limit=1, measured=True):

@@ -112,7 +112,7 @@ def test_every_cell_of_the_notebook_runs(
     work.mkdir()
     (work / "invid-demo").symlink_to(demo[1])
     (work / "configs").symlink_to(root / "configs")
-    (tmp_path / "shared").symlink_to(data.parent)
+    (work / "records").symlink_to(data)
     monkeypatch.chdir(work)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     notebook = json.loads((root / "docs" / "tutorial" / "whole-job.ipynb").read_text(encoding="utf-8"))

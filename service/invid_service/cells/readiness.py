@@ -20,8 +20,6 @@ from invid_service.jobs.live import LiveRun
 
 _KEPT_S = 4.0
 """An answer is asked for again after so long: asking may open the cell's bus."""
-_FIRST_S = 1.0
-"""The first answer is waited for so long."""
 
 
 class _Said(BaseModel):
@@ -94,14 +92,12 @@ class RecentAnswers:
         self._said: dict[str, bool] = {}
         self._asked: dict[str, tuple[float, asyncio.Task[None]]] = {}
 
-    async def of(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> bool | None:
-        """Return the last answer, ``None`` before the first; an old one is renewed in the background."""
+    def of(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> bool | None:
+        """Return the last answer, ``None`` before the first: drives may take seconds, and no poll waits."""
         at, task = self._asked.get(cell, (0.0, None))
         if task is None or (task.done() and time.monotonic() - at >= _KEPT_S):
             task = asyncio.create_task(self._ask(cell, ask))
             self._asked[cell] = time.monotonic(), task
-        if cell not in self._said:
-            await asyncio.wait({task}, timeout=_FIRST_S)
         return self._said.get(cell)
 
     async def _ask(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> None:

@@ -66,6 +66,8 @@ class LiveRun:
         """When it came into its state; the ids of events are a clock."""
         self.worker: Worker | None = None
         self.wish: Wish | None = None
+        self.unsaved = False
+        """The store has not taken its state yet: memory alone knows it."""
         self.motion_ended = asyncio.Event()
         self.changed = asyncio.Event()
         self.lock = asyncio.Lock()

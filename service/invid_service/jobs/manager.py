@@ -16,16 +16,20 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from invid import disk
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Progress, WrongStateError
-from invid_service.jobs.protocol import ErrorInfo, Job
+from invid_service.jobs.protocol import DISK_FULL_FIX, ErrorInfo, Job
 from invid_service.jobs.results import Results
+from invid_service.jobs.run_log import tell_began, tell_ended
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.jobs.stops import without_trace
+from invid_service.store.database import is_full
 from invid_service.store.store import RunRecord, Store, StoredEvent
 
 log = logging.getLogger(__name__)
 _RETRY_S = 1.0
+_KEEP_RETRY_S = 5.0
 _LAST_WORDS_S = 2.0
 """At the end: for the store to take the last state of a run; one that does not answer is not waited for."""
 
@@ -105,6 +109,7 @@ class JobManager:
         """Run the job in the background."""
         if run.record.cell is not None and run.record.mode != UPLOAD:
             self._latest[run.record.cell] = run
+        tell_began(run.record)
         self._spawn(self._run(run, job))
 
     def _spawn(self, work: Any) -> None:
@@ -165,8 +170,8 @@ class JobManager:
         self._retire(run)
 
     def _retire(self, run: LiveRun) -> None:
-        """Forget an ended run; the store has it."""
-        if run.ended and self._live.pop(run.record.id, None) is not None:
+        """Forget an ended run, once the store has it."""
+        if run.ended and not run.unsaved and self._live.pop(run.record.id, None) is not None:
             if self._latest.get(run.record.cell or "") is run:
                 self.remember(run.record)  # without its events
             self.on_end(run)
@@ -203,14 +208,32 @@ class JobManager:
                 kept = await self._watch(run, job)
         except asyncio.CancelledError:
             raise
-        except Exception:
+        except Exception as error:
             log.exception("run %s", run.record.id)
-            await self._fail(run, "internal-error", "an error of the service", "the log says where")
+            if isinstance(error, OSError) and disk.is_full(error):
+                text = f"the disk of the service is full: {disk.free(job.folder)}"
+                await self._fail(run, "disk-full", text, DISK_FULL_FIX)
+            else:
+                await self._fail(run, "internal-error", "an error of the service", "the log says where")
         finally:
             run.motion_ended.set()
-            if kept:  # else its folder waits for the next start of the service, which tries again
+            if kept:
                 await asyncio.to_thread(self._results.clear, run.record.id)
+            else:
+                self._spawn(self._keep_later(run))
             self._retire(run)
+
+    async def _keep_later(self, run: LiveRun) -> None:
+        """Store what a run left as soon as disk and store take it; what they do not take before the service
+        ends waits for its next start.
+        """
+        while True:
+            await asyncio.sleep(_KEEP_RETRY_S)
+            with contextlib.suppress(OSError, SQLAlchemyError):
+                await asyncio.to_thread(self._results.keep, run.record, self._clock())
+                await asyncio.to_thread(self._results.clear, run.record.id)
+                log.info("run %s: what it left is stored now", run.record.id)
+                return
 
     async def _watch(self, run: LiveRun, job: Job) -> bool:
         """Follow a run to its end; return whether all that it left is in the store."""
@@ -235,9 +258,9 @@ class JobManager:
         finally:
             watchdog.cancel()
             worker.kill()
-        stored = await self._keep_results(run)
-        await self._conclude(run, job, verdict, status, stored or set())
-        return stored is not None
+        kept = await self._keep_results(run)
+        await self._conclude(run, job, verdict, status, kept)
+        return isinstance(kept, set)
 
     async def _reap(self, run: LiveRun) -> int:
         worker = run.worker
@@ -315,7 +338,7 @@ class JobManager:
                 return
 
     async def _conclude(
-        self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int, stored: set[str]
+        self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int, kept: set[str] | Exception
     ) -> None:
         self._note_stop(run, verdict)
         if run.wish is not None:
@@ -334,12 +357,14 @@ class JobManager:
                 await self._move(run, State.STOPPED, {"error": error.model_dump()})
             else:
                 await self._fail(run, error.code, error.text, error.fix)
-        elif not {"recording", "model", "diagnosis", "report"} <= stored:
+        elif isinstance(kept, Exception):
+            await self._not_kept(run, job, kept)
+        elif not {"recording", "model", "diagnosis", "report"} <= kept:
             await self._fail(
                 run,
-                "store-unavailable",
-                "the results could not be stored",
-                "make room on the disk and start the service again: what was measured is kept; or run again",
+                "internal-error",
+                "the runner ended without all of its results",
+                "please report it, with the log of the service",
             )
         else:
             await self._succeed(run, job, verdict.get("summary", {}))
@@ -355,13 +380,23 @@ class JobManager:
         if stopped is not None:
             run.record = replace(run.record, facts={**run.record.facts, "stopped": stopped})
 
-    async def _keep_results(self, run: LiveRun) -> set[str] | None:
-        """Store the files of a run; return their kinds, ``None`` where the store did not take them."""
+    async def _not_kept(self, run: LiveRun, job: Job, error: Exception) -> None:
+        """Fail a run whose results wait in its folder for a store that takes them."""
+        kept = "what was measured is kept, and stored as soon as there is"
+        if is_full(error) or (isinstance(error, OSError) and disk.is_full(error)):
+            text = f"the results could not be stored, the disk is full: {disk.free(job.folder)}"
+            await self._fail(run, "disk-full", text, f"make room on it: {kept} room")
+        else:
+            text = "the results could not be stored; the log of the service says why"
+            await self._fail(run, "store-unavailable", text, f"look at store and disk: {kept} an answer")
+
+    async def _keep_results(self, run: LiveRun) -> set[str] | Exception:
+        """Store the files of a run; return their kinds, or why the store did not take them."""
         try:
             return await asyncio.to_thread(self._results.keep, run.record, self._clock())
         except (OSError, SQLAlchemyError) as error:
             log.error("run %s: results could not be stored: %s", run.record.id, error)
-            return None
+            return error
 
     async def _succeed(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> None:
         if run.record.cell is None or not job.acceptable:
@@ -401,10 +436,13 @@ class JobManager:
         """Store the state of a run; a store that does not answer is asked again later, motion does not
         wait.
         """
+        if run.ended or run.record.state is State.AWAITING_ACCEPT:
+            tell_ended(run.record)
         try:
             await asyncio.to_thread(self._store.save_state, run.record, event)
         except SQLAlchemyError as error:
             log.error("run %s: state %s not stored yet: %s", run.record.id, run.record.state, error)
+            run.unsaved = True
             self._spawn(self._persist_later(run, event))
 
     async def _persist_later(self, run: LiveRun, event: StoredEvent) -> None:
@@ -412,6 +450,8 @@ class JobManager:
             await asyncio.sleep(_RETRY_S)
             with contextlib.suppress(SQLAlchemyError):
                 await asyncio.to_thread(self._store.save_state, run.record, event)
+                run.unsaved = False
+                self._retire(run)
                 return
 
     # --- the end -------------------------------------------------------------------------------

@@ -47,6 +47,9 @@ class Job(BaseModel):
     the service takes a run for hung."""
 
 
+DISK_FULL_FIX = "make room on the disk of the service, then start again; what was measured is kept"
+
+
 class ErrorInfo(BaseModel):
     """Why a run ended early: a stable code, a sentence, a way out."""
 

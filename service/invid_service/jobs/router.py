@@ -33,7 +33,7 @@ from invid_service.jobs.states import ENDED, State
 from invid_service.keys import Scope
 from invid_service.links import address
 from invid_service.openapi import ACCEPTED
-from invid_service.problems import EVERYWHERE, RETRY_AFTER, Problem, problem_responses
+from invid_service.problems import EVERYWHERE, RETRY_AFTER, Problem, not_stored, problem_responses
 from invid_service.service import Service
 from invid_service.store.blobs import KINDS, Blob
 from invid_service.store.store import RunRecord
@@ -201,7 +201,7 @@ async def act_on_identification(
         try:
             await asyncio.to_thread(service.audit.write, body.type, caller=caller.name, **facts)
         except OSError as error:
-            raise Problem("disk-full", f"the audit log cannot be written: {error.strerror}") from None
+            raise not_stored("the audit log", service.audit.path, error) from None
     try:
         await _apply(service, body, record, live, caller.name)
     except WrongStateError:

@@ -18,7 +18,7 @@ from invid_service.cells.registry import Cell
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.results import load
 from invid_service.jobs.schema import StartBody
-from invid_service.problems import Problem
+from invid_service.problems import Problem, not_stored
 from invid_service.service import Service
 from invid_service.store.store import CellBusyError, KeyReusedError, RunRecord, StoredModel
 
@@ -73,7 +73,7 @@ async def begin_identification(
             await asyncio.to_thread(service.store.add_run, record, idempotency_key=key, body_sha256=digest)
         except OSError as error:
             service.jobs.release(live)
-            raise Problem("disk-full", f"the audit log cannot be written: {error.strerror}") from None
+            raise not_stored("the audit log", service.audit.path, error) from None
         except CellBusyError:
             service.jobs.release(live)
             raise Problem("run-in-progress", "another service runs this cell on the same database") from None

@@ -17,6 +17,7 @@ from invid.config import load_config
 from invid.errors import ConfigError
 from invid_drivers.measurement import ask_drives
 from invid_service.store.blobs import Blobs
+from invid_service.store.database import open_engine
 
 START = "/api/v1/cells/cell/identifications"
 STOP = "/api/v1/cells/cell/stop"
@@ -518,10 +519,41 @@ def test_an_audit_log_that_cannot_be_written_lets_nothing_start(
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(service.audit, "write", full)
-        problem(client.post(START, json={"mode": "full", "arm": True}), 507, "disk-full")
+        refused = client.post(START, json={"mode": "full", "arm": True})
+        problem(refused, 507, "disk-full")
+        for said in ("audit.jsonl", "No space left", "MiB are free", "retention_days"):
+            assert said in refused.json()["detail"]
+
+        def forbidden(*_: Any, **__: Any) -> None:
+            raise OSError(13, "Permission denied")
+
+        monkeypatch.setattr(service.audit, "write", forbidden)
+        problem(client.post(START, json={"mode": "full", "arm": True}), 503, "store-unavailable")
         monkeypatch.undo()
         assert director.workers == []
         wait_for(client, start(client), "awaiting_accept")
+
+
+def test_a_store_whose_disk_is_full_says_so_and_not_that_it_is_slow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = open_engine(f"sqlite:///{tmp_path / 'small.sqlite'}")
+    with engine.connect() as connection:
+        connection.exec_driver_sql("PRAGMA max_page_count = 4")  # as a disk that holds no more
+        connection.exec_driver_sql("CREATE TABLE t (x)")
+        with pytest.raises(OperationalError) as full:
+            connection.exec_driver_sql(f"INSERT INTO t VALUES ('{'x' * 20_000}')")
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise full.value
+
+    with running(tmp_path) as (client, _):
+        service = client.app.state.service  # type: ignore[attr-defined]
+        monkeypatch.setattr(service.store, "add_run", refuse)
+        answer = client.post(START, json={"mode": "full", "arm": True})
+        problem(answer, 503, "store-unavailable")
+        assert "its disk is full" in answer.json()["detail"]
+        assert "make room on the disk" in answer.json()["detail"]
 
 
 def test_a_simulated_cell_gets_another_tool_and_its_old_one_back(tmp_path: Path) -> None:
