@@ -28,8 +28,8 @@ from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.nuisance.hold_share import holds_left_open
-from invid.model.diagnosis_document import Diagnosis, Verdict
-from invid.model.document import Model
+from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, RuledOut, Verdict
+from invid.model.document import EffectTerm, Model
 from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.recording.still_axes import masses_of_moving, moving_part
@@ -145,15 +145,25 @@ def _diagnose_clean(
         result = limit_unfinished_search(result)
     elif result.verdict is not Verdict.UNEXPLAINED and all(f.effect.table is None for f in result.findings):
         # Behind what has no name anything may hide.
+        open_holds = holds_left_open(search.spectra, search.model, repaired)
+        limits = ruled_out(selection, train, held, repaired, open_holds)
+        is_own = model.provenance.get("recorded") == recording.created
         result = replace(
-            result,
-            ruled_out=ruled_out(
-                selection, train, held, repaired, holds_left_open(search.spectra, search.model, repaired)
-            ),
+            result, ruled_out=_without_found(limits, result.findings, model.effects if is_own else ())
         )
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}
     )
+
+
+def _without_found(
+    limits: Sequence[RuledOut], findings: Sequence[Finding], identified: Sequence[EffectTerm]
+) -> tuple[RuledOut, ...]:
+    """The limits of what is neither found, nor an alternative, nor in the identification of the recording."""
+    said: list[EffectTerm | Alternative] = [*identified, *(f.effect for f in findings)]
+    said += [a for f in findings for a in f.alternatives]
+    found = {(x.cause, x.axis, x.element, x.other_axis) for x in said}
+    return tuple(r for r in limits if (r.cause, r.axis, r.element, r.other_axis) not in found)
 
 
 def hold_timing_warnings(final: JointFit, recording: Recording) -> list[str]:
