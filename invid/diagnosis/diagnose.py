@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from invid.diagnosis.rules.dropped_rows import (
     rms_before_repair,
 )
 from invid.diagnosis.search_pass import run_search_pass
+from invid.diagnosis.selection import Selection
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
@@ -36,6 +37,7 @@ from invid.recording.still_axes import masses_of_moving, moving_part
 from invid.signals.encoder_glitches import remove_glitches
 from invid.signals.encoder_interpolation import remove_interpolation_error
 from invid.signals.plausibility import check_units
+from invid.signals.spectral_record import SpectralRecord
 
 NOTABLE_SHARE = 0.1
 """Share of a hold inside the drive from which a warning says so (empirical)."""
@@ -126,10 +128,8 @@ def _diagnose_clean(
     selection = search.selection.widen_by_remainder()
     result = found.diagnosis(selection)
     if result.verdict is Verdict.UNEXPLAINED and selection.steps:
-        independent = apply_rule("own-evidence", selection, train, held)
-        if independent is not None:
-            selection = independent.widen_by_remainder()
-            result = found.diagnosis(selection)
+        selection = _without_the_rest(selection, train, held)
+        result = found.diagnosis(selection)
     with_law = None
     if result.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not selection.is_cut_short:
         with_law = add_laws(selection if result.findings else selection.without_causes(), train, held)
@@ -154,6 +154,17 @@ def _diagnose_clean(
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}
     )
+
+
+def _without_the_rest(
+    found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> Selection:
+    """What may be named of causes that explain too little together; all of them where no time is left to
+    tell."""
+    independent = apply_rule("own-evidence", found, train, held)
+    if independent is not None:
+        return cast(Selection, independent).widen_by_remainder()
+    return replace(found, is_cut_short=found.is_cut_short or budget.is_spent())
 
 
 def _without_found(
