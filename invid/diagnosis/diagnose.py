@@ -24,19 +24,21 @@ from invid.diagnosis.rules.dropped_rows import (
 )
 from invid.diagnosis.rules.own_evidence import keep_independent_causes
 from invid.diagnosis.search_pass import run_search_pass
+from invid.diagnosis.selection import Selection
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.nuisance.hold_share import holds_left_open
-from invid.model.diagnosis_document import Diagnosis, Verdict
-from invid.model.document import Model
+from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, RuledOut, Verdict
+from invid.model.document import EffectTerm, Model
 from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.recording.still_axes import masses_of_moving
 from invid.signals.plausibility import check_units
 from invid.signals.repair import repair
+from invid.signals.spectral_record import SpectralRecord
 
 NOTABLE_SHARE = 0.1
 """Share of a hold inside the drive from which a warning says so (empirical)."""
@@ -126,11 +128,8 @@ def _diagnose_clean(
     selection = search.selection.widen_by_remainder()
     result = found.diagnosis(selection)
     if result.verdict is Verdict.UNEXPLAINED and selection.steps:
-        alone = partial(keep_independent_causes, selection, train, held)
-        independent = budget.or_else("own evidence", alone, None)
-        if independent is not None:
-            selection = independent.widen_by_remainder()
-            result = found.diagnosis(selection)
+        selection = _without_the_rest(selection, train, held)
+        result = found.diagnosis(selection)
     with_law = None
     if result.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not selection.is_cut_short:
         with_law = add_laws(selection if result.findings else selection.without_causes(), train, held)
@@ -146,15 +145,37 @@ def _diagnose_clean(
         result = limit_unfinished_search(result)
     elif result.verdict is not Verdict.UNEXPLAINED and all(f.effect.table is None for f in result.findings):
         # Behind what has no name anything may hide.
+        open_holds = holds_left_open(search.spectra, search.model, repaired)
+        limits = ruled_out(selection, train, held, repaired, open_holds)
+        is_own = model.provenance.get("recorded") == recording.created
         result = replace(
-            result,
-            ruled_out=ruled_out(
-                selection, train, held, repaired, holds_left_open(search.spectra, search.model, repaired)
-            ),
+            result, ruled_out=_without_found(limits, result.findings, model.effects if is_own else ())
         )
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}
     )
+
+
+def _without_the_rest(
+    found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> Selection:
+    """What may be named of causes that explain too little together; all of them where no time is left to
+    tell."""
+    alone = partial(keep_independent_causes, found, train, held)
+    independent = budget.or_else("own evidence", alone, None)
+    if independent is not None:
+        return independent.widen_by_remainder()
+    return replace(found, is_cut_short=found.is_cut_short or budget.is_spent())
+
+
+def _without_found(
+    limits: Sequence[RuledOut], findings: Sequence[Finding], identified: Sequence[EffectTerm]
+) -> tuple[RuledOut, ...]:
+    """The limits of what is neither found, nor an alternative, nor in the identification of the recording."""
+    said: list[EffectTerm | Alternative] = [*identified, *(f.effect for f in findings)]
+    said += [a for f in findings for a in f.alternatives]
+    found = {(x.cause, x.axis, x.element, x.other_axis) for x in said}
+    return tuple(r for r in limits if (r.cause, r.axis, r.element, r.other_axis) not in found)
 
 
 def hold_timing_warnings(final: JointFit, recording: Recording) -> list[str]:

@@ -158,6 +158,8 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     second = _search_by_periods(recording, model)
     if first is None or second.tones:
         return second
+    if not second.selection.steps:
+        return first  # what it found is named, with a doubt where it is little
     one, other = (s.selection.final for s in (first, second))
     if second.selection.is_cut_short or budget.is_spent():
         return first if one.excess / one.dof < other.excess / other.dof else second
@@ -189,6 +191,8 @@ def _search_one_axis(recording: Recording, model: Model, scatter: float, is_whol
         beside = budget.or_else(WHOLE_RECORDS, search, None)
     if beside is None:
         return result
+    if not result.selection.steps:
+        return beside
     other = beside.selection.final
     is_nearer = other.excess / other.dof < (1.0 - NAMED_SHARE) * final.excess / final.dof
     return beside if is_nearer else result

@@ -60,7 +60,7 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
     judgement = judge(selection, recording, after_test)
     linear_model = extended_model(model, final.fit, ())
     linear = judge_linear_fit(model, linear_model, base, final, (before_test, after_test), recording)
-    trusted = selection.only_independent or not linear.broken
+    trusted = selection.only_independent or selection.is_cut_short or not linear.broken
     named = judgement.findings if judgement.named and trusted and not is_refused else ()
     sure, timing_warnings = doubt_unknown_hold_timing(
         limit_confidence(tuple(named), linear), recording, model, final.fit
@@ -108,7 +108,7 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
             "unseen": list(linear.unseen),
         },
     )
-    distrust = distrust_sentences(linear, model.chains.masses_per_branch, only_independent=bool(named))
+    distrust = distrust_sentences(linear, model.chains.masses_per_branch, is_named=bool(named))
     level_text = ("1.2 times " if coherent else "") + "its noise"
     return assemble_diagnosis(
         recording,

@@ -11,6 +11,7 @@ from pathlib import Path
 import h5py
 import pytest
 import yaml
+from promises import ruled_out_though_found
 
 CONFIG = Path(__file__).parents[2] / "configs" / "case-study.yaml"
 
@@ -60,6 +61,7 @@ def test_dry_and_viscous_friction_of_every_motor_are_named_with_their_sizes(demo
         truth["coulomb_friction", axis] = ("torque", motor["friction"]["coulomb_Nm"])
         truth["viscous_friction", axis] = ("coefficient", motor["friction"]["viscous_Nms_per_rad"])
     assert found.keys() == truth.keys()
+    assert ruled_out_though_found(diagnosis, diagnosis["model"]["provenance"]["recorded"]) == []
     for key, (name, true) in truth.items():
         size = found[key][name]
         assert abs(size["value"] - true) <= 3 * size["std"], (key, size, true)
