@@ -10,7 +10,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import make
-from invid.diagnosis.context import current_context, use_context
 
 from invid.diagnosis.evidence import CandidateEvidence, Step
 from invid.diagnosis.judged_search import JudgedSearch
@@ -26,7 +25,7 @@ def test_friction_found_before_the_cut_is_named_though_most_is_missing_without_t
         "coulomb_friction", (0, 1), seed=301, masses=(2,), motors=1, second="cubic_stiffness", target_db=12.0,
         noise=0.003, drive="smooth",
     )  # fmt: skip
-    with use_context(current_context().fresh()), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         search = run_search_pass(recording, identify(recording))
         whole = search.selection
         assert [s.chosen.term.effect.cause for s in whole.steps] == ["coulomb_friction", "cubic_stiffness"]
