@@ -181,7 +181,7 @@ def _findings(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     """What was found, the most serious first, like ones together."""
     if facts.verdict is Verdict.CONSISTENT:
         return [Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})]
-    if facts.screened in NAMELESS:
+    if facts.screened in NAMELESS and facts.verdict in NAMELESS:
         return [*(_groups(facts, findings) if findings else []), Statement("headline.left_as_before")]
     if facts.verdict is Verdict.UNEXPLAINED or not findings:
         return [_unexplained(facts.unexplained_axis)]

@@ -31,8 +31,9 @@ def doubt_view(doubt: Doubt) -> Reason:
 
 
 def why_untrusted(mode: str, summary: Mapping[str, Any] | None) -> str | None:
-    """Return the weightiest reason in words; ``None`` where nothing speaks against accepting a result, or it is
-    of a short check, which nobody accepts."""
+    """Return the weightiest reason in words; ``None`` where nothing speaks against accepting a result, or
+    where it is of a short check, which nobody accepts.
+    """
     if summary is None or mode == "screen":
         return None
     known = summary.get("doubts")

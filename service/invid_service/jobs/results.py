@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
@@ -20,7 +21,7 @@ from invid.diagnosis.headline import Beside, with_headline
 from invid.errors import InvidError
 from invid.model.diagnosis_document import Diagnosis, Verdict, diagnosis_to_json, load_diagnosis
 from invid.model.document import Model, dump_json, model_from_json, save_text
-from invid.model.doubts import DoubtCode
+from invid.model.doubts import Doubt, DoubtCode
 from invid.model.expectation import Agreement, Answer
 from invid_service.cells.changes import changes_view
 from invid_service.jobs.doubts import doubt_view, doubts_against
@@ -132,7 +133,7 @@ class Results:
             found = self._against_accepted(run)
             if found is not None:
                 summary["changes"] = found[1]
-            answer = _answer(run, None if found is None else found[0])
+            answer = _answer(run, None if found is None else found[0], doubts)
             summary["answer"] = None if answer is None else str(answer.agreement)
             diagnosis = self._diagnosis(run)
             if diagnosis is None:
@@ -211,13 +212,16 @@ class Results:
         return True
 
 
-def _answer(run: RunRecord, found: Comparison | None) -> Answer | None:
+def _answer(run: RunRecord, found: Comparison | None, doubts: Sequence[Doubt]) -> Answer | None:
     """Return the answer to whoever said at the start what was changed."""
     said = run.facts.get("changed")
     if said is None:
         return None
     linear = found is not None and any(p.kind == "mass" and p.unit == "kg" for p in found.parameters)
-    return answer_expectation(StatedChange.model_validate(said).expectation(linear=linear), found)
+    expectation = StatedChange.model_validate(said).expectation(linear=linear)
+    if found is not None and any(d.spoils_changes for d in doubts):
+        return Answer(expectation, Agreement.CANNOT_TELL)
+    return answer_expectation(expectation, found)
 
 
 def load(stored: StoredModel) -> Model:

@@ -89,6 +89,16 @@ def test_a_tool_that_is_not_there_and_a_first_run_are_said_so(tmp_path: Path) ->
     assert told["headline"].startswith("What you said (another tool on A2, about +1.3 kg·m²) is not visible")
 
 
+def test_a_result_that_spoils_every_change_answers_neither_yes_nor_no(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, director):
+        accept(client, run(client))
+        director.model = lambda: model_document(scale_mass=1 + HEAVIER)
+        doubt = {"code": "missed_torque", "text": "half of it", "values": {"share": 0.6}}
+        director.summary = {"trustworthy": False, "distrust": [doubt]}
+        told = client.get(run(client, changed=TOOL)).json()["summary"]
+    assert told["answer"] == "cannot_tell"
+
+
 @pytest.mark.parametrize(
     ("said", "why"),
     [
