@@ -91,11 +91,11 @@ def verdict_on(model: Model) -> Verdict:
 
 
 def _is_open(found: Diagnosis, compared: Comparison, before: Verdict) -> bool:
-    """Return whether the record leaves open if anything changed: a model not to be trusted, or something new
-    that has no name."""
+    """Return whether the record leaves open if anything changed: a model not to be trusted, or something that
+    the accepted one does not have."""
     spoilt = any(d.spoils_changes for d in doubts_of(found.model.fit))
-    nameless = not compared.named and found.verdict is Verdict.UNEXPLAINED and before not in NAMELESS
-    return spoilt or nameless or not compared.told
+    new = not compared.named and found.verdict is not Verdict.CONSISTENT and before not in NAMELESS
+    return spoilt or new or not compared.told
 
 
 def _detectable(compared: Comparison) -> str:

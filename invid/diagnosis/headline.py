@@ -133,7 +133,8 @@ def headline_order(facts: Facts) -> list[list[Statement]]:
         return [[*answered, *calm, *_findings(facts, facts.findings)]]
     told = {_place(c) for c in serious if c.cause is not None}
     rest = [f for f in facts.findings if _place_of(f) not in told and grade_of(f) is not Grade.AS_EXPECTED]
-    beside = [] if facts.verdict is Verdict.UNEXPLAINED or not rest else _groups(facts, rest)
+    quiet = facts.verdict is Verdict.UNEXPLAINED or facts.screened is not None or not rest
+    beside = [] if quiet else _groups(facts, rest)
     return [[*answered, *_changed(serious, told_already)], beside, [_now(facts, serious)]]
 
 
@@ -181,8 +182,8 @@ def _findings(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     """What was found, the most serious first, like ones together."""
     if facts.verdict is Verdict.CONSISTENT:
         return [Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})]
-    if facts.screened in NAMELESS and facts.verdict in NAMELESS:
-        return [*(_groups(facts, findings) if findings else []), Statement("headline.left_as_before")]
+    if facts.screened is not None:  # a record of seconds names nothing new by itself
+        return [Statement("headline.left_as_before" if facts.screened in NAMELESS else "headline.new")]
     if facts.verdict is Verdict.UNEXPLAINED or not findings:
         return [_unexplained(facts.unexplained_axis)]
     return _groups(facts, findings)

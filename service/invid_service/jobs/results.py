@@ -147,6 +147,10 @@ class Results:
         except (InvidError, SQLAlchemyError, OSError) as error:
             log.error("run %s: no comparison with the accepted model: %s", run.id, error)
             return summary
+        if beside.screened is not None and told.verdict is not Verdict.CONSISTENT:
+            # What a record of seconds finds beside the accepted model is for a full one to name.
+            summary["findings"] = []
+            told = replace(told, findings=(), verdict=Verdict.UNEXPLAINED)
         grade = None if told.grade is None else str(told.grade)
         return {**summary, "headline": told.headline, "headlines": dict(told.headlines), "grade": grade}
 

@@ -161,3 +161,16 @@ def test_a_short_check_compares_with_the_accepted_model_and_replaces_none(tmp_pa
         assert answer.status_code == 409
         narrow = client.post(START, json={"mode": "screen", "axes": ["A1"]})
         assert narrow.status_code == 422
+
+
+def test_what_a_short_check_finds_beside_the_accepted_model_is_neither_named_nor_graded(
+    tmp_path: Path,
+) -> None:
+    with running(tmp_path) as (client, director):
+        accept(client, run(client))
+        director.verdict = "explained"
+        director.summary = {"findings": [{"cause": "backlash", "axis": "A1"}]}
+        told = client.get(run(client, "succeeded", mode="screen")).json()["summary"]
+    assert told["headline"].startswith("Nothing changed since the accepted model; something is missing")
+    assert told["findings"] == []
+    assert told["grade"] is None
