@@ -163,13 +163,15 @@ def ask_drives(
     axes: Sequence[str] | None = None,
     amplitude_scale: float = 1.0,
     model: CoupledChains | Belief | None = None,
+    plan: Plan | None = None,
 ) -> tuple[Plan, CellConfig, tuple[StoppingBudget, ...], list[str]]:
     """The plan within what the drives leave, the config with it, the budgets, and what is to be said of it.
 
     Where nobody can be asked the drives are taken at their best, and why is said.
     """
-    wish = Wish(axes, amplitude_scale, model)
-    make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)  # before a bus is opened
+    wish = Wish(axes, amplitude_scale, model, plan)
+    if plan is None:
+        make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)  # before a bus is opened
     try:
         cell = connect(config)
     except InvidError as error:

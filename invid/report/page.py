@@ -228,6 +228,9 @@ def captions_of(data: Mapping[str, Any]) -> dict[str, str]:
     for number, cause in enumerate(data["causes"], 1):
         what = cause["x_label"].split(" [")[0]
         drawn = f" The line is the fitted {cause['cause'].replace('_', ' ')}." if cause["cause"] else ""
+        if cause["seen"]:
+            low, high = cause["band_hz"]
+            drawn += f" Dots and squares hold {low:.2g} to {high:.2g} Hz only: a step looks round in them."
         note = f" ({cause['note']})" if cause["note"] else ""
         spread = f" {len(cause['y'])} points from {_span(cause['y'], cause['y_label'])}."
         captions[f"cause-{number}"] = f"What {cause['axis']} is missing, over {what}{note}.{drawn}{spread}"

@@ -38,6 +38,7 @@ class Reason(_Said):
         "store_unavailable",
         "bus_missing",
         "no_model",
+        "nothing_to_screen",
         "shutting_down",
         "axes_left_out",
         "axis_energised",
@@ -75,7 +76,7 @@ class Situation:
     store_answers: bool
     shutting_down: bool
     has_model: bool
-    mode: Literal["simulate", "test", "full"] | None = None
+    mode: Literal["simulate", "test", "full", "screen"] | None = None
     """The mode asked for; ``None``: whether any measurement could start."""
     axes: tuple[str, ...] | None = None
     """The axes to shake; ``None``: all."""
@@ -159,6 +160,14 @@ def readiness(s: Situation) -> Readiness:
             Reason(
                 code="no_model",
                 text="a real cell is simulated with its accepted model, and it has none yet",
+                fix="identify the cell in mode full and accept the result first",
+            )
+        )
+    if s.mode == "screen" and not s.has_model:
+        reasons.append(
+            Reason(
+                code="nothing_to_screen",
+                text="a screening compares with the accepted model, and there is none yet",
                 fix="identify the cell in mode full and accept the result first",
             )
         )

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from invid_service.jobs.schema import Identification
+from invid_service.jobs.schema import Identification, PersonName
 from invid_service.jobs.states import State
 
 
@@ -125,6 +125,16 @@ class ModelList(BaseModel):
     models: list[ModelEntry]
     history: list[AcceptedModel]
     simulated: bool
+
+
+class RestoreBody(BaseModel):
+    """Who takes an earlier model into force again."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, json_schema_extra={"examples": [{"by": "Ann Weld"}]}
+    )
+    by: PersonName | None = None
+    """Default: the key's name."""
 
 
 class Payload(BaseModel):

@@ -44,6 +44,32 @@ class Limits:
     stop_grace_s: float
 
 
+@dataclass(frozen=True)
+class Decision:
+    """What became of a result: ``by`` is who says so, ``caller`` the key that was used.
+
+    ``override``: why a result that is not to be trusted was accepted all the same.
+    """
+
+    accept: bool
+    by: str
+    caller: str
+    override: str | None = None
+
+    def facts(self, now: datetime) -> dict[str, Any]:
+        """Plain values; the caller where it is not who decided."""
+        told = {"type": "accepted" if self.accept else "rejected", "by": self.by, "at": now.isoformat()}
+        if self.caller != self.by:
+            told["caller"] = self.caller
+        if self.accept and self.override is not None:
+            told["override"] = self.override
+        return told
+
+
+AUTO = Decision(accept=True, by="auto", caller="auto")
+"""Within the bounds of the settings, by the service itself."""
+
+
 class JobManager:
     """Runs in progress, one per cell."""
 
@@ -128,7 +154,7 @@ class JobManager:
     async def cancel(self, run: LiveRun) -> None:
         """End a run without a result; waits until its motion has ended or the grace is over."""
         if run.record.state is State.AWAITING_ACCEPT:
-            await self.decide(run, accept=False, by="cancel")
+            await self.decide(run, Decision(accept=False, by="cancel", caller="cancel"))
         elif run.record.state in OCCUPYING:
             self._end_early(run, "cancel")
             deadline = self._limits.stop_grace_s + 2.0
@@ -147,25 +173,19 @@ class JobManager:
             await self._persist(run, run.set(State.RUNNING, self._clock()))
         await run.worker.send({"type": "arm"})
 
-    async def decide(self, run: LiveRun, *, accept: bool, by: str, override: str | None = None) -> None:
-        """Accept or reject the result; WrongStateError where there is none to decide on.
-
-        ``override``: why a result that is not to be trusted was accepted all the same.
-        """
+    async def decide(self, run: LiveRun, decision: Decision) -> None:
+        """Accept or reject the result; WrongStateError where there is none to decide on."""
         async with run.lock:
             if run.record.state is not State.AWAITING_ACCEPT:
                 raise WrongStateError(str(run.record.state))
             now = self._clock()
-            decision = {"type": "accepted" if accept else "rejected", "by": by, "at": now.isoformat()}
-            if accept and override is not None:
-                decision["override"] = override
-            if accept and run.record.cell is not None:
-                how = "auto" if by == "auto" else "accept"
+            if decision.accept and run.record.cell is not None:
+                how = "auto" if decision is AUTO else "accept"
                 await asyncio.to_thread(
-                    self._store.approve, run.record.cell, run.record.id, by=by, how=how, now=now
+                    self._store.approve, run.record.cell, run.record.id, by=decision.by, how=how, now=now
                 )
-            state = State.SUCCEEDED if accept else State.CANCELLED
-            event = run.set(state, now, {"decision": decision})
+            state = State.SUCCEEDED if decision.accept else State.CANCELLED
+            event = run.set(state, now, {"decision": decision.facts(now)})
             await self._persist(run, event)
         self._retire(run)
 
@@ -403,9 +423,12 @@ class JobManager:
             await self._move(run, State.SUCCEEDED, {"summary": summary})
             return
         summary = await asyncio.to_thread(self._results.concluded, run.record, summary, self._clock())
+        if job.mode == "screen":  # it says what changed, and is no model to run a robot with
+            await self._move(run, State.SUCCEEDED, {"summary": summary})
+            return
         await self._move(run, State.AWAITING_ACCEPT, {"summary": summary})
         if job.mode != "test" and self._results.may_auto_accept(summary):
-            await self.decide(run, accept=True, by="auto")
+            await self.decide(run, AUTO)
 
     async def _finish_early(self, run: LiveRun) -> None:
         now = self._clock()

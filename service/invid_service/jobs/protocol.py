@@ -19,7 +19,7 @@ class Job(BaseModel):
     model_config = ConfigDict(extra="forbid")
     id: str
     kind: Literal["measure", "analyse"]
-    mode: Literal["simulate", "test", "full", "upload"]
+    mode: Literal["simulate", "test", "full", "screen", "upload"]
     requested_by: str
     """Who started it; named in the report."""
     folder: Path
@@ -37,7 +37,8 @@ class Job(BaseModel):
     acceptable: bool = True
     """False where the result says nothing new of the cell: a real cell simulated with its own model."""
     model: dict[str, Any] | None = None
-    """The accepted model, for the forecast of travel and for ``mode`` "simulate" on a real cell."""
+    """The accepted model: for the forecast of travel, for ``mode`` "simulate" on a real cell, and for the
+    plan of ``mode`` "screen"."""
     simulator: str | None = None
     """Name of the file in ``folder`` that the recording is judged against."""
     memory_bytes: int

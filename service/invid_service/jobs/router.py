@@ -18,6 +18,7 @@ from invid_service.context import Context
 from invid_service.events import EventLog, sse
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, WrongStateError
+from invid_service.jobs.manager import Decision
 from invid_service.jobs.schema import (
     PARTS,
     RETRY_AFTER_S,
@@ -197,6 +198,8 @@ async def act_on_identification(
                 simulated=record.simulated,
             )
         facts["override"] = body.override
+    if body.by is not None and body.type in ("accept", "reject"):
+        facts["by"] = body.by
     if body.type in ("arm", "accept"):
         try:
             await asyncio.to_thread(service.audit.write, body.type, caller=caller.name, **facts)
@@ -244,7 +247,8 @@ async def _apply(
         case _:
             doubt = why_untrusted(record.mode, record.facts.get("summary"))
             override = body.override if doubt is not None else None
-            await service.jobs.decide(live, accept=action == "accept", by=caller, override=override)
+            by = body.by or caller
+            await service.jobs.decide(live, Decision(action == "accept", by, caller, override))
 
 
 @router.get(

@@ -50,6 +50,15 @@ async def begin_identification(
             f"axes: no axis {unknown[0][:64]!r}; the cell has {list(cell.axes)}",
             simulated=cell.simulated,
         )
+    if body.mode == "screen" and (body.separate is not None or body.axes not in (None, list(cell.axes))):
+        raise Problem(
+            "invalid-request",
+            "mode: a screening shakes all axes by a plan of its own; leave 'axes' and 'separate' out",
+            simulated=cell.simulated,
+        )
+    wrong = body.changed and body.changed.refusal(cell.axes, linear=cell.config.linear)
+    if wrong:
+        raise Problem("invalid-request", wrong, simulated=cell.simulated)
     async with service.start_locks[cell.id]:
         if key is not None:
             try:
@@ -61,7 +70,9 @@ async def begin_identification(
         await _refuse_if_not_ready(service, cell, body)
         separation = None if body.separate is None else await _separation(service, cell, body)
         record = service.new_run(cell, body.mode, list(body.axes or cell.axes), caller)
-        record = replace(record, facts={"amplitude": body.amplitude, "separates": body.separate})
+        said = None if body.changed is None else body.changed.model_dump()
+        asked = {"amplitude": body.amplitude, "separates": body.separate, "changed": said}
+        record = replace(record, facts=asked)
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
         before = await asyncio.to_thread(_analysis_before, service, cell.id, body)
         job = _job(service, cell, record, body, in_force, separation)

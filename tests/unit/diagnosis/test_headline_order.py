@@ -150,3 +150,12 @@ def small_diagnosis() -> Diagnosis:
     chains = CoupledChains.build([[1.0, 2.0]], [[1000.0]], [[0.5]], axes=("A1",))
     model = Model("cell", "refined", chains, ChainStd.unknown(chains))
     return Diagnosis(Verdict.CONSISTENT, (), None, (), None, model)
+
+
+def test_a_short_check_says_what_is_new_and_not_what_the_accepted_model_left_as_well() -> None:
+    lost = facts((), verdict=Verdict.UNEXPLAINED, unexplained_axis="A1", screened=Verdict.PARTLY_EXPLAINED)
+    assert headline(lost) == f"{NONE}; as in the accepted model, something is left that has no name."
+    new = replace(lost, screened=Verdict.EXPLAINED)
+    assert headline(new).endswith("the accepted model does not have: measure in full to tell what.")
+    changed = headline(facts((SOFTER,), screened=Verdict.EXPLAINED))
+    assert changed == f"{SOFT} Measure in full to take it over."

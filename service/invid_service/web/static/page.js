@@ -1,6 +1,7 @@
 // The technician's page: one cell, one button, what will move, progress, stop, then the result.
 import { Problem, call, download, get, onKeyRefused, post, useKey } from "./api.js";
 import { ask } from "./ask.js";
+import { changed, forgetChanged, offerChanged } from "./changed.js";
 import { why } from "./findings.js";
 import { showHistory } from "./history.js";
 import { showOverview, stateText } from "./overview.js";
@@ -14,6 +15,7 @@ import { showStopped } from "./stopped.js";
 import { blind, busy, find, known, look, onState, troubled } from "./store.js";
 import { $, $$, clock, el, fill, fmt, row, sentence, time } from "./dom.js";
 import { choose, named, t } from "./texts.js";
+import { who } from "./who.js";
 
 const ENDED = ["succeeded", "failed", "cancelled", "stopped", "interrupted"];
 const MOVING = ["running", "analysing", "queued", "checking"];
@@ -66,7 +68,7 @@ onState(draw);
 
 // What changes something is pressed only where it is known what it meets.
 function buttons() {
-  for (const b of $$("[data-acts]")) b.disabled = blind() || b.dataset.pressed === "true" || (b.id === "prepare" && !state.ready?.can_start);
+  for (const b of $$("[data-acts]")) b.disabled = blind() || b.dataset.pressed === "true" || (["prepare", "screen"].includes(b.id) && !state.ready?.can_start);
 }
 
 // Which run is to be seen: one in progress, whoever started it and whatever is open; then the one that a person opened; then
@@ -118,8 +120,10 @@ const details = (id, of) => alone(`cell ${id}`, async () => {
   state.details = { ...cell, of };
   $("simulated").hidden = !cell.simulated;
   $("in-force").textContent = cell.model ? t("ready.in_force", { time: time(cell.model.accepted), by: cell.model.by }) : t("ready.no_model");
+  $("screen").hidden = !cell.model; // nothing can have changed since none
   if (state.run) show(state.run);
   if (same) return;
+  offerChanged(cell);
   $("strength").hidden = $("upload-cell-choice").hidden = false;
   fill($("axes"), cell.axes.map((a) => el("label", {}, [el("input", { type: "checkbox", name: "axis", value: a, checked: true }), el("b", {}, a)])));
   fill($("drives"), [el("table", {}, [
@@ -159,11 +163,13 @@ $("start-card").addEventListener("submit", guarded(async (event) => {
   event.preventDefault();
   const form = new FormData(event.target), axes = form.getAll("axis");
   if (!axes.length) { $("problem").hidden = false; fill($("problem"), [t("start.no_axis")]); return; }
-  await begin({ mode: form.get("mode"), axes, ...(form.get("amplitude") === "gentler" ? { amplitude: "gentler" } : {}) }, $("prepare"));
+  await begin({ mode: form.get("mode"), axes, ...(form.get("amplitude") === "gentler" ? { amplitude: "gentler" } : {}), ...changed() }, $("prepare"));
+  forgetChanged();
 }));
+$("screen").addEventListener("click", guarded(async () => { await begin({ mode: "screen", ...changed() }, $("screen")); forgetChanged(); }));
 $("separate").addEventListener("click", guarded(() => begin({ mode: state.run.mode === "simulate" ? "simulate" : "full", separate: state.run.id }, $("separate"))));
 $("analyse").addEventListener("click", guarded(() => pressing($("analyse"), async () => opens(await post(state.run.links.analysis, undefined, unique())))));
-const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));
+const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.changed ? { changed: state.run.changed } : {}), ...(state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));
 
 // --- the run that is seen -----------------------------------------------------------------------------
 /** @param {Run} run */
@@ -223,7 +229,9 @@ function keepFocus(heading) {
 }
 
 const act = (type) => guarded(async () => {
-  const run = state.run, body = { type };
+  const run = state.run;
+  /** @type {Api["ActionBody"]} */
+  const body = { type, ...(type === "accept" || type === "reject" ? who() : {}) };
   if (type === "accept" && run.untrusted) { // for a reason or not at all
     body.override = await ask($("decide"), { title: t("override.title"), text: why(run), label: t("override.reason"), yes: t("override.yes"), least: 3 });
     if (!body.override) return;

@@ -102,13 +102,14 @@ function labelPeaks(u, peaks) {
   c.restore();
 }
 
-// Missing torque over what it depends on, with the fitted cause drawn over the cloud.
+// Missing torque over what it depends on: dots; over them squares, the fitted cause in the same band, and the cause itself
+// as a line where it is a curve over this quantity.
 export function cloud(target, picture) {
   drawn.set(target, () => drawCloud(target, picture));
   drawCloud(target, picture);
 }
 
-function drawCloud(target, { x, y, fit, line: joined = true, xLabel, yLabel, alt }) {
+function drawCloud(target, { x, y, fit, law, xLabel, yLabel, alt }) {
   target.replaceChildren();
   target.setAttribute("role", "img");
   target.setAttribute("aria-label", alt);
@@ -120,7 +121,7 @@ function drawCloud(target, { x, y, fit, line: joined = true, xLabel, yLabel, alt
   const c = canvas.getContext("2d");
   c.scale(ratio, ratio);
   const box = { left: 74, top: 12, right: width - 12, bottom: height - 48 };
-  const ys = fit ? y.concat(fit.y) : y;
+  const ys = [y, fit?.y ?? [], law?.y ?? []].flat();
   const [x0, x1] = range(x), [y0, y1] = range(ys);
   const px = (v) => box.left + (v - x0) / (x1 - x0) * (box.right - box.left);
   const py = (v) => box.bottom - (v - y0) / (y1 - y0) * (box.bottom - box.top);
@@ -129,26 +130,13 @@ function drawCloud(target, { x, y, fit, line: joined = true, xLabel, yLabel, alt
   for (const v of ticks(y0, y1)) { line(c, box.left, py(v), box.right, py(v)); c.textAlign = "right"; c.fillText(short(v), box.left - 8, py(v) + 5); }
   c.textAlign = "center"; c.fillText(xLabel, (box.left + box.right) / 2, height - 8);
   c.save(); c.translate(16, (box.top + box.bottom) / 2); c.rotate(-Math.PI / 2); c.fillText(yLabel, 0, 0); c.restore();
-  c.globalAlpha = 0.6; c.fillStyle = colour("--measured");
-  x.forEach((v, i) => { c.beginPath(); c.arc(px(v), py(y[i]), 2.5, 0, 7); c.fill(); });
-  c.globalAlpha = 1;
-  if (fit) {
-    // Over its own quantity a cause is a curve; over any other it is the torque of the same instants.
-    c.strokeStyle = c.fillStyle = colour("--before");
-    const order = joined ? fit.x.map((v, i) => i).sort((a, b) => fit.x[a] - fit.x[b]) : [], single = joined && isCurve(order.map((i) => fit.y[i]));
-    if (single) {
-      c.lineWidth = 3.5; c.beginPath();
-      order.forEach((i, k) => (k ? c.lineTo(px(fit.x[i]), py(fit.y[i])) : c.moveTo(px(fit.x[i]), py(fit.y[i]))));
-      c.stroke();
-    } else fit.x.forEach((v, i) => c.fillRect(px(v) - 2.5, py(fit.y[i]) - 2.5, 5, 5));
-  }
-}
-
-// A function of x jumps rarely; a loop goes back and forth all the time.
-function isCurve(y) {
-  let way = 0;
-  for (let i = 1; i < y.length; i++) way += Math.abs(y[i] - y[i - 1]);
-  return way < 12 * (Math.max(...y) - Math.min(...y));
+  c.globalAlpha = 0.5; c.fillStyle = colour("--before");
+  fit?.x.forEach((v, i) => c.fillRect(px(v) - 3, py(fit.y[i]) - 3, 6, 6));
+  c.globalAlpha = 0.7; c.fillStyle = colour("--measured");
+  x.forEach((v, i) => { c.beginPath(); c.arc(px(v), py(y[i]), 2, 0, 7); c.fill(); });
+  c.globalAlpha = 1; c.strokeStyle = colour("--before"); c.lineWidth = 2.5; c.beginPath();
+  law?.x.forEach((v, i) => (i ? c.lineTo(px(v), py(law.y[i])) : c.moveTo(px(v), py(law.y[i]))));
+  c.stroke();
 }
 function line(c, ax, ay, bx, by) { c.beginPath(); c.moveTo(ax, ay); c.lineTo(bx, by); c.stroke(); }
 function range(values) {

@@ -1,5 +1,6 @@
 // The result: grade and headline, where it is, the decision; what was found; the numbers unfold below.
 import { call, get } from "./api.js";
+import { saidBefore } from "./changed.js";
 import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesOf, spokenHeadline, place, why } from "./findings.js";
 import { cloud, curves, redraw } from "./plots.js";
 import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
@@ -42,7 +43,7 @@ export async function showResult(run) {
   showDecision(run);
   if (shown === run.id) return;
   shown = run.id;
-  $("run-facts").textContent = t("run.facts", { kind: named("mode", run.mode), time: time(run.started ?? run.created), by: run.requested_by }) + (run.simulated ? ` ${t("run.simulated")}` : "");
+  $("run-facts").textContent = t("run.facts", { kind: named("mode", run.mode), time: time(run.started ?? run.created), by: run.requested_by }) + (run.simulated ? ` ${t("run.simulated")}` : "") + (run.changed ? `. ${saidBefore(run)}` : "");
   fill($("grade"), [gradeBadge(summary.grade ?? "none")]);
   $("sentence").textContent = headline(summary);
   $("sentence").lang = spokenHeadline(summary) ?? LANGUAGE;
@@ -240,7 +241,7 @@ function cause(view, sizes) {
   const draw = (side) => {
     if (side.what !== "frequency") {
       const xLabel = has(`over.${side.what}`) ? `${t(`over.${side.what}`)} [${UNIT.exec(side.x_label)?.[1] ?? ""}]` : side.x_label;
-      cloud(target, { x: side.x, y: side.y, fit: side.fit, line: side.what === view.own, xLabel, yLabel, alt: cloudAlt(side, unit, xLabel) });
+      cloud(target, { x: side.x, y: side.y, fit: side.fit, law: side.law, xLabel, yLabel, alt: cloudAlt(side, unit, xLabel) });
       return;
     }
     const s = view.spectrum, series = [{ label: t("chart.lost"), x: s.frequency_hz, y: s.missing, colour: "--measured", dash: 0 }];
@@ -249,7 +250,7 @@ function cause(view, sizes) {
     const alt = t("chart.spectrum.alt", { before: fmt(typical(s.missing), 2), after: fmt(typical(s.left ?? s.missing), 2), unit });
     curves(target, { x: t("chart.frequency"), y: yLabel, series, alt });
   };
-  const caption = t("chart.cause", { axis: view.axis, cause: view.cause ? named("cause", view.cause) : t("chart.cause.none"), place: where ? ` ${where}` : "", note }) + (fitted ? ` ${t("chart.cause.fit")}` : "");
+  const caption = t("chart.cause", { axis: view.axis, cause: view.cause ? named("cause", view.cause) : t("chart.cause.none"), place: where ? ` ${where}` : "", note }) + (fitted ? ` ${t("chart.cause.fit")}` : "") + (fitted && view.band_hz ? ` ${t("chart.cause.band", { low: fmt(view.band_hz[0], 2), high: fmt(view.band_hz[1], 2) })}` : "");
   const figure = el("figure", {}, [el("figcaption", {}, caption), buttons, target]);
   // Drawn when it has a width, which it has only on the page.
   queueMicrotask(() => chooser(buttons, entries, (e) => t("chart.over", { what: named("over", e.what) }), draw));
