@@ -101,7 +101,8 @@ class LineSpectra:
     """(2M,) noise power of the averaged spectra from lines above the band, white quantisation included."""
     rounding: Float64 | None = None
     """(F, 2M) power of the rounding that lies within the band (``invid.signals.noise``)."""
-    hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
+    untimed_hold: Float64 = field(default_factory=lambda: np.zeros(0))
+    """(M,) gain of a hold that the recording does not say the instant of; NaN inside the drive, zero none."""
     hold_torque: Complex128 | None = None
     """(F, M) the part of the torque that a hold inside the drive gave, where the recording tells it apart."""
     integrated: bool = False
@@ -372,6 +373,13 @@ def is_integrated_velocity(experiment: Experiment) -> bool:
     return bool(experiment.attributes.get("position_source") == "integrated_velocity")
 
 
+def _untimed_hold(experiment: Experiment) -> Float64:
+    """(M,) stated gains of holds; zero where a master computed them, with the command of each sample."""
+    gain = np.asarray(experiment.hold_gain, dtype=np.float64)
+    by_master = experiment.attributes.get("hold_by") == "master"
+    return np.where(np.isfinite(gain) & by_master, 0.0, gain)
+
+
 def _position_of_velocity(position: Float64, step: float, hz: Float64) -> Complex128:
     """(F, M) position on the lines from a position (n, M) that is the running sum of a measured velocity.
 
@@ -488,6 +496,6 @@ def _assemble(  # noqa: PLR0913 - the fields of LineSpectra
         deviations=fixed(deviations),
         floor=frozen_float(floor),
         rounding=frozen_float(rounding),
-        hold_gain=frozen_float(experiment.hold_gain),
+        untimed_hold=frozen_float(_untimed_hold(experiment)),
         integrated=is_integrated_velocity(experiment),
     )
