@@ -25,7 +25,7 @@ from invid.signals.noise import (
     noise_plateau,
     pooled_covariance,
     quantisation_step,
-    quiet_power,
+    repeating_power,
     rounding_power,
     sensor_noise_share,
 )
@@ -277,16 +277,9 @@ def _periodic_spectra(
     mean = spectra.mean(axis=0)
     # Quantisation error of a motion that repeats exactly repeats too: the quiet lines of the mean show it,
     # the spread between periods does not. Of odd lines alone it is half-wave symmetric: all on odd lines.
-    odd = np.arange(1, nyquist + 1) % 2 == 1
-    repeating, own = floor / used, floor / used * share
-    if settling.settled:
-        repeating = np.array(
-            [
-                max(quiet_power(mean[:, [c]], p.lines(hz) & parity)[0][0] for parity in (odd, ~odd))
-                for c, p in enumerate(plateaus)
-            ]
-        )
-        own = np.maximum(own, repeating * sensor_noise_share(mean[None, quiet], hz[quiet], data.step))
+    repeating = np.array([repeating_power(mean[:, c], p.lines(hz)) for c, p in enumerate(plateaus)])
+    share_of_mean = sensor_noise_share(mean[None, quiet], hz[quiet], data.step) if settling.settled else share
+    own = np.maximum(floor / used * share, repeating * share_of_mean)
     step = np.concatenate((position_steps(experiment, data.position), quantisation_step(data.torque)))
     single = sum(np.abs(one) ** 2 for one in spectra) / used
     rounding = _rounding_power(single, np.abs(mean) ** 2, step, band)
