@@ -17,7 +17,14 @@ from invid.numerics.arrays import Bool, Complex128, Float64, frozen, frozen_floa
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.recording.plausibility import held_sentence
 from invid.signals.encoder_interpolation import position_steps
-from invid.signals.lines import band_of, driven_axes, excited_lines, held_torque, highest_excited
+from invid.signals.lines import (
+    band_of,
+    driven_axes,
+    excited_lines,
+    held_torque,
+    highest_excited,
+    known_lines,
+)
 from invid.signals.noise import (
     ENOUGH,
     NoisePlateau,
@@ -267,7 +274,9 @@ def _periodic_spectra(
     plateaus, floor, share = _noise_floor(data, quiet, hz, period)
     floor_dof = min(p.dof for p in plateaus)
     band = band_of(hz, top, band_hz)
-    settling = find_settled_periods(spectra[:, : top + 1], floor, floor_dof)
+    known = known_lines(experiment, hz, spectra, top)
+    excited = None if known is None else known[: top + 1]
+    settling = find_settled_periods(spectra[:, : top + 1], floor, floor_dof, excited)
     first = settling.first if drop_transient else 0
     if first:
         position = remove_drift(fold(data.position, period)[first:])
@@ -289,7 +298,10 @@ def _periodic_spectra(
     del spectra
     least = np.maximum(np.maximum(floor, averaged * used), rounding * used)
     covariance = pooled_covariance(deviations, least)
-    excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, period * data.step)
+    if known is None:
+        excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, period * data.step)
+    else:
+        excited = known[band]
     return _assemble(
         experiment,
         data,
