@@ -48,8 +48,8 @@ def declared_lines(experiment: Experiment, hz: Float64, duration: float) -> Bool
 LEAST_KNOWN = 16
 """Lines of a multisine from which they stand for all: what settles between fewer may pass them (a guess)."""
 NEIGHBOURS, LOW_SHARE = 20, 0.3
-"""Lines on each side of one that it is compared with, and the quantile of their power: of odd lines alone less
-than a third of the lines are weak at most by chance."""
+"""Lines on each side of one that it is compared with, and the quantile of their power: where odd lines alone
+are driven, half of all are weak."""
 STANDS_OUT = 30.0
 """Power over that quantile from which a line is one of few that are driven (statistical): a line of random
 torque exceeds it once in forty thousand."""
