@@ -10,6 +10,7 @@ import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.context import apply_rule, current_context, use_context
+from invid.diagnosis.floor_doubts import doubt_floors
 from invid.diagnosis.judged_search import JudgedSearch
 from invid.diagnosis.known_effects import merge_spring_damping
 from invid.diagnosis.limits.ruled_out import ruled_out
@@ -151,6 +152,7 @@ def _diagnose_clean(
                 selection, train, held, repaired, holds_left_open(search.spectra, search.model, repaired)
             ),
         )
+    result = doubt_floors(result, selection, repaired)
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}
     )

@@ -50,6 +50,8 @@ class Facts:
     unexplained_axis: str | None = None
     doubt: Doubt | None = None
     changes: Sequence[NamedChange] | None = None
+    has_floor: bool = True
+    """Whether the record shows what the sensors' noise alone would leave, on every axis."""
 
 
 def facts_of(diagnosis: Diagnosis, doubt: Doubt | None = None) -> Facts:
@@ -63,6 +65,7 @@ def facts_of(diagnosis: Diagnosis, doubt: Doubt | None = None) -> Facts:
         None if diagnosis.unexplained is None else diagnosis.unexplained.axis,
         own[0] if own else doubt,
         diagnosis.changes,
+        all(r.noise_floor is not None for r in diagnosis.residual),
     )
 
 
@@ -148,7 +151,8 @@ def _unexplained(axis: str | None) -> Statement:
 def _findings(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     """What was found, the most serious first, like ones together."""
     if facts.verdict is Verdict.CONSISTENT:
-        return [Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})]
+        said = Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})
+        return [said, *_doubtful_floor(facts)]
     if facts.verdict is Verdict.UNEXPLAINED or not findings:
         return [_unexplained(facts.unexplained_axis)]
     return _groups(facts, findings)
@@ -167,7 +171,11 @@ def _groups(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     said += _count_of_rest(rest)
     if facts.verdict is Verdict.PARTLY_EXPLAINED:
         said.append(Statement("headline.left"))
-    return said
+    return [*said, *_doubtful_floor(facts)]
+
+
+def _doubtful_floor(facts: Facts) -> list[Statement]:
+    return [] if facts.has_floor else [Statement("headline.no_floor")]
 
 
 def _group_findings(findings: Sequence[Finding]) -> list[list[Finding]]:
