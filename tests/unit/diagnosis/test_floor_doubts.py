@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +13,9 @@ from invid.model.diagnosis_document import diagnosis_from_json, diagnosis_to_jso
 from invid.recording.model import Experiment, Role
 
 
-def _pair(make) -> list[Experiment]:
-    return [
-        make(two_masses.from_rest(k, role, f"{k:03d}"), k)
-        for k, role in enumerate((Role.IDENTIFY, Role.VALIDATE))
-    ]
+def _pair(make: Callable[[Experiment, int], Experiment]) -> list[Experiment]:
+    roles = (Role.IDENTIFY, Role.VALIDATE)
+    return [make(two_masses.from_rest(k, role, f"{k:03d}"), k) for k, role in enumerate(roles)]
 
 
 def test_scatter_between_periods_is_no_floor() -> None:
