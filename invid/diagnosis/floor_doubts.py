@@ -9,7 +9,7 @@ from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import UNSIZED
 from invid.likelihood.null_test import scatter_share
 from invid.model.diagnosis_document import Diagnosis
-from invid.recording.model import Experiment, Recording
+from invid.recording.model import Experiment, Kind, Recording
 
 MOST_SCATTER = 0.5
 """Share of a floor's power that scatter between periods may have: beyond, the floor is no longer the sensors'
@@ -26,7 +26,7 @@ def doubt_floors(result: Diagnosis, selection: Selection, recording: Recording) 
     """The diagnosis without the floors that are not the sensors', and with what they make sure in doubt."""
     final = selection.final if result.findings else selection.base
     everywhere = ""
-    if all(_is_short(e) for e in recording.experiments):
+    if all(_is_short(e) for e in recording.experiments if e.kind is not Kind.CONSTANT_VELOCITY):
         everywhere = (
             f"the recording holds one period of fewer than {LEAST_LINES} lines: too little to tell a cause "
             "from its rivals and noise from what repeats; record more and longer periods"

@@ -224,7 +224,8 @@ def _is_told_by_demand(spectra: Sequence[LineSpectra], axis: int) -> bool:
     A demand that is all of the torque holds the hold's part as well, and says nothing of when that acts.
     """
     stated = _stated_gains(spectra, axis)
-    if any(s.staircase[axis] == 1.0 for s in spectra) and not np.any(np.isnan(stated) | (stated > 0)):
+    is_logged = any(s.staircase[axis] == 1.0 or s.hold_torque is not None for s in spectra)
+    if is_logged and not np.any(np.isnan(stated) | (stated > 0)):
         return True
     return any(_has_hold_beside(s, axis) for s in spectra)
 
