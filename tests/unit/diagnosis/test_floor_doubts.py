@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import two_masses
 
+import invid
 from invid.diagnosis.diagnose import diagnose
 from invid.model.diagnosis_document import diagnosis_from_json, diagnosis_to_json
 from invid.recording.model import Experiment, Role
@@ -23,13 +24,20 @@ def test_scatter_between_periods_is_no_floor() -> None:
 
     def rough(e: Experiment, seed: int) -> Experiment:
         rng = np.random.default_rng(seed)
-        push = np.repeat(rng.standard_normal(e.samples // 32 + 1), 32)[: e.samples]
-        demand = e.torque_demand[:, 0] + two_masses.HOLD * e.position[:, 0]
-        position, torque = two_masses.held(demand, two_masses.STEP, two_masses.HOLD, rate=1.0, beside=push)
+        bins = np.zeros(two_masses.PERIOD // 2 + 1, complex)
+        lines = np.arange(1, 120, 2)
+        bins[lines] = np.exp(2j * np.pi * rng.random(lines.size)) * two_masses.PERIOD / 5
+        asked = np.tile(np.fft.irfft(bins), 6)
+        push = np.repeat(rng.standard_normal(asked.size // 32), 32)
+        position, torque = two_masses.held(asked, two_masses.STEP, two_masses.HOLD, rate=1.0, beside=push)
         noisy = torque + two_masses.NOISE * rng.standard_normal(torque.size)
-        return replace(e, position=position[:, None], torque=noisy[:, None], torque_demand=torque[:, None])
+        time = np.arange(asked.size) * two_masses.STEP
+        columns = (c[:, None] for c in (position, noisy, torque))
+        return replace(
+            e, time=time, **dict(zip(("position", "torque", "torque_demand"), columns, strict=True))
+        )
 
-    found = diagnose(two_masses.recording(*_pair(rough)))
+    found = invid.diagnose(two_masses.recording(*_pair(rough)), budget=20.0)
     assert found.residual[0].noise_floor is None
     assert all(f.confidence <= 0.5 for f in found.findings)
     assert any("scatters from period to period" in w for w in found.warnings)
