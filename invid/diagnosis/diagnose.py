@@ -10,9 +10,9 @@ import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.context import apply_rule, current_context, use_context
-from invid.diagnosis.floor_doubts import doubt_floors
 from invid.diagnosis.judged_search import JudgedSearch
 from invid.diagnosis.known_effects import merge_spring_damping
+from invid.diagnosis.limits.floor_doubts import doubt_floors
 from invid.diagnosis.limits.ruled_out import ruled_out
 from invid.diagnosis.outcome import limit_unfinished_search
 from invid.diagnosis.remainder.law_without_name import add_laws
