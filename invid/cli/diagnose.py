@@ -161,7 +161,8 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
     lines.append("missing torque, rms on held-out data")
     lines.append(f"  {'axis':<12} {'before':>11} {'after':>11} {'noise':>11}")
     for r in diagnosis.residual:
-        lines.append(f"  {r.axis:<12} {r.before:>11.4g} {r.after:>11.4g} {r.noise_floor:>11.4g} {r.unit}")
+        floor = "unknown" if r.noise_floor is None else f"{r.noise_floor:.4g}"
+        lines.append(f"  {r.axis:<12} {r.before:>11.4g} {r.after:>11.4g} {floor:>11} {r.unit}")
     lines += _replay_lines(diagnosis)
     for f in diagnosis.findings:
         place = " ".join(x for x in (f.effect.axis, f.effect.element, f.effect.other_axis) if x)

@@ -12,6 +12,7 @@ import numpy as np
 from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.judged_search import JudgedSearch
 from invid.diagnosis.known_effects import merge_spring_damping
+from invid.diagnosis.limits.floor_doubts import doubt_floors
 from invid.diagnosis.limits.ruled_out import ruled_out
 from invid.diagnosis.outcome import limit_unfinished_search
 from invid.diagnosis.remainder.law_without_name import add_laws
@@ -151,6 +152,7 @@ def _diagnose_clean(
         result = replace(
             result, ruled_out=_without_found(limits, result.findings, model.effects if is_own else ())
         )
+    result = doubt_floors(result, selection, repaired)
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}
     )

@@ -70,6 +70,8 @@ class Facts:
     changes: Sequence[NamedChange] | None = None
     answer: Answer | None = None
     screened: Verdict | None = None
+    has_floor: bool = True
+    """Whether the record shows what the sensors' noise alone would leave, on every axis."""
 
 
 def facts_of(diagnosis: Diagnosis, beside: Beside = Beside()) -> Facts:
@@ -85,6 +87,7 @@ def facts_of(diagnosis: Diagnosis, beside: Beside = Beside()) -> Facts:
         diagnosis.changes,
         beside.answer,
         beside.screened,
+        all(r.noise_floor is not None for r in diagnosis.residual),
     )
 
 
@@ -181,7 +184,8 @@ def _unexplained(axis: str | None) -> Statement:
 def _findings(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     """What was found, the most serious first, like ones together."""
     if facts.verdict is Verdict.CONSISTENT:
-        return [Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})]
+        said = Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})
+        return [said, *_doubtful_floor(facts)]
     if facts.screened is not None:  # a record of seconds names nothing new by itself
         return [Statement("headline.left_as_before" if facts.screened in NAMELESS else "headline.new")]
     if facts.verdict is Verdict.UNEXPLAINED or not findings:
@@ -202,7 +206,11 @@ def _groups(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     said += _count_of_rest(rest)
     if facts.verdict is Verdict.PARTLY_EXPLAINED:
         said.append(Statement("headline.left"))
-    return said
+    return [*said, *_doubtful_floor(facts)]
+
+
+def _doubtful_floor(facts: Facts) -> list[Statement]:
+    return [] if facts.has_floor else [Statement("headline.no_floor")]
 
 
 def _group_findings(findings: Sequence[Finding]) -> list[list[Finding]]:

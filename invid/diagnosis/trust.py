@@ -249,3 +249,9 @@ def qualify_unexplained(found: Trust, left: Unexplained | None) -> Unexplained |
     return replace(
         left, sentence=left.sentence.replace("that no cause of the catalogue explains", "under that model")
     )
+
+
+def untold_remainder(axis: str) -> Unexplained:
+    """What is left where nothing stands out of the noise, under a linear fit that is broken."""
+    said = f"Axis {axis}: nothing stands out of the noise, which says nothing under a model that is wrong."
+    return Unexplained(axis, (), (), said)

@@ -10,7 +10,7 @@ import numpy as np
 
 from invid.diagnosis.confidence import effect_term, is_at_floor, judge
 from invid.diagnosis.known_effects import effects_in_model
-from invid.diagnosis.outcome import assemble_diagnosis, explained_share
+from invid.diagnosis.outcome import assemble_diagnosis, explained_share, floors_left
 from invid.diagnosis.remainder.residual_character import describe_unexplained
 from invid.diagnosis.rules.nonrepeating_torque import describe_scatter
 from invid.diagnosis.selection import Selection
@@ -22,6 +22,7 @@ from invid.diagnosis.trust import (
     judge_linear_fit,
     limit_confidence,
     qualify_unexplained,
+    untold_remainder,
 )
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import effects_of_plant
@@ -81,7 +82,8 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
     # A given model with causes in it explains what it explained when it was found.
     as_found = not selection.steps and not linear.broken and is_at_floor(base)
     as_found = as_found and explained is not None and explained > BROUGHT_DOWN
-    quiet = not tones and (not coherent or as_found)
+    # Under a broken linear fit a χ² that rejects nothing says nothing: its noise is as wrong.
+    quiet = not tones and not linear.broken and (not coherent or as_found)
     if quiet:
         unexplained = describe_scatter((base.fit.evaluation, base.held), recording, unit)
     elif named and nameless:
@@ -89,6 +91,8 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
     elif not named:
         if coherent:
             unexplained = qualify_unexplained(linear, describe_unexplained(base, recording))
+        else:
+            unexplained = untold_remainder(max(residual, key=floors_left).axis)
     elif not judgement.complete:
         unexplained = describe_unexplained(final, recording)
         if selection.only_independent and explained is not None:

@@ -50,7 +50,13 @@ class AxisResidual:
     unit: str
     before: float
     after: float
-    noise_floor: float
+    noise_floor: float | None
+    """What the sensors' noise alone would leave; ``None`` where the record does not show it."""
+
+    @property
+    def floor(self) -> float:
+        """What an axis is compared with: its noise floor, else what is left, which then repeats."""
+        return self.after if self.noise_floor is None else self.noise_floor
 
 
 @dataclass(frozen=True)

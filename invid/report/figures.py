@@ -37,7 +37,9 @@ def draw(data: dict[str, Any]) -> dict[str, str]:
 
 
 def residual(rows: list[dict[str, Any]]) -> str:
-    """Missing torque before and after, and what noise alone would leave; one scale for all axes."""
+    """Missing torque before and after, and what noise alone would leave where it is known; one scale for all
+    axes."""
+    rows = [{**r, "noise_floor": 0.0 if r["noise_floor"] is None else r["noise_floor"]} for r in rows]
 
     def fill(figure: Figure) -> None:
         ax = figure.add_subplot()

@@ -217,7 +217,8 @@ def captions_of(data: Mapping[str, Any]) -> dict[str, str]:
         "residual": "Torque that each motor would still need for the measured motion, on data that no fit "
         "has seen: with the linear model, with the causes named, and what noise alone would leave. "
         + "; ".join(
-            f"{r['axis']} {r['before']:.2g}, {r['after']:.2g} and {r['noise_floor']:.2g} {r['unit']}"
+            f"{r['axis']} {r['before']:.2g}, {r['after']:.2g} and "
+            + ("unknown" if r["noise_floor"] is None else f"{r['noise_floor']:.2g} {r['unit']}")
             for r in data["residual"]
         )
         + ".",

@@ -23,6 +23,8 @@ LEAST_SHARE, LEAST_OVER_BAND = 0.125, 3.0
 whole cells; there a motor's own motion is below the encoder's counts)."""
 MOST_CYCLES = 16384.0
 """Most waves of an error in a turn (or in 2π m): one in each of 16384 lines, the finest common scale."""
+LEAST_WAVES = 8.0
+"""Fewest waves within the way: the motion itself is a wave over about one."""
 MOST_WAVES = 6
 """Most waves of one encoder: with their harmonics two or three are usual."""
 CHANCE = 1e-6
@@ -146,7 +148,7 @@ def _strongest(readings: _Readings, left: Float64) -> float | None:
     power = np.abs(np.fft.rfft(np.bincount(bins, weights=left), size)) ** 2
     spacing = 2 * np.pi / (size * width)
     last = int(MOST_CYCLES / spacing)
-    first = int(np.ceil(8.0 / spacing / max(float(np.ptp(x)), 1e-300)))  # eight waves within the way
+    first = int(np.ceil(2 * np.pi * LEAST_WAVES / spacing / max(float(np.ptp(x)), 1e-300)))
     if first >= last:
         return None
     noise = float(np.median(power[first:last])) / np.log(2.0)
@@ -160,7 +162,7 @@ def _strongest(readings: _Readings, left: Float64) -> float | None:
         rest = left - columns @ own
         return float(rest @ rest)
 
-    around = ((at - 2) * spacing, (at + 2) * spacing)
+    around = (max(at - 2, first) * spacing, (at + 2) * spacing)
     found = scipy.optimize.minimize_scalar(
         missed, bounds=around, method="bounded", options={"xatol": 1e-3 * spacing}
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import two_masses
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import make
@@ -32,7 +33,7 @@ from invid.model.diagnosis_document import (
 from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import frozen_float
 from invid.recording.hdf5 import write_recording
-from invid.recording.model import Recording, Role
+from invid.recording.model import Experiment, Recording, Role
 from invid.rigid_motion.effect_terms import place_of
 from invid.rigid_motion.regressors import Regressor
 
@@ -241,6 +242,25 @@ def test_the_same_holds_for_chains_and_for_the_identification(
     document = json.loads(capsys.readouterr().out)
     assert broken(document, recording) == []
     assert "misses" in document["warnings"][0]
+
+
+def test_nothing_is_called_consistent_on_a_linear_fit_that_cannot_be_trusted() -> None:
+    """It said "the linear model itself cannot be trusted" and "nothing is missing" in one document."""
+
+    def cut(e: Experiment) -> Experiment:
+        columns = ("time", "position", "torque", "torque_demand")
+        return replace(e, **{name: getattr(e, name)[: 2 * two_masses.PERIOD // 3] for name in columns})
+
+    parts = (
+        cut(two_masses.from_rest(1, Role.IDENTIFY, "000")),
+        cut(two_masses.from_rest(2, Role.VALIDATE, "001")),
+    )
+    found = diagnose(two_masses.recording(*parts))
+    assert not found.model.fit["trustworthy"]
+    assert found.verdict is Verdict.UNEXPLAINED
+    assert not any("nothing is missing" in said for said in found.sentences)
+    assert found.unexplained is not None
+    assert found.unexplained.frequencies_hz == ()
 
 
 def test_a_document_that_misses_more_than_half_is_not_trusted() -> None:

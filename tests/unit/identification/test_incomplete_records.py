@@ -57,6 +57,25 @@ def test_a_stiff_hold_that_the_file_denies_widens_the_motor_mass() -> None:
     assert any("a hold works" in w for w in model.warnings)
 
 
+@pytest.mark.parametrize("in_drive", [True, False])
+def test_a_demand_with_the_hold_in_it_does_not_tell_when_the_hold_acts(in_drive: bool) -> None:
+    """Read at the end of its sample a command acts half a sample early and a hold inside the drive does not:
+    D·h/2 was in the motor's mass, 260 deviations."""
+    gain, damping = hold(1.5, 0.7, SUMS[:1])
+    shown = record(
+        ONE, seed=9, rate=1000.0, gain=gain, damping=damping, said=gain, in_drive=in_drive, demand_at_end=True
+    )
+    model = identify(shown)
+    assert worst(deviations(model, ONE)) < 4.5
+    assert any("a hold works" in w for w in model.warnings)
+    if in_drive:
+        return
+    by_master = tuple(replace(e, attributes={"hold_by": "master"}) for e in shown.experiments)
+    told = identify(replace(shown, experiments=by_master))
+    assert worst(deviations(told, ONE)) < 4.5
+    assert told.std.masses[0][0] < 0.2 * model.std.masses[0][0]
+
+
 def test_a_command_that_falls_with_frequency_is_smooth_where_its_lines_are_far_apart() -> None:
     """Between 0.7 and 2 Hz f^−½ bends; taken for roughness it made P 2.6 times too large."""
     gain, damping = hold(1.0, 0.7, SUMS)
