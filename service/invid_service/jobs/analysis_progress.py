@@ -15,16 +15,16 @@ BEGINS, ENDS = 0.8, 0.99
 """Shares of a whole run between which the analysis lies; motion comes before it."""
 STAGES = {
     "reading the recording": (0.0, 0.03),
-    "identifying": (0.03, 0.25),
-    "diagnosing": (0.25, 0.93),
+    "identifying": (0.03, 0.35),
+    "diagnosing": (0.35, 0.93),
     "writing the report": (0.93, 1.0),
 }
 """Shares of the analysis. Empirical: the case study and cells of one to six axes (``bench_service.py``)."""
-_TELLING = ("diagnosing", "writing the report")
-"""Stages whose beginning says how long a first analysis takes."""
 EVERY_S = 1.0
 PACE_S = 40.0
 """What a first analysis is thought to take, until its own stages say more: the case study on two cores."""
+_LEAST_S = {"diagnosing": PACE_S, "writing the report": 0.0}
+"""Stages whose beginning says how long a first analysis takes, and the least that is then thought."""
 
 Tell = Callable[..., None]
 
@@ -90,8 +90,8 @@ class AnalysisProgress:
         """Begin the next stage."""
         with self._lock:
             self._low, self._high = STAGES[stage]
-            if self._first and stage in _TELLING:
-                self._expected = max(self._expected, self.elapsed_s / self._low)
+            if self._first and stage in _LEAST_S:
+                self._expected = max(_LEAST_S[stage], self.elapsed_s / self._low)
             self._share = self._low
             self._phase, self._axis, self._cause = stage, None, None
         self.say(always=True)

@@ -94,7 +94,7 @@ def test_an_analysis_that_takes_longer_than_ever_says_when_it_ends_at_the_latest
     assert told[-1]["most_s"] == 0.0
 
 
-@pytest.mark.parametrize(("identified", "left"), [(4.0, 36.0), (40.0, 120.0)])
+@pytest.mark.parametrize(("identified", "left"), [(4.0, 36.0), (35.0, 65.0)])
 def test_a_first_analysis_is_told_by_what_such_ones_take_and_by_its_own_first_stage(
     identified: float, left: float
 ) -> None:
@@ -104,10 +104,13 @@ def test_a_first_analysis_is_told_by_what_such_ones_take_and_by_its_own_first_st
     first.begin("identifying")
     assert told[-1]["eta_s"] == pytest.approx(40.0)
     clock.now = identified
-    first.begin("diagnosing")  # a quarter of the work lies behind
+    first.begin("diagnosing")  # about a third of the work lies behind
     assert told[-1]["eta_s"] == pytest.approx(left)
     first.weigh(Weighing("weighing", "A1", "cogging", 0.5, 480.0))
     assert told[-1]["eta_s"] == pytest.approx(left), "what the search says of its own steps is no measure"
+    clock.now += 0.5 * left
+    first.begin("writing the report")
+    assert told[-1]["eta_s"] < 0.1 * clock.now, "nearly done"
 
 
 def test_time_left_of_a_motion_follows_the_pace_that_it_has(analysis: Analysis) -> None:

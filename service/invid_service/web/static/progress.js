@@ -12,11 +12,17 @@ export function showProgress(c) {
   const what = c.cause ? [t(c.axis ? "progress.weighing_on" : "progress.weighing", { cause: named("cause", c.cause), axis: c.axis })]
     : [phase(c.phase), c.axis && !c.phase.includes(c.axis) && t("progress.axis", { axis: c.axis }), c.frequency && `${fmt(c.frequency, 3)} Hz`];
   const parts = [t("progress.percent", { n: Math.round(c.progress * 100), what: what.filter(Boolean).join(", ") })];
-  const [of, known] = c.eta_s != null ? ["progress.left", c.eta_s] : ["progress.motion_left", c.motion_left_s], left = known == null || blind() ? 0 : known - age();
-  if (left > 0.5) parts.push(t(of, { time: seconds(coarse(left)) }));
-  else if (!blind() && c.state === "analysing" && c.most_s != null) parts.push(t("progress.longer", { time: seconds(coarse(c.most_s - age())) }));
-  write("phase", parts.join(", "));
+  write("phase", [...parts, ...left(c)].join(", "));
   write("found-so-far", c.state === "analysing" && c.found.length ? t("progress.found", { what: foundSoFar(c.found) }) : "");
+}
+
+// How long it will take, in words; none where that is not known.
+/** @param {Pick<Now, "state" | "eta_s" | "motion_left_s" | "most_s">} c */
+export function left(c) {
+  const [of, known] = c.eta_s != null ? ["progress.left", c.eta_s] : ["progress.motion_left", c.motion_left_s], rest = known == null ? 0 : known - age();
+  if (blind()) return [];
+  if (rest > 0.5) return [t(of, { time: seconds(coarse(rest)) })];
+  return c.state === "analysing" && c.most_s != null ? [t("progress.longer", { time: seconds(coarse(c.most_s - age())) })] : [];
 }
 
 // "friction on A1 and A2, play on A3".
