@@ -15,7 +15,7 @@ from service_process import SMALL_CELL, Serving, serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
 SIZES = ((1280, 800), (390, 844))
-STIFF = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 1.0}}}\n"
+STIFF = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 0.3}}}\n"
 # Nothing is kept for validation, which is said before arming and with the result.
 SHORT = re.sub(r"  - \{kind: multisine, role: validate.*\n", "", STIFF)
 LONG = SHORT.replace("periods: 3}", "periods: 120}").replace("small", "long")

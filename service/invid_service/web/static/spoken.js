@@ -40,7 +40,7 @@ export function refused(problem) {
 export function ended(run) {
   const stop = run.stopped, { code, text, fix } = run.error, reason = stop?.reason ?? text;
   const key = stop ? `halt.${stop.code}` : `error.${code}`;
-  if (!ours(key)) return [`${sentence(reason)}.${stop ? "" : ` ${t("ready.todo", { fix })}`}`];
+  if (!ours(key)) return [`${sentence(said(reason).text)}.${stop ? "" : ` ${t("ready.todo", { fix })}`}`];
   return [stop ? t(key) : `${t(key)} ${t("ready.todo", { fix: t(`${key}.fix`) })}`, ...(whole(reason, key) ? [] : [detail(reason)])];
 }
 
