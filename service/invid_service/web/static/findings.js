@@ -1,5 +1,6 @@
 // What was found, in words of the page's language: headline, what changed, groups by grade.
 import { $, el, estimate, fill, fmt, sentence } from "./dom.js";
+import { said } from "./said.js";
 import { spoken } from "./spoken.js";
 import { LANGUAGE, english, has, named, t } from "./texts.js";
 
@@ -66,12 +67,12 @@ function told(text, findings, full, sizes, linear) {
   if (!f) return spoken("li", text);
   const numbers = Object.entries(f.parameters).filter(([, e]) => typeof e.value === "number").map(([name, e]) => `${named("effect", name)} ${estimate(e.value, e.std)}${e.unit && e.unit !== "1" ? ` ${e.unit}` : ""}`);
   const others = [...new Set((f.alternatives ?? []).map((a) => named("cause", a.cause)))].filter((a) => a !== named("cause", f.cause));
-  const doubtful = others.length || f.confidence < SURE, kind = f.separating_experiment?.kind === "constant_velocity" ? "speeds" : "amplitudes";
+  const doubtful = others.length || f.confidence < SURE, experiment = f.separating_experiment && (f.separating_experiment.kind === "constant_velocity" ? "speeds" : "amplitudes");
   const parts = [
     t("finding.full", { axis: f.axis, cause: named("cause", f.cause), place: place(f, sizes) && ` ${place(f, sizes)}`, numbers: numbers.join(", "), share: fmt(100 * f.gain.fraction, 2), confidence: fmt(f.confidence, 3) }),
     others.length && `${sentence(t("finding.or", { cause: others.join(t("word.or")) }))}.`,
     size(f, linear) && `${sentence(size(f, linear))}: ${t(`grade.${gradeOf(f)}`)}.`,
-    doubtful ? `${t("finding.sure", { experiment: t(`experiment.${kind}`) })}.` : gradeOf(f) !== "as_expected" && has(`check.${f.cause}`) && t(`check.${f.cause}`)];
+    doubtful ? experiment && `${t("finding.sure", { experiment: t(`experiment.${experiment}`) })}.` : gradeOf(f) !== "as_expected" && has(`check.${f.cause}`) && t(`check.${f.cause}`)];
   return el("li", {}, parts.filter(Boolean).join(" "));
 }
 
@@ -102,7 +103,7 @@ export function showFindings(run, diagnosis, model) {
   if (sentences.length) {
     groups.push(el("details", { id: "sentences-box" }, [el("summary", {}, t("result.details")),
       el("ul", { id: "sentences", class: "reasons" }, [...sentences.map((s) => told(s, findings, full, sizes, linear)),
-        ...[...new Set(findings.map((f) => f.consequence?.source).filter((s) => s && s !== "config"))].map((source) => el("li", { class: "quiet" }, t("finding.source", { source })))])]));
+        ...[...new Set(findings.map((f) => f.consequence?.source).filter((s) => s && s !== "config"))].map((source) => el("li", { class: "quiet" }, t("finding.source", { source: said(source).text })))])]));
   }
   fill($("findings"), groups.length ? [el("h3", { class: "over" }, t("result.findings")), ...groups] : []);
 }
