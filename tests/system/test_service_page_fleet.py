@@ -51,12 +51,14 @@ def test_twenty_cells_are_seen_worst_first_and_measured_and_accepted_from_their_
         }.items():
             for words in told:
                 assert words.lower() in text(row).lower(), (row, text(row))
-        for width, height, least in ((1280, 800, 9), (390, 844, 3)):
+        for width, height, least in ((1280, 800, 9), (800, 1280, 8), (390, 844, 3)):
             page.resize(width, height)
             driver.execute_script("window.scrollTo(0, 0)")
             bottom = "document.getElementById('stopbar').getBoundingClientRect().top"
             inside = f"{ROWS}.filter((r) => r.getBoundingClientRect().bottom <= {bottom}).length"
             assert driver.execute_script(inside) >= least, width
+            assert "final mass" in driver.find_element("css selector", "tr[data-cell=r01]").text, width
+            driver.save_screenshot(str(tmp_path / f"fleet-{width}.png"))
             assert page.overflow() <= 0, width
             assert page.small_targets() == [], width
             assert page.barriers() == [], width

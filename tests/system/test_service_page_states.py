@@ -23,6 +23,8 @@ ABSENT = SHORT.replace("small", "absent").replace("invid-virtual", "socketcan")
 WORDS = "the|and|of|is|are|it|with|for|that|its|this|from|to|axis|torque|record"
 ENGLISH = re.compile(rf"\b({WORDS})\b", re.IGNORECASE)
 """Words that no German sentence has."""
+CITATION = re.compile(r"\([^()]*\b(?:19|20)\d\d\b[^()]*\)")
+"""Who found it stays as it is."""
 IN_VIEW = """const b = document.getElementById(arguments[0]).getBoundingClientRect();
   const over = document.elementFromPoint(b.x + b.width / 2, b.y + b.height / 2);
   const bar = document.getElementById('stopbar').getBoundingClientRect();
@@ -57,7 +59,9 @@ class Looking(Page):
             return
         unfold = "for (const d of document.querySelectorAll('details')) d.open = true;"
         text = str(self.driver.execute_script(f"{unfold} return document.body.innerText"))
-        self.english |= {f"{state}: {line}" for line in text.splitlines() if ENGLISH.search(line)}
+        for line in text.splitlines():
+            if ENGLISH.search(CITATION.sub("", line)):
+                self.english.add(f"{state}: {line}")
 
     def view(self, name: str) -> None:
         self.driver.execute_script("window.scrollTo(0, 0)")

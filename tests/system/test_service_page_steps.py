@@ -275,7 +275,7 @@ def test_the_separating_measurement_is_a_button_that_shows_first_what_it_moves(t
         location = service.run_to_result()
         driver.get(service.url + "/")
         page.drawing()  # one that comes late, on a busy machine, moves the button from under the pointer
-        assert "slow moves in both directions" in page.shown("separate-card").text
+        assert "Slow moves in both directions" in page.shown("separate-card").text
         page.press(page.shown("separate"))
         page.wait_text("run-title", "Ready to move")
         assert "A1" in page.text("plan-table")
