@@ -37,6 +37,7 @@ def test_twenty_cells_are_seen_worst_first_and_measured_and_accepted_from_their_
         driver.get(service.url + "/")
         press("[data-view=overview]")
         wait("r06", "yesterday")
+        page.wait_text("counts", "15 ready")
         assert len(order()) == CELLS
         assert order()[:5] == ["r05", "r04", "r03", "r02", "r01"], (
             "to act on, failed, stopped, then who waits"

@@ -22,7 +22,7 @@ const fleet = { key: "", cells: new Map(), order: [], by: "state", down: true, r
 export function rank(c) {
   if (c.moves) return "moves";
   if (["awaiting_arm", "awaiting_accept"].includes(c.state)) return "waits";
-  if (busy(c)) return "busy";
+  if (busy(c) || (c.status === "unknown" && !troubled(c))) return "busy"; // its drives have not said yet
   return troubled(c) || c.status !== "ready" || c.grade === "act" ? "trouble" : "ready";
 }
 /** @param {Now} c */
