@@ -74,6 +74,7 @@ export const typical = (values) => [...values].sort((a, b) => a - b)[Math.floor(
 const widths = new ResizeObserver((entries) => {
   for (const { target } of entries) {
     const box = /** @type {HTMLElement} */ (target.closest(".scroll"));
+    if (!box) continue; // it has left the page
     if (box.scrollWidth > box.clientWidth + 1) box.tabIndex = 0;
     else box.removeAttribute("tabindex");
   }
