@@ -29,6 +29,21 @@ class BudgetSpent(Exception):
 
 
 @dataclass(frozen=True)
+class Found:
+    """A cause found so far, and where."""
+
+    cause: str
+    axis: str
+    other_axis: str | None = None
+    element: str | None = None
+
+    def __str__(self) -> str:
+        """ "backlash A2 spring 1"."""
+        words = (self.cause.replace("_", " "), self.axis, self.other_axis, self.element)
+        return " ".join(word for word in words if word)
+
+
+@dataclass(frozen=True)
 class Progress:
     """How far a computation is.
 
@@ -43,8 +58,8 @@ class Progress:
     fraction: float = 0.0
     seconds_left: float | None = None
     element: str | None = None
-    found: tuple[str, ...] = ()
-    """Sentences about the causes found so far; the search still looks."""
+    found: tuple[Found, ...] = ()
+    """The causes found so far; the search still looks."""
 
     def __str__(self) -> str:
         """ "weighing backlash, A2 spring 1"."""
@@ -67,7 +82,7 @@ class Budget:
     """Shares of the whole between which the present part lies."""
     behind: float = 0.0
     left_out: list[str] = field(default_factory=list)
-    found: tuple[str, ...] = ()
+    found: tuple[Found, ...] = ()
     is_stopped: bool = False
     """Whether somebody asked for the best answer so far (``stop``)."""
 
@@ -214,12 +229,12 @@ def tell(
     budget.report(Progress(stage, axis, cause, budget.behind, left, element, budget.found))
 
 
-def tell_found(sentences: Sequence[str]) -> None:
-    """Report the causes found so far, in sentences, while the search still looks."""
+def tell_found(causes: Sequence[Found]) -> None:
+    """Report the causes found so far, while the search still looks."""
     budget = _IN_FORCE.get()
     if budget is None:
         return
-    budget.found = tuple(sentences)
+    budget.found = tuple(causes)
     tell("still looking", 0.0)
 
 

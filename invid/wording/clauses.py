@@ -92,9 +92,17 @@ def group_clause(
         what = Statement("headline.sized", {"what": what, "size": size})
     grade, check = grade_of(group[0]), cause_check(group[0].effect.cause)
     todo: Value = Statement(f"todo.{grade}")
-    if grade is Grade.ACT and advice and check is not None:
+    if grade is Grade.ACT and advice and group[0].is_doubtful:
+        todo = Statement("todo.doubtful", {"experiment": _experiment(group[0])})
+    elif grade is Grade.ACT and advice and check is not None:
         todo = Clause(check)
     return Statement("headline.clause", {"what": what, "todo": todo})
+
+
+def _experiment(finding: Finding) -> Statement:
+    """Return what to measure to be sure of a cause."""
+    effect = BY_CAUSE.get(finding.effect.cause)
+    return Statement(f"experiment.{'hand' if effect is None else effect.separating.kind}")
 
 
 def _group_name(group: Sequence[Finding], axes: Sequence[str]) -> Value:

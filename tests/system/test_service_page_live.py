@@ -61,10 +61,8 @@ def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path:
         view(page, "overview")
         page.wait_text("counts", "1 moving")
         assert "1 ready" in page.text("counts")
-        cards = [
-            c.get_attribute("data-cell") for c in page.driver.find_elements("css selector", "#cells article")
-        ]
-        assert cards == ["other", "small"], "worst first"
+        rows = page.driver.find_elements("css selector", "#fleet-rows tr")
+        assert [r.get_attribute("data-cell") for r in rows] == ["other", "small"], "worst first"
         assert "all cells" in page.text("stop")
         assert page.small_targets() == []
         assert page.barriers() == []
@@ -73,13 +71,13 @@ def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path:
         service.wait(location, "stopped", timeout=10)
         page.wait_text("stop-note", "robot 02: stopped")
         page.wait_text("counts", "1 to look at")
-        card = page.driver.find_element("css selector", "[data-cell=other]")
-        assert "Stopped" in card.text, "not green after a stop"
+        row = page.driver.find_element("css selector", "[data-cell=other]")
+        assert "Stopped" in row.text, "not green after a stop"
         picture(page, tmp_path, "overview-stopped")
-        # One button a card.
+        # One button a row.
         location = start(service, "other")
         page.wait_text("counts", "1 moving")
-        card.find_element("css selector", "button.stop").click()
+        row.find_element("css selector", "button.stop").click()
         service.wait(location, "stopped", timeout=10)
         assert page.mistakes() == []
 

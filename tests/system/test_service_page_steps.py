@@ -231,7 +231,7 @@ def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_p
         "code": "position_window",
         "phase": "experiment 1 of 2",
         "axis": "A1",
-        "reason": "axis A1: position left its window, 1.15 rad of 1.0",
+        "reason": "axis A1: position left its window: 1.15 rad from the start, limit 1.0",
         "action": {"code": "gentler", "text": "Start again with half of the torque.", "where": "page"},
         "trace": {"time_s": seconds, "position": {"A1": moved}, "torque": {"A1": [5.0] * 201}},
     }
@@ -246,7 +246,7 @@ def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_p
         driver.find_element("id", "stop").click()
         service.wait(location, "stopped", timeout=10)
         page.shown("stopped")
-        assert "1.15 rad of 1.0" in page.text("run-error")
+        assert "1.15 rad from the start, limit 1.0" in page.text("run-error")
         assert "What to do" not in page.text("run-error"), "one action, and it stands below"
         assert "experiment 1 of 2, axis A1" in page.text("stopped-where")
         assert page.text("stopped-action") == "Start again with half of the torque."
@@ -259,7 +259,7 @@ def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_p
         driver.add_cookie({"name": "invid-language", "value": "de", "path": "/"})
         driver.refresh()
         page.wait_text("run-error", "weiter, als sie darf")
-        assert "1.15 rad of 1.0" in page.text("run-error")
+        assert "1,15 rad vom Anfang, erlaubt 1,0" in page.text("run-error")
         page.press(page.shown("stopped-do"))
         deadline = time.monotonic() + 10
         while not (asked := [a for a in driver.execute_script("return window.asked") if "mode" in a]):
@@ -276,7 +276,7 @@ def test_the_separating_measurement_is_a_button_that_shows_first_what_it_moves(
         page = Page(driver)
         driver.get(service.url + "/")
         page.drawing()  # one that comes late, on a busy machine, moves the button from under the pointer
-        assert "slow moves in both directions" in page.shown("separate-card").text
+        assert "Slow moves in both directions" in page.shown("separate-card").text
         page.press(page.shown("separate"))
         page.wait_text("run-title", "Ready to move")
         assert "A1" in page.text("plan-table")
@@ -324,15 +324,15 @@ def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_eve
         assert service.client.get("/api/v1" + link.split(service.url)[-1]).text.startswith("created,model")
         driver.execute_script("window.scrollTo(0, 0)")
         driver.find_element("css selector", "[data-view=overview]").click()
-        page.wait_text("cells", "other cell")
-        cards = {
-            c.get_attribute("data-cell"): c for c in driver.find_elements("css selector", "#cells article")
+        page.wait_text("fleet", "never measured")
+        rows = {
+            r.get_attribute("data-cell"): r for r in driver.find_elements("css selector", "#fleet-rows tr")
         }
-        assert set(cards) == {"small", "other"}
-        assert "dry friction on A1" in cards["small"].text
-        assert "As expected" in cards["small"].text
-        assert "Not measured yet" in cards["other"].text
-        page.press(cards["other"].find_element("tag name", "button"))
+        assert set(rows) == {"small", "other"}
+        assert "unchanged" in rows["small"].text
+        assert "As expected" in rows["small"].text
+        assert "never measured" in rows["other"].text
+        page.press(rows["other"].find_element("tag name", "button"))
         page.wait_text("ready-title", "Ready")
         assert driver.find_element("id", "cell").get_attribute("value") == "other"
         deadline = time.monotonic() + 30

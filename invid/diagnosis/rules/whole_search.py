@@ -355,15 +355,11 @@ def tell_causes(found: CandidateEvidence) -> None:
     axes = found.fit.layout.structure.axes
     budget.tell_found(
         [
-            " ".join(
-                word
-                for word in (
-                    "friction" if t.effect is LAW else t.effect.cause.replace("_", " "),
-                    axes[t.place.axis],
-                    None if t.place.other < 0 else axes[t.place.other],
-                    t.place.element,
-                )
-                if word
+            budget.Found(
+                t.effect.cause,
+                axes[t.place.axis],
+                None if t.place.other < 0 else axes[t.place.other],
+                t.place.element,
             )
             for t in found.fit.candidate.terms
         ]

@@ -62,6 +62,8 @@ class Overview(BaseModel):
     changed: str | None
     """What the last result says of changes against the model in force; ``null`` where nothing changed, or
     nothing was there to compare with."""
+    news: dict[str, str] | None
+    """The first of what changed, by language; empty where nothing did, ``null`` without a comparison."""
 
 
 class CellView(BaseModel):

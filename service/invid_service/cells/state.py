@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from datetime import datetime
+from textwrap import shorten
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -16,7 +17,7 @@ from pydantic import BaseModel, Field
 from invid_service.auth import Reader
 from invid_service.cells.registry import Cell
 from invid_service.context import Context
-from invid_service.jobs.schema import polling_headers
+from invid_service.jobs.schema import FoundCause, polling_headers
 from invid_service.jobs.states import IDLE, OCCUPYING, State
 from invid_service.problems import EVERYWHERE, RETRY_AFTER
 from invid_service.service import Service
@@ -63,6 +64,9 @@ class CellState(CellNow):
     """[Hz]"""
     cause: str | None = None
     """What the analysis weighs now."""
+    most_s: float | None = None
+    found: list[FoundCause] = []
+    """As of the run."""
 
 
 class CellStates(BaseModel):
@@ -115,6 +119,8 @@ def state_of(service: Service, cell: Cell) -> CellState:
             axis=run.progress.axis,
             frequency=run.progress.frequency,
             cause=run.progress.cause,
+            most_s=run.progress.most_s,
+            found=[FoundCause.model_validate(f) for f in run.progress.found],
         )
     can_start = service.can_start.of(cell.id, lambda: service.readiness(cell))
     return CellState(**now, status="unknown" if can_start is None else "ready" if can_start else "not_ready")
@@ -131,7 +137,7 @@ def _now(service: Service, cell: Cell) -> dict[str, Any]:
         "state": str(run.record.state),
         "run": run.record.id,
         "since": run.since,
-        "phase": progress.phase[:_PHASE],
+        "phase": shorten(progress.phase, _PHASE, placeholder="…"),
         "progress": progress.fraction,
         "eta_s": None if progress.eta_s is None else round(progress.eta_s, 1),
         "motion_left_s": None if progress.motion_left_s is None else round(progress.motion_left_s, 1),

@@ -27,6 +27,9 @@ from invid_service.jobs.protocol import Job
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
 
+WALL = 2.0
+"""By the clock an analysis takes at most so many times its budget of processor time (the contract)."""
+
 
 def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, Any]:
     """Identify, diagnose and report, write the numbers of the page's pictures, return the summary.
@@ -34,7 +37,7 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
     ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
     """
     behind_parent()
-    tell = AnalysisProgress(line.progress, job.expected_analysis_s)
+    tell = AnalysisProgress(line.progress, job.expected_analysis_s, WALL * job.budget_s)
     with tell.told():
         tell.begin("reading the recording")
         # Model and report name the run, not a working folder that is gone when somebody reads them.

@@ -30,6 +30,7 @@ from invid_service.store.store import RunRecord, Store, StoredEvent
 log = logging.getLogger(__name__)
 _RETRY_S = 1.0
 _KEEP_RETRY_S = 5.0
+_TOLD = ("axis", "frequency", "eta_s", "motion_left_s", "cause", "most_s")
 _LAST_WORDS_S = 2.0
 """At the end: for the store to take the last state of a run; one that does not answer is not waited for."""
 
@@ -308,11 +309,8 @@ class JobManager:
                     Progress(
                         float(message.get("fraction", 0.0)),
                         str(message.get("phase", run.record.state)),
-                        message.get("axis"),
-                        message.get("frequency"),
-                        message.get("eta_s"),
-                        message.get("motion_left_s"),
-                        message.get("cause"),
+                        found=tuple(message.get("found", ())),
+                        **{name: message.get(name) for name in _TOLD},
                     )
                 )
             case "measured":

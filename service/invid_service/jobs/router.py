@@ -124,8 +124,16 @@ async def get_identification(identification: str, service: Context, _caller: Rea
     """Return state, progress, phase: plain polling is enough."""
     record, live = await service.run(identification)
     # Written here and not by the framework, which would check and turn it over twice: the busiest call.
-    content = view(record, live).model_dump_json()
+    content = view(record, live, recorded=await _recorded(service, record)).model_dump_json()
     return Response(content, media_type="application/json", headers=polling_headers(record))
+
+
+async def _recorded(service: Service, record: RunRecord) -> bool | None:
+    """Return whether a run that has ended has a recording in the store; ``None`` before."""
+    if record.state not in ENDED:
+        return None
+    blobs = await asyncio.to_thread(service.store.artefacts, record.id)
+    return blobs.get("recording") is not None
 
 
 async def _part(service: Service, identification: str, name: str) -> dict[str, Any]:
@@ -218,7 +226,7 @@ async def act_on_identification(
     if body.type in ("cancel", "reject"):
         await asyncio.to_thread(service.audit.try_write, body.type, caller=caller.name, **facts)
     record, live = await service.run(identification)
-    return view(record, live)
+    return view(record, live, recorded=await _recorded(service, record))
 
 
 async def _apply(

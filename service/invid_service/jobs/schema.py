@@ -119,6 +119,15 @@ class StoppedView(BaseModel):
     trace: Trace
 
 
+class FoundCause(BaseModel):
+    """A cause found while the analysis still looks."""
+
+    cause: str
+    axis: str
+    other_axis: str | None
+    element: str | None
+
+
 class Identification(BaseModel):
     """A run: what it is, how far, and its results."""
 
@@ -143,13 +152,20 @@ class Identification(BaseModel):
     frequency: float | None
     """[Hz]"""
     eta_s: float | None
-    """Until the result, as the cell's last runs took [s]; ``null`` where that is not known: it is the first,
-    or it takes longer than they did."""
+    """Until the result, as the last runs took, in the analysis of a first one as its own stages took [s];
+    ``null`` where that is not known: it is the first and moves yet, or it takes longer than they did."""
+    most_s: float | None
+    """Until the analysis ends at the latest, with its best answer so far [s]."""
     motion_left_s: float | None
     """Until the axes are at rest, by the plan; ``null`` where nothing moves [s]."""
     cause: str | None
     """What the analysis weighs now; its axis is ``axis``."""
+    found: list[FoundCause]
+    """What the analysis found so far; it still looks."""
     error: ErrorInfo | None
+    recorded: bool | None
+    """Whether a run that has ended left a recording, to be worked out by ``analysis``; ``null`` in lists, and
+    before its end."""
     stopped: StoppedView | None
     """Of a run that ended early while it moved: where, why, the one thing to do, the last seconds."""
     created: datetime
@@ -181,7 +197,9 @@ class IdentificationList(BaseModel):
     """Where the list goes on; ``null`` at its end."""
 
 
-def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Identification:
+def view(
+    record: RunRecord, live: LiveRun | None, *, trace: bool = True, recorded: bool | None = None
+) -> Identification:
     """Return the resource of a stored or living run; ``trace``: with the last seconds of a stopped one."""
     if live is not None:
         record, progress = live.record, live.progress
@@ -203,6 +221,7 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
         changed=record.facts.get("changed"),
         axes=list(record.axes),
         error=record.facts.get("error"),
+        recorded=recorded,
         stopped=stopped,
         plan=record.facts.get("plan") if record.state in _PLANNED else None,
         measurement=None

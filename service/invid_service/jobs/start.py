@@ -160,12 +160,11 @@ def _diagnosis_text(service: Service, identity: str) -> str | None:
 
 def _analysis_before(service: Service, cell: str, body: StartBody) -> float | None:
     """Return the seconds that the analysis of the cell's last runs took at most, in three of four cases; of
-    runs like this one where there are any.
+    runs like this one where there are any, of other cells with as many axes where it is the cell's first.
     """
-    done = [
-        (run, float(run.facts["summary"]["analysis_s"]))
-        for run in service.store.runs(cell=cell, limit=_RECENT, measured=True)
-        if "analysis_s" in (run.facts.get("summary") or {})
+    axes = len(service.cell(cell).axes)
+    done = _analyses(service, cell) or [
+        (run, took) for run, took in _analyses(service, None) if len(run.axes) == axes
     ]
     alike = [
         took
@@ -174,6 +173,14 @@ def _analysis_before(service: Service, cell: str, body: StartBody) -> float | No
     ]
     took = sorted(alike or [took for _, took in done])
     return took[3 * (len(took) - 1) // 4] if took else None
+
+
+def _analyses(service: Service, cell: str | None) -> list[tuple[RunRecord, float]]:
+    return [
+        (run, float(run.facts["summary"]["analysis_s"]))
+        for run in service.store.runs(cell=cell, limit=_RECENT, measured=True)
+        if "analysis_s" in (run.facts.get("summary") or {})
+    ]
 
 
 def _job(

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from invid.diagnosis.headline import Facts, headline
-from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade, Verdict
+from invid.model.diagnosis_document import Alternative, Consequence, Diagnosis, Finding, Grade, Verdict
 from invid.model.document import EffectTerm, Estimate
 from invid.model.doubts import Doubt, DoubtCode, by_weight, doubt_facts, doubts_of
 from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
@@ -103,6 +103,26 @@ def test_what_to_act_on_stands_beside_a_change_and_is_not_told_twice() -> None:
     said = headline(facts((came,), verdict=Verdict.EXPLAINED, findings=(act,)))
     assert said.lower().count("free play") == 1
     assert said.endswith("Before accepting: check the gear's wear, keys and couplings.")
+
+
+@pytest.mark.parametrize(
+    ("confidence", "rivals"), [(0.5, ()), (0.89, (Alternative("spring_hysteresis", "A1", "spring 1", 0.1),))]
+)
+def test_a_doubtful_cause_asks_for_the_experiment_that_makes_sure_and_for_no_repair(
+    confidence: float, rivals: tuple[Alternative, ...]
+) -> None:
+    sure = finding("cubic_stiffness", "A1", Grade.ACT)
+    doubtful = replace(sure, confidence=confidence, alternatives=rivals)
+
+    def said(of: Finding, language: str = "en") -> str:
+        return headline(facts(None, verdict=Verdict.EXPLAINED, findings=(of,)), language)
+
+    assert said(sure).endswith("check gear, belt or coupling for preload and wear.")
+    assert said(doubtful).endswith(
+        ": not sure yet: measure again at another amplitude before anything is repaired."
+    )
+    assert "noch einmal mit anderer Amplitude messen, bevor etwas repariert wird." in said(doubtful, "de")
+    assert "check" not in said(doubtful)
 
 
 def test_what_has_no_name_is_the_last_word_after_a_change() -> None:

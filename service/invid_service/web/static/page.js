@@ -57,7 +57,7 @@ function draw(news) {
   $("stop-of").textContent = all ? t("stop.all_cells") : c?.name ?? "";
   const moving = known.cells.filter((other) => other.moves && (all || viewed() !== "work" || other !== c)).map((other) => `► ${other.name}: ${stateText(other)}`);
   $("moving").textContent = quiet ? "" : moving.join("; ");
-  if (viewed() === "overview") showOverview(inCell);
+  if (viewed() === "overview") showOverview(acts);
   buttons();
   if (quiet) { $("ready-title").className = ""; $("ready-title").textContent = t("ready.unknown"); }
   if (state.run) title();
@@ -65,6 +65,8 @@ function draw(news) {
   if (news) follow(c);
 }
 onState(draw);
+// What stands above the stop bar has to know how high its words make it.
+new ResizeObserver(() => document.documentElement.style.setProperty("--stop-height", `${$("stopbar").offsetHeight}px`)).observe($("stopbar"));
 
 // What changes something is pressed only where it is known what it meets.
 function buttons() {
@@ -204,7 +206,8 @@ function show(run) {
   $("arm").hidden = run.state !== "awaiting_arm";
   $("cancel").hidden = ENDED.includes(run.state) || run.state === "awaiting_accept";
   $("retry").hidden = !ENDED.includes(run.state);
-  $("analyse").hidden = run.mode === "upload" || !["failed", "stopped", "interrupted"].includes(run.state);
+  $("analyse").hidden = run.mode === "upload" || !run.recorded || !["failed", "stopped", "interrupted"].includes(run.state);
+  emphasize();
   $("again").hidden = !ENDED.includes(run.state) && run.state !== "awaiting_accept";
   $("plan").hidden = !(run.plan && ["awaiting_arm", "running"].includes(run.state));
   // To be read before arming; while the robot moves it must not push the progress off a tablet.
@@ -214,6 +217,12 @@ function show(run) {
   if (isNew || find(state.cell)?.run !== run.id) showProgress({ ...run, run: run.id });
   if (result) { showResult(run).catch(say); showDecision(run); } else $("result-card").hidden = true;
   buttons();
+}
+
+// One action of a state invites: what a stop leads to, else what makes most of what was recorded.
+function emphasize() {
+  const first = ["stopped-do", "analyse", "retry"].find((id) => !$(id).closest("[hidden]"));
+  for (const id of ["analyse", "retry"]) $(id).classList.toggle("primary", id === first);
 }
 
 function title() {
@@ -262,12 +271,17 @@ $("upload-form").addEventListener("submit", async (event) => {
 });
 
 // --- views ------------------------------------------------------------------------------------------
-const inCell = (id) => { setView("work"); enter(id); };
+// What is done with a cell from the table of all.
+const acts = {
+  open: (id) => { setView("work"); enter(id); },
+  begin: guarded((id, pressed) => pressing(pressed, async () => { await post(`/cells/${id}/identifications`, { mode: "full" }, unique()); look(); })),
+  accept: guarded(async (run) => { await post(`${run.links.self}/actions`, { type: "accept" }); look(); }),
+};
 const VIEWS = {
   work: async () => {},
   upload: async () => {},
   history: () => showHistory({ id: state.cell }, guarded, (run) => { state.opened = run.id; setView("work"); fetchRun(run.id); }),
-  overview: async () => showOverview(inCell, true),
+  overview: async () => showOverview(acts, true),
 };
 const ofAll = () => viewed() === "overview" && known.cells.length !== 1;
 const viewed = () => $$("nav [aria-pressed=true]")[0].dataset.view;

@@ -4,6 +4,7 @@ import { saidBefore } from "./changed.js";
 import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesOf, spokenHeadline, place, why } from "./findings.js";
 import { cloud, curves, redraw } from "./plots.js";
 import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
+import { spoken } from "./spoken.js";
 import { LANGUAGE, english, has, named, t } from "./texts.js";
 
 // Not before what stands above a button has its place: one that moves under a finger is pressed by mistake.
@@ -105,14 +106,15 @@ function separating(run, diagnosis) {
   if (!offered) return;
   const finding = diagnosis?.findings?.[s.finding], other = finding?.alternatives?.find((a) => a.cause !== finding.cause);
   const names = finding && other ? { first: `${finding.axis}: ${named("cause", finding.cause)}`, other: named("cause", other.cause) } : null;
-  fill($("separate-note"), [names ? t("separate.note", names) : t("separate.plain"), s.text ? el("small", { lang: "en" }, s.text) : null].filter(Boolean));
+  fill($("separate-note"), [names ? t("separate.note", names) : t("separate.plain"), s.text ? spoken("small", s.text) : null].filter(Boolean));
 }
 
 function warnings(summary) {
   const all = [...new Set([...(summary.warnings ?? []), ...(summary.changes?.warnings ?? [])].filter(Boolean))];
   $("notes").hidden = !all.length;
   $("notes-title").textContent = t("result.warnings", { n: all.length });
-  fill($("warnings"), [...(english || !all.length ? [] : [el("li", { class: "quiet" }, t("page.untranslated"))]), ...all.map((w) => el("li", { lang: "en" }, w))]);
+  const lines = all.map((w) => spoken("li", w));
+  fill($("warnings"), [...(english || lines.every((l) => l.lang !== "en") ? [] : [el("li", { class: "quiet" }, t("page.untranslated"))]), ...lines]);
 }
 
 // Every number of a model: label, name in series and changes, estimate, unit.
@@ -157,7 +159,6 @@ function table(head, lines, known, change) {
     return el("tr", { class: known.get(l.name)?.status === "changed" ? "changed" : null }, cells.map((c, i) => el("td", { "data-label": head[i] }, [c])));
   });
   fill($("parameters"), [el("thead", {}, [el("tr", {}, head.map((h) => el("th", { scope: "col" }, h)))]), el("tbody", {}, body)]);
-  $("parameters").classList.add("stacks");
 }
 
 // A row of buttons of which one is chosen; `draw` gets the entry.
