@@ -21,7 +21,7 @@ from invid.recording import read_recording
 from invid.rigid_motion.analysis import Analysis, analyse
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT.parent / "shared" / "data"
+DATA = FETCHED if (FETCHED := ROOT / "records").is_dir() else ROOT.parent / "shared" / "data"
 # Okabe and Ito: told apart without colour vision.
 MEASURED, RIGID, NAMED = "#000000", "#e69f00", "#0072b2"
 # picture, record, map, axis, whether its licence lets it be shipped

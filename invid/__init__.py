@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from invid.errors import (
         BusError,
         ConfigError,
+        DiskFullError,
         DriveError,
         InputError,
         InvidError,
@@ -55,6 +56,7 @@ __all__ = [
     "Comparison",
     "ConfigError",
     "Diagnosis",
+    "DiskFullError",
     "DriveError",
     "Experiment",
     "InputError",

@@ -7,6 +7,7 @@ matching builtin, so that library users may catch what they know::
     +-- InputError        (ValueError)       exit 2: usage, config, file or data that cannot be used
     |   +-- ChoiceNeeded                     exit 2: a file that can be read in several ways
     |   +-- RecordingError                   exit 2: an HDF5 recording that breaks the contract
+    |   |   +-- DiskFullError                exit 2: a disk that takes no more of a recording or a result
     |   +-- ConfigError                      exit 2: a config that cannot be used
     |   +-- ModelError                       exit 2: masses, springs, couplings that are no model
     +-- NotIdentifiableError                 exit 3: the data cannot carry the result asked for
@@ -73,6 +74,10 @@ class ChoiceNeeded(InputError):
 
 class RecordingError(InputError):
     """A recording that breaks the ``invid-recording`` contract."""
+
+
+class DiskFullError(RecordingError):
+    """A disk that takes no more of a recording or a result: which file, what room, the way out."""
 
 
 class ConfigError(InputError):

@@ -1,7 +1,8 @@
 """Records of real machines from raw file to named cause, by the commands: figure asked, figure reached.
 
-Reads the records of ``../shared/data``. Nothing here is known to the product: maps are ordinary map files,
-and what a record must show stands in this table only. Records that are not there are named, loudly.
+Reads the records of ``records`` (`invid fetch-data --to records`) or ``../shared/data``. Nothing here is
+known to the product: maps are ordinary map files, and what a record must show stands in this table only.
+Records that are not there are named, loudly.
 
     python benchmarks/diagnosis/bench_real_data.py [WORD …]
         records whose title holds a word; all without
@@ -34,7 +35,7 @@ from invid.model.forward import antiresonances, resonances
 from invid.recording import Role, read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT.parent / "shared" / "data"
+DATA = FETCHED if (FETCHED := ROOT / "records").is_dir() else ROOT.parent / "shared" / "data"
 Document = dict[str, Any]
 
 

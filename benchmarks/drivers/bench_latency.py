@@ -32,7 +32,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.drivers.bench_kill import STALL
 from benchmarks.shared.campaign import aligned
 from benchmarks.shared.processes import children, start, wait_for
 from invid.config import CellConfig, load_config, parse_config
@@ -56,6 +55,22 @@ REAL = {
     "parent stopped": KEEP_ALIVE_S + FADE_S, "disk stalled": FADE_S,
 }  # fmt: skip
 """What is documented for each [s]."""
+STALL = """
+import os, time
+from invid.recording import RecordingWriter
+
+def stalled(method):
+    def waits(*arguments, **named):
+        while os.path.exists("stall"):
+            time.sleep(0.01)
+        return method(*arguments, **named)
+    return waits
+
+for name, method in list(vars(RecordingWriter).items()):
+    if callable(method):
+        setattr(RecordingWriter, name, stalled(method))
+"""
+"""A disk that takes nothing as long as a file named stall is there."""
 START_S = 300.0
 STOPPING = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED, State.FAULT_REACTION_ACTIVE, State.FAULT)
 

@@ -20,6 +20,7 @@ from invid.planning import AxisForecast, Plan, make_plan
 from invid.planning.belief import Belief
 from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Outcome, Recording, RecordingWriter
+from invid.recording.writer import require_room
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
@@ -162,13 +163,15 @@ def ask_drives(
     axes: Sequence[str] | None = None,
     amplitude_scale: float = 1.0,
     model: CoupledChains | Belief | None = None,
+    plan: Plan | None = None,
 ) -> tuple[Plan, CellConfig, tuple[StoppingBudget, ...], list[str]]:
     """The plan within what the drives leave, the config with it, the budgets, and what is to be said of it.
 
     Where nobody can be asked the drives are taken at their best, and why is said.
     """
-    wish = Wish(axes, amplitude_scale, model)
-    make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)  # before a bus is opened
+    wish = Wish(axes, amplitude_scale, model, plan)
+    if plan is None:
+        make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)  # before a bus is opened
     try:
         cell = connect(config)
     except InvidError as error:
@@ -240,6 +243,7 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         # before anything is enabled: what would end with missing answers is refused
         found = prepare(cell, config, Wish(plan=plan), cancelled=cell.cancelled)
         plan, notes = found.plan, [*notes, *found.said]
+        require_room(out, sum(e.record_to - e.record_from for e in plan.experiments), len(plan.axes))
         header = _header(config, cell)
         if open_sink is not None:
             recorder = open_sink(header)

@@ -18,6 +18,7 @@ from typing import IO, Any
 
 from invid import __version__
 from invid.batch.analysis import Options, Outcome
+from invid.disk import not_written
 from invid.errors import InputError
 from invid.model.document import dump_json, save_text
 
@@ -54,7 +55,7 @@ class Results:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock = (self.folder / ".lock").open("w")
         except OSError as error:
-            raise InputError(f"{self.folder}: cannot be written: {error.strerror}") from None
+            raise not_written(self.folder, error) from None
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -99,7 +100,7 @@ class Results:
                 else:
                     (place / file).unlink(missing_ok=True)
         except OSError as error:
-            raise InputError(f"{place}: cannot be written: {error.strerror}") from None
+            raise not_written(place, error) from None
         document = {
             "format": "invid-batch-outcome",
             "format_version": 1,

@@ -9,12 +9,14 @@ import warnings
 from importlib.abc import SourceLoader
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
+from pathlib import Path
 
 import typer
 
 from invid import __version__
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, emit, note
-from invid.errors import InvidError, SafetyStop
+from invid.disk import is_full, not_written
+from invid.errors import DiskFullError, InvidError, SafetyStop
 
 GROUP = "invid.commands"
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h: not one of the contract's, because it is our fault
@@ -61,12 +63,12 @@ def create_app(command: str | None = None, *, overview: bool = False) -> typer.T
 
 
 def _summary(point: EntryPoint) -> str:
-    """Return what a command does: its module's docstring after the colon, read without loading the module."""
+    """Return what a command does: its module's docstring behind its name, read without loading it."""
     spec = find_spec(point.module)
     source = spec.loader.get_source(point.module) if spec and isinstance(spec.loader, SourceLoader) else None
     first = (ast.get_docstring(ast.parse(source or "")) or "").partition("\n")[0]
-    text = first.partition("``: ")[2]
-    return text[:1].upper() + text[1:]
+    text = first.partition(f"``invid {point.name}``: ")[2].partition("; ``")[0].rstrip(".")
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _unloaded() -> None:
@@ -110,6 +112,9 @@ def run(arguments: list[str]) -> int:
     except Exception as error:
         if os.environ.get("INVID_DEBUG"):
             raise
+        if isinstance(error, OSError) and is_full(error):
+            note(f"invid: {not_written(Path(error.filename or 'the output'), error)}")
+            return DiskFullError.exit_code
         note(
             f"invid: internal error, please report it: {type(error).__name__}: {error} "
             "(set INVID_DEBUG=1 and run again to see where)"

@@ -12,6 +12,7 @@ from invid.cli.display import ends_on_interrupt, shown_progress
 from invid.cli.identify import parse_masses
 from invid.cli.options import BUDGET, Budget, Effects, SpokenLanguage, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
+from invid.disk import not_written
 from invid.errors import InputError, ModelError
 
 if TYPE_CHECKING:
@@ -75,12 +76,6 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option("--corrected", metavar="OUT", help="Where the simulator's corrected copy goes."),
         ] = None,
-        without_rule: Annotated[
-            list[str] | None,
-            typer.Option(
-                "--without-rule", metavar="NAME", hidden=True, help="A special rule of the search off."
-            ),
-        ] = None,
         language: SpokenLanguage = "en",
         as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
     ) -> int:
@@ -89,10 +84,6 @@ def register(app: typer.Typer) -> None:
         from invid.recording.concatenation import concatenate_recordings
 
         use_effects(context, effects)
-        if without_rule:
-            from invid.diagnosis.context import context_without, use_context
-
-            context.with_resource(use_context(context_without(without_rule)))
         wanted = parse_masses(masses)
         if model is not None and masses is not None:
             raise InputError(
@@ -135,7 +126,7 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        raise not_written(path, error) from None
 
 
 def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> list[Path]:
@@ -170,7 +161,8 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
     lines.append("missing torque, rms on held-out data")
     lines.append(f"  {'axis':<12} {'before':>11} {'after':>11} {'noise':>11}")
     for r in diagnosis.residual:
-        lines.append(f"  {r.axis:<12} {r.before:>11.4g} {r.after:>11.4g} {r.noise_floor:>11.4g} {r.unit}")
+        floor = "unknown" if r.noise_floor is None else f"{r.noise_floor:.4g}"
+        lines.append(f"  {r.axis:<12} {r.before:>11.4g} {r.after:>11.4g} {floor:>11} {r.unit}")
     lines += _replay_lines(diagnosis)
     for f in diagnosis.findings:
         place = " ".join(x for x in (f.effect.axis, f.effect.element, f.effect.other_axis) if x)

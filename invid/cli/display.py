@@ -15,7 +15,7 @@ from invid.cli.output import note
 from invid.numerics import budget
 
 if TYPE_CHECKING:
-    from invid.numerics.budget import Progress
+    from invid.numerics.budget import Found, Progress
 
 EVERY_S = 5.0
 """Seconds between two plain lines."""
@@ -77,7 +77,7 @@ def shown_progress(title: str) -> Iterator[Callable[[Progress], None]]:
 
 def _plain(title: str) -> Callable[[Progress], None]:
     said, compiled = [time.monotonic()], list[str]()
-    found: list[tuple[str, ...]] = [()]
+    found: list[tuple[Found, ...]] = [()]
 
     def show(progress: Progress) -> None:
         now = time.monotonic()
@@ -96,5 +96,5 @@ def _plain(title: str) -> Callable[[Progress], None]:
 def _left(progress: Progress) -> str:
     left = progress.seconds_left
     words = [] if left is None else [f"(about {left:.0f} s left)"]
-    words += [f"found so far, still looking: {', '.join(progress.found)}"] if progress.found else []
+    words += [f"found so far, still looking: {', '.join(map(str, progress.found))}"] if progress.found else []
     return " ".join(words)

@@ -10,6 +10,12 @@ of x̂ or more:
 with σ₁ of the run that found it, σ₂ what the other run would have had (σ₁ times the ratio of the two runs'
 standard deviations of the axis' masses and springs: their noise, duration and amplitude) and T the size in
 standard deviations from which a diagnosis names a cause. All causes are tested together (Holm).
+
+Which of several laws a run names is a choice, and what it says of the rest moves with it: by at most z of its
+own standard deviations where a law of z deviations is left out (Cauchy and Schwarz, whatever their
+correlation). So that both sides count with one joint set of causes, what one side alone names widens that
+side's other numbers to √(1 + z²) deviations: friction at the same place (``pairs.width``), and the chain of
+the axis where the cause itself cannot be told (``variance_factors``).
 """
 
 from __future__ import annotations
@@ -24,7 +30,7 @@ from scipy import special
 from invid.comparison.changes import CauseChange, CauseStatus, Change, Repeatability, Status
 from invid.comparison.joint_test import two_sided
 from invid.comparison.named import named_cause
-from invid.comparison.pairs import describe, name_of
+from invid.comparison.pairs import describe, is_friction, name_of, named_effects, width
 from invid.comparison.sentences import bound_phrase
 from invid.effects.registry import BY_CAUSE
 from invid.model.document import EffectTerm, Estimate, Model
@@ -62,8 +68,7 @@ def compare_causes(
 ) -> tuple[CauseChange, ...]:
     """Compare every cause that one of two models has on their common axes (see ``compare``)."""
     scatter = Repeatability() if scatter is None else scatter
-    before = {name_of(t): t for t in old.effects if t.axis in common}
-    after = {name_of(t): t for t in new.effects if t.axis in common}
+    before, after = (named_effects(m, common) for m in (old, new))
     found: list[CauseChange] = []
     for name in dict.fromkeys([*before, *after]):
         was, now = before.get(name), after.get(name)
@@ -73,19 +78,19 @@ def compare_causes(
                 continue  # told of the law that describes it now
         elif was is None and now is not None:
             twin = _same_place(now, before.values(), after)
-        found.append(_paired(name, was, now, twin, (old, new), scatter))
+        change = _paired(name, was, now, twin)
+        if change.why is None and (was is None or now is None):
+            change = _one_sided(change, (old, new), scatter)
+        elif change.why is None:
+            change = _two_sided(change, (width(name, before, after), width(name, after, before)), scatter)
+        found.append(change)
     return _judged(found, alpha, tolerance)
 
 
 def _paired(
-    name: str,
-    was: EffectTerm | None,
-    now: EffectTerm | None,
-    twin: EffectTerm | None,
-    models: tuple[Model, Model],
-    scatter: Repeatability,
+    name: str, was: EffectTerm | None, now: EffectTerm | None, twin: EffectTerm | None
 ) -> CauseChange:
-    """One cause with its difference and p value, not judged yet."""
+    """One cause with the estimates of both sides, or why it cannot be told."""
     term = now if now is not None else was
     if term is None:
         raise ValueError(f"{name}: neither model has it")
@@ -111,13 +116,25 @@ def _paired(
         a is None and b is None
     ):
         return replace(change, why=Statement("why.cause_no_std"))
-    if a is not None and b is not None:
-        spread = [math.hypot(e.std or 0.0, scatter.relative * e.value) for e in (a, b)]
-        std = scatter.factor * math.hypot(*spread)
-        p = two_sided((b.value - a.value) / std, scatter.dof)
-        size = abs(b.value - _nothing(parameter)) - abs(a.value - _nothing(parameter))
-        return replace(change, difference=size, std=std, p_value=p)
-    return _one_sided(change, models, scatter)
+    return change
+
+
+def _two_sided(change: CauseChange, widths: tuple[float, float], scatter: Repeatability) -> CauseChange:
+    """A cause that both runs found, by its size; ``widths``: of its deviation on either side."""
+    a, b = change.old, change.new
+    if a is None or b is None:
+        return change
+    if not math.isfinite(max(widths)):
+        return replace(change, why=Statement("why.other_law"))
+    spread = [
+        math.hypot(w * (e.std or 0.0), scatter.relative * e.value)
+        for w, e in zip(widths, (a, b), strict=True)
+    ]
+    std = scatter.factor * math.hypot(*spread)
+    p = two_sided((b.value - a.value) / std, scatter.dof)
+    nothing = _nothing(change.parameter)
+    size = abs(b.value - nothing) - abs(a.value - nothing)
+    return replace(change, difference=size, std=std, p_value=p)
 
 
 def _nothing(parameter: str) -> float:
@@ -150,6 +167,8 @@ def _one_sided(change: CauseChange, models: tuple[Model, Model], scatter: Repeat
 def _not_looked_for(model: Model, which: str) -> Statement | None:
     """Why a cause may be missing in a model without being absent; ``None`` where nothing says so."""
     verdict = model.fit.get("verdict")
+    if model.fit.get("search_cut_short"):
+        return Statement(f"why.cut_short_{which}")
     if verdict in ("consistent", "explained") or (verdict is None and model.effects):
         return None
     return Statement(f"why.not_looked_{which}" if verdict is None else f"why.nameless_{which}")
@@ -177,11 +196,23 @@ def _same_place(
         if (
             name_of(other) not in own
             and (other.axis, other.element) == (term.axis, term.element)
-            and other.cause.endswith("_friction")
-            and term.cause.endswith("_friction")
+            and is_friction(other)
+            and is_friction(term)
         ):
             return other
     return None
+
+
+def variance_factors(causes: Sequence[CauseChange]) -> tuple[dict[str, float], dict[str, float]]:
+    """By axis how many times the variance of its chain counts, in the old and in the new model: 1 + z² beside
+    causes of z deviations of which nothing tells whether the other has them."""
+    factors: tuple[dict[str, float], dict[str, float]] = {}, {}
+    for c in causes:
+        for side, own, other in zip(factors, (c.old, c.new), (c.new, c.old), strict=True):
+            if c.status is CauseStatus.CANNOT_TELL and own is not None and own.std and other is None:
+                z = (own.value - _nothing(c.parameter)) / own.std
+                side[c.axis] = side.get(c.axis, 1.0) + z**2
+    return factors
 
 
 def _judged(found: Sequence[CauseChange], alpha: float, tolerance: float) -> tuple[CauseChange, ...]:

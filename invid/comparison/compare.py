@@ -11,14 +11,19 @@ come here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from invid.comparison.baseline import MINIMUM_RUNS, pool_agreeing, pool_models
 from invid.comparison.baseline import repeatability as measured_repeatability
-from invid.comparison.causes import cause_sentences, compare_causes, with_cause_verdicts
+from invid.comparison.causes import (
+    cause_sentences,
+    compare_causes,
+    variance_factors,
+    with_cause_verdicts,
+)
 from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
 from invid.comparison.named import named_change
@@ -115,7 +120,7 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
     tested = [k for k, c in enumerate(both) if c.std is not None and c.name not in sizes]
     if tested:
         known = [both[k] for k in tested]
-        covariance = scatter.factor**2 * _covariance(old, new, known)
+        covariance = scatter.factor**2 * _covariance((old, new), known, variance_factors(causes))
         white, sound = Whitened.of(np.array([c.difference for c in known], dtype=float), covariance)
         if not sound:
             warnings.append(
@@ -150,15 +155,27 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
     return replace(comparison, statements=said, named=named_changes(comparison, joint_alpha))
 
 
-def _covariance(old: Model, new: Model, changes: Sequence[Change]) -> Float64:
-    """Covariance of the differences: joint over the linear parameters, each effect for itself."""
+def _covariance(
+    models: tuple[Model, Model],
+    changes: Sequence[Change],
+    factors: tuple[Mapping[str, float], Mapping[str, float]],
+) -> Float64:
+    """Covariance of the differences: joint over the linear parameters, each effect for itself.
+
+    ``factors``: by axis, how many times the variance of its chain counts in either model.
+    """
     spread = np.array([c.std or 0.0 for c in changes])
     covariance: Float64 = np.diag(spread**2)
     linear = [k for k, c in enumerate(changes) if c.kind not in ("effect", "inertia")]
     names = [changes[k].name for k in linear]
-    block = covariance_of(old, names) + covariance_of(new, names)
+    own = [covariance_of(m, names) for m in models]
+    block = own[0] + own[1]
     # The diagonal has the repeatability of the robot in it already.
     block[np.diag_indices_from(block)] = spread[linear] ** 2
+    for part, by_axis in zip(own, factors, strict=True):
+        for axis, factor in by_axis.items():
+            at = [k for k, number in enumerate(linear) if changes[number].axis == axis]
+            block[np.ix_(at, at)] += (factor - 1.0) * part[np.ix_(at, at)]
     covariance[np.ix_(linear, linear)] = block
     return covariance
 

@@ -13,7 +13,7 @@ from invid.diagnosis.headline import with_headline
 from invid.identification.stated_inertia import against_stated
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Estimate, Model
-from invid.model.doubts import Doubt, DoubtCode, doubts_of
+from invid.model.doubts import DoubtCode, doubts_of
 from invid.model.named_change import ChangeKind, NamedChange
 from invid.recording.model import Recording
 
@@ -57,12 +57,9 @@ def by_weight(changes: Sequence[NamedChange]) -> tuple[NamedChange, ...]:
     return tuple(sorted(changes, key=lambda c: (not c.matters, order.index(c.kind), -abs(c.share or 0.0))))
 
 
-def with_changes(diagnosis: Diagnosis, c: Comparison, doubt: Doubt | None = None) -> Diagnosis:
-    """Return the diagnosis whose headline and grade say what changed since the accepted model first.
-
-    ``doubt``: one beside the model's own, of how it was measured.
-    """
-    return with_headline(replace(diagnosis, changes=c.named), doubt)
+def with_changes(diagnosis: Diagnosis, c: Comparison) -> Diagnosis:
+    """Return the diagnosis whose headline and grade say what changed since the accepted model first."""
+    return with_headline(replace(diagnosis, changes=c.named))
 
 
 def with_stated_inertia(diagnosis: Diagnosis, recording: Recording, earlier: Model | None) -> Diagnosis:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -91,13 +91,14 @@ def _whole_inertia(old: Model, new: Model, axis: str, unit: str, repeatability: 
     )
 
 
-def _pair(
+def _pair(  # noqa: PLR0913 - a pair and what its deviation is made of
     name: str,
     label: str,
     axis: str,
     kind: str,
     values: tuple[Estimate, Estimate],
     repeatability: float,
+    widths: tuple[float, float] = (1.0, 1.0),
 ) -> Change:
     """Difference of new and old and its standard deviation; the status is decided later, over all."""
     old, new = values
@@ -120,7 +121,9 @@ def _pair(
     if missing:
         which = "both" if len(missing) == 2 else missing[0]
         return replace(change, why=Statement(f"why.no_std_{which}"))
-    variance = (old.std or 0.0) ** 2 + (new.std or 0.0) ** 2
+    if not math.isfinite(max(widths)):
+        return replace(change, why=Statement("why.other_law"))
+    variance = sum((w * (e.std or 0.0)) ** 2 for w, e in zip(widths, values, strict=True))
     variance += repeatability**2 * (old.value**2 + new.value**2)
     if variance == 0:
         return replace(change, why=Statement("why.std_zero"))
@@ -141,23 +144,47 @@ def describe(term: EffectTerm) -> str:
     return words + (f" at {term.element}" if term.element else "")
 
 
+def named_effects(model: Model, common: Sequence[str]) -> dict[str, EffectTerm]:
+    """The effects of a model on the ``common`` axes by name."""
+    return {name_of(t): t for t in model.effects if t.axis in common}
+
+
+def width(name: str, own: Mapping[str, EffectTerm], other: Mapping[str, EffectTerm]) -> float:
+    """How many of its standard deviations an effect of ``own`` counts where friction at its place is named on
+    this side alone: √(1 + z²) beside one of z deviations, infinite beside a law of several numbers."""
+    term, alone = own[name], 0.0
+    for other_name in own.keys() - other.keys():
+        t = own[other_name]
+        if (t.axis, t.element) == (term.axis, term.element) and is_friction(t) and is_friction(term):
+            (size, *more) = t.parameters.values()
+            alone += (size.value / size.std) ** 2 if size.std and not more else math.inf
+    return math.sqrt(1.0 + alone)
+
+
+def is_friction(term: EffectTerm) -> bool:
+    """Whether an effect is one of the laws of friction."""
+    return term.cause.endswith("_friction")
+
+
 def effects(old: Model, new: Model, common: Sequence[str], repeatability: float) -> list[Change]:
     """Parameters of effects that both models have; what came or went is for ``compare_causes``."""
-    after = {name_of(t): t for t in new.effects if t.axis in common}
+    before, after = (named_effects(m, common) for m in (old, new))
     changes: list[Change] = []
-    for term in old.effects:
-        now = after.get(name_of(term))
+    for name, term in before.items():
+        now = after.get(name)
         if now is None:
             continue
+        widths = width(name, before, after), width(name, after, before)
         changes += [
             replace(
                 _pair(
-                    f"{name_of(term)}.{parameter}",
+                    f"{name}.{parameter}",
                     f"{term.axis}: {describe(term)}, {parameter}",
                     term.axis,
                     "effect",
                     (value, now.parameters[parameter]),
                     repeatability,
+                    widths,
                 ),
                 cause=term.cause,
                 element=term.element,

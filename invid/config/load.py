@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import yaml
-from pydantic import ValidationError
+from pydantic import AliasChoices, BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from invid.config.schema import CellConfig
 from invid.errors import ConfigError
@@ -22,6 +24,7 @@ Where = tuple[str | int, ...]
 # Units in a key that belong to one kind of motion only.
 _ROTARY = ("_rad", "_Nm", "_Nms", "_kgm2")
 _LINEAR = ("_N", "_m", "_Ns", "_kg")
+_UNIT = re.compile(r"_(rad|m|Nm|N|Nms|Ns|kgm2|kg|s|Hz|bit)(_per_\w+)?$")
 
 
 def load_config(path: Path | str) -> CellConfig:
@@ -78,7 +81,7 @@ def parse_config(text: str, *, source: str = "config") -> CellConfig:
     try:
         return CellConfig.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(explain_errors(error, source, lines, "config")) from None
+        raise ConfigError(explain_errors(error, source, lines, "config", CellConfig)) from None
 
 
 def load_yaml(text: str, source: str) -> tuple[Any, dict[Where, int]]:
@@ -167,26 +170,73 @@ def _in_file(loc: tuple[str | int, ...], lines: dict[Where, int]) -> Where:
     return where
 
 
-def explain_errors(error: ValidationError, source: str, lines: dict[Where, int], what: str) -> str:
-    """The first five problems of a document (``what``: config, map): file, line, field, value."""
-    sentences = []
+def explain_errors(
+    error: ValidationError, source: str, lines: dict[Where, int], what: str, model: type[BaseModel]
+) -> str:
+    """The first five problems of a document (``what``: config, map), which is to be a ``model``: file, line,
+    field, value."""
+    sentences, missing = [], dict[Where, str]()
     for item in error.errors():
         where = _in_file(item["loc"], lines)
         message = str(item["msg"]).removeprefix("Value error, ").replace("Input should be", "it must be")
-        place = _at(source, lines, where)
+        place, fields = _at(source, lines, where), _fields_at(model, where[:-1])
         if item["type"] == "extra_forbidden":
-            sentences.append(
-                f"{place}: {_field(where)} is no key of a {what} here (value {_short(item['input'])}); "
-                "check its spelling, its place and its unit"
-            )
+            meant = _meant(str(where[-1]), fields)
+            missing.pop((*where[:-1], meant[0]) if meant else (), None)
+            unit = ", the value in that unit" if meant and _UNIT.search(meant[-1]) else ""
+            known = f"write {_key_of(meant)}{unit}" if meant else ""
+            advice = known or "check its spelling, its place and its unit"
+            value = _short(item["input"])
+            sentences.append(f"{place}: {_field(where)} is no key of a {what} here (value {value}); {advice}")
         elif item["type"] == "missing":
-            sentences.append(f"{place}: {_field(where)} is missing; add it")
+            keys = next((k for k in fields if k[0] == where[-1]), (str(where[-1]),))
+            missing[where] = f"{place}: {_field((*where[:-1], _key_of(keys)))} is missing; add it"
         elif item["type"] == "value_error":
             sentences.append(f"{place}: {_field(where)}: {message}")
         else:
             sentences.append(f"{place}: {_field(where)} is {_short(item['input'])}: {message}")
+    sentences = [*missing.values(), *sentences]
     more = len(sentences) - 5
     return "\n".join(sentences[:5]) + (f"\n… and {more} more" if more > 0 else "")
+
+
+def _keys(name: str, field: FieldInfo) -> tuple[str, ...]:
+    """A field's name, and the keys that say it with its unit: of rotary motion, then of linear."""
+    alias = field.validation_alias
+    return tuple(map(str, alias.choices)) if isinstance(alias, AliasChoices) else (name,)
+
+
+def _fields_at(model: type[BaseModel], where: Where) -> list[tuple[str, ...]]:
+    """The keys of every field that may stand at a place of the document."""
+    models = [model]
+    for part in where:
+        if isinstance(part, str):
+            fields = [(_keys(n, f), f) for m in models for n, f in m.model_fields.items()]
+            models = [m for keys, f in fields if part in keys for m in _models_in(f.annotation)]
+    return [_keys(n, f) for m in models for n, f in m.model_fields.items()]
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for inner in get_args(annotation) for m in _models_in(inner)]
+
+
+def _meant(found: str, fields: Sequence[tuple[str, ...]]) -> tuple[str, ...] | None:
+    """The field whose name, or key without its unit, is the beginning of a key that is none."""
+    fits = [
+        (len(stem), keys)
+        for keys in fields
+        for stem in {keys[0], *(_UNIT.sub("", k) for k in keys)}
+        if f"{found}_".lower().startswith(f"{stem}_".lower())
+    ]
+    return max(fits)[1] if fits else None
+
+
+def _key_of(keys: tuple[str, ...]) -> str:
+    """How a config names a field: "torque_Nm (force_N where motion is linear)"."""
+    rotary, *linear = keys[1:] or keys
+    return rotary + "".join(f" ({k} where motion is linear)" for k in linear)
 
 
 def _short(value: Any) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from invid.diagnosis.thresholds import (
     LARGER,
     MOST_OF_CHI2,
     NAMED,
+    UNSIZED,
 )
 from invid.effects.laws.sign import ROUNDING, DryLaw
 from invid.effects.units import unit_of
@@ -93,6 +94,10 @@ def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgem
     named = explained >= NAMED or (explained >= MOST_OF_CHI2 and _power_explained(base, final) >= NAMED)
     if selection.only_independent:
         named, complete = True, False
+    elif not named and selection.is_cut_short:
+        # What was found is named, in doubt: a cut is evidence of nothing.
+        named = True
+        findings = tuple(replace(f, confidence=min(f.confidence, UNSIZED)) for f in findings)
     return Judgement(findings, named, complete, explained)
 
 

@@ -127,7 +127,8 @@ def grade_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
         warnings=tuple(dict.fromkeys([*diagnosis.warnings, *warnings])),
     )
     # A later comparison asks whether a cause that is not in the model was looked for.
-    model = replace(result.model, fit={**result.model.fit, "verdict": str(result.verdict)})
+    searched = {"verdict": str(result.verdict), "search_cut_short": bool(result.details.get("cut_short"))}
+    model = replace(result.model, fit={**result.model.fit, **searched})
     result = replace(result, model=model)
     return with_headline(result)
 

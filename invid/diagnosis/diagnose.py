@@ -4,38 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
-from invid.diagnosis.context import apply_rule, current_context, use_context
 from invid.diagnosis.judged_search import JudgedSearch
 from invid.diagnosis.known_effects import merge_spring_damping
+from invid.diagnosis.limits.floor_doubts import doubt_floors
 from invid.diagnosis.limits.ruled_out import ruled_out
 from invid.diagnosis.outcome import limit_unfinished_search
 from invid.diagnosis.remainder.law_without_name import add_laws
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import (
     add_dropped_rows_finding,
+    find_dropped_rows,
     interpolate_dropped_rows,
     rms_before_repair,
 )
+from invid.diagnosis.rules.own_evidence import keep_independent_causes
 from invid.diagnosis.search_pass import run_search_pass
+from invid.diagnosis.selection import Selection
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.nuisance.hold_share import holds_left_open
-from invid.model.diagnosis_document import Diagnosis, Verdict
-from invid.model.document import Model
+from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, RuledOut, Verdict
+from invid.model.document import EffectTerm, Model
 from invid.numerics import budget
 from invid.recording.model import Recording
-from invid.recording.still_axes import masses_of_moving, moving_part
-from invid.signals.encoder_glitches import remove_glitches
-from invid.signals.encoder_interpolation import remove_interpolation_error
+from invid.recording.still_axes import masses_of_moving
 from invid.signals.plausibility import check_units
+from invid.signals.repair import repair
+from invid.signals.spectral_record import SpectralRecord
 
 NOTABLE_SHARE = 0.1
 """Share of a hold inside the drive from which a warning says so (empirical)."""
@@ -68,14 +72,11 @@ def diagnose(
     InputError, NotIdentifiableError
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
-    recording, glitches = remove_glitches(recording)
     whole = recording
-    recording, still = moving_part(recording, None if model is None else model.axes)
+    recording, notes = repair(recording, None if model is None else model.axes)
     masses = masses_of_moving(masses, whole, recording)
-    recording, waves = remove_interpolation_error(recording)
-    encoder_notes = [*glitches, *still, *waves]
     # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
-    with use_context(current_context().fresh()) as context, np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         try:
             result = _diagnose_clean(recording, model, masses)
         except np.linalg.LinAlgError as error:
@@ -83,30 +84,32 @@ def diagnose(
                 f"{recording.source}: the model is so far from these records that no fit of both is finite "
                 f"({error}); give the model of this robot, or diagnose without one"
             ) from None
-        result = replace(result, details={**result.details, "rules": context.fired_rules()})
     budget_warning = budget.warning()
     if budget_warning is not None:
         kept = [w for w in result.warnings if not w.startswith(budget.SPENT)]
         result = replace(result, warnings=(*kept, budget_warning))
-    if encoder_notes:
-        result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *encoder_notes])))
+    if notes:
+        result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *notes])))
     return grade_consequences(result, recording)
 
 
 def _diagnose_clean(
     recording: Recording, model: Model | None, masses: Sequence[int] | Literal["auto"] | None
 ) -> Diagnosis:
-    """The diagnosis of a recording whose encoders are corrected."""
+    """The diagnosis of a recording that is repaired."""
     if model is not None and is_of_rigid_axes(model, recording):
         return diagnose_trajectory(recording, model=model)
-    dropped = apply_rule("dropped-rows", recording)
+    dropped = find_dropped_rows(recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
     if model is None:
-        with budget.use_share(TIME_TO_IDENTIFY, 0.0, 0.3):
-            kind = machine_kind(recording, masses, lambda: identify_chains(repaired, masses))
+        with budget.use_share(1.0, 0.0, 0.3):
+            kind = machine_kind(
+                recording, masses, lambda: identify_chains(repaired, masses), TIME_TO_IDENTIFY
+            )
             model = kind.model
             if model is None and not kind.rigid:
-                model = identify_chains(repaired, masses)
+                with budget.use_share(TIME_TO_IDENTIFY):
+                    model = identify_chains(repaired, masses)
         if model is None:
             result = diagnose_trajectory(recording, analysis=kind.analysis)
             return replace(result, warnings=(*result.warnings, kind.sentence)) if kind.sentence else result
@@ -126,10 +129,8 @@ def _diagnose_clean(
     selection = search.selection.widen_by_remainder()
     result = found.diagnosis(selection)
     if result.verdict is Verdict.UNEXPLAINED and selection.steps:
-        independent = apply_rule("own-evidence", selection, train, held)
-        if independent is not None:
-            selection = independent.widen_by_remainder()
-            result = found.diagnosis(selection)
+        selection = _without_the_rest(selection, train, held)
+        result = found.diagnosis(selection)
     with_law = None
     if result.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not selection.is_cut_short:
         with_law = add_laws(selection if result.findings else selection.without_causes(), train, held)
@@ -145,15 +146,38 @@ def _diagnose_clean(
         result = limit_unfinished_search(result)
     elif result.verdict is not Verdict.UNEXPLAINED and all(f.effect.table is None for f in result.findings):
         # Behind what has no name anything may hide.
+        open_holds = holds_left_open(search.spectra, search.model, repaired)
+        limits = ruled_out(selection, train, held, repaired, open_holds)
+        is_own = model.provenance.get("recorded") == recording.created
         result = replace(
-            result,
-            ruled_out=ruled_out(
-                selection, train, held, repaired, holds_left_open(search.spectra, search.model, repaired)
-            ),
+            result, ruled_out=_without_found(limits, result.findings, model.effects if is_own else ())
         )
+    result = doubt_floors(result, selection, repaired)
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}
     )
+
+
+def _without_the_rest(
+    found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> Selection:
+    """What may be named of causes that explain too little together; all of them where no time is left to
+    tell."""
+    alone = partial(keep_independent_causes, found, train, held)
+    independent = budget.or_else("own evidence", alone, None)
+    if independent is not None:
+        return independent.widen_by_remainder()
+    return replace(found, is_cut_short=found.is_cut_short or budget.is_spent())
+
+
+def _without_found(
+    limits: Sequence[RuledOut], findings: Sequence[Finding], identified: Sequence[EffectTerm]
+) -> tuple[RuledOut, ...]:
+    """The limits of what is neither found, nor an alternative, nor in the identification of the recording."""
+    said: list[EffectTerm | Alternative] = [*identified, *(f.effect for f in findings)]
+    said += [a for f in findings for a in f.alternatives]
+    found = {(x.cause, x.axis, x.element, x.other_axis) for x in said}
+    return tuple(r for r in limits if (r.cause, r.axis, r.element, r.other_axis) not in found)
 
 
 def hold_timing_warnings(final: JointFit, recording: Recording) -> list[str]:

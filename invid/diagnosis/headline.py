@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Diagnosis, Finding, Grade, Verdict
 from invid.model.doubts import Doubt, doubts_of
+from invid.model.expectation import Agreement, Answer
 from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
 from invid.wording.clauses import (
     axes_phrase,
@@ -21,6 +22,7 @@ from invid.wording.clauses import (
     grade_of,
     group_clause,
 )
+from invid.wording.expectation import answer_clause
 from invid.wording.statement import (
     ENGLISH,
     LANGUAGES,
@@ -31,8 +33,24 @@ from invid.wording.statement import (
     say_sentence,
 )
 
+NAMELESS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
+"""Verdicts on a model that leaves something without a name."""
 MOST = 2
 """Changes told one by one; a person reads no longer headline (a convention)."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What is known beside a diagnosis: a doubt of how it was measured, and the answer to who said what was
+    changed.
+
+    ``screened``: of a short record that was only to tell whether anything changed, the verdict on the
+    accepted model.
+    """
+
+    doubt: Doubt | None = None
+    answer: Answer | None = None
+    screened: Verdict | None = None
 
 
 @dataclass(frozen=True)
@@ -40,7 +58,7 @@ class Facts:
     """What a headline is made of.
 
     ``changes``: against the accepted model; ``None`` where there is none to compare with. ``doubt``: the
-    weightiest reason not to trust the result.
+    weightiest reason not to trust the result. ``answer``, ``screened``: see ``Beside``.
     """
 
     axes: Sequence[str]
@@ -50,10 +68,14 @@ class Facts:
     unexplained_axis: str | None = None
     doubt: Doubt | None = None
     changes: Sequence[NamedChange] | None = None
+    answer: Answer | None = None
+    screened: Verdict | None = None
+    has_floor: bool = True
+    """Whether the record shows what the sensors' noise alone would leave, on every axis."""
 
 
-def facts_of(diagnosis: Diagnosis, doubt: Doubt | None = None) -> Facts:
-    """Return the facts of a diagnosis; ``doubt`` is one beside the model's own, of how it was measured."""
+def facts_of(diagnosis: Diagnosis, beside: Beside = Beside()) -> Facts:
+    """Return the facts of a diagnosis; the model's own doubts weigh more than one beside it."""
     own = doubts_of(diagnosis.model.fit)
     return Facts(
         diagnosis.model.axes,
@@ -61,8 +83,11 @@ def facts_of(diagnosis: Diagnosis, doubt: Doubt | None = None) -> Facts:
         diagnosis.verdict,
         diagnosis.findings,
         None if diagnosis.unexplained is None else diagnosis.unexplained.axis,
-        own[0] if own else doubt,
+        own[0] if own else beside.doubt,
         diagnosis.changes,
+        beside.answer,
+        beside.screened,
+        all(r.noise_floor is not None for r in diagnosis.residual),
     )
 
 
@@ -71,9 +96,9 @@ def headline(facts: Facts, language: str = ENGLISH) -> str:
     return " ".join(say_sentence(parts, language) for parts in headline_order(facts) if parts)
 
 
-def with_headline(diagnosis: Diagnosis, doubt: Doubt | None = None) -> Diagnosis:
+def with_headline(diagnosis: Diagnosis, beside: Beside = Beside()) -> Diagnosis:
     """Return the diagnosis with its headline in every language."""
-    said = {language: headline(facts_of(diagnosis, doubt), language) for language in LANGUAGES}
+    said = {language: headline(facts_of(diagnosis, beside), language) for language in LANGUAGES}
     return replace(diagnosis, headline=said[ENGLISH], headlines=said)
 
 
@@ -92,19 +117,28 @@ def headline_order(facts: Facts) -> list[list[Statement]]:
     """Return the sentences of the headline, each as the statements it joins.
 
     A doubt comes first only where the change cannot be believed because of it, or where it is of the model
-    and nothing changed that matters; else it is the last word, on what to do now.
+    and nothing changed that matters; else it is the last word, on what to do now. Whoever said what was
+    changed is answered before anything else.
     """
     doubt, changes = facts.doubt, facts.changes
     serious = [c for c in changes or () if c.matters]
+    answered = [] if facts.answer is None else [answer_clause(facts.answer)]
+    told_already = None if facts.answer is None else facts.answer.change
     if doubt is not None and (doubt.spoils_changes or (doubt.is_of_model and not serious)):
         said = [Statement("headline.untrusted", {"why": doubt_statement(doubt)})]
+        if facts.answer is not None:
+            untold = Answer(facts.answer.expectation, Agreement.CANNOT_TELL)
+            return [[answer_clause(untold), *said]]
         return [[*said, *([Statement("headline.unsure")] if changes else [])]]
     if not serious:
-        return [[*_calm(changes), *_findings(facts, facts.findings)]]
+        left = None if changes is None else [c for c in changes if c is not told_already]
+        calm = [] if told_already is not None and not left else _calm(left)
+        return [[*answered, *calm, *_findings(facts, facts.findings)]]
     told = {_place(c) for c in serious if c.cause is not None}
     rest = [f for f in facts.findings if _place_of(f) not in told and grade_of(f) is not Grade.AS_EXPECTED]
-    beside = [] if facts.verdict is Verdict.UNEXPLAINED or not rest else _groups(facts, rest)
-    return [_changed(serious), beside, [_now(facts, serious)]]
+    quiet = facts.verdict is Verdict.UNEXPLAINED or facts.screened is not None or not rest
+    beside = [] if quiet else _groups(facts, rest)
+    return [[*answered, *_changed(serious, told_already)], beside, [_now(facts, serious)]]
 
 
 def _calm(changes: Sequence[NamedChange] | None) -> list[Statement]:
@@ -116,11 +150,11 @@ def _calm(changes: Sequence[NamedChange] | None) -> list[Statement]:
     return [change_clause(c) for c in changes[:MOST]]
 
 
-def _changed(serious: Sequence[NamedChange]) -> list[Statement]:
-    """The changes, what they look like, and how many more there are."""
+def _changed(serious: Sequence[NamedChange], told: NamedChange | None = None) -> list[Statement]:
+    """The changes but the one that was told already, what they look like, and how many more there are."""
     tool = is_tool_change(serious)
     # How loads couple and weigh changes with them.
-    listed = [c for c in serious if c.kind is ChangeKind.LOAD] if tool else list(serious)
+    listed = [c for c in serious if c is not told and (not tool or c.kind is ChangeKind.LOAD)]
     said = []
     for c in listed[:MOST]:
         looks = None if tool else change_looks(c)
@@ -128,11 +162,13 @@ def _changed(serious: Sequence[NamedChange]) -> list[Statement]:
         said.append(clause if looks is None else Statement("change.means", {"what": clause, "means": looks}))
     if len(listed) > MOST:
         said.append(Statement("change.more", {"n": len(listed) - MOST}))
-    return [*said, Statement("looks.tool")] if tool else said
+    return [*said, Statement("looks.tool")] if tool and told is None else said
 
 
 def _now(facts: Facts, serious: Sequence[NamedChange]) -> Statement:
     """What to do now: look at what speaks against it, check, or accept."""
+    if facts.screened is not None:
+        return Statement("now.measure")
     if facts.doubt is not None:
         return Statement("now.doubt", {"why": doubt_statement(facts.doubt)})
     if facts.verdict is Verdict.UNEXPLAINED:
@@ -148,7 +184,10 @@ def _unexplained(axis: str | None) -> Statement:
 def _findings(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     """What was found, the most serious first, like ones together."""
     if facts.verdict is Verdict.CONSISTENT:
-        return [Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})]
+        said = Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})
+        return [said, *_doubtful_floor(facts)]
+    if facts.screened is not None:  # a record of seconds names nothing new by itself
+        return [Statement("headline.left_as_before" if facts.screened in NAMELESS else "headline.new")]
     if facts.verdict is Verdict.UNEXPLAINED or not findings:
         return [_unexplained(facts.unexplained_axis)]
     return _groups(facts, findings)
@@ -167,7 +206,11 @@ def _groups(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     said += _count_of_rest(rest)
     if facts.verdict is Verdict.PARTLY_EXPLAINED:
         said.append(Statement("headline.left"))
-    return said
+    return [*said, *_doubtful_floor(facts)]
+
+
+def _doubtful_floor(facts: Facts) -> list[Statement]:
+    return [] if facts.has_floor else [Statement("headline.no_floor")]
 
 
 def _group_findings(findings: Sequence[Finding]) -> list[list[Finding]]:

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.diagnosis.context import apply_rule
 from invid.diagnosis.known_effects import known_effects_candidate
+from invid.diagnosis.rules.tones import find_common_tones
 from invid.diagnosis.tone import Tone
 from invid.diagnosis.validation import PLAIN, ValidationRequest
 from invid.identification.ground_springs import SIGNIFICANT
@@ -159,4 +159,4 @@ def find_tones(
 ) -> list[Tone]:
     """Tones that the training and the held-out records have in common."""
     both = (fitted.evaluation, evaluate_held_out(fitted, held))
-    return list(apply_rule("tones", both, fitted.layout, fitted.p, spectra))
+    return find_common_tones(both, fitted.layout, fitted.p, spectra)

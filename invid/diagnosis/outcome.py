@@ -134,20 +134,20 @@ def explained_share(residual: Sequence[AxisResidual]) -> float:
     subtracted."""
     before, after, noise = (
         sum(x**2 for x in column)
-        for column in zip(*((r.before, r.after, r.noise_floor) for r in residual), strict=True)
+        for column in zip(*((r.before, r.after, r.floor) for r in residual), strict=True)
     )
     return float(np.clip(1.0 - (after - noise) / max(before - noise, 1e-300), 0.0, 1.0))
 
 
 def axis_above_floor(residual: Sequence[AxisResidual]) -> AxisResidual | None:
     """The axis farthest above 1.2 times its floor; ``None`` where all are within."""
-    left = [r for r in residual if not r.after <= FLOOR * r.noise_floor]
+    left = [r for r in residual if not r.after <= FLOOR * r.floor]
     return max(left, key=floors_left, default=None)
 
 
 def floors_left(residual: AxisResidual) -> float:
     """Missing torque of an axis in units of its noise floor."""
-    return residual.after / max(residual.noise_floor, 1e-300)
+    return residual.after / max(residual.floor, 1e-300)
 
 
 def verdict_of(
@@ -264,7 +264,7 @@ def describe_remainder(residual: Sequence[AxisResidual], explained: float | None
         (),
         (),
         f"{worst.axis}: {worst.after:.3g} {worst.unit} rms is left over a noise floor of "
-        f"{worst.noise_floor:.3g} {worst.unit}{of}",
+        f"{worst.floor:.3g} {worst.unit}{of}",
     )
 
 
@@ -289,7 +289,7 @@ def _mark_untrusted(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
 
 def missed_torque_share(residual: Sequence[AxisResidual], recording: Recording) -> float:
     """Rms that the extended model misses beyond noise, over the rms of the torque, all axes together."""
-    left = sum(max(r.after**2 - r.noise_floor**2, 0.0) for r in residual)
+    left = sum(max(r.after**2 - r.floor**2, 0.0) for r in residual)
     held = recording.with_role(Role.VALIDATE) or recording.experiments
     power = np.zeros(recording.axis_count)
     samples = sum(e.samples for e in held)

@@ -63,7 +63,7 @@ def diagnose_trajectory(
     explained = explained_share(residual) if terms else None
     near = axis_above_floor(residual) is None
     missing = any(
-        r.after > max(FLOOR * r.noise_floor, allowed)
+        r.after > max(FLOOR * r.floor, allowed)
         for r, allowed in zip(residual, sampling_error(a), strict=True)
     )
     causes = sorted(_causes(a, terms, explained or 0.0), key=lambda c: c.after - c.before)
@@ -260,7 +260,7 @@ def _describe_residual(a: Analysis, residual: tuple[AxisResidual, ...]) -> Unexp
         axis=r.axis,
         frequencies_hz=frequencies,
         character=tuple(character),
-        sentence=f"{r.axis}: {r.after:.3g} {r.unit} rms is left over a noise floor of {r.noise_floor:.3g} "
+        sentence=f"{r.axis}: {r.after:.3g} {r.unit} rms is left over a noise floor of {r.floor:.3g} "
         f"{r.unit}{where}{how}; no cause explains it that is searched for in moves of rigid axes "
         f"(not searched for: {', '.join(_not_searched(a))})",
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 
@@ -23,8 +22,17 @@ from invid.diagnosis.candidates import (
     rivals_of_best,
     screen_candidates,
 )
-from invid.diagnosis.context import apply_rule
 from invid.diagnosis.evidence import CandidateEvidence, Step, evidence_if_finite, is_at_bound, is_extension_of
+from invid.diagnosis.rules.asymmetric_pair import doubt_asymmetric_pairs
+from invid.diagnosis.rules.known_friction import LEAST_LAWS, add_known_friction
+from invid.diagnosis.rules.mode_in_chain import fit_chain_with_mode
+from invid.diagnosis.rules.near_variants import (
+    delay_variants,
+    friction_ladder,
+    retime_load_change,
+    try_other_places,
+)
+from invid.diagnosis.rules.slow_moves import rank_by_slow_moves
 from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import SlowMove
@@ -43,6 +51,7 @@ from invid.signals.spectral_record import SpectralRecord
 
 NO_CAUSE_YET = "causes of what is missing (none was weighed to the end)"
 FURTHER_CAUSES = "further causes"
+OTHER_MASSES = "next mass"
 RECONSIDERATION = "each cause once more beside the others"
 """What a search leaves out when its time is spent, in the words of the warning."""
 REMAINING_SHARE = 0.6
@@ -149,7 +158,7 @@ def _search_causes(
         reconsidered = _add_causes(
             reconsidered, train, held, request
         )  # with a cause exchanged there may be more to find
-    found = cast(Selection, apply_rule("asymmetric-pair", reconsidered, train, held))
+    found = _doubted(reconsidered, train, held)
     found = replace(found, is_cut_short=found.is_cut_short or budget.is_left_out(FURTHER_CAUSES))
     # Friction fitted without a cause that is there may absorb a part of it, so both starts are compared.
     return found if from_friction is None or found.final.cost < from_friction.final.cost else from_friction
@@ -168,7 +177,13 @@ def _search_from_friction(
     request: SearchRequest,
 ) -> Selection | None:
     """The search that starts with the friction of the identification; ``None`` where there is none."""
-    known = apply_rule("known-friction", start, request.friction, request.start, train, held)
+    if len(request.friction.terms) < LEAST_LAWS:
+        return None
+    known = budget.or_else(
+        "known friction",
+        partial(add_known_friction, start, request.friction, request.start, train, held),
+        None,
+    )
     if known is None:
         return None
     names = [_cause_and_place(s) for s in known.steps]
@@ -183,8 +198,26 @@ def _search_from_friction(
         found = _add_causes(
             found, train, held, request, sum(_cause_and_place(s) in names for s in found.steps)
         )
-    found = cast(Selection, apply_rule("asymmetric-pair", found, train, held))
+    found = _doubted(found, train, held)
     return replace(found, is_cut_short=found.is_cut_short or budget.is_left_out(FURTHER_CAUSES))
+
+
+def _doubted(found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]) -> Selection:
+    """The selection with pairs that together are friction by direction, where there are two causes."""
+    if len(found.steps) < 2:
+        return found
+    return budget.or_else("asymmetric pair", partial(doubt_asymmetric_pairs, found, train, held), found)
+
+
+def _settled_steps(
+    step: Step, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], request: SearchRequest
+) -> tuple[Step, ...]:
+    """The step ranked by the slow moves as well, and friction by direction weighed against its parts."""
+    if request.moves:
+        step = budget.or_else("slow moves", partial(rank_by_slow_moves, step, request.moves), step)
+    if not {"dry", "viscous"} <= set(step.chosen.term.effect.parts):
+        return (step,)
+    return budget.or_else("friction ladder", partial(friction_ladder, step, train, held), ()) or (step,)
 
 
 def _add_causes(
@@ -217,8 +250,7 @@ def _add_causes(
             break
         if step is None:
             break
-        step = cast(Step, apply_rule("slow-moves", step, request.moves))
-        added = apply_rule("friction-ladder", step, train, held)
+        added = _settled_steps(step, train, held, request)
         steps, current = [*steps, *added], added[-1].chosen
         small |= {_cause_and_place(s) for s in added if little}
         if not small:
@@ -261,7 +293,8 @@ def _reconsider_causes(
         if rest is None:
             continue
         if is_mode:
-            other = apply_rule("mode-in-chain", last, rest, train, held)
+            inside = partial(fit_chain_with_mode, last, rest, train, held)
+            other = budget.or_else("mode in chain", inside, None)
             if other is None and number == newest:
                 continue
             rest = other or rest
@@ -284,8 +317,7 @@ def _reconsider_causes(
             if not rejects and rest.cost < found.final.cost + limit:  # not needed beside the others
                 found = replace(found, final=rest, steps=(*found.steps[:number], *found.steps[number + 1 :]))
             continue
-        step = cast(Step, apply_rule("slow-moves", step, request.moves))
-        added = apply_rule("friction-ladder", step, train, held)
+        added = _settled_steps(step, train, held, request)
         order = [*range(at), *range(count - 1, count - 1 + len(added)), *range(at, count - 1)]
         chosen = CandidateEvidence(reorder_effects(added[-1].chosen.fit, order), added[-1].chosen.held)
         steps = (*found.steps[:number], *added, *found.steps[number + 1 :])
@@ -323,7 +355,12 @@ def _find_step(  # noqa: PLR0913 - what a step is judged by
     count, rows = max(len(terms), 1), here.dof
     trials, scores = _fit_candidates(here, train, held, request, terms, first=first, known=known)
     least_left = min((t.fit.cost for t in trials), default=np.inf)
-    trials = [apply_rule("change-retimed", t, train, held) if t.fit.cost <= least_left else t for t in trials]
+    trials = [
+        budget.or_else("change retimed", partial(retime_load_change, t, train, held), t)
+        if t.fit.cost <= least_left and t.term.effect.family == "time"
+        else t
+        for t in trials
+    ]
     trials = merge_trials(trials, known)
     if not trials:
         return None, tuple(scores[:5]), False
@@ -376,12 +413,13 @@ def _find_step(  # noqa: PLR0913 - what a step is judged by
         return None, tuple(scores[:5]), False
     if winner.term.effect.cause == "extra_mode":
         # A mode on one mass is nearly the same as one on the next with another size.
-        others = apply_rule(
-            "next-mass", winner, train, held, terms, [winner.term], iterations=MODE_ITERATIONS
+        elsewhere = partial(
+            try_other_places, winner, train, held, terms, [winner.term], iterations=MODE_ITERATIONS
         )
-        trials = merge_trials(trials, others)
+        trials = merge_trials(trials, budget.or_else(OTHER_MASSES, elsewhere, []))
     elif winner.rejects([*train, *held]):
-        trials += apply_rule("next-mass", winner, train, held, terms, [t.term for t in trials])
+        elsewhere = partial(try_other_places, winner, train, held, terms, [t.term for t in trials])
+        trials += budget.or_else(OTHER_MASSES, elsewhere, [])
     dispersion = min(t.dispersion for t in trials)
     ranked = _rank_candidates([(t, t.score(dispersion, rows)) for t in trials], request.contested)
     chosen = ranked[0][0]
@@ -426,7 +464,10 @@ def _fit_candidates(  # noqa: PLR0913 - what a step is judged by
     """Joint fits of the most promising candidates, and the scores of the screen."""
     scores = screen_candidates(Screen(here), terms)
     delays = [t for t in terms if t.effect.cause == "torque_delay"]
-    trials = list(apply_rule("delay-beyond-bound", here, train, held, delays, request.free))
+    variants = partial(delay_variants, here, train, held, delays, request.free)
+    trials: list[CandidateEvidence] = []
+    if delays:
+        trials = budget.or_else("delay beyond bound", variants, trials)
     tried = {(t.term.effect.cause, t.term.place) for t in trials}
     # An effect without shapes has one minimum, and the known fit is in it.
     tried |= {(t.term.effect.cause, t.term.place) for t in known if not t.term.effect.shapes}

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from invid.diagnosis.context import apply_rule, current_context
 from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.known_effects import fitted_friction
 from invid.diagnosis.linear_fit import (
@@ -16,6 +15,8 @@ from invid.diagnosis.linear_fit import (
     refit_without_effects,
     start_vector,
 )
+from invid.diagnosis.rules.load_change import search_around_change
+from invid.diagnosis.rules.whole_search import search_beside_friction
 from invid.diagnosis.search import select_causes
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import find_slow_moves
@@ -157,6 +158,8 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     second = _search_by_periods(recording, model)
     if first is None or second.tones:
         return second
+    if not second.selection.steps:
+        return first  # what it found is named, with a doubt where it is little
     one, other = (s.selection.final for s in (first, second))
     if second.selection.is_cut_short or budget.is_spent():
         return first if one.excess / one.dof < other.excess / other.dof else second
@@ -188,6 +191,8 @@ def _search_one_axis(recording: Recording, model: Model, scatter: float, is_whol
         beside = budget.or_else(WHOLE_RECORDS, search, None)
     if beside is None:
         return result
+    if not result.selection.steps:
+        return beside
     other = beside.selection.final
     is_nearer = other.excess / other.dof < (1.0 - NAMED_SHARE) * final.excess / final.dof
     return beside if is_nearer else result
@@ -200,20 +205,22 @@ def _search_beside_friction(recording: Recording, model: Model, *, is_whole: boo
         recording = unfold_periods(recording)
     request = ValidationRequest(beside_friction=True)
     spectra, warnings, (base, _, train, held) = _fit_and_split(recording, model, request)
-    current_context().searches += 1
-    found = apply_rule(
-        "whole-records",
-        CandidateEvidence(base, evaluate_held_out(base, held)),
-        fitted_friction(model, base.layout.structure),
-        start_vector(model, base.layout),
-        train,
-        held,
-        spectra,
-        linear_axes=recording.linear,
-    )
+    try:
+        found = search_beside_friction(
+            CandidateEvidence(base, evaluate_held_out(base, held)),
+            fitted_friction(model, base.layout.structure),
+            start_vector(model, base.layout),
+            train,
+            held,
+            spectra,
+            linear_axes=recording.linear,
+        )
+    except budget.BudgetSpent:
+        budget.leave_out(WHOLE_RECORDS)
+        return None
     if found is None or not found.selection.steps:
         return None
-    selection, train, held = found.selection, found.train, found.held
+    selection, train, held = found.selection, [*found.train], [*found.held]
     if selection.final.held.cost >= selection.base.held.cost:
         return None  # worse on the records kept out than without causes
     bare = refit_without_effects(base, train)
@@ -285,7 +292,6 @@ def _has_time_cause(result: SearchPass) -> bool:
 
 def _search_once(recording: Recording, model: Model, request: ValidationRequest = PLAIN) -> SearchPass:
     """One search: linear fit, tones, causes, and a second search without the period of a load change."""
-    current_context().searches += 1
     prepare = partial(_fit_and_split, model=model, request=request)
     spectra, warnings, (base, free, train, held) = prepare(recording)
     tones = [] if request.by_period_if_differing else find_tones(base, held, spectra)
@@ -312,7 +318,8 @@ def _search_once(recording: Recording, model: Model, request: ValidationRequest 
     if not selection.steps and selection.final.fit is not base:
         # The chain now contains the mode that was found beside it.
         base, selection = selection.final.fit, replace(selection, base=selection.final)
-    without_change = apply_rule("load-change", selection, recording, base, search)
+    around = partial(search_around_change, selection, recording, base, search)
+    without_change = budget.or_else("load change", around, None) if selection.steps else None
     if without_change is not None:
         base, selection, train, held = without_change
     bare = refit_without_effects(base, train)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import floor, log10
 
 from invid.effects.registry import BY_CAUSE
-from invid.model.diagnosis_document import Alternative, RuledOut
+from invid.model.diagnosis_document import SURE, Alternative, RuledOut
 from invid.model.document import EffectTerm, Estimate
 
 SHOWS_BELOW = ("torque_saturation", "base_compliance")
@@ -93,7 +93,7 @@ def finding_sentence(
     sizes: Sequence[int],
     axes: Sequence[str],
 ) -> str:
-    """Cause, place, size and gain of a finding, its alternatives, and what to check."""
+    """Cause, place, size and gain of a finding; what to check, or of a doubtful one what would make sure."""
     effect = BY_CAUSE[term.cause].known(term)
     main = term.parameters.get(effect.main)
     size = effect.size_text(format_estimate(main)) if main is not None else ""
@@ -110,7 +110,7 @@ def finding_sentence(
     if rivals:
         others = sorted({_rival_text(r, term) for r in rivals})
         tells = separating_text([term.cause, *sorted({r.cause for r in rivals})])
-        text += f" The data cannot tell it from {', '.join(others)}: {tells}."
-    elif confidence < 0.8:
-        text += f" This is likely, not certain; to be sure: {effect.separating.text}."
+        return f"{text} The data cannot tell it from {', '.join(others)}: {tells}."
+    if confidence < SURE:
+        return f"{text} This is likely, not certain; to be sure: {effect.separating.text}."
     return f"{text} {effect.check}"

@@ -85,4 +85,5 @@ CONTESTED = 0.89
 """Largest confidence where alternatives remain (contract). exp(−COMPETES/4) leaves a rival at the edge a
 tenth of the likelihood, so a cause with one has at most nine tenths."""
 UNSIZED = 0.5
-"""Largest confidence of a cause whose size does not differ significantly from zero."""
+"""Largest confidence of a cause whose size does not differ significantly from zero, or that a search found
+which was cut short and explains too little to name it otherwise."""

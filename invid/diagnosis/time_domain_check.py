@@ -235,7 +235,7 @@ def add_time_domain_check(
     doubtful = [
         r
         for r, torque in zip(result.residual, answer.torque_after, strict=True)
-        if torque > AGREEMENT * max(r.after, r.noise_floor) and torque > 0.1 * r.before
+        if torque > AGREEMENT * max(r.after, r.floor) and torque > 0.1 * r.before
     ]
     if not doubtful and not is_lost:
         return result

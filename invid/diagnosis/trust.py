@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.diagnosis.evidence import CandidateEvidence
-from invid.diagnosis.thresholds import CONTESTED, LEFT, REACHED
+from invid.diagnosis.thresholds import CONTESTED, LEFT, REACHED, UNSIZED
 from invid.identification.crosscheck import BEATEN, MOST_BEATEN
 from invid.identification.identifiability import blind_directions
 from invid.identification.model_facts import CUT_SHORT
@@ -128,10 +128,9 @@ def _unseen_parameters(extended: Model, final: CandidateEvidence, linear: bool) 
 
 
 def limit_confidence(findings: tuple[Finding, ...], found: Trust) -> tuple[Finding, ...]:
-    """Findings with limited confidence where the data do not determine all of the model."""
-    if not found.unseen:
-        return findings
-    return tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in findings)
+    """Findings with limited confidence where the model is wrong, or the data do not determine all of it."""
+    most = UNSIZED if found.broken else CONTESTED if found.unseen else 1.0
+    return tuple(replace(f, confidence=min(f.confidence, most)) for f in findings)
 
 
 def doubt_unknown_hold_timing(
@@ -219,16 +218,17 @@ def _stiffest_hold(declared: float | None, model: Model, axis: int, final: Joint
     return float(model.chains.masses[axis].sum()) * (HOLD_BAND * lowest) ** 2
 
 
-def distrust_sentences(found: Trust, masses: tuple[int, ...], *, only_independent: bool = False) -> list[str]:
+def distrust_sentences(found: Trust, masses: tuple[int, ...], *, is_named: bool = False) -> list[str]:
     """What is wrong with the model and how to correct it, as the first sentences of the diagnosis.
 
-    ``only_independent``: causes that stand on their own evidence are named all the same.
+    ``is_named``: what stands on its own evidence, or was found until the budget was spent, is named all the
+    same.
     """
     if found.broken:
         sizes = ", ".join(str(n) for n in masses)
-        named = "only what a motor's own motion shows is" if only_independent else "no cause is"
+        named = "what is named is in doubt" if is_named else "no cause is named"
         return [
-            f"The linear model itself cannot be trusted, so {named} named: {found.reasons[0].text}.",
+            f"The linear model itself cannot be trusted, so {named}: {found.reasons[0].text}.",
             "Put that right first: see that every axis is excited and hits nothing, and that the torque "
             f"channel is the motor's; try another number of masses than {sizes} (--masses auto lets the data "
             "choose); record more periods, a wider band, or a smaller amplitude, at which a strong effect is "
@@ -249,3 +249,9 @@ def qualify_unexplained(found: Trust, left: Unexplained | None) -> Unexplained |
     return replace(
         left, sentence=left.sentence.replace("that no cause of the catalogue explains", "under that model")
     )
+
+
+def untold_remainder(axis: str) -> Unexplained:
+    """What is left where nothing stands out of the noise, under a linear fit that is broken."""
+    said = f"Axis {axis}: nothing stands out of the noise, which says nothing under a model that is wrong."
+    return Unexplained(axis, (), (), said)

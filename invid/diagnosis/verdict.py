@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from invid.diagnosis.confidence import effect_term, is_at_floor, judge
-from invid.diagnosis.context import apply_rule
 from invid.diagnosis.known_effects import effects_in_model
-from invid.diagnosis.outcome import assemble_diagnosis, explained_share
+from invid.diagnosis.outcome import assemble_diagnosis, explained_share, floors_left
 from invid.diagnosis.remainder.residual_character import describe_unexplained
+from invid.diagnosis.rules.nonrepeating_torque import describe_scatter
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN
 from invid.diagnosis.tone import Tone, describe_tones, tone_power
@@ -22,6 +22,7 @@ from invid.diagnosis.trust import (
     judge_linear_fit,
     limit_confidence,
     qualify_unexplained,
+    untold_remainder,
 )
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import effects_of_plant
@@ -60,7 +61,7 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
     judgement = judge(selection, recording, after_test)
     linear_model = extended_model(model, final.fit, ())
     linear = judge_linear_fit(model, linear_model, base, final, (before_test, after_test), recording)
-    trusted = selection.only_independent or not linear.broken
+    trusted = selection.only_independent or selection.is_cut_short or not linear.broken
     named = judgement.findings if judgement.named and trusted and not is_refused else ()
     sure, timing_warnings = doubt_unknown_hold_timing(
         limit_confidence(tuple(named), linear), recording, model, final.fit
@@ -81,14 +82,17 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
     # A given model with causes in it explains what it explained when it was found.
     as_found = not selection.steps and not linear.broken and is_at_floor(base)
     as_found = as_found and explained is not None and explained > BROUGHT_DOWN
-    quiet = not tones and (not coherent or as_found)
+    # Under a broken linear fit a χ² that rejects nothing says nothing: its noise is as wrong.
+    quiet = not tones and not linear.broken and (not coherent or as_found)
     if quiet:
-        unexplained = apply_rule("nonrepeating-torque", (base.fit.evaluation, base.held), recording, unit)
+        unexplained = describe_scatter((base.fit.evaluation, base.held), recording, unit)
     elif named and nameless:
         unexplained = describe_unexplained(nameless[0].before, recording)
     elif not named:
         if coherent:
             unexplained = qualify_unexplained(linear, describe_unexplained(base, recording))
+        else:
+            unexplained = untold_remainder(max(residual, key=floors_left).axis)
     elif not judgement.complete:
         unexplained = describe_unexplained(final, recording)
         if selection.only_independent and explained is not None:
@@ -108,7 +112,7 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
             "unseen": list(linear.unseen),
         },
     )
-    distrust = distrust_sentences(linear, model.chains.masses_per_branch, only_independent=bool(named))
+    distrust = distrust_sentences(linear, model.chains.masses_per_branch, is_named=bool(named))
     level_text = ("1.2 times " if coherent else "") + "its noise"
     return assemble_diagnosis(
         recording,

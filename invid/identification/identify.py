@@ -34,13 +34,11 @@ from invid.modes.pole_search import search_modes
 from invid.modes.settle import settled_frf
 from invid.numerics import budget
 from invid.recording.model import Recording, Role
-from invid.recording.plausibility import without_repeats
-from invid.recording.still_axes import masses_of_moving, moving_part
+from invid.recording.still_axes import masses_of_moving
 from invid.signals.drive_torque import replace_by_acting_torque
-from invid.signals.encoder_glitches import remove_glitches
-from invid.signals.encoder_interpolation import remove_interpolation_error
 from invid.signals.frf import FrfMatrix
 from invid.signals.plausibility import check_plausible
+from invid.signals.repair import repair
 from invid.signals.spectra import LineSpectra, all_spectra
 
 TIME_TO_SEARCH = 0.9
@@ -73,13 +71,9 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
     NotIdentifiableError
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
-    recording, repeats = without_repeats(recording)
-    recording, glitches = remove_glitches(recording)
     whole = recording
-    recording, still = moving_part(recording)
+    recording, warnings = repair(recording)
     masses = masses_of_moving(masses, whole, recording)
-    recording, waves = remove_interpolation_error(recording)
-    warnings = [*repeats, *glitches, *still, *waves]
     # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
     with budget.use_share(TIME_TO_SEARCH), np.errstate(all="ignore"):
         try:

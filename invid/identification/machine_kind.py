@@ -20,6 +20,7 @@ from invid.model.chains import CoupledChains
 from invid.model.document import MISSED, Model
 from invid.model.doubts import Doubt, DoubtCode
 from invid.model.parameters import ChainStructure
+from invid.numerics import budget
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.rigid_motion.analysis import Analysis, analyse, row_floor
@@ -35,6 +36,9 @@ RIGID_ENOUGH = 0.1
 CLEAR_RATIO = 0.5
 """Ratio of missed torque, chains over rigid axes, below which a moved machine counts as elastic (empirical):
 a factor of two in amplitude, as between any two structures (``model_facts.MOST_BEATEN``)."""
+TIME_TO_DOUBT = 0.85
+"""Least share of what is left of a budget for chains of a machine that is moved: where they lose, nothing
+else needs it (empirical)."""
 PIECE_COUNT = 12
 """Pieces of each record; chains are judged on every third, from all over it: the end of a chirp shows what
 its beginning does not."""
@@ -53,9 +57,13 @@ class MachineKind:
 
 
 def machine_kind(
-    recording: Recording, masses: Sequence[int] | str | None, chains: Callable[[], Model]
+    recording: Recording, masses: Sequence[int] | str | None, chains: Callable[[], Model], share: float = 1.0
 ) -> MachineKind:
-    """Rigid axes or chains; ``chains`` identifies them as chains, with ``masses`` as requested."""
+    """Rigid axes or chains; ``chains`` identifies them as chains, with ``masses`` as requested.
+
+    ``share``: of the time that is left, for chains; the rest is for a search for their causes. Of a machine
+    that is moved and hardly ever elastic the analysis of rigid axes is all of the diagnosis.
+    """
     wanted = recording.masses_per_axis if masses is None else masses
     if wanted is not None and not isinstance(wanted, str):
         return MachineKind(all(n == 1 for n in wanted) and is_trajectory(recording))
@@ -68,17 +76,20 @@ def machine_kind(
     if not is_moved and not any(e.kind is Kind.OTHER for e in experiments):
         return MachineKind(rigid=False)
     try:
-        found = analyse(recording)
+        with budget.use_share(1.0 if is_moved else share):
+            found = analyse(recording)
         missed = rigid_missed_share(found)
         identify_trajectory(recording, analysis=found)  # an axis may not accelerate at all
-        analysis = None if found.selection.is_cut_short else found  # there may be time for more of it
+        # There may be time for more of it, but of a machine that is moved it had all there was.
+        analysis = None if found.selection.is_cut_short and not is_moved else found
     except InvidError:
         analysis, missed = None, float("inf")
     if is_moved and missed < RIGID_ENOUGH:
         return MachineKind(rigid=True, analysis=analysis)
     model, left = None, float("inf")
     try:
-        model = chains()
+        with budget.use_share(max(share, TIME_TO_DOUBT) if is_moved else share):
+            model = chains()
         # One mass an axis is no elasticity: rigid axes hold that, and the weight that changes with the pose.
         if max(model.chains.masses_per_branch) > 1:
             left = chains_missed_share(recording, model.chains)

@@ -155,7 +155,7 @@ def refined_model(
         warnings.append(
             f"{axis}: a hold works while this axis is driven, and nothing tells whether it acts inside the "
             "drive or is held over the sample: the standard deviation of its motor mass covers both; record "
-            "torque_demand, or an experiment in which the axis is held and not excited"
+            "a torque_demand that leaves the hold out, drive the axis without a hold, or state hold_by"
         )
     for axis, lag in fit.facts["torque_lag_s"].items():
         if abs(lag["value"]) > 3.0 * lag["std"]:

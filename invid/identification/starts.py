@@ -82,8 +82,9 @@ def chain_starts(  # noqa: PLR0913 - where starts come from
 ) -> Iterator[CoupledChains]:
     """Starts, most trusted first; each is made only when those before it have failed."""
     yield from further
-    # Of axes that move together and without a period an FRF is read badly.
-    is_grown_first = thorough and len(sizes) > 1 and all(s.transient and s.driven.sum() != 1 for s in spectra)
+    # Of axes that move together an FRF is read badly without a period (those that still settle are periods).
+    together = all(s.transient and s.periods == 1 and s.driven.sum() != 1 for s in spectra)
+    is_grown_first = thorough and len(sizes) > 1 and together
     if is_grown_first:
         yield from _grown(spectra, sizes, axes)
     crude: list[CoupledChains] = []

@@ -224,4 +224,14 @@ def rms_torque(evaluation: Evaluation, axis: int, bands: Sequence[Bool] | None =
     return float(np.sqrt(np.mean(powers))), float(np.sqrt(np.mean(floors)))
 
 
-__all__ = ["NullTest", "add_scatter", "informative_lines", "null_test", "rms_torque"]
+def scatter_share(evaluation: Evaluation, axis: int) -> float:
+    """Share of the power of an axis' noise floor that is scatter between periods, not the sensors' noise."""
+    floor = rms_torque(evaluation, axis)[1]
+    powers = []
+    for covariance, view in zip(evaluation.covariance, evaluation.views, strict=True):
+        good = informative_lines(covariance, view.record)[1:, axis]
+        powers.append(0.5 * float(view.record.scatter[1:, axis][good].sum()))
+    return float(np.mean(powers)) / floor**2 if floor > 0 else 0.0
+
+
+__all__ = ["NullTest", "add_scatter", "informative_lines", "null_test", "rms_torque", "scatter_share"]

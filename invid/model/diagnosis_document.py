@@ -50,7 +50,13 @@ class AxisResidual:
     unit: str
     before: float
     after: float
-    noise_floor: float
+    noise_floor: float | None
+    """What the sensors' noise alone would leave; ``None`` where the record does not show it."""
+
+    @property
+    def floor(self) -> float:
+        """What an axis is compared with: its noise floor, else what is left, which then repeats."""
+        return self.after if self.noise_floor is None else self.noise_floor
 
 
 @dataclass(frozen=True)
@@ -107,6 +113,10 @@ class Consequence:
         }
 
 
+SURE = 0.9
+"""Confidence from which a cause is named without reserve: a contested one has at most 0.89 (the contract)."""
+
+
 @dataclass(frozen=True)
 class Finding:
     """A named cause at its place, with its held-out gain."""
@@ -125,6 +135,11 @@ class Finding:
     def cause(self) -> str:
         """Name of the cause, as in docs/reference/causes.md."""
         return self.effect.cause
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the cause may be another one: nobody is to repair anything for it yet."""
+        return bool(self.alternatives) or self.confidence < SURE
 
     @property
     def axis(self) -> str:

@@ -7,6 +7,7 @@ and the effects that extend the linear model.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import re
@@ -19,6 +20,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from invid.disk import not_written
 from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
 from invid.model.doubts import Doubt, doubt_facts, doubts_of
@@ -497,7 +499,9 @@ def save_text(path: Path, text: str) -> None:
 
 
 def save_bytes(path: Path, content: bytes) -> None:
-    """Write to a temporary name beside ``path``, then rename: a crash leaves the old file whole."""
+    """Write to a temporary name beside ``path``, then rename: a crash or a full disk leaves the old file
+    whole.
+    """
     temporary = path.with_name(path.name + ".part")
     try:
         if path.exists() and not path.is_file():  # /dev/stdout stays what it is
@@ -507,7 +511,9 @@ def save_bytes(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
         temporary.replace(path)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise not_written(path, error) from None
 
 
 def save_model(model: Model, path: Path) -> None:

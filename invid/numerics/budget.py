@@ -29,6 +29,21 @@ class BudgetSpent(Exception):
 
 
 @dataclass(frozen=True)
+class Found:
+    """A cause found so far, and where."""
+
+    cause: str
+    axis: str
+    other_axis: str | None = None
+    element: str | None = None
+
+    def __str__(self) -> str:
+        """ "backlash A2 spring 1"."""
+        words = (self.cause.replace("_", " "), self.axis, self.other_axis, self.element)
+        return " ".join(word for word in words if word)
+
+
+@dataclass(frozen=True)
 class Progress:
     """How far a computation is.
 
@@ -43,8 +58,8 @@ class Progress:
     fraction: float = 0.0
     seconds_left: float | None = None
     element: str | None = None
-    found: tuple[str, ...] = ()
-    """Sentences about the causes found so far; the search still looks."""
+    found: tuple[Found, ...] = ()
+    """The causes found so far; the search still looks."""
 
     def __str__(self) -> str:
         """ "weighing backlash, A2 spring 1"."""
@@ -67,7 +82,7 @@ class Budget:
     """Shares of the whole between which the present part lies."""
     behind: float = 0.0
     left_out: list[str] = field(default_factory=list)
-    found: tuple[str, ...] = ()
+    found: tuple[Found, ...] = ()
     is_stopped: bool = False
     """Whether somebody asked for the best answer so far (``stop``)."""
 
@@ -178,7 +193,12 @@ def warning() -> str | None:
     if budget.is_stopped or budget.seconds is None:
         spent, way_out = f"{SPENT} this search was ended by whoever waited", "let it run to its end"
     else:
-        spent = f"{SPENT} {budget.seconds:g} s of the processor was spent"
+        used = budget.clock() - budget.began
+        spent = f"{SPENT} {budget.seconds:g} s of the processor, at most twice that on the clock, "
+        if used < budget.seconds:
+            spent += f"ended parts of the work at their shares of it, after {used:.2g} s in all"
+        else:
+            spent += "was spent"
         way_out = f"a larger --budget than {budget.seconds:g} lets the search end by itself"
     return (
         f"{spent}; this is the best answer so far, nothing is concluded from what was not looked at: "
@@ -209,12 +229,12 @@ def tell(
     budget.report(Progress(stage, axis, cause, budget.behind, left, element, budget.found))
 
 
-def tell_found(sentences: Sequence[str]) -> None:
-    """Report the causes found so far, in sentences, while the search still looks."""
+def tell_found(causes: Sequence[Found]) -> None:
+    """Report the causes found so far, while the search still looks."""
     budget = _IN_FORCE.get()
     if budget is None:
         return
-    budget.found = tuple(sentences)
+    budget.found = tuple(causes)
     tell("still looking", 0.0)
 
 

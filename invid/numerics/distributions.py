@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from scipy import special
 
 
@@ -43,3 +44,8 @@ def binomial_sf(k: int, n: int, p: float) -> float:
     if k < 0:
         return 1.0
     return float(special.bdtrc(k, n, p)) if k < n else 0.0
+
+
+def binomial_isf(p: float, n: int, share: float) -> int:
+    """The smallest k that n trials exceed with a chance of at most p."""
+    return int(np.argmax(special.bdtrc(np.arange(n + 1), n, share) <= p))

@@ -10,7 +10,7 @@ where those limits are near.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import InitVar, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,8 +35,6 @@ RAMP_S = 0.25
 """Raised-cosine start and end of a block."""
 FRICTION_FACTOR = 13.0
 """Peak torque over Coulomb torque below which sticking shows (notes, case study)."""
-POWER_TAIL = 0.025
-"""Power of the best design that lies below, and as much above, the band called informative."""
 ITERATIONS = 40
 """Of the multiplicative algorithm: within 2 % of the optimum from there on (case study)."""
 ROBUST_SHARE = 0.3
@@ -54,16 +52,12 @@ class BlockDesigner:
     noise: Noise
     excited: tuple[int, ...]
     amplitude_scale: float = 1.0
-    names: Sequence[str] | None = None
-    """Parameters that the goal is about; ``None``: all."""
-    seed: int = 0
-    wanted_band: InitVar[tuple[float, float] | None] = None
-    """Frequencies to excite [Hz]; ``None``: those of the config's multisines."""
+    seed: int = 1
 
-    def __post_init__(self, wanted_band: tuple[float, float] | None) -> None:
+    def __post_init__(self) -> None:
         config = self.config
         specs = [s for s in config.experiments if isinstance(s, MultisineSpec) and s.role == "identify"]
-        self.band = wanted_band or (
+        self.band = (
             (min(s.band_Hz[0] for s in specs), max(s.band_Hz[1] for s in specs)) if specs else (0.5, 12.0)
         )
         self.share = self.amplitude_scale * max((s.amplitude for s in specs), default=0.7)
@@ -75,13 +69,9 @@ class BlockDesigner:
         self.length = 0.0
 
     def expected(self, blocks: Sequence[PlannedExperiment]) -> Expected:
-        """Expected covariance, its goal narrowed to the wanted parameters."""
+        """Expected covariance."""
         numbered = [replace(e, key=f"{k:03d}") for k, e in enumerate(blocks)]
-        found = expected(self.config, numbered, self.belief, self.noise)
-        if self.names is None:
-            return found
-        wanted = np.array([n in self.names for n in found.names])
-        return replace(found, goal=found.goal & wanted)
+        return expected(self.config, numbered, self.belief, self.noise)
 
     def block(self, length: float, number: int, rung: float) -> PlannedExperiment:
         """One block, within travel and velocity by the belief."""
@@ -176,31 +166,12 @@ class BlockDesigner:
             path[:, i] = excitation.triangle_path(self.creep, samples, 1.0 / self.config.bus.cycle_s, window)
         return frozen_float(path)
 
-    def informative(self, length: float) -> tuple[float, float]:
-        """The band [Hz] that holds all but a twentieth of the power of the best design."""
-        spacing = 1.0 / length
-        low, high = self.band
-        lines = np.arange(max(1, int(np.ceil(low / spacing))), int(high / spacing) + 1)
-        shell = PlannedExperiment(
-            kind=Kind.MULTISINE,
-            excited=self.excited,
-            torque=np.zeros((0, len(self.config.axes))),
-            frequencies_hz=frozen_float(lines * spacing),
-        )
-        axis = interleaved(lines, self.excited)
-        found = self._design(lines, spacing, axis, shell, robust_share=0.0)
-        share = np.cumsum(found.amplitude**2) / np.sum(found.amplitude**2)
-        first, last = np.searchsorted(share, [POWER_TAIL, 1.0 - POWER_TAIL])
-        return max(low, 0.9 * float(lines[first]) * spacing), min(high, 1.1 * float(lines[last]) * spacing)
-
     def _design(
         self,
         lines: np.ndarray,
         spacing: float,
         axis: np.ndarray,
         shell: PlannedExperiment,
-        *,
-        robust_share: float = ROBUST_SHARE,
     ) -> LineDesign:
         quantum = self.noise.position_step / np.sqrt(12)
         steps = self.noise.torque_step / np.sqrt(12)
@@ -214,7 +185,6 @@ class BlockDesigner:
             position_noise=np.hypot(self.noise.position, quantum),
             goal_scale=None if self.belief.guessed else self._scale(),
             prices=self.prices,
-            robust_share=robust_share,
         )
 
     def _scale(self) -> Float64:
@@ -225,8 +195,6 @@ class BlockDesigner:
         scale = np.full(structure.count, np.inf)
         for k, name in enumerate(structure.names):
             if ".damper." in name or name not in relative or name.endswith(".ground_spring"):
-                continue
-            if self.names is not None and name not in self.names:
                 continue
             scale[k] = 1.0 if structure.logarithmic[k] else relative[name]
         return scale
@@ -284,7 +252,6 @@ def line_design(  # noqa: PLR0913 - the terms of the optimum
     position_noise: Float64,
     goal_scale: Float64 | None,
     prices: tuple[Float64, Float64],
-    robust_share: float = ROBUST_SHARE,
 ) -> LineDesign:
     """The design of one record.
 
@@ -299,8 +266,6 @@ def line_design(  # noqa: PLR0913 - the terms of the optimum
         ``None``: amplitudes ∝ f^−½, no optimisation.
     prices
         (M,) price of travel² and of speed² of each motor beside a torque² of 1.
-    robust_share
-        Share of the power kept on f^−½.
     """
     structure = structure_of(belief.chains)
     p = structure.vector(belief.chains)
@@ -337,7 +302,7 @@ def line_design(  # noqa: PLR0913 - the terms of the optimum
         root = inverse * (importance / ruler)
         gain = np.einsum("ab,lbc,ca->l", root.T, scaled, root).real
         weight = _normalised(weight * np.sqrt(np.maximum(gain, 0.0) / cost), axis, cost)
-    power = (1 - robust_share) * weight + robust_share * _normalised(robust, axis, cost)
+    power = (1 - ROBUST_SHARE) * weight + ROBUST_SHARE * _normalised(robust, axis, cost)
     return LineDesign(lines, axis, np.sqrt(_normalised(power, axis)))
 
 

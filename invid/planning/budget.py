@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom
 
 from invid.config import CellConfig
 from invid.config.frames import LONGEST_HEARTBEAT_S, cycle_bits, frame_bits
 from invid.errors import ConfigError
+from invid.numerics.distributions import binomial_isf
 
 
 def bus_load(drives: int, *, cycle_s: float, bitrate: int, heartbeat_s: float = LONGEST_HEARTBEAT_S) -> float:
@@ -164,7 +164,7 @@ class RoundTrip:
 
 def rank(count: int, share: float) -> int | None:
     """Rank (from 1) of the sample that bounds a share from above; ``None`` where the count is too small."""
-    found = int(binom.ppf(CONFIDENCE, count, share)) + 1
+    found = binomial_isf(1.0 - CONFIDENCE, count, share) + 1
     return found if found <= count else None
 
 

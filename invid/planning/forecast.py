@@ -23,8 +23,8 @@ from invid.planning.response import Motion, foretold_motion, held_by_drive, hold
 
 MARGIN = 1.25
 """Announced motion and torque over those that the model predicts. Empirical: models from an identification
-predict the peaks of the same machine to a tenth, with 5 % of friction (``bench_announced.py``); what exceeds
-the margin the trial sees, and scales down."""
+predict the peaks of the same machine to a tenth, with 5 % of friction (``tests/machines/test_announced.py``);
+what exceeds the margin the trial sees, and scales down."""
 DRIVE_HOLDS_HZ = (5.0, 15.0, 50.0)
 """Assumed bandwidths [Hz] of the unknown loops inside the drives, on the rigid axis; the worst counts."""
 READING_NOISE = 0.03
@@ -36,10 +36,10 @@ LARGEST_SPREAD = 10.0
 that."""
 DOUBLETS_MOTION = 3.0
 """Motion in the doublets over that of one from rest: each begins where the one before left the axis moving.
-Empirical (``bench_announced.py``)."""
+Empirical (``tests/machines/test_announced.py``)."""
 DOUBLETS_TORQUE = 5.0
 """Torque after the doublets over that of one: a drive whose own hold takes an axis over stops it, with what
-swings behind it. Empirical: 4.2 at most (``bench_announced.py``)."""
+swings behind it. Empirical: 4.2 at most (``tests/machines/test_announced.py``)."""
 ROUNDS = 6
 CREEP_RATIO = 2.5
 """Creep in rms velocities of the shaking above which a motor hardly turns back (once in a hundred, normal).

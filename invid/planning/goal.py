@@ -53,8 +53,6 @@ class GoalPlan:
     binding: tuple[str, ...]
     amplitudes: tuple[float, ...]
     """Share of the torque limit of each block."""
-    about: str = "every mass, spring and coupling"
-    """What the goal is about, in words."""
 
     @property
     def expected_s(self) -> float:
@@ -68,7 +66,7 @@ class GoalPlan:
         name, worst = self.expected.worst
         if self.reachable:
             return (
-                f"{self.goal:.2g} of {self.about} expected after {self.needed} of "
+                f"{self.goal:.2g} of every mass, spring and coupling expected after {self.needed} of "
                 f"{len(self.plan.experiments)} blocks, {self.expected_s:.0f} s (worst: {name}, {worst:.2g})"
             )
         if not np.isfinite(worst):
@@ -103,9 +101,6 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
     axes: Sequence[str] | None = None,
     amplitude_scale: float = 1.0,
     max_duration_s: float = 120.0,
-    names: Sequence[str] | None = None,
-    band: tuple[float, float] | None = None,
-    seed: int = 1,
 ) -> GoalPlan:
     """The shortest plan that is expected to reach ``goal`` (relative standard deviation).
 
@@ -113,10 +108,6 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
     ----------
     axes
         Excite only these.
-    names
-        Parameters that the goal is about; default all masses, springs and couplings.
-    band
-        Frequencies to excite [Hz]; default those of the config's multisines.
 
     Raises
     ------
@@ -127,7 +118,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
         raise ConfigError(f"goal is {goal:g}; give a relative uncertainty such as 1% or 0.01")
     known = require_known_axes(config, axes)
     excited = tuple(i for i, n in enumerate(known) if axes is None or n in axes)
-    designer = BlockDesigner(config, belief, noise, excited, amplitude_scale, names, seed, band)
+    designer = BlockDesigner(config, belief, noise, excited, amplitude_scale)
     require_budget(config)
 
     def plan_of(blocks: Sequence[PlannedExperiment]) -> Plan:
@@ -159,14 +150,6 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
         blocks += [designer.block(length, len(blocks) + k, 1.0) for k in range(min(more, room))]
         reached = designer.expected(blocks)
     return _complete_plan(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
-
-
-def informative_band(
-    config: CellConfig, belief: Belief, noise: Noise, names: Sequence[str], axes: Sequence[str]
-) -> tuple[float, float]:
-    """The frequencies [Hz] that tell about the named parameters when ``axes`` are excited."""
-    excited = tuple(i for i, a in enumerate(config.axes) if a.name in axes)
-    return BlockDesigner(config, belief, noise, excited, names=names).informative(BLOCKS_S[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,5 +210,4 @@ def _complete_plan(
         expected=reached,
         binding=tuple(binding),
         amplitudes=tuple(r * designer.share for r in rungs),
-        **({} if designer.names is None else {"about": f"the {len(designer.names)} parameters asked for"}),
     )

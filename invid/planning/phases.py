@@ -38,7 +38,7 @@ axis at most four times as far."""
 SIGN_FAR = 4 * SIGN_MOST
 SIGN_TRAVEL = 0.25
 """Announced for the doublets, as a share of the window: until the axis is caught, and when the motor that was
-held lets go while masses swing behind it. Empirical: 0.21 at most (``bench_announced.py``)."""
+held lets go while masses swing behind it. Empirical: 0.21 at most (``tests/machines/test_announced.py``)."""
 SIGN_QUIET_S, SIGN_CATCH_S = 0.07, 0.8
 """Stillness around each doublet, and the time in which the axis is caught after the last."""
 SIGN_EDGE_S = 0.04
@@ -57,7 +57,7 @@ SIGN_UNKNOWN_S = 1.5
 SPREAD_FIRST, SPREAD_EACH = 1.25, 0.95
 """Without a model: motion of all runs of a multisine over that of the ten seconds that the trial plays,
 first + each·√(M − 1) with M axes shaken. The runs differ in the phases of the axes alone: what M axes do to
-one adds up as a random walk. Empirical (``bench_announced.py``)."""
+one adds up as a random walk. Empirical (``tests/machines/test_announced.py``)."""
 SPREAD_USUAL = 0.5
 """Each, again, for most cells: torque is lowered for so much. What few cells do beyond it is announced, and
 lies within the limit unless it is the same axis that is near one."""
@@ -65,7 +65,7 @@ SPREAD_TORQUE = 1.25
 """The same for the torque, most of which is the excitation itself."""
 SPREAD_SWEEP = (1.5, 2.0, 1.5)
 """Travel, velocity and torque of stepped sines and chirps over those of the quick sweep, which stays on a
-resonance for a shorter time. Empirical (``bench_announced.py``)."""
+resonance for a shorter time. Empirical (``tests/machines/test_announced.py``)."""
 
 
 def fade_s(lowest_hz: float) -> float:

@@ -17,7 +17,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from invid.errors import RecordingError
+from invid.errors import DiskFullError, InputError, RecordingError
+from invid.model.document import save_bytes
 from invid.numerics.arrays import Float64, UInt16, frozen, frozen_float
 from invid.recording.attributes import Attributes, read_attributes
 from invid.recording.check import COLUMNS, check_recording
@@ -370,10 +371,9 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     """
     path = Path(path)
     check_recording(recording)
-    temporary = path.with_name(path.name + ".part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(temporary, "w") as file:
+        # In memory first: libhdf5 that meets a full disk takes the process with it.
+        with h5py.File(f"{path}.memory", "w", driver="core", backing_store=False) as file:
             set_attributes(file, root_attributes(recording))
             group = file.create_group("experiments")
             for e in recording.experiments:
@@ -385,10 +385,14 @@ def write_recording(recording: Recording, path: str | Path) -> None:
                         node.create_dataset(
                             name, data=values, compression="gzip", compression_opts=1, shuffle=True
                         )
-        temporary.replace(path)
-    except (OSError, ValueError, RuntimeError) as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, RecordingError):
-            raise RecordingError(f"{path}: {error}") from None
-        reason = getattr(error, "strerror", None) or str(error)
-        raise RecordingError(f"{path}: cannot be written: {reason}") from None
+            file.flush()
+            image = file.id.get_file_image()
+    except (ValueError, RuntimeError) as error:
+        what = error if isinstance(error, RecordingError) else f"cannot be written: {error}"
+        raise RecordingError(f"{path}: {what}") from None
+    try:
+        save_bytes(path, image)
+    except DiskFullError:
+        raise
+    except InputError as error:
+        raise RecordingError(str(error)) from None

@@ -293,4 +293,4 @@ def parse_map(text: str | bytes, *, source: str = "map") -> ImportMap:
     try:
         return ImportMap.model_validate(document)
     except ValidationError as error:
-        raise InputError(explain_errors(error, source, lines, "map")) from None
+        raise InputError(explain_errors(error, source, lines, "map", ImportMap)) from None

@@ -147,19 +147,6 @@ def is_spool(path: Path) -> bool:
         return False
 
 
-def finished_experiments(path: Path) -> int:
-    """How many experiments with rows have ended so far; only looks at the frames' heads."""
-    found, rows = 0, False
-    with path.open("rb") as file:
-        file.seek(len(MAGIC))
-        while len(head := file.read(_FRAME.size)) == _FRAME.size:
-            kind, length, _ = _FRAME.unpack(head)
-            rows = (rows or kind == _ROWS) and kind != _BEGIN
-            found += rows and kind == _END
-            file.seek(length, os.SEEK_CUR)
-    return found
-
-
 def has_rows(path: Path) -> bool:
     """Return whether any row reached the disk."""
     return any(kind == _ROWS for kind, _ in _frames(path))

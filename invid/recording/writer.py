@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from invid.errors import RecordingError, SafetyStop
+from invid.disk import MEBIBYTE, WAY_OUT, not_written, room
+from invid.errors import DiskFullError, RecordingError, SafetyStop
 from invid.numerics.arrays import frozen_float
 from invid.recording.hdf5 import experiment_attributes, root_attributes
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
@@ -28,7 +29,7 @@ from invid.recording.spool import Spool, as_hdf5, sync_folder
 
 _FLUSH_S = 0.9
 """Data gathered before a burst [s]; below the promised second by one slow append."""
-ROOM_BYTES = 8 << 20
+ROOM_BYTES = 8 * MEBIBYTE
 """Kept free on the disk beside what closing needs, which is at most as much again as the rows take. A guess
 at what others may write in a second; 50 s of rows of six axes at 1 kHz."""
 
@@ -67,6 +68,16 @@ def put_in_place(rows: Path, target: Path, outcome: Outcome | None = None) -> No
         rows.unlink()
 
 
+def require_room(path: Path, rows: int, axes: int) -> None:
+    """Raise DiskFullError where the disk does not hold so many rows and, beside them, their recording."""
+    free, needed = shutil.disk_usage(path.parent).free, ROOM_BYTES + 2 * rows * (8 + 26 * axes)
+    if free < needed:
+        raise DiskFullError(
+            f"{path}: it may need {needed / MEBIBYTE:.0f} MiB, {room(path.parent)}; nothing moved",
+            way_out=f"{WAY_OUT}, then measure again",
+        )
+
+
 class RecordingWriter:
     """Context manager: ``begin``, ``append`` rows, ``end``, …, ``close(outcome)``.
 
@@ -92,7 +103,7 @@ class RecordingWriter:
             self._require_room("nothing was recorded")
             self._spool = Spool(self.path, attributes)
         except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be written: {error.strerror or error}") from None
+            raise not_written(self.path, error, otherwise=RecordingError) from None
 
     def begin(  # noqa: PLR0913 - the contract: the attributes of an experiment
         self,
@@ -202,19 +213,17 @@ class RecordingWriter:
         try:
             write(spool)
         except OSError as error:
-            raise RecordingError(
-                f"{self.path}: the disk takes no more rows ({error.strerror or error}); "
-                "the recording so far is kept"
-            ) from None
+            kept = "the recording so far is kept"
+            raise not_written(self.path, error, kept=kept, otherwise=RecordingError) from None
 
     def _require_room(self, kept: str) -> None:
         free = shutil.disk_usage(self.path.parent).free
         needed = ROOM_BYTES + (self._spool.size if self._spool is not None else 0)
         if free < needed:
-            raise RecordingError(
-                f"{self.path}: the disk is nearly full: {free / 2**20:.1f} MiB are free, "
-                f"{needed / 2**20:.0f} MiB are kept back to close the file; {kept}. "
-                "Free some space and measure again"
+            raise DiskFullError(
+                f"{self.path}: the disk is nearly full: {room(self.path.parent)}, "
+                f"{needed / MEBIBYTE:.0f} MiB are kept back to close the file; {kept}",
+                way_out=f"{WAY_OUT}, then measure again",
             )
 
     def end(self) -> None:
@@ -250,10 +259,10 @@ class RecordingWriter:
         try:
             put_in_place(spool.path, self.path, Outcome(outcome))
         except OSError as error:
-            raise RecordingError(
-                f"{self.path}: cannot be written ({error.strerror or error}). What was measured is in "
-                f"{spool.path}: free some space, then `invid import {spool.path} -o {self.path}`"
-            ) from None
+            kept = (
+                f"what was measured is in {spool.path}: `invid import {spool.path} -o {self.path}` makes it"
+            )
+            raise not_written(self.path, error, kept=kept, otherwise=RecordingError) from None
         if refused is not None:
             raise refused
 

@@ -203,14 +203,17 @@ def _cause(
     i, pattern, stiffness = _place(chains, term)
     s = _liveliest(spectra, i)
     m, note = alone(s, chains, term, extended.effects)
-    force = _denoised(*force_at(m, pattern))
+    force, std = force_at(m, pattern)
     what = laws.abscissa(term) or ""
     x = _abscissa(m, pattern, i, what, term)
-    y = -_wave(s, force)
+    y = -_wave(s, _denoised(force, std))
     keep = _interior(s, x.size)
     fitted = laws.curve(term, x, stiffness, _beside(m, pattern, i, term))
     picture = _points(x[keep], y[keep])
-    if fitted is not None:
+    wave = fitted_wave(m, pattern, i, term, what, stiffness)
+    if fitted is not None and wave is not None:
+        picture["seen"] = _thinned(x[keep], seen_alike(s, force, std, wave)[keep])
+        picture["band_hz"] = band_of(s)
         fx, fy = fitted.x, fitted.y
         if fitted.path:  # a path in time: as points, in the record's interior
             thin = slice(None, None, max(1, fx[keep].size // 1500))
@@ -335,9 +338,26 @@ def force_at(m: MissingTorque, pattern: Float64) -> tuple[Complex128, Float64]:
 
 def _denoised(values: Complex128, std: Float64) -> Complex128:
     """Lines shrunk by the share of noise in their power, so that noisy lines do not blur the picture."""
-    power = np.abs(values) ** 2
-    result: Complex128 = values * np.maximum(0.0, 1.0 - std**2 / np.maximum(power, 1e-300))
+    result: Complex128 = values * _sound(values, std)
     return result
+
+
+def _sound(values: Complex128, std: Float64) -> Float64:
+    """(F,) share of every line's power that is not noise."""
+    power = np.abs(values) ** 2
+    result: Float64 = np.maximum(0.0, 1.0 - std**2 / np.maximum(power, 1e-300))
+    return result
+
+
+def seen_alike(s: LineSpectra, force: Complex128, std: Float64, wave: Float64) -> Float64:
+    """(n,) a cause's torque as the points of the missing torque ``force`` ± ``std`` (F,) show theirs: the
+    record's lines, shrunk as those are. A step is as round in it as in the points."""
+    return _wave(s, _sound(force, std) * lines_of(s, wave))
+
+
+def band_of(s: LineSpectra) -> list[float]:
+    """Lowest and highest frequency of the lines that points and cause are drawn from [Hz]."""
+    return [float(s.frequency_hz.min()), float(s.frequency_hz.max())]
 
 
 def _wave(s: LineSpectra, amplitudes: Complex128) -> Float64:
@@ -374,8 +394,12 @@ def _abscissa(m: MissingTorque, pattern: Float64, axis: int, what: str, term: Ef
 
 
 def _points(x: Float64, y: Float64) -> dict[str, Any]:
+    return {**_thinned(x, y), "fit": None, "seen": None, "band_hz": None}
+
+
+def _thinned(x: Float64, y: Float64) -> dict[str, list[float]]:
     step = max(1, x.size // POINTS)
-    return {"x": x[::step].tolist(), "y": y[::step].tolist(), "fit": None}
+    return {"x": x[::step].tolist(), "y": y[::step].tolist()}
 
 
 def _unit(recording: Recording, what: str) -> str:

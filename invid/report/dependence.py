@@ -30,9 +30,11 @@ from invid.report.data import (
     _unit,
     _wave,
     alone,
+    band_of,
     fitted_wave,
     force_at,
     lines_of,
+    seen_alike,
 )
 from invid.report.spectra_data import (
     MissingTorque,
@@ -199,7 +201,8 @@ def cause_views(recording: Recording, model: Model, diagnosis: Diagnosis) -> lis
     """One entry a finding (or the axis on which something unexplained lives, without a fit).
 
     Each has ``cause``, ``axis``, ``element``, ``y_label``, ``own`` (what the cause depends on), ``sides``
-    (``what``, ``x_label``, ``x``, ``y``, ``fit`` {x, y} as points of the same instants, or null) and
+    (``what``, ``x_label``, ``x``, ``y``, ``fit`` {x, y} as points of the same instants in the band of the
+    measured ones, or null, ``law`` {x, y} the cause itself over its own quantity, or null), ``band_hz`` and
     ``spectrum`` (``frequency_hz``, ``missing``, ``left`` after the cause, ``noise_floor``). Empty where
     the recording carries no spectra.
     """
@@ -235,6 +238,7 @@ def _views(
     keep = _interior(s, y.size)
     own = laws.abscissa(term)
     fit = None if own is None else fitted_wave(m, pattern, i, term, own, stiffness)
+    seen = None if fit is None else seen_alike(s, force, std, fit)
     sides = []
     for what in dict.fromkeys((*([own] if own else []), *SIDES)):
         x = _side(m, chains, pattern, i, what, term if what == own else None)
@@ -247,9 +251,13 @@ def _views(
             "x": x[keep][::step].tolist(),
             "y": y[keep][::step].tolist(),
             "fit": None,
+            "law": None,
         }
-        if fit is not None:
-            picture["fit"] = {"x": picture["x"], "y": fit[keep][::step].tolist()}
+        if seen is not None:
+            picture["fit"] = {"x": picture["x"], "y": seen[keep][::step].tolist()}
+        if what == own:
+            law = laws.curve(term, x, stiffness)
+            picture["law"] = None if law is None or law.path else {"x": law.x.tolist(), "y": law.y.tolist()}
         sides.append(picture)
     return {
         "cause": term.cause or None,
@@ -259,6 +267,7 @@ def _views(
         "note": note,
         "own": own,
         "sides": sides,
+        "band_hz": band_of(s),
         "spectrum": _spectrum(s, force, std, fit),
     }
 

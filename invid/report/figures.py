@@ -37,7 +37,9 @@ def draw(data: dict[str, Any]) -> dict[str, str]:
 
 
 def residual(rows: list[dict[str, Any]]) -> str:
-    """Missing torque before and after, and what noise alone would leave; one scale for all axes."""
+    """Missing torque before and after, and what noise alone would leave where it is known; one scale for all
+    axes."""
+    rows = [{**r, "noise_floor": 0.0 if r["noise_floor"] is None else r["noise_floor"]} for r in rows]
 
     def fill(figure: Figure) -> None:
         ax = figure.add_subplot()
@@ -81,16 +83,24 @@ def dependence(cause: dict[str, Any], name: str) -> str:
 
     def fill(figure: Figure) -> None:
         ax = figure.add_subplot()
+        words = str(cause["cause"]).replace("_", " ")
+        if cause["seen"]:
+            seen, (low, high) = cause["seen"], cause["band_hz"]
+            ax.plot(
+                seen["x"], seen["y"], "s", ms=3.6, alpha=0.45, color=BEFORE, mec="none",
+                label=f"{words}, in the same band",
+            )  # fmt: skip
+            said = f"dots and squares hold {low:.2g} to {high:.2g} Hz only: a step looks round"
+            ax.set_title(said, loc="right", fontsize=8, fontweight="normal")
         ax.plot(cause["x"], cause["y"], ".", ms=3.2, color=MEASURED, mec="none", label="missing (measured)")
         if cause["fit"]:
-            words = str(cause["cause"]).replace("_", " ")
-            ax.plot(cause["fit"]["x"], cause["fit"]["y"], color=BEFORE, lw=2.0, label=f"{words} (fitted)")
+            ax.plot(cause["fit"]["x"], cause["fit"]["y"], color=BEFORE, lw=1.6, label=f"{words}, fitted")
         ax.axhline(0.0, color=INK, lw=0.6)
         ax.set_xlabel(label(cause["x_label"]))
         ax.set_ylabel(label(cause["y_label"]))
         place = f", {cause['element']}" if cause["element"] else ""
         ax.set_title(label(f"{cause['axis']}{place}", 60), loc="left")
-        figure.legend(loc="upper right", ncols=2)
+        figure.legend(loc="upper right", ncols=3)
 
     return svg(
         name, fill, size=(7.2, 3.3), title=f"Missing torque of {cause['axis']} over {cause['x_label']}"

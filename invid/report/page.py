@@ -217,7 +217,8 @@ def captions_of(data: Mapping[str, Any]) -> dict[str, str]:
         "residual": "Torque that each motor would still need for the measured motion, on data that no fit "
         "has seen: with the linear model, with the causes named, and what noise alone would leave. "
         + "; ".join(
-            f"{r['axis']} {r['before']:.2g}, {r['after']:.2g} and {r['noise_floor']:.2g} {r['unit']}"
+            f"{r['axis']} {r['before']:.2g}, {r['after']:.2g} and "
+            + ("unknown" if r["noise_floor"] is None else f"{r['noise_floor']:.2g} {r['unit']}")
             for r in data["residual"]
         )
         + ".",
@@ -228,6 +229,9 @@ def captions_of(data: Mapping[str, Any]) -> dict[str, str]:
     for number, cause in enumerate(data["causes"], 1):
         what = cause["x_label"].split(" [")[0]
         drawn = f" The line is the fitted {cause['cause'].replace('_', ' ')}." if cause["cause"] else ""
+        if cause["seen"]:
+            low, high = cause["band_hz"]
+            drawn += f" Dots and squares hold {low:.2g} to {high:.2g} Hz only: a step looks round in them."
         note = f" ({cause['note']})" if cause["note"] else ""
         spread = f" {len(cause['y'])} points from {_span(cause['y'], cause['y_label'])}."
         captions[f"cause-{number}"] = f"What {cause['axis']} is missing, over {what}{note}.{drawn}{spread}"

@@ -9,6 +9,7 @@ nothing about a cause that is added to it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -20,6 +21,8 @@ from invid.numerics.arrays import Bool, Float64
 from invid.rigid_motion.load_friction import fix_loads, load_terms
 from invid.rigid_motion.regression import Design, Fit, fit_terms, noise_of
 from invid.rigid_motion.regressors import ASYMMETRIC, Regressor
+
+Label = tuple[str, int, int | None, str]
 
 SIGNIFICANT = 1e-3
 """Chance, over all candidates of a step together, that noise passes the training gain; as for chains."""
@@ -179,9 +182,17 @@ def join_term(terms: list[Regressor], new: Regressor) -> list[Regressor]:
     kept = [
         t
         for t in terms
-        if not (t.axis == new.axis and t.other is None and t.cause in new.replaces) and t.label != new.label
+        if not (t.axis == new.axis and t.other is None and t.cause in new.replaces)
+        and t.label != new.label
+        and not _falls_otherwise(t, new)
     ]
     return [*kept, new]
+
+
+def _falls_otherwise(term: Regressor, new: Regressor) -> bool:
+    """Whether both are the weight on one joint, of its own link or of all that hangs on it: one takes the
+    other's place."""
+    return term.cause == new.cause == "gravity" and term.axis == new.axis and term.other != new.other
 
 
 def best_of_label(
@@ -219,11 +230,29 @@ def fit_fast(design: Design, terms: list[Regressor], length: float) -> Fit:
 def select_terms(
     design: Design, base: list[Regressor], candidates: list[Regressor], *, most: int = 12
 ) -> Selection:
-    """Forward selection, then elimination of what is not significant."""
-    current, terms = fit_terms(design, base), list(base)
-    labels: dict[tuple[str, int, int | None, str], list[Regressor]] = {}
+    """Forward selection, then elimination of what is not significant, until both leave the same causes.
+
+    One may go beside others that go later, or not stand out beside them.
+    """
+    labels: dict[Label, list[Regressor]] = {}
     for c in candidates:
         labels.setdefault(c.label, []).append(c)
+    terms, seen = list(base), set[frozenset[Label]]()
+    while True:
+        terms, cut = _add_terms(design, terms, labels, most)
+        found = frozenset(t.label for t in terms)
+        current, terms = prune_terms(design, terms)
+        kept = frozenset(t.label for t in terms)
+        if cut or kept == found or kept in seen:
+            return Selection(current, cut or budget.is_left_out("further causes"))
+        seen.add(kept)
+
+
+def _add_terms(
+    design: Design, terms: list[Regressor], labels: Mapping[Label, list[Regressor]], most: int
+) -> tuple[list[Regressor], bool]:
+    """The terms with those that are significant beside them, and whether the budget ended the search."""
+    current = fit_terms(design, terms)
     unseen = [design.train, design.validate] if design.has_validation else [design.train]
     cut = False
     for number in range(most):
@@ -264,15 +293,14 @@ def select_terms(
         current = fit_terms(design, terms)
         design.reweigh(current.residual)
         current = fit_terms(design, terms)
-    current, terms = prune_terms(design, terms)
-    return Selection(current, cut or budget.is_left_out("further causes"))
+    return terms, cut
 
 
 def _load_candidates(
     design: Design, current: Fit, terms: list[Regressor], length: float
 ) -> list[tuple[Regressor, Fit]]:
     """Candidates of load-dependent friction with the load of the present fit, on every axis without one."""
-    labels: dict[tuple[str, int, int | None, str], list[Regressor]] = {}
+    labels: dict[Label, list[Regressor]] = {}
     for term in load_terms(current, design):
         if not any(t.label == term.label for t in terms):
             labels.setdefault(term.label, []).append(term)
@@ -288,7 +316,7 @@ def _best_pair(
     for one, other in combinations(found, 2):
         if budget.is_left_out("pairs of causes"):
             break
-        if one.label == other.label or not can_join([*terms, one], other):
+        if one.label == other.label or _falls_otherwise(one, other) or not can_join([*terms, one], other):
             continue
         if one.cause in other.replaces or other.cause in one.replaces:
             continue
@@ -310,8 +338,7 @@ def can_join(terms: list[Regressor], new: Regressor) -> bool:
     if (new.needs and not here & set(new.needs)) or here & set(new.excludes):
         return False
     # Over less than a turn, a constant is the cosine of a gravity angle: they are one cause.
-    # A joint falls with its own link or with all that hangs on it, not with both.
-    one = ("torque_offset", "asymmetric_friction", "gravity")
+    one = ("torque_offset", "asymmetric_friction")
     if new.cause in one and any(t.cause == "gravity" and t.axis == new.axis for t in terms):
         return False
     # A part of what is already there adds nothing.

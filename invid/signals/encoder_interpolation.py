@@ -12,9 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.fft
-import scipy.optimize
-import scipy.signal
+import scipy
 
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording
@@ -25,6 +23,8 @@ LEAST_SHARE, LEAST_OVER_BAND = 0.125, 3.0
 whole cells; there a motor's own motion is below the encoder's counts)."""
 MOST_CYCLES = 16384.0
 """Most waves of an error in a turn (or in 2π m): one in each of 16384 lines, the finest common scale."""
+LEAST_WAVES = 8.0
+"""Fewest waves within the way: the motion itself is a wave over about one."""
 MOST_WAVES = 6
 """Most waves of one encoder: with their harmonics two or three are usual."""
 CHANCE = 1e-6
@@ -107,8 +107,16 @@ def _readings(recording: Recording, axis: int) -> _Readings | None:
 
 
 def _fast_part(waves: Sequence[Float64], share: float) -> Float64:
-    sections = scipy.signal.butter(4, 2.0 * share, "highpass", output="sos")
-    return np.concatenate([scipy.signal.sosfiltfilt(sections, x) for x in waves])
+    """A Butterworth filter of order 4 there and back; ``scipy.signal`` takes half a second to load."""
+    out = []
+    for x in waves:
+        pad = min(256, x.size - 1)
+        long = np.concatenate((2 * x[0] - x[pad:0:-1], x, 2 * x[-1] - x[-2 : -pad - 2 : -1]))
+        size = scipy.fft.next_fast_len(long.size, real=True)
+        angle = np.tan(np.pi * np.fft.rfftfreq(size)[1:])
+        gain = np.concatenate(([0.0], 1.0 / (1.0 + (np.tan(np.pi * share) / angle) ** 8)))
+        out.append(np.fft.irfft(gain * np.fft.rfft(long, size), size)[pad : pad + x.size])
+    return np.concatenate(out)
 
 
 def _find_waves(readings: _Readings) -> list[tuple[float, float, float]]:
@@ -140,7 +148,7 @@ def _strongest(readings: _Readings, left: Float64) -> float | None:
     power = np.abs(np.fft.rfft(np.bincount(bins, weights=left), size)) ** 2
     spacing = 2 * np.pi / (size * width)
     last = int(MOST_CYCLES / spacing)
-    first = int(np.ceil(8.0 / spacing / max(float(np.ptp(x)), 1e-300)))  # eight waves within the way
+    first = int(np.ceil(2 * np.pi * LEAST_WAVES / spacing / max(float(np.ptp(x)), 1e-300)))
     if first >= last:
         return None
     noise = float(np.median(power[first:last])) / np.log(2.0)
@@ -154,7 +162,7 @@ def _strongest(readings: _Readings, left: Float64) -> float | None:
         rest = left - columns @ own
         return float(rest @ rest)
 
-    around = ((at - 2) * spacing, (at + 2) * spacing)
+    around = (max(at - 2, first) * spacing, (at + 2) * spacing)
     found = scipy.optimize.minimize_scalar(
         missed, bounds=around, method="bounded", options={"xatol": 1e-3 * spacing}
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.numerics.distributions import f_isf
 
 FALSE_DROP = 1e-4
@@ -90,7 +90,9 @@ class Settling:
     """False where even the last periods still differ by more than noise."""
 
 
-def find_settled_periods(spectra: Complex128, floor: Float64, floor_dof: float) -> Settling:
+def find_settled_periods(
+    spectra: Complex128, floor: Float64, floor_dof: float, excited: Bool | None = None
+) -> Settling:
     """First period after which the spectra of the periods differ by noise only.
 
     Parameters
@@ -101,21 +103,26 @@ def find_settled_periods(spectra: Complex128, floor: Float64, floor_dof: float) 
         (C,) noise power of one line of one period, from lines above the band.
     floor_dof
         Real degrees of freedom of ``floor``.
+    excited
+        (F,) lines that the excitation drives, where they are known; all else.
 
-    Each period is compared with the mean of those after it. The yardstick is the scatter of the
-    later periods among themselves where there are two or more, and the floor from above the band
-    otherwise; the ratio is F distributed for noise. Where even the last two differ by more than the
-    floor, the record is kept as long as what differs does not shrink, and called not settled: the
-    fit then carries the boundary terms, which are exact for any transient.
+    Each period is compared with the mean of those after it, on the excited lines: where nothing is driven a
+    slow drift differs in every period. The yardstick is the scatter of the later periods among themselves
+    where there are two or more, and the floor from above the band otherwise; the ratio is F distributed for
+    noise. Two periods in a row that differ end the count; one alone, with one before it that does not, is
+    scatter. Where even the last two differ by more than the floor on all lines, the record is called not
+    settled: the fit then carries the boundary terms, which are exact for any transient.
     """
     periods, lines, _ = spectra.shape
     if periods == 1:
         return Settling(0, False)
     # Power of what neighbours differ by; noise alone stays below the limit.
+    last = (np.abs(spectra[-1] - spectra[-2]) ** 2).mean(0) / 2 / np.maximum(floor, 1e-300)
+    settled = bool(np.all(last <= _largest_noise_ratio(lines, floor_dof)))
+    if excited is not None:
+        spectra, lines = spectra[:, excited], int(excited.sum())
     steps = (np.abs(np.diff(spectra, axis=0)) ** 2).mean(1) / 2 / np.maximum(floor, 1e-300)
-    limit = _largest_noise_ratio(lines, floor_dof)
-    settled = bool(np.all(steps[-1] <= limit))
-    used = periods - 2
+    used, differing = periods - 2, 0
     for first in range(periods - 3, -1, -1):
         following = spectra[first + 1 :]
         count = following.shape[0]
@@ -123,9 +130,13 @@ def find_settled_periods(spectra: Complex128, floor: Float64, floor_dof: float) 
         scatter = (np.abs(following - following.mean(0)) ** 2).sum(0).mean(0) / (count - 1)
         # Quantised channels can repeat exactly: the floor from above keeps the ratio finite.
         reference = np.maximum(np.maximum(scatter, floor), 1e-300)
-        if np.any(power > _largest_noise_ratio(lines, 2.0 * lines * (count - 1)) * reference):
+        if np.all(power <= _largest_noise_ratio(lines, 2.0 * lines * (count - 1)) * reference):
+            used, differing = first, 0
+            continue
+        differing += 1
+        if differing == 2:
             break
-        used = first
+    limit = _largest_noise_ratio(lines, floor_dof)
     return Settling(_first_before_change(steps[: used + 1], limit), settled)
 
 

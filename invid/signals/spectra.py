@@ -17,7 +17,14 @@ from invid.numerics.arrays import Bool, Complex128, Float64, frozen, frozen_floa
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.recording.plausibility import held_sentence
 from invid.signals.encoder_interpolation import position_steps
-from invid.signals.lines import band_of, driven_axes, excited_lines, held_torque, highest_excited
+from invid.signals.lines import (
+    band_of,
+    driven_axes,
+    excited_lines,
+    held_torque,
+    highest_excited,
+    known_lines,
+)
 from invid.signals.noise import (
     ENOUGH,
     NoisePlateau,
@@ -25,7 +32,7 @@ from invid.signals.noise import (
     noise_plateau,
     pooled_covariance,
     quantisation_step,
-    quiet_power,
+    repeating_power,
     rounding_power,
     sensor_noise_share,
 )
@@ -101,7 +108,8 @@ class LineSpectra:
     """(2M,) noise power of the averaged spectra from lines above the band, white quantisation included."""
     rounding: Float64 | None = None
     """(F, 2M) power of the rounding that lies within the band (``invid.signals.noise``)."""
-    hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
+    untimed_hold: Float64 = field(default_factory=lambda: np.zeros(0))
+    """(M,) gain of a hold that the recording does not say the instant of; NaN inside the drive, zero none."""
     hold_torque: Complex128 | None = None
     """(F, M) the part of the torque that a hold inside the drive gave, where the recording tells it apart."""
     integrated: bool = False
@@ -266,7 +274,9 @@ def _periodic_spectra(
     plateaus, floor, share = _noise_floor(data, quiet, hz, period)
     floor_dof = min(p.dof for p in plateaus)
     band = band_of(hz, top, band_hz)
-    settling = find_settled_periods(spectra[:, : top + 1], floor, floor_dof)
+    known = known_lines(experiment, hz, spectra, top)
+    excited = None if known is None else known[: top + 1]
+    settling = find_settled_periods(spectra[:, : top + 1], floor, floor_dof, excited)
     first = settling.first if drop_transient else 0
     if first:
         position = remove_drift(fold(data.position, period)[first:])
@@ -276,16 +286,9 @@ def _periodic_spectra(
     mean = spectra.mean(axis=0)
     # Quantisation error of a motion that repeats exactly repeats too: the quiet lines of the mean show it,
     # the spread between periods does not. Of odd lines alone it is half-wave symmetric: all on odd lines.
-    odd = np.arange(1, nyquist + 1) % 2 == 1
-    repeating, own = floor / used, floor / used * share
-    if settling.settled:
-        repeating = np.array(
-            [
-                max(quiet_power(mean[:, [c]], p.lines(hz) & parity)[0][0] for parity in (odd, ~odd))
-                for c, p in enumerate(plateaus)
-            ]
-        )
-        own = np.maximum(own, repeating * sensor_noise_share(mean[None, quiet], hz[quiet], data.step))
+    repeating = np.array([repeating_power(mean[:, c], p.lines(hz)) for c, p in enumerate(plateaus)])
+    share_of_mean = sensor_noise_share(mean[None, quiet], hz[quiet], data.step) if settling.settled else share
+    own = np.maximum(floor / used * share, repeating * share_of_mean)
     step = np.concatenate((position_steps(experiment, data.position), quantisation_step(data.torque)))
     single = sum(np.abs(one) ** 2 for one in spectra) / used
     rounding = _rounding_power(single, np.abs(mean) ** 2, step, band)
@@ -295,7 +298,10 @@ def _periodic_spectra(
     del spectra
     least = np.maximum(np.maximum(floor, averaged * used), rounding * used)
     covariance = pooled_covariance(deviations, least)
-    excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, period * data.step)
+    if known is None:
+        excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, period * data.step)
+    else:
+        excited = known[band]
     return _assemble(
         experiment,
         data,
@@ -370,6 +376,13 @@ def _whole_spectra(
 def is_integrated_velocity(experiment: Experiment) -> bool:
     """Return whether the record has no position but the running sum of a velocity."""
     return bool(experiment.attributes.get("position_source") == "integrated_velocity")
+
+
+def _untimed_hold(experiment: Experiment) -> Float64:
+    """(M,) stated gains of holds; zero where a master computed them, with the command of each sample."""
+    gain = np.asarray(experiment.hold_gain, dtype=np.float64)
+    by_master = experiment.attributes.get("hold_by") == "master"
+    return np.where(np.isfinite(gain) & by_master, 0.0, gain)
 
 
 def _position_of_velocity(position: Float64, step: float, hz: Float64) -> Complex128:
@@ -488,6 +501,6 @@ def _assemble(  # noqa: PLR0913 - the fields of LineSpectra
         deviations=fixed(deviations),
         floor=frozen_float(floor),
         rounding=frozen_float(rounding),
-        hold_gain=frozen_float(experiment.hold_gain),
+        untimed_hold=frozen_float(_untimed_hold(experiment)),
         integrated=is_integrated_velocity(experiment),
     )

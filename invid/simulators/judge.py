@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from invid.errors import ModelError
 from invid.exchange.linear_plant import effect_name
 from invid.model.diagnosis_document import Diagnosis, RuledOut
 from invid.model.document import EffectTerm, Estimate, Model, effect_to_json, linear_parameters
 from invid.numerics.arrays import Float64
+from invid.numerics.distributions import normal_isf
 from invid.recording.model import Experiment, Recording, Role
 from invid.simulators.guided import BANDS, Guided, Sampling, Simulator, guided, missed, moved_by_noise
 
@@ -177,7 +177,7 @@ def _differences(
     ours = linear_parameters(model)
     known = {_place(t): t for t in claimed.effects}
     tests = len(ours) + sum(len(t.parameters) for t in model.effects if _place(t) in known)
-    limit = float(norm.isf(FALSE_ALARMS / 2 / max(tests, 1)))
+    limit = normal_isf(FALSE_ALARMS / 2 / max(tests, 1))
 
     def compared(
         name: str, given: float, here: Estimate | float, std: float | None, unit: str | None

@@ -70,7 +70,7 @@ class Recorder:
             period_samples=experiment.period_samples,
             frequencies_hz=experiment.frequencies_hz,
             sample_rate_hz=1.0 / self._cycle,
-            attributes={**experiment.attributes, "amplitude_scale": scale},
+            attributes={**experiment.attributes, "amplitude_scale": scale, "hold_by": "master"},
         )
 
     def row(self, sample: Sample, demand: Sequence[float]) -> None:

@@ -92,21 +92,41 @@ def group_clause(
         what = Statement("headline.sized", {"what": what, "size": size})
     grade, check = grade_of(group[0]), cause_check(group[0].effect.cause)
     todo: Value = Statement(f"todo.{grade}")
-    if grade is Grade.ACT and advice and check is not None:
+    if grade is Grade.ACT and advice and group[0].is_doubtful:
+        todo = Statement("todo.doubtful", {"experiment": _experiment(group[0])})
+    elif grade is Grade.ACT and advice and check is not None:
         todo = Clause(check)
     return Statement("headline.clause", {"what": what, "todo": todo})
 
 
-def _group_name(group: Sequence[Finding], axes: Sequence[str]) -> Statement:
+def _experiment(finding: Finding) -> Statement:
+    """Return what to measure to be sure of a cause."""
+    effect = BY_CAUSE.get(finding.effect.cause)
+    return Statement(f"experiment.{'hand' if effect is None else effect.separating.kind}")
+
+
+def _group_name(group: Sequence[Finding], axes: Sequence[str]) -> Value:
     if len(group) == 1:
         effect = group[0].effect
         causes = dict.fromkeys([effect.cause, *(a.cause for a in group[0].alternatives[:1])])
         return place_phrase(
             Listed(tuple(map(cause_name, causes)), "or"), effect.axis, effect.element, effect.other_axis
         )
-    titles = Listed(tuple(map(cause_name, dict.fromkeys(f.effect.cause for f in group))), "titles")
-    where = axes_phrase([f.effect.axis for f in group], axes)
-    named = Statement("headline.on", {"what": titles, "axes": where})
+    places: dict[str, list[str]] = {}
+    for f in group:
+        places.setdefault(f.effect.cause, []).append(f.effect.axis)
+    alike: dict[frozenset[str], list[str]] = {}
+    for cause, at in places.items():
+        alike.setdefault(frozenset(at), []).append(cause)
+    named = Listed(
+        tuple(
+            Statement(
+                "headline.on",
+                {"what": Listed(tuple(map(cause_name, causes)), "titles"), "axes": axes_phrase([*at], axes)},
+            )
+            for at, causes in alike.items()
+        )
+    )
     contested: dict[str, list[str]] = {}
     for f in group:
         for other in f.alternatives[:1]:

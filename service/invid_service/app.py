@@ -13,7 +13,6 @@ from invid_service.cells.router import router as cells
 from invid_service.cells.series import router as series
 from invid_service.cells.state import router as state
 from invid_service.jobs.drawing import router as drawing
-from invid_service.jobs.export import export_router
 from invid_service.jobs.launcher import Launcher, launch_process
 from invid_service.jobs.router import router as identifications
 from invid_service.links import API
@@ -66,7 +65,6 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
     problems.install(app, service.is_simulated)
     for router in (cells, state, series, identifications, drawing, recordings, health.router):
         app.include_router(router, prefix=API)
-    app.include_router(export_router(), prefix=API)
     # The usual addresses of supervision, beside those under the version.
     app.include_router(health.router, include_in_schema=False)
     app.include_router(pages, include_in_schema=False)

@@ -1,4 +1,4 @@
-"""``invid serve``: the REST service and the technician's page; ``invid keys``: who may use it."""
+"""``invid serve``: the REST service and the technician's page; ``invid keys``: who may use the service."""
 
 from __future__ import annotations
 

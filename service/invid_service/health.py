@@ -14,7 +14,7 @@ from invid import __version__
 from invid_service.auth import Admin, Reader
 from invid_service.context import Context
 from invid_service.metrics import CellFacts
-from invid_service.problems import EVERYWHERE, Problem, problem_responses
+from invid_service.problems import EVERYWHERE, ROOM, Problem, problem_responses
 from invid_service.service import Service
 
 _STORE_S = 1.0
@@ -67,7 +67,8 @@ async def get_service_readiness(service: Context) -> Ready:
     if service.shutting_down:
         raise Problem("store-unavailable", "the service is shutting down")
     if free < service.settings.min_free_bytes:
-        raise Problem("disk-full", f"{free} bytes are free, {service.settings.min_free_bytes} are needed")
+        needed = service.settings.min_free_bytes
+        raise Problem("disk-full", f"{free} bytes are free, {needed} are needed; {ROOM}")
     busy = sum(service.jobs.occupying(c) is not None for c in service.cells)
     return Ready(free_bytes=free, cells_busy=busy)
 

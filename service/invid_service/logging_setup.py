@@ -7,6 +7,8 @@ import sys
 
 import structlog
 
+from invid_service.jobs.run_log import FACTS
+
 
 def configure_logging(*, json_lines: bool) -> None:
     """Set one formatter for our own and the libraries' records."""
@@ -20,6 +22,7 @@ def configure_logging(*, json_lines: bool) -> None:
             foreign_pre_chain=[
                 structlog.stdlib.add_log_level,
                 structlog.stdlib.add_logger_name,
+                structlog.stdlib.ExtraAdder(FACTS),
                 structlog.processors.TimeStamper(fmt="iso", utc=True),
                 structlog.processors.format_exc_info,
             ],

@@ -65,6 +65,7 @@ EXAMPLES: dict[str, Any] = {
         "amplitude": "planned",
         "separates": None,
         "analyses": None,
+        "changed": None,
         "axes": ["A1", "A2"],
         "state": "failed",
         "simulated": False,
@@ -74,7 +75,10 @@ EXAMPLES: dict[str, Any] = {
         "frequency": None,
         "eta_s": None,
         "motion_left_s": None,
+        "most_s": None,
         "cause": None,
+        "found": [],
+        "recorded": True,
         "error": {
             "code": "bus",
             "text": "can0: the adapter is gone",

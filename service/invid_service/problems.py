@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
+from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -14,7 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
+from invid import disk
 from invid.errors import InputError
+from invid_service.store.database import is_full
 
 MEDIA_TYPE = "application/problem+json"
 URN = "urn:invid:problem:"
@@ -49,7 +52,6 @@ CATALOGUE: dict[str, tuple[int, str]] = {
     "idempotency-key-reused": (422, "The Idempotency-Key was used with another body"),
     "upload-stalled": (408, "The upload stalled"),
     "internal-error": (500, "An error of the service"),
-    "export-unavailable": (501, "The model cannot be written in this format here"),
     "store-unavailable": (503, "The store does not answer"),
     "disk-full": (507, "There is no room to store this"),
 }
@@ -145,6 +147,17 @@ _HEADERS: dict[int, dict[str, Any]] = {
 }
 
 
+ROOM = "make room on the disk of the service's data (delete old files there, or shorten retention_days)"
+
+
+def not_stored(what: str, path: Path, error: OSError) -> Problem:
+    """Return the problem of a file that could not be written: its name, the reason, the room, the way out."""
+    text = f"{what} ({path.name}) cannot be written: {error.strerror or error}"
+    if not disk.is_full(error):
+        return Problem("store-unavailable", f"{text}; see who may write in the service's data folder")
+    return Problem("disk-full", f"{text}, {disk.free(path.parent)}; {ROOM}, then try again")
+
+
 def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Return OpenAPI ``responses`` for these statuses, with the types of problem that have them."""
     return {
@@ -217,7 +230,11 @@ def install(app: FastAPI, is_simulated: Callable[[str, bool], Awaitable[bool]]) 
     @app.exception_handler(SQLAlchemyError)
     async def _store(request: Request, error: SQLAlchemyError) -> JSONResponse:
         log.error("store: %s: %s", type(error).__name__, error)
-        detail = "the store did not answer in time; a stop still works, try this again in a moment"
+        detail = (
+            f"the store takes no more, its disk is full; a stop still works, {ROOM}"
+            if is_full(error)
+            else "the store did not answer in time; a stop still works, try this again in a moment"
+        )
         return await answer(request, Problem("store-unavailable", detail, {"Retry-After": "2"}))
 
     @app.exception_handler(Exception)

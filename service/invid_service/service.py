@@ -30,7 +30,7 @@ from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager, Limits
 from invid_service.jobs.orphans import settle
 from invid_service.jobs.results import Results, load
-from invid_service.jobs.schema import view
+from invid_service.jobs.run_log import tell_ended
 from invid_service.jobs.states import State
 from invid_service.keys import Keys
 from invid_service.links import API, set_root
@@ -41,7 +41,6 @@ from invid_service.store.blobs import Blobs
 from invid_service.store.database import open_engine, upgrade
 from invid_service.store.lock import DataLock
 from invid_service.store.store import RunRecord, Store, StoredModel
-from invid_service.webhook import Webhook, open_webhook
 
 log = logging.getLogger(__name__)
 Clock = Callable[[], datetime]
@@ -74,7 +73,6 @@ class Service:
     metrics: Metrics
     start_locks: dict[str, asyncio.Lock] = field(default_factory=lambda: defaultdict(asyncio.Lock))
     can_start: RecentAnswers = field(default_factory=RecentAnswers)
-    webhook: Webhook | None = None
     shutting_down: bool = False
     _asking: asyncio.Lock = field(default_factory=asyncio.Lock)
     _planning: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -91,7 +89,7 @@ class Service:
         now = self.clock()
         cut = await asyncio.to_thread(self.store.interrupt_unfinished, now)
         for record in cut:
-            log.warning("identification %s was cut off by a restart: interrupted", record.id)
+            tell_ended(record)
         await asyncio.to_thread(self._keep_leftovers, now)
         for cell in self.cells:
             for record in await asyncio.to_thread(self.store.runs, cell=cell, limit=1, measured=True):
@@ -127,8 +125,6 @@ class Service:
             if task is not None:
                 task.cancel()
         await self.jobs.shutdown()
-        if self.webhook is not None:
-            await self.webhook.close()
         self.store.close()
         self.lock.release()
 
@@ -297,7 +293,6 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
     """Build the service from settings; ConfigError where something cannot be."""
     keys = Keys(settings.key_file)
     check_bind(settings, keys)
-    webhook = open_webhook(settings, clock)
     lock = DataLock(settings.data_dir)
     try:
         cells = load_cells(settings.cells, settings.data_dir)
@@ -318,8 +313,6 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
 
         def ended(run: LiveRun) -> None:
             metrics.ended(str(run.record.state), run.record.mode)
-            if webhook is not None:
-                webhook.send(run.record.id, {"type": "identification.ended", "data": _ending(run.record)})
 
         jobs.on_end = ended
         audit = AuditLog(settings.data_dir / "audit.jsonl")
@@ -338,14 +331,6 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
         jobs=jobs,
         cells=cells,
         metrics=metrics,
-        webhook=webhook,
-    )
-
-
-def _ending(record: RunRecord) -> dict[str, object]:
-    """Return what a webhook tells of a run: the facts that a list would show, and nothing secret."""
-    return view(record, None).model_dump(
-        mode="json", include={"id", "cell", "robot", "mode", "state", "simulated", "ended", "error", "links"}
     )
 
 

@@ -76,7 +76,6 @@ def serve_forever(settings: Settings, *, json_logs: bool = False) -> None:
         where = f"invid serve: http://{shown}:{port}/   cells: {cells}   data: {settings.data_dir.resolve()}"
         allow_many_connections()
         before_others()
-        Connection.header_timeout_s = settings.header_timeout_s
         config = uvicorn.Config(
             app,
             http=Connection,

@@ -40,10 +40,6 @@ class Settings(BaseSettings):
     """Path under which a reverse proxy shows the service, as ``/invid``."""
     trusted_proxies: list[str] = []
     """Addresses or networks of reverse proxies whose ``X-Forwarded-For`` and ``-Proto`` are believed."""
-    webhook_url: str | None = Field(default=None, pattern=r"^https?://[^\s@]+$")
-    """Told of every run's end; see ``invid_service.webhook``."""
-    webhook_secret_file: Path | None = None
-    """Secret that the messages are signed with: one line, 24 bytes or more."""
     max_upload_bytes: int = Field(default=512 * MEBIBYTE, gt=0)
     max_unpacked_bytes: int = Field(default=1024 * MEBIBYTE, gt=0)
     """An uploaded recording may unpack to this: eight axes at 1 kHz for an hour are 720 MB."""
@@ -51,8 +47,6 @@ class Settings(BaseSettings):
     """Largest body of every other request."""
     upload_stall_s: float = Field(default=30.0, gt=0)
     """An upload that sends nothing for so long is given up."""
-    header_timeout_s: float = Field(default=20.0, gt=0)
-    """A connection that does not bring a whole request header in so long is closed."""
     min_free_bytes: int = Field(default=500 * MEBIBYTE, ge=0)
     """No run starts with less room than this on the disk of ``data_dir``."""
     worker_memory_bytes: int = Field(default=16 * 1024 * MEBIBYTE, gt=0)

@@ -57,6 +57,7 @@ def cell(*, vendor: str = "generic", faults: Any = (), experiments: Any = None, 
     )  # fmt: skip
 
 
+@pytest.mark.campaign
 def test_the_whole_job_on_drives_that_never_leave_cyclic_position(tmp_path: Path) -> None:
     result = measure_to_file(cell(), tmp_path / "run.h5")
     assert any("torque offset (0x60B2)" in w for w in result.warnings)

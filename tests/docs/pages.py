@@ -46,7 +46,7 @@ def steps(page: Path) -> list[Step]:
 
 
 def _absolute(word: str) -> str:
-    return re.sub(r"^configs/", f"{ROOT}/configs/", re.sub(r"^\.\./shared/data", str(DATA), word))
+    return re.sub(r"^configs/", f"{ROOT}/configs/", re.sub(r"^records\b", str(DATA), word))
 
 
 def unhurried(command: str) -> list[str]:

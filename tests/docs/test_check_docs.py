@@ -62,6 +62,7 @@ def test_what_leads_nowhere_is_named_with_its_place(
         assert complaint.startswith(beginning)
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(find_spec("myst_parser") is None, reason="SPHINX IS MISSING: pip install 'invid[docs]'")
 def test_the_site_with_a_conflict_marker_is_not_built(tmp_path: Path) -> None:
     (tmp_path / "docs").mkdir()

@@ -10,6 +10,8 @@ from pages import ROOT, run_page
 
 from invid.model.document import model_from_json
 
+pytestmark = pytest.mark.campaign
+
 PAGE = ROOT / "docs" / "tutorial" / "real-machines.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 

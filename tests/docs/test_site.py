@@ -13,6 +13,8 @@ from pages import ROOT
 WANTED = ("sphinx", "myst_parser", "furo")
 
 
+@pytest.mark.panel
+@pytest.mark.campaign
 @pytest.mark.skipif(
     any(find_spec(name) is None for name in WANTED),
     reason="SPHINX IS MISSING: the documentation site is not built; pip install 'invid[docs]'",

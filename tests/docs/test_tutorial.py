@@ -17,6 +17,7 @@ from invid.recording import read_recording
 TUTORIAL = ROOT / "docs" / "tutorial" / "flexible-drive.md"
 RAW = DATA / "flexible_drive" / "MultisineTypeB.mat"
 pytestmark = [
+    pytest.mark.campaign,
     pytest.mark.xdist_group("tutorial"),  # the commands take minutes: once, not once a worker
     pytest.mark.timeout(1500),  # without a budget
 ]

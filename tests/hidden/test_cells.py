@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import pytest
+
 from hidden.cell_plants import Law
 from hidden.cells import draw, scored
 from invid.diagnosis.diagnose import diagnose
 from invid.model.diagnosis_document import Verdict
 
 
+@pytest.mark.panel
 def test_free_play_beside_friction_and_a_motors_ripple_is_found() -> None:
     """With a cap on the causes and friction that turns at once, friction alone was named of it."""
     recording, truth = draw(4)

@@ -33,6 +33,7 @@ def test_friction_whose_sign_is_rounded_is_named_with_its_size() -> None:
     assert abs(result.size_error) < 0.05
 
 
+@pytest.mark.panel
 @pytest.mark.parametrize(("excitation", "seed"), [("noise", 540003), ("stepped", 540004), ("noise", 540005)])
 def test_a_chain_shaken_without_periods_and_without_declared_masses_is_no_rigid_axis(
     excitation: str, seed: int

@@ -29,6 +29,7 @@ FOUND = [
 ]
 
 
+@pytest.mark.panel
 @pytest.mark.parametrize(("cause", "motors", "seed"), FOUND)
 def test_a_hidden_effect_well_above_the_noise_is_named_at_its_place(
     cause: str, motors: int, seed: int
@@ -70,6 +71,7 @@ def test_what_looks_like_a_base_is_not_called_one(cause: str) -> None:
     assert not result.wrong_confident
 
 
+@pytest.mark.panel
 @pytest.mark.parametrize("seed", [201, 202, 203, 204])
 def test_nothing_hidden_nothing_named(seed: int) -> None:
     recording, truth = make(None, seed=seed, motors=1)
@@ -135,6 +137,7 @@ def test_a_cause_that_the_next_one_leaves_nothing_to_is_not_named() -> None:
     assert finding.effect.cause == "cubic_stiffness"
 
 
+@pytest.mark.panel
 def test_a_load_that_changes_inside_a_period_is_found_without_that_period() -> None:
     """Seed 600059: three periods a record, the load changes within the second of one."""
     recording, truth = make_case(600059)

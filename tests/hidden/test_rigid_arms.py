@@ -35,6 +35,7 @@ def test_an_arm_is_rigid_where_no_elasticity_shows(seed: int, axes: int) -> None
     assert is_of_rigid_axes(rigid_model(recording, kind), recording)
 
 
+@pytest.mark.panel
 @pytest.mark.parametrize(("missed", "rigid"), [(2.5, True), (0.9, True), (0.01, False)])
 def test_the_better_of_both_wins_and_what_the_other_misses_is_said(
     monkeypatch: pytest.MonkeyPatch, missed: float, rigid: bool

@@ -19,11 +19,9 @@ from invid.numerics.arrays import Float64
 from invid.planning import Plan
 from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Recording, read_recording
-from invid_drivers.measurement import MeasurementResult, ask_drives, run_measurement, start_measurement
+from invid_drivers.measurement import ask_drives, run_measurement, start_measurement
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.cell import SimulatedCell
-
-QUANTITIES = ("travel", "velocity", "torque")
 
 
 def ordinary(seed: int) -> CellConfig:
@@ -114,13 +112,9 @@ class Measured:
     error: str = ""
     """What refused or ended it."""
     plan: Plan | None = None
-    limited: CellConfig | None = None
-    """With the limits that the plan keeps."""
     budgets: tuple[StoppingBudget, ...] = ()
-    said: tuple[str, ...] = ()
     peaks: Float64 = field(default_factory=lambda: np.zeros((3, 0)))
     """(3, M) largest true travel, velocity and torque."""
-    result: MeasurementResult | None = None
     recording: Recording | None = None
 
     @property
@@ -136,18 +130,17 @@ class Measured:
         return np.array([[a.position, a.velocity, a.torque] for a in axes]).T
 
 
-def measure(config: CellConfig, folder: Path | None = None) -> Measured:
+def measure(config: CellConfig) -> Measured:
     """Dry run, then the whole run in virtual time."""
     found = Measured(config, peaks=np.zeros((3, len(config.axes))))
     try:
-        found.plan, found.limited, found.budgets, said = ask_drives(config)
-        found.said = (*found.plan.warnings, *said)
+        found.plan, _, found.budgets, _ = ask_drives(config)
         plan, cell = start_measurement(config, None, 1.0, None)
         bus: Any = cell.link.bus
         _observe(found, cell, bus.cell)
-        with tempfile.TemporaryDirectory(dir=folder) as place:
+        with tempfile.TemporaryDirectory() as place:
             out = Path(place) / "rec.h5"
-            found.result = run_measurement(config, plan, cell, out)
+            run_measurement(config, plan, cell, out)
             found.recording = read_recording(out)
     except InvidError as error:
         found.error = f"exit {error.exit_code}: {error}"

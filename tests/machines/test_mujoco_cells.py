@@ -13,6 +13,8 @@ from machines import mujoco_cells
 from machines.mujoco_cells import SIZES, drawn, measured, write
 from machines.mujoco_score import scored, with_strengths
 
+pytestmark = pytest.mark.campaign
+
 
 def said(folder: Path, **draw: Any) -> dict[str, Any]:
     cell = drawn(**draw)

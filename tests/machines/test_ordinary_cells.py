@@ -8,9 +8,11 @@ from invid_drivers.measurement import ask_drives
 from invid_drivers.readiness import foresee
 from machines.ordinary import measure, ordinary
 
+BY_NIGHT = pytest.mark.campaign
+
 
 # one to three axes; with and without 0x1016, loads and stated inertias; 1, 2 and 4 ms
-@pytest.mark.parametrize("seed", [2, 5, 16, 19, 23, 34])
+@pytest.mark.parametrize("seed", [2, *(pytest.param(s, marks=BY_NIGHT) for s in (5, 16, 19, 23, 34))])
 def test_an_ordinary_cell_is_measured_and_its_plant_never_does_more_than_the_dry_run_announced(
     seed: int,
 ) -> None:
@@ -25,7 +27,7 @@ def test_an_ordinary_cell_is_measured_and_its_plant_never_does_more_than_the_dry
             assert way is None or way <= budget.case.room * (1 + 1e-6)
 
 
-@pytest.mark.parametrize("seed", [3, 7, 16])
+@pytest.mark.parametrize("seed", [7, *(pytest.param(s, marks=BY_NIGHT) for s in (3, 16))])
 def test_a_heartbeat_that_a_user_has_set_is_kept_and_the_refusal_names_one_that_will_do(seed: int) -> None:
     config = ordinary(seed)
 

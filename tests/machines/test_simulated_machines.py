@@ -11,7 +11,10 @@ from machines.draw import draw
 from machines.score import score
 from machines.write import write
 
+pytestmark = pytest.mark.campaign
 
+
+@pytest.mark.panel
 @pytest.mark.parametrize(
     ("family", "seed"),
     [("axis", 103), ("axis", 117), ("axis", 131), ("arm", 310)],

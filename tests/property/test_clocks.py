@@ -208,6 +208,7 @@ LOGS = st.builds(
 )
 
 
+@pytest.mark.campaign
 @settings(
     max_examples=30, deadline=None, derandomize=True, phases=[Phase.explicit, Phase.generate],
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
@@ -302,6 +303,7 @@ def test_any_log_gives_the_clean_model_or_the_sentence_that_does(tmp_path_factor
     gives_the_clean_model(tmp_path_factory.mktemp("model"), log, capsys)
 
 
+@pytest.mark.campaign
 @settings(
     max_examples=40, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=QUIET
 )

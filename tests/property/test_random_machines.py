@@ -104,6 +104,7 @@ def both_ways(x: float) -> Force:
     return Force(1.4 * x, 0.7 * x, 0.5 * x, 0.9 * x)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("seed", "force", "named"),
     [

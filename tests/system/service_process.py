@@ -39,6 +39,7 @@ simulation:
     branches: [{axis: A1, masses_kgm2: [1.0, 2.0], springs_Nm_per_rad: [1500], dampers_Nms_per_rad: [1.0]}]
   defaults: {torque_noise_fraction_of_rated: 0.002}
 """
+STIFF_CELL = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 1.0}}}\n"
 ENDED = {"succeeded", "failed", "cancelled", "stopped", "interrupted"}
 
 

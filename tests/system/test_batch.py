@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from test_contract_surface import write_recording
 
 # One worker makes the recordings and the results to compare with once.
-pytestmark = [pytest.mark.xdist_group("batch"), pytest.mark.slow]
+pytestmark = pytest.mark.xdist_group("batch")
 
 GOOD = ("cell 1/week 01.h5", "cell 1/week 02.h5", "cell 2/week 01.h5", "cell 2/week 02.hdf5")
 BAD = ("cell 1/cut.h5", "no recording.h5")
@@ -89,6 +89,7 @@ def rows(results: Path) -> dict[str, dict[str, str]]:
     return found
 
 
+@pytest.mark.campaign
 def test_every_recording_has_its_row_and_the_documents_of_the_single_commands(
     folder: Path, local: Path
 ) -> None:
@@ -155,6 +156,7 @@ def test_a_worker_killed_under_way_loses_nothing(folder: Path, local: Path, tmp_
     assert documents(tmp_path) == documents(local)
 
 
+@pytest.mark.campaign
 def test_an_interrupted_batch_goes_on_where_it_was(folder: Path, local: Path, tmp_path: Path) -> None:
     process = batch(folder, "-o", tmp_path, "--workers", "1")
     first_done(process)
@@ -258,6 +260,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
             process.wait()
 
 
+@pytest.mark.campaign
 def test_a_cluster_gives_the_same_bit_for_bit_and_a_worker_killed_under_way_loses_nothing(
     folder: Path, local: Path, tmp_path: Path, cluster: Cluster
 ) -> None:
@@ -271,6 +274,7 @@ def test_a_cluster_gives_the_same_bit_for_bit_and_a_worker_killed_under_way_lose
     assert documents(results) == documents(local)
 
 
+@pytest.mark.campaign
 def test_a_scheduler_that_is_gone_ends_the_batch_and_what_is_done_is_kept(
     folder: Path, local: Path, tmp_path: Path, cluster: Cluster
 ) -> None:

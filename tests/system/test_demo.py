@@ -11,6 +11,7 @@ from pathlib import Path
 import h5py
 import pytest
 import yaml
+from promises import ruled_out_though_found
 
 CONFIG = Path(__file__).parents[2] / "configs" / "case-study.yaml"
 
@@ -60,6 +61,7 @@ def test_dry_and_viscous_friction_of_every_motor_are_named_with_their_sizes(demo
         truth["coulomb_friction", axis] = ("torque", motor["friction"]["coulomb_Nm"])
         truth["viscous_friction", axis] = ("coefficient", motor["friction"]["viscous_Nms_per_rad"])
     assert found.keys() == truth.keys()
+    assert ruled_out_though_found(diagnosis, diagnosis["model"]["provenance"]["recorded"]) == []
     for key, (name, true) in truth.items():
         size = found[key][name]
         assert abs(size["value"] - true) <= 3 * size["std"], (key, size, true)
@@ -101,6 +103,7 @@ def test_the_demo_says_that_its_friction_is_as_expected(demo: tuple[dict, Path])
             assert abs(f["consequence"]["share_of_rated_torque"] - 0.002) < 0.0003
 
 
+@pytest.mark.campaign
 def test_every_cell_of_the_notebook_runs(
     demo: tuple[dict, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,7 +114,7 @@ def test_every_cell_of_the_notebook_runs(
     work.mkdir()
     (work / "invid-demo").symlink_to(demo[1])
     (work / "configs").symlink_to(root / "configs")
-    (tmp_path / "shared").symlink_to(data.parent)
+    (work / "records").symlink_to(data)
     monkeypatch.chdir(work)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     notebook = json.loads((root / "docs" / "tutorial" / "whole-job.ipynb").read_text(encoding="utf-8"))

@@ -62,12 +62,14 @@ def test_a_recording_with_only_the_required_attributes_gives_every_parameter(rec
     assert inside >= 16
 
 
+@pytest.mark.campaign
 def test_the_number_of_masses_is_found_where_it_is_not_given(recording: Path) -> None:
     done = invid("identify", str(recording), "--masses", "auto", "--json")
     assert done.returncode == 0, done.stderr
     assert [len(b["masses"]) for b in json.loads(done.stdout)["branches"]] == [3, 3, 3]
 
 
+@pytest.mark.campaign
 def test_a_foreign_recording_of_a_linear_plant_is_consistent(recording: Path) -> None:
     done = invid("diagnose", str(recording), "--masses", "3,3,3", "--json")
     assert done.returncode == 0, done.stderr

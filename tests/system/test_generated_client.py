@@ -28,13 +28,13 @@ SETTINGS = {
 }
 """Of the generator: media types that it does not know, and what to take them for."""
 
-pytestmark = pytest.mark.xdist_group("service")
+pytestmark = [pytest.mark.campaign, pytest.mark.service]
 
 
 @pytest.fixture
 def generated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Name of the package that the generator wrote."""
-    own = Path(sys.prefix, "generator", "bin")  # by `make test-rest`
+    own = Path(sys.prefix, "generator", "bin")  # by `make campaign`
     generator = shutil.which("openapi-python-client", path=f"{own}{os.pathsep}{os.environ['PATH']}")
     if generator is None:
         pytest.skip("openapi-python-client is not installed: make .venv/generator/bin/openapi-python-client")

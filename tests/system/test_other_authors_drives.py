@@ -19,7 +19,7 @@ from invid.recording import read_recording
 
 HERE = Path(__file__).parent
 INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
-pytestmark = [pytest.mark.xdist_group("realtime"), pytest.mark.slow]
+pytestmark = [pytest.mark.campaign, pytest.mark.xdist_group("realtime")]
 LIMIT, WINDOW, COMMISSIONED = 8.0, 0.5, 0.6
 FOREIGN = 9
 HELD = 0.02
@@ -129,6 +129,7 @@ def test_a_healthy_run_keeps_the_tightest_limits_and_leaves_a_foreign_node_alone
     assert read_recording(cell.folder / "run.h5").experiments
 
 
+@pytest.mark.panel
 def test_a_loaded_axis_stays_where_it_stopped_until_the_user_acts(cell: OtherCell) -> None:
     run = cell.invid("measure", "cell.yaml", "-o", "run.h5")
     assert run.stderr is not None

@@ -11,6 +11,8 @@ import pytest
 from invid.cli.app import run
 from invid.recording import read_recording
 
+pytestmark = pytest.mark.campaign
+
 LATE = 0.004
 CELL = f"""
 format: invid-config

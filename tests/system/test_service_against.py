@@ -11,9 +11,10 @@ from service_process import serving
 
 from invid.simulators.open import open_simulator
 
-pytestmark = pytest.mark.xdist_group("service")
+pytestmark = pytest.mark.service
 
 
+@pytest.mark.campaign
 def test_a_wrong_simulator_is_judged_and_its_corrected_copy_fetched(tmp_path: Path) -> None:
     cell = drawn(3, kinds=(), motion="multisine", sizes=(1,))
     write(cell, measured(cell), tmp_path / "rec.h5")
@@ -42,6 +43,7 @@ def test_a_wrong_simulator_is_judged_and_its_corrected_copy_fetched(tmp_path: Pa
         assert str(tmp_path) not in error["text"]
 
 
+@pytest.mark.campaign
 @needs_browser
 @pytest.mark.browser
 def test_a_simulator_is_chosen_on_the_page_and_its_corrected_copy_is_offered(tmp_path: Path) -> None:

@@ -17,10 +17,9 @@ from service_process import serving
 
 COOKBOOK = Path(__file__).parents[2] / "docs" / "how-to" / "rest.md"
 LANGUAGES = COOKBOOK.with_name("rest-languages.md")
-pytestmark = pytest.mark.xdist_group("service")
+pytestmark = [pytest.mark.campaign, pytest.mark.service]
 
 
-@pytest.mark.slow
 def test_the_cookbook_runs_as_it_stands_and_finds_the_changed_tool(tmp_path: Path) -> None:
     assert shutil.which("curl"), "curl is needed to run the cookbook"
     blocks = re.findall(r"^```sh\n(.*?)^```", COOKBOOK.read_text(encoding="utf-8"), re.M | re.S)

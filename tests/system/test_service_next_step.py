@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from service_process import SMALL_CELL, Serving, serving
 
-pytestmark = pytest.mark.xdist_group("service")
+pytestmark = pytest.mark.service
 
 STUCK = """\
   faults:
@@ -90,6 +90,7 @@ def progress_of(service: Serving, location: str) -> list[dict[str, Any]]:
     return found
 
 
+@pytest.mark.campaign
 def test_gentler_shakes_with_half_of_the_torque_and_the_analysis_tells_its_time_left(tmp_path: Path) -> None:
     with serving(tmp_path) as service:
         peaks = {}
@@ -118,6 +119,7 @@ def test_gentler_shakes_with_half_of_the_torque_and_the_analysis_tells_its_time_
         assert peaks["gentler"]["travel"] < 0.7 * peaks["planned"]["travel"]
 
 
+@pytest.mark.campaign
 def test_related_axes_do_no_more_than_was_announced_without_a_model_and_with_one(tmp_path: Path) -> None:
     with serving(tmp_path, cell=TWO) as service:
         for basis in ("trial", "model"):
@@ -144,6 +146,7 @@ def test_related_axes_do_no_more_than_was_announced_without_a_model_and_with_one
                 service.client.post(f"{location}/actions", json={"type": "cancel"})
 
 
+@pytest.mark.campaign
 def test_a_run_that_a_dead_encoder_stops_shows_where_and_one_action(tmp_path: Path) -> None:
     with serving(tmp_path, cell=SMALL_CELL + STUCK) as service:
         location = service.start()
@@ -161,6 +164,7 @@ def test_a_run_that_a_dead_encoder_stops_shows_where_and_one_action(tmp_path: Pa
         assert max(map(abs, trace["torque"]["A1"])) > 0.5
 
 
+@pytest.mark.campaign
 def test_friction_above_the_planned_torque_ends_with_one_action_that_asks_for_no_less(tmp_path: Path) -> None:
     with serving(tmp_path, cell=SMALL_CELL.replace("  defaults:", f"  {FRICTION}  defaults:")) as service:
         found = service.wait(service.start(), "stopped")["stopped"]
@@ -173,6 +177,7 @@ def test_friction_above_the_planned_torque_ends_with_one_action_that_asks_for_no
         assert found["action"]["code"] == "as_planned"
 
 
+@pytest.mark.campaign
 def test_a_delay_not_told_from_a_lag_is_told_by_the_run_that_the_result_offers(tmp_path: Path) -> None:
     with serving(tmp_path, cell=LATE) as service:
         first = service.run_to_result()
@@ -195,6 +200,7 @@ def test_a_delay_not_told_from_a_lag_is_told_by_the_run_that_the_result_offers(t
         assert body["separating"] is None
 
 
+@pytest.mark.campaign
 def test_an_upload_of_a_cell_is_compared_and_one_of_another_robot_fails(tmp_path: Path) -> None:
     other = LATE.replace("name: A1", "name: B1").replace("axis: A1", "axis: B1")
     with serving(tmp_path) as service:

@@ -13,7 +13,7 @@ import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, serving
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
+pytestmark = [pytest.mark.campaign, pytest.mark.browser, pytest.mark.service, needs_browser]
 AXIS = """  - name: A2
     node_id: 2
     rated_torque_Nm: 80

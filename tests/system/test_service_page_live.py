@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 from page_browser import Page, browser, needs_browser
-from service_process import SMALL_CELL, Serving, serving
+from service_process import SMALL_CELL, STIFF_CELL, Serving, serving
 
 from invid_service.keys import add_key, revoke_key
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
+pytestmark = [pytest.mark.browser, pytest.mark.service, needs_browser]
 LONG = SMALL_CELL.replace("periods: 3}", "periods: 120}")
 
 
@@ -46,6 +46,7 @@ def view(page: Page, name: str) -> None:
     page.driver.find_element("css selector", f"[data-view={name}]").click()
 
 
+@pytest.mark.campaign
 def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
     other.write_text(LONG.replace("small cell", "robot 02").replace("channel: small", "channel: two"))
@@ -60,10 +61,8 @@ def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path:
         view(page, "overview")
         page.wait_text("counts", "1 moving")
         assert "1 ready" in page.text("counts")
-        cards = [
-            c.get_attribute("data-cell") for c in page.driver.find_elements("css selector", "#cells article")
-        ]
-        assert cards == ["other", "small"], "worst first"
+        rows = page.driver.find_elements("css selector", "#fleet-rows tr")
+        assert [r.get_attribute("data-cell") for r in rows] == ["other", "small"], "worst first"
         assert "all cells" in page.text("stop")
         assert page.small_targets() == []
         assert page.barriers() == []
@@ -72,13 +71,13 @@ def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path:
         service.wait(location, "stopped", timeout=10)
         page.wait_text("stop-note", "robot 02: stopped")
         page.wait_text("counts", "1 to look at")
-        card = page.driver.find_element("css selector", "[data-cell=other]")
-        assert "Stopped" in card.text, "not green after a stop"
+        row = page.driver.find_element("css selector", "[data-cell=other]")
+        assert "Stopped" in row.text, "not green after a stop"
         picture(page, tmp_path, "overview-stopped")
-        # One button a card.
+        # One button a row.
         location = start(service, "other")
         page.wait_text("counts", "1 moving")
-        card.find_element("css selector", "button.stop").click()
+        row.find_element("css selector", "button.stop").click()
         service.wait(location, "stopped", timeout=10)
         assert page.mistakes() == []
 
@@ -130,6 +129,7 @@ def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(tmp_path
         picture(page, tmp_path, "stop-confirmed")
 
 
+@pytest.mark.campaign
 def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_stops(tmp_path: Path) -> None:
     with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
         start(service, "small")
@@ -154,6 +154,7 @@ def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_s
         page.wait_text("run-title", "Stopped")
 
 
+@pytest.mark.campaign
 def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) -> None:
     with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
         location = start(service, "small")
@@ -178,11 +179,11 @@ def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) ->
         assert up - began < 60
 
 
+@pytest.mark.campaign
 def test_a_run_that_another_one_starts_shows_at_once_over_an_old_result_and_the_history(
-    tmp_path: Path,
+    finished: str, tmp_path: Path
 ) -> None:
-    with serving(tmp_path) as service, looking(tmp_path, service) as page:
-        service.run_to_result()
+    with serving(tmp_path, cell=STIFF_CELL) as service, looking(tmp_path, service) as page:
         page.shown("accept", 20)
         page.shown("where")
         location = service.start(arm=False)

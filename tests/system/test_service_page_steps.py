@@ -10,12 +10,11 @@ from typing import Any
 
 import pytest
 from page_browser import Page, browser, needs_browser
-from service_process import SMALL_CELL, serving
+from service_process import SMALL_CELL, STIFF_CELL, serving
 from test_service_next_step import progress_of
 
 TEXTS = Path(__file__).parents[2] / "service/invid_service/web/static/texts/en.json"
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
-STIFF = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 1.0}}}\n"
+pytestmark = [pytest.mark.campaign, pytest.mark.browser, pytest.mark.service, needs_browser]
 # Members that the service gives in other situations than a small healthy cell can be brought into.
 ANSWERS = """const real = window.fetch;
 window.asked = [];
@@ -52,11 +51,12 @@ def on_screen(page: Page, identity: str) -> bool:
     return bool(page.driver.execute_script(script, identity))
 
 
-def test_the_first_screen_of_a_tablet_holds_headline_grade_drawing_and_decision(tmp_path: Path) -> None:
-    with serving(tmp_path, cell=STIFF) as service, browser(tmp_path / "profile") as driver:
+def test_the_first_screen_of_a_tablet_holds_headline_grade_drawing_and_decision(
+    finished: str, tmp_path: Path
+) -> None:
+    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "profile") as driver:
         page = Page(driver)
         page.resize(800, 1280)
-        location = service.run_to_result()
         driver.get(service.url + "/")
         assert "mass 1" not in page.drawing().text
         for part in ("grade", "sentence", "where", "accept", "reject"):
@@ -66,7 +66,7 @@ def test_the_first_screen_of_a_tablet_holds_headline_grade_drawing_and_decision(
         assert "1" in [t.text for t in page.drawing().find_elements("css selector", "text")]
         assert "1\nA1: dry friction at the motor" in page.text("findings")
         assert "As expected" in page.text("findings")
-        assert service.client.get(location + "/drawing").text.count("<path") > 3
+        assert service.client.get(finished + "/drawing").text.count("<path") > 3
         for width, height in ((390, 844), (800, 1280), (1280, 900)):
             page.resize(width, height)
             for scheme in ("light", "dark"):
@@ -76,7 +76,7 @@ def test_the_first_screen_of_a_tablet_holds_headline_grade_drawing_and_decision(
                 driver.save_screenshot(str(tmp_path / f"result-{width}-{scheme}.png"))
         page.shown_as("light", "print")
         head = page.shown("print-head").text
-        for known in (location.rsplit("/", 1)[1], "Started by local", "invid 0"):
+        for known in (finished.rsplit("/", 1)[1], "Started by local", "invid 0"):
             assert known in head
         assert not driver.find_element("id", "stop").is_displayed()
         page.shown_as("light")
@@ -88,7 +88,7 @@ def test_the_first_screen_of_a_tablet_holds_headline_grade_drawing_and_decision(
 
 
 def test_the_page_is_without_barriers_at_every_step(tmp_path: Path) -> None:
-    with serving(tmp_path, cell=STIFF) as service, browser(tmp_path / "profile") as driver:
+    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "profile") as driver:
         page = Page(driver)
         page.resize(800, 1280)
 
@@ -106,7 +106,7 @@ def test_the_page_is_without_barriers_at_every_step(tmp_path: Path) -> None:
         page.shown("arm")
         look("plan")
         page.press(driver.find_element("id", "arm"))
-        page.shown("live")
+        page.wait_text("run-title", "Measuring")
         look("moving")
         page.shown("accept", 120)
         page.drawing()
@@ -195,7 +195,7 @@ def test_a_test_result_does_not_invite_and_is_accepted_for_a_reason(tmp_path: Pa
 def test_the_page_speaks_german_to_a_german_browser_and_english_when_told_to(tmp_path: Path) -> None:
     from selenium.webdriver.support.ui import Select
 
-    with serving(tmp_path, cell=STIFF) as service, browser(tmp_path / "p", language="de") as driver:
+    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "p", language="de") as driver:
         page = Page(driver)
         page.resize(800, 1280)
         driver.get(service.url + "/")
@@ -231,7 +231,7 @@ def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_p
         "code": "position_window",
         "phase": "experiment 1 of 2",
         "axis": "A1",
-        "reason": "axis A1: position left its window, 1.15 rad of 1.0",
+        "reason": "axis A1: position left its window: 1.15 rad from the start, limit 1.0",
         "action": {"code": "gentler", "text": "Start again with half of the torque.", "where": "page"},
         "trace": {"time_s": seconds, "position": {"A1": moved}, "torque": {"A1": [5.0] * 201}},
     }
@@ -246,7 +246,7 @@ def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_p
         driver.find_element("id", "stop").click()
         service.wait(location, "stopped", timeout=10)
         page.shown("stopped")
-        assert "1.15 rad of 1.0" in page.text("run-error")
+        assert "1.15 rad from the start, limit 1.0" in page.text("run-error")
         assert "What to do" not in page.text("run-error"), "one action, and it stands below"
         assert "experiment 1 of 2, axis A1" in page.text("stopped-where")
         assert page.text("stopped-action") == "Start again with half of the torque."
@@ -259,7 +259,7 @@ def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_p
         driver.add_cookie({"name": "invid-language", "value": "de", "path": "/"})
         driver.refresh()
         page.wait_text("run-error", "weiter, als sie darf")
-        assert "1.15 rad of 1.0" in page.text("run-error")
+        assert "1,15 rad vom Anfang, erlaubt 1,0" in page.text("run-error")
         page.press(page.shown("stopped-do"))
         deadline = time.monotonic() + 10
         while not (asked := [a for a in driver.execute_script("return window.asked") if "mode" in a]):
@@ -267,25 +267,26 @@ def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_p
         assert asked[-1] == {"mode": "full", "amplitude": "gentler", "axes": ["A1"]}
 
 
-def test_the_separating_measurement_is_a_button_that_shows_first_what_it_moves(tmp_path: Path) -> None:
+def test_the_separating_measurement_is_a_button_that_shows_first_what_it_moves(
+    finished: str, tmp_path: Path
+) -> None:
     separating = {"finding": 0, "text": "slow moves in both directions"}
-    with serving(tmp_path, cell=STIFF) as service, browser(tmp_path / "profile", 800, 1280) as driver:
+    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "profile", 800, 1280) as driver:
         answering(driver, separating={"is": separating, "states": ["awaiting_accept"]})
         page = Page(driver)
-        location = service.run_to_result()
         driver.get(service.url + "/")
         page.drawing()  # one that comes late, on a busy machine, moves the button from under the pointer
-        assert "slow moves in both directions" in page.shown("separate-card").text
+        assert "Slow moves in both directions" in page.shown("separate-card").text
         page.press(page.shown("separate"))
         page.wait_text("run-title", "Ready to move")
         assert "A1" in page.text("plan-table")
         asked = driver.execute_script("return window.asked")
-        assert asked[-1] == {"mode": "full", "separate": location.rsplit("/", 1)[1]}
+        assert asked[-1] == {"mode": "full", "separate": finished.rsplit("/", 1)[1]}
         page.press(page.shown("cancel"))
 
 
 def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_every_cell(
-    tmp_path: Path,
+    finished: str, tmp_path: Path
 ) -> None:
     other = tmp_path / "other.yaml"
     # hardware that nobody answers for, and a load of which nobody has seen how it is held
@@ -293,11 +294,10 @@ def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_eve
     loaded = SMALL_CELL.replace("gravity_loaded: false", "gravity_loaded: true").split("simulation:")[0]
     loaded = loaded.replace("{interface: invid-virtual, channel: small, cycle_s: 0.001}", bus)
     other.write_text(loaded.replace("small cell", "other cell"))
-    with serving(tmp_path, str(other), cell=STIFF) as service, browser(tmp_path / "profile") as driver:
+    with serving(tmp_path, str(other), cell=STIFF_CELL) as service, browser(tmp_path / "profile") as driver:
         page = Page(driver)
         page.resize(800, 1280)
-        location = service.run_to_result()
-        service.client.post(f"{location}/actions", json={"type": "accept"})
+        service.client.post(f"{finished}/actions", json={"type": "accept"})
         service.run_to_result()  # not accepted
         driver.get(service.url + "/")
         page.shown("accept")
@@ -324,15 +324,15 @@ def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_eve
         assert service.client.get("/api/v1" + link.split(service.url)[-1]).text.startswith("created,model")
         driver.execute_script("window.scrollTo(0, 0)")
         driver.find_element("css selector", "[data-view=overview]").click()
-        page.wait_text("cells", "other cell")
-        cards = {
-            c.get_attribute("data-cell"): c for c in driver.find_elements("css selector", "#cells article")
+        page.wait_text("fleet", "never measured")
+        rows = {
+            r.get_attribute("data-cell"): r for r in driver.find_elements("css selector", "#fleet-rows tr")
         }
-        assert set(cards) == {"small", "other"}
-        assert "dry friction on A1" in cards["small"].text
-        assert "As expected" in cards["small"].text
-        assert "Not measured yet" in cards["other"].text
-        page.press(cards["other"].find_element("tag name", "button"))
+        assert set(rows) == {"small", "other"}
+        assert "unchanged" in rows["small"].text
+        assert "As expected" in rows["small"].text
+        assert "never measured" in rows["other"].text
+        page.press(rows["other"].find_element("tag name", "button"))
         page.wait_text("ready-title", "Ready")
         assert driver.find_element("id", "cell").get_attribute("value") == "other"
         deadline = time.monotonic() + 30
@@ -348,7 +348,7 @@ def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_eve
 
 
 def test_the_analysis_says_what_it_does_and_that_it_still_looks(tmp_path: Path) -> None:
-    with serving(tmp_path, cell=STIFF) as service, browser(tmp_path / "profile") as driver:
+    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "profile") as driver:
         page = Page(driver)
         driver.get(service.url + "/")
         page.wait_text("ready-title", "Ready")

@@ -36,7 +36,7 @@ pytestmark = [
         not SERVERS,
         reason="POSTGRESQL IS MISSING: the store is tested on SQLite only; apt-get install postgresql",
     ),
-    pytest.mark.xdist_group("service"),
+    pytest.mark.service,
 ]
 
 
@@ -65,6 +65,8 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         subprocess.run([*control, "-m", "immediate", "stop"], timeout=60, **quiet)  # type: ignore[call-overload]
 
 
+@pytest.mark.panel
+@pytest.mark.campaign
 def test_a_whole_run_is_stored_accepted_compared_and_survives_a_restart(server: str, tmp_path: Path) -> None:
     with running(tmp_path, database_url=server) as (client, _):
         locations = []
@@ -119,6 +121,7 @@ def test_the_database_keeps_the_promises_of_the_store(server: str) -> None:
     store.close()
 
 
+@pytest.mark.campaign
 def test_a_dump_restored_into_another_database_serves_what_was_there(server: str, tmp_path: Path) -> None:
     programs, address = SERVERS[-1].parent, server.replace("postgresql+psycopg", "postgresql")
     other = address.replace("/postgres?", "/restored?")

@@ -20,10 +20,11 @@ from invid_service.keys import add_key
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
 pytestmark = [
+    pytest.mark.campaign,
     pytest.mark.skipif(
         NGINX is None, reason="NGINX IS MISSING: the reverse proxy is not tested; apt-get install nginx"
     ),
-    pytest.mark.xdist_group("service"),
+    pytest.mark.service,
 ]
 # As in docs/how-to/operate.md.
 CONFIG = """\

@@ -14,7 +14,7 @@ from schemathesis.generation import GenerationMode
 from schemathesis.specs.openapi import checks as openapi_checks
 from service_process import serving
 
-pytestmark = pytest.mark.xdist_group("service")
+pytestmark = pytest.mark.service
 EXAMPLES = int(os.environ.get("INVID_SCHEMA_EXAMPLES", "8"))
 """For each call and mode, once with made-up names and once with the cell and the run that exist."""
 PATIENCE_S = 60.0
@@ -51,7 +51,8 @@ def try_out(operation: Any, mode: GenerationMode, known: dict[str, str], tried: 
     check()
 
 
-@pytest.mark.slow
+@pytest.mark.panel
+@pytest.mark.campaign
 def test_no_request_that_schemathesis_makes_up_breaks_the_schema_or_the_service(tmp_path: Path) -> None:
     with serving(tmp_path) as service:
         location = service.start(arm=False)

@@ -82,6 +82,7 @@ def _plain(document: Any) -> Any:
     return [_plain(v) for v in document] if isinstance(document, list | tuple) else document
 
 
+@pytest.mark.campaign
 def test_a_diagnosis_leaves_the_recording_as_it_was(case: tuple[invid.Recording, Truth]) -> None:
     recording = case[0]
     experiments = tuple(
@@ -97,6 +98,7 @@ def test_a_diagnosis_leaves_the_recording_as_it_was(case: tuple[invid.Recording,
     assert writable.experiments[0].position.flags.writeable
 
 
+@pytest.mark.campaign
 def test_results_survive_pickling(case: tuple[invid.Recording, Truth], diagnosis: invid.Diagnosis) -> None:
     comparison = invid.compare(diagnosis.model, diagnosis.model)
     for thing in (case[0], diagnosis, diagnosis.model, comparison):
@@ -116,6 +118,7 @@ def test_results_refuse_to_be_changed(diagnosis: invid.Diagnosis) -> None:
         diagnosis.model.chains.masses[0][0] = 1.0
 
 
+@pytest.mark.campaign
 def test_several_recordings_of_one_machine_are_diagnosed_together(
     case: tuple[invid.Recording, Truth],
 ) -> None:
@@ -253,9 +256,22 @@ def test_the_list_of_commands_loads_no_command() -> None:
     code = "import sys; from invid.cli.app import run; run(['--help']); print(*sys.modules, file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not set(HEAVY) - {"typer"} & {m.split(".")[0] for m in done.stderr.split()}
-    for command in ("measure", "identify", "serve"):
-        (line,) = [row for row in done.stdout.splitlines() if row.split()[:1] == [command]]
-        assert len(line.split()) > 3
+    said = {
+        row.split()[0]: row.split()[1:] for row in done.stdout.splitlines() if row[:2] == "  " and row[2:]
+    }
+    assert all(len(said[command]) > 3 for command in ("measure", "identify", "serve"))
+    assert said["serve"] != said["keys"]
+
+
+def test_an_identification_loads_only_what_loads_fast_of_scipy(
+    case: tuple[invid.Recording, Truth], tmp_path: Path
+) -> None:
+    invid.write_recording(case[0], tmp_path / "rec.h5")
+    code = "import sys, invid; invid.identify(invid.read_recording('rec.h5')); print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert not {"scipy.signal", "scipy.stats"} & set(done.stdout.split())
 
 
 def test_every_public_name_is_there_and_documented() -> None:

@@ -119,7 +119,8 @@ def tighten(config: CellConfig, reports: Sequence[Reported]) -> CellConfig:
 
 
 def tightened_limits(config: CellConfig, reports: Sequence[Reported]) -> tuple[str, ...]:
-    """Which limits are tighter than the config's, by whom, in words."""
+    """Which limits are tighter than the config's, by whom, in words; of a torque that no drive gives, the way
+    out."""
     found = {r.axis: r.limits for r in reports}
     length, torque = ("m", "N") if config.linear else ("rad", "N·m")
     said = []
@@ -134,5 +135,6 @@ def tightened_limits(config: CellConfig, reports: Sequence[Reported]) -> tuple[s
                 said.append(
                     f"axis {axis.name}: the {what} is limited to {limit.value:.4g} {unit}, not to the "
                     f"config's {configured:g}: {limit.source}"
+                    + ("; correct the config's limit, or its unit" if what == "torque" else "")
                 )
     return tuple(said)

@@ -167,8 +167,7 @@ def _rated(drive: Access, warnings: list[str]) -> float:
 def _compare_limit(drive: Access, rated: float, warnings: list[str]) -> None:
     """Refuse a torque limit that cannot be commanded, question one far above the rated torque."""
     limit = drive.config.limits.torque
-    key, unit = ("force_N", "N") if drive.linear else ("torque_Nm", "N·m")
-    said = f"{drive.who}: limits.{key} is {limit:g}, {limit / rated:.3g} times the rated {rated:g} {unit}"
+    said = f"{drive.who}: {limit_over_rated(limit, rated, linear=drive.linear)}"
     if limit > MOST_OF_RATED * rated:
         raise DriveError(
             f"{said}; 0x6071 cannot command more than {MOST_OF_RATED:g} times. Correct the limit, its "
@@ -176,3 +175,9 @@ def _compare_limit(drive: Access, rated: float, warnings: list[str]) -> None:
         )
     if limit > MUCH_OF_RATED * rated:
         warnings.append(f"{said}: is that limit meant?")
+
+
+def limit_over_rated(limit: float, rated: float, *, linear: bool) -> str:
+    """How a torque limit of the config stands to the rated torque, in words."""
+    key, unit = ("force_N", "N") if linear else ("torque_Nm", "N·m")
+    return f"limits.{key} is {limit:g}, {limit / rated:.3g} times the rated {rated:g} {unit}"

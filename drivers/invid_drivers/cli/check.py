@@ -14,6 +14,7 @@ from invid.config import CellConfig, load_config
 from invid.errors import DriveError, InputError
 from invid.planning import make_plan
 from invid.planning.hold_laws import master_hold
+from invid_drivers.cia402.scales import MUCH_OF_RATED
 from invid_drivers.cli.measure import budget_lines, plan_text
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.readiness import Prepared, prepare
@@ -89,6 +90,13 @@ def _text(config: CellConfig, within: Prepared, document: dict[str, Any]) -> str
     plan = within.plan
     bus = document["bus"]
     ready = "ready" if document["ready"] else "NOT READY"
+    beyond = [
+        a.name
+        for a, drive in zip(config.axes, document["drives"], strict=True)
+        if a.limits.torque > min(drive["limits"]["torque"]["value"], MUCH_OF_RATED * drive["rated_torque"])
+    ]
+    if beyond:
+        ready += f"; the torque limit of {', '.join(beyond)} is beyond what its drive gives (see the notes)"
     lines = [
         f"{config.robot}: {ready}. Bus {bus['interface']} {bus['channel']}, load {bus['load']:.0%} of "
         f"{bus['max_load']:.0%}; frequencies up to {bus['highest_trustworthy_Hz']:.0f} Hz can be trusted"

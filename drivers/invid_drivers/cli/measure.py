@@ -14,7 +14,7 @@ import typer
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.config import CellConfig, load_config
 from invid.errors import InputError, SafetyStop
-from invid.model.document import Model, load_json, load_model, save_model
+from invid.model.document import Model, load_json, load_model
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid.planning.build import require_all_axes
@@ -27,7 +27,7 @@ from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, ask_drives, measure_to_file
-from invid_drivers.rescreening import screen_cell, screening_plan
+from invid_drivers.screening import screen_cell, screening_plan
 from invid_drivers.stop_flag import StopFlag
 from invid_drivers.stopping_budgets import Wish
 from invid_drivers.timing import timing_of
@@ -272,49 +272,16 @@ def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) 
     return EXIT_OK if there else EXIT_NOT_TRUSTWORTHY
 
 
-def run_screening(
-    cell: CellConfig,
-    model: Model,
-    out: Path,
-    noise: Noise,
-    goal: float | None,
-    max_duration_s: float,
-    update: Path | None,
-    *,
-    as_json: bool,
-) -> int:
-    """Screen, measure again what changed; return 3 where nothing can be told or the goal was missed."""
+def run_screening(cell: CellConfig, model: Model, out: Path, noise: Noise, *, as_json: bool) -> int:
+    """Screen; return 3 where nothing can be told."""
     with stop_on_signals() as stop:
-        found = screen_cell(
-            cell,
-            model,
-            out,
-            noise=noise,
-            goal=goal,
-            max_duration_s=max_duration_s,
-            progress=ProgressLine(),
-            stop=stop,
-            tell=lambda text: note(f"invid measure: {text}"),
-        )
-    lines = [result_text(found.result), f"  {found.screening.sentence}"]
-    document = {**found.result.to_json(), "screening": found.to_json()}
-    code = EXIT_OK
-    if found.screening.verdict == "cannot tell":
-        document["warnings"] = [*document["warnings"], found.screening.sentence]
-        code = EXIT_NOT_TRUSTWORTHY
-    if found.model is not None:
-        reached = found.reached if found.reached is not None else float("inf")
-        lines.append(
-            f"  measured {', '.join(found.axes)} again: worst changed parameter known to {reached:.2g}"
-        )
-        if update is not None:
-            save_model(found.model, update)
-            lines.append(f"  {update}: the model with its changed parts")
-        if goal is not None and reached > goal:
-            document["warnings"] = [*document["warnings"], f"goal of {goal:.2g} not reached: {reached:.2g}"]
-            code = EXIT_NOT_TRUSTWORTHY
-    emit(document, "\n".join(lines), as_json=as_json)
-    return code
+        found = screen_cell(cell, model, out, noise=noise, progress=ProgressLine(), stop=stop)
+    document, said = found.to_json(), found.screening.sentence
+    untold = found.screening.verdict == "cannot tell"
+    if untold:
+        document["warnings"] = [*document["warnings"], said]
+    emit(document, f"{result_text(found.result)}\n  {found.screening.verdict}: {said}", as_json=as_json)
+    return EXIT_NOT_TRUSTWORTHY if untold else EXIT_OK
 
 
 def cell_to_separate(cell: CellConfig, path: Path, *, goal: str | None, screening: bool) -> CellConfig:
@@ -364,10 +331,7 @@ def register(app: typer.Typer) -> None:
         screening: bool = typer.Option(
             False,
             "--screen",
-            help="Test in seconds whether anything changed since --model; measure only that again.",
-        ),
-        update: Path | None = typer.Option(
-            None, "--update", help="With --screen: the model with its changed parts, where any changed."
+            help="Test in seconds whether anything changed since --model.",
         ),
         separate: Path | None = typer.Option(
             None,
@@ -391,24 +355,21 @@ def register(app: typer.Typer) -> None:
             require_all_axes(cell, chosen)
         belief = belief_of(cell, model)
         known = None if model is None else belief
-        if update is not None and not screening:
-            raise InputError("--update is for --screen: it writes the model with its changed parts")
         if screening:
             if model is None:
                 raise InputError("--screen needs the accepted model to test against: --model MODEL.json")
-            if chosen is not None or amplitude != 1.0:
+            if chosen is not None or amplitude != 1.0 or goal is not None:
                 raise InputError(
-                    "--screen excites all axes at the amplitude it needs: leave --axes, --amplitude"
+                    "--screen excites all axes at the amplitude it needs: leave --axes, --amplitude, --goal"
                 )
-            noise, wanted = noise_of(cell, noise_from), None if goal is None else parse_goal(goal)
-            accepted = load_model(model)
+            noise, accepted = noise_of(cell, noise_from), load_model(model)
             if dry_run:
                 return tell_design(
                     cell, screening_plan(cell, from_model(accepted, cell), noise), as_json=as_json
                 )
             out = _required(out)
             confirm(cell, confirmed=confirmed)
-            return run_screening(cell, accepted, out, noise, wanted, max_duration, update, as_json=as_json)
+            return run_screening(cell, accepted, out, noise, as_json=as_json)
         if goal is not None:
             design = design_for(
                 cell, belief, noise_of(cell, noise_from), goal, chosen, amplitude, max_duration

@@ -24,12 +24,12 @@ from invid.diagnosis.evidence import (
     refit_with_effect,
     schwarz_penalty,
 )
+from invid.diagnosis.rules.friction_parts import friction_parts
 from invid.diagnosis.rules.structure_start import starts_beside_friction
 from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import FAR, HELD_OUT, MOST, SHARE, SIGNIFICANCE
-from invid.effects.catalogue.asymmetric_friction import AsymmetricStribeck
-from invid.effects.laws.joint import LEAST_SLOW, JointFriction
+from invid.effects.laws.joint import JointFriction
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.evaluation import evaluate
@@ -355,15 +355,11 @@ def tell_causes(found: CandidateEvidence) -> None:
     axes = found.fit.layout.structure.axes
     budget.tell_found(
         [
-            " ".join(
-                word
-                for word in (
-                    "friction" if t.effect is LAW else t.effect.cause.replace("_", " "),
-                    axes[t.place.axis],
-                    None if t.place.other < 0 else axes[t.place.other],
-                    t.place.element,
-                )
-                if word
+            budget.Found(
+                t.effect.cause,
+                axes[t.place.axis],
+                None if t.place.other < 0 else axes[t.place.other],
+                t.place.element,
             )
             for t in found.fit.candidate.terms
         ]
@@ -650,7 +646,9 @@ def _name_friction(
     friction: list[tuple[PlacedEffect, Float64]] = []
     motors = [k for k, t in enumerate(final.fit.candidate.terms) if t.effect is LAW]
     for k in motors:
-        friction += _friction_parts(final.fit, k)
+        friction += friction_parts(
+            final.fit.candidate.x[k], final.fit.covariance_of(k), final.fit.candidate.terms[k].place
+        )
     rest = [k for k in range(known, len(final.fit.candidate.terms)) if k not in motors]
     candidate = final.fit.candidate.only(range(known))
     for term, x in friction:
@@ -903,45 +901,3 @@ def _wald_ratio(found: JointFit, *numbers: int) -> float:
     information = np.linalg.pinv(block / scale[:, None] / scale, hermitian=True)[:count, :count]
     size = pack(found.p, found.candidate)[sizes] / scale[:count]
     return float(size @ information @ size) / chi2_isf(SIGNIFICANCE, count)
-
-
-def _friction_parts(found: JointFit, number: int) -> list[tuple[PlacedEffect, Float64]]:
-    """The catalogue's laws that a motor's friction consists of, with their parameters."""
-    x, covariance = found.candidate.x[number], found.covariance_of(number)
-    place = found.candidate.terms[number].place
-    dry, wet, slow, uneven, uneven_wet, uneven_slow = (float(v) for v in x[:6])
-    width = float(np.exp(x[7]))
-    velocity = max(float(x[6]), float(x[7]) + float(np.log(LEAST_SLOW)))
-
-    def is_present(parts: list[int], chance: float = SIGNIFICANCE) -> bool:
-        block = covariance[np.ix_(parts, parts)]
-        if not np.isfinite(block).all():
-            return False
-        return float(x[parts] @ np.linalg.lstsq(block, x[parts], rcond=None)[0]) > chi2_isf(
-            chance, len(parts)
-        )
-
-    is_stribeck = is_present([2])
-    if is_present([3, 4]):
-        law = _dry_law("asymmetric_friction")
-        size = [dry + uneven, dry - uneven, wet + uneven_wet, wet - uneven_wet]
-        shape: list[float] = []
-        if is_stribeck:
-            law = AsymmetricStribeck()
-            size, shape = [*size, slow + uneven_slow, slow - uneven_slow], [velocity]
-        return [(PlacedEffect(law.rounded(width), place), np.array([*np.maximum(size, 0.0), *shape]))]
-    out = []
-    if is_stribeck:
-        law = _dry_law("stribeck_friction")
-        out.append((PlacedEffect(law.rounded(width), place), np.array([dry, slow, velocity])))
-    elif is_present([0]):
-        out.append((PlacedEffect(_dry_law("coulomb_friction").rounded(width), place), np.array([dry])))
-    if is_present([1]):
-        out.append((PlacedEffect(BY_CAUSE["viscous_friction"], place), np.array([wet])))
-    return out
-
-
-def _dry_law(cause: str) -> DryLaw:
-    law = BY_CAUSE[cause]
-    assert isinstance(law, DryLaw)  # noqa: S101 - the catalogue's friction
-    return law

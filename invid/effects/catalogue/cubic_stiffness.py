@@ -20,7 +20,7 @@ class CubicStiffness(ForceEffect):
 
     cause = "cubic_stiffness"
     title = "a transmission that stiffens with its deflection"
-    check = "Check the gear's preload and wear; identify at the amplitude the axis works at."
+    check = "Check gear, belt or coupling for preload and wear; identify at the amplitude the axis works at."
     separating = Experiment("amplitudes", "a second amplitude of the same excitation")
     family = "spring"
     looks_like = ("backlash", "spring_hysteresis")

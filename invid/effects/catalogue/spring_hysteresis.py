@@ -28,7 +28,7 @@ class SpringHysteresis(SliderEffect):
 
     cause = "spring_hysteresis"
     title = "friction inside the transmission (hysteresis of the spring)"
-    check = "Check the gear's preload and lubrication; harmonic drives show it by nature."
+    check = "Check gear or coupling for preload, grease and worn rubber; harmonic drives show it by nature."
     separating = Experiment(
         "amplitudes", "a second amplitude with the motor held: the loop's width does not grow with amplitude"
     )

@@ -19,6 +19,7 @@ from invid.likelihood.records import (
     transfer_parameters,
 )
 from invid.likelihood.residual import MissingTorqueProblem
+from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf, chi2_sf, normal_sf
 from invid.signals.smooth_command import find_smooth_hold
 from invid.signals.spectra import LineSpectra
@@ -126,6 +127,10 @@ def free_hold_locations(
     axes what their holds make of it by acting earlier, by one time alike, they run in the drives
     (``common_early_share``), and their gains count whole.
 
+    A command recorded at the end of the sample it is held over acts before its record; a hold inside the
+    drive, recorded as it acts, is then late by as much, and looks like negative friction and inertia
+    (``_later_share``). Both ends count where nothing tells them apart.
+
     Both gains are read off the command where that is smooth over frequency (``smooth_command``), also
     where the recording says that the axis is free. Otherwise P is that of the recording, or bounded by
     friction where it is not said (a hold inside the drive); D is never said: holds are damped near
@@ -140,13 +145,12 @@ def free_hold_locations(
     seen: set[int] = set()
     frictions: dict[int, tuple[float, float, float]] = {}
     for i, (dof, size) in enumerate(zip(structure.motor_dofs, structure.sizes, strict=True)):
-        known = any(s.staircase[i] == 1.0 or s.hold_torque is not None for s in spectra)
-        if known or not structure.viscous or structure.axes[i] in placed:
+        if not structure.viscous or structure.axes[i] in placed or _is_told_by_demand(spectra, i):
             continue
         half = 0.5 / min(s.sample_rate_hz for s in spectra)
         friction = float(values[first + i])
         error = float(spread[first + i]) if np.isfinite(spread[first + i]) else 0.0
-        stated = np.array([s.hold_gain[i] for s in spectra if s.hold_gain.size > i and s.driven[i]])
+        stated = _stated_gains(spectra, i)
         law = find_smooth_hold(spectra, i)
         if law is None:
             if not np.any(np.isnan(stated) | (stated > 0)):
@@ -163,15 +167,15 @@ def free_hold_locations(
     are_sampled = are_holds_sampled(list(frictions.values()))
     gains: dict[int, tuple[float, float]] = {}
     shares: dict[int, float] = {}
+    lowest: dict[int, float] = {}
     common = common_early_share([frictions[i] for i in frictions if i in seen])
-    for i, (friction, error, whole) in frictions.items():
-        # Where it acts, the hold's P makes friction of at most what there is: it bounds the share of the
-        # half sample. Below a half of it, friction that does not stand out of its error speaks for none.
-        share = min(1.0, (friction + 3.0 * error) / whole)
-        if friction < 3.0 * error and (are_sampled or share < 0.5):
+    for i, seen_friction in frictions.items():
+        later = _later_share(float(solution.p[at[f"{structure.axes[i]}.time_offset"]]), step)
+        reach = _open_range(seen_friction, are_sampled=are_sampled, later=later)
+        if reach is None:
             continue
         gains[i] = laws[i]
-        shares[i] = share if common is None or i not in seen else common[0]
+        shares[i], lowest[i] = reach if common is None or i not in seen else (common[0], 0.0)
     if not gains:
         return problem, solution, (), {}
     names: list[str] = []
@@ -179,7 +183,7 @@ def free_hold_locations(
     for i, law in gains.items():
         for ending, gain in zip(OPEN, law, strict=True):
             names.append(structure.axes[i] + ending)
-            priors[names[-1]] = gain / 2, gain / 2
+            priors[names[-1]] = gain * (1.0 + lowest[i]) / 2, gain * (1.0 - lowest[i]) / 2
             if common is not None and i in seen:
                 priors[names[-1]] = gain, gain * common[1] / common[0]
     columns = []
@@ -191,7 +195,7 @@ def free_hold_locations(
             if not s.driven[i]:
                 continue
             late = solution.p[at[f"{structure.axes[i]}.time_offset"]]
-            command = np.exp(-jw * late) * (1.0 - shares[i] * loss)
+            command = np.exp(-jw * late) * (1.0 - abs(shares[i]) * loss)
             acting = (np.exp(-jw * (late - shares[i] * half)) - command) * block.position[:, i]
             part[:, i, 2 * number] = acting
             part[:, i, 2 * number + 1] = jw * acting
@@ -209,19 +213,74 @@ def free_hold_locations(
     )
 
 
+def _stated_gains(spectra: Sequence[LineSpectra], axis: int) -> Float64:
+    """Gains that the recording states for the hold of an axis while it is driven; NaN inside the drive."""
+    return np.array([s.untimed_hold[axis] for s in spectra if s.untimed_hold.size > axis and s.driven[axis]])
+
+
+def _is_told_by_demand(spectra: Sequence[LineSpectra], axis: int) -> bool:
+    """Whether a logged demand tells when the hold of an axis acts: it lies beside it, or there is none.
+
+    A demand that is all of the torque holds the hold's part as well, and says nothing of when that acts.
+    """
+    stated = _stated_gains(spectra, axis)
+    is_logged = any(s.staircase[axis] == 1.0 or s.hold_torque is not None for s in spectra)
+    if is_logged and not np.any(np.isnan(stated) | (stated > 0)):
+        return True
+    return any(_has_hold_beside(s, axis) for s in spectra)
+
+
+def _has_hold_beside(s: LineSpectra, axis: int) -> bool:
+    """Whether a demand is logged without what the hold of a driven axis gives, well above the noise."""
+    if s.hold_torque is None or not s.driven[axis]:
+        return False
+    power = np.abs(s.hold_torque[s.excited, axis]) ** 2
+    # The mean power of noise lines has a relative error of 1/√lines; five times it is no noise.
+    return bool(power.size and power.mean() > 5.0 * s.floor[s.axis_count + axis])
+
+
+def _later_share(late: float, step: float) -> float:
+    """Share of half a sample by which a hold inside the drive may act later than a command ``late`` [s].
+
+    None where the command acts as recorded or after it; a tenth of a sample is the offsets' own error.
+    """
+    return 0.0 if late > -0.1 * step else min(-2.0 * late / step, 1.0)
+
+
+def _open_range(
+    friction: tuple[float, float, float], *, are_sampled: bool, later: float
+) -> tuple[float, float] | None:
+    """Share of half a sample by which a hold may act earlier than the command (negative: later) at most, and
+    what the other end is of it; ``None`` where it acts with the command. ``friction`` as in
+    ``are_holds_sampled``.
+
+    The hold's P makes friction of at most what there is: it bounds the early share. Below a half of it,
+    friction that does not stand out of its error speaks for none.
+    """
+    size, error, whole = friction
+    early = min(1.0, (size + 3.0 * error) / whole)
+    if size < 3.0 * error and (are_sampled or early < 0.5):
+        early = 0.0
+    if max(early, later) == 0.0:
+        return None
+    return (early, -later / early) if early >= later else (-later, -early / later)
+
+
 def gains_beyond_range(problem: MissingTorqueProblem, solution: Solution) -> dict[int, float]:
     """Gains of open holds that left their range, by parameter number, with the end of the range that they
     crossed.
 
-    A gain is at least zero and at most the whole gain, twice its mean. Beyond, something that the model lacks
-    (gradual reversals of friction) biases it, and would bias the motor's mass as well: empirical, 9 to 24 %
-    too large with holds of a negative damping.
+    A gain is at least zero (or as far below as the hold may act later) and at most the whole gain. Beyond,
+    something that the model lacks (gradual reversals of friction) biases it, and would bias the motor's mass
+    as well: empirical, 9 to 24 % too large with holds of a negative damping.
     """
     out = {}
     for k, name in enumerate(problem.names):
         if not name.endswith(OPEN) or not solution.free[k]:
             continue
-        end = float(np.clip(solution.p[k], 0.0, 2.0 * problem.priors[name][0]))
+        mean, std = problem.priors[name]
+        reach = max(mean, std)
+        end = float(np.clip(solution.p[k], mean - reach, mean + reach))
         if end != solution.p[k]:
             out[k] = end
     return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from invid.wording.statement import LANGUAGES
 from invid_service.cells.readiness import Readiness
 from invid_service.cells.schema import LastRun, Overview
 from invid_service.jobs.live import LiveRun
@@ -18,6 +19,7 @@ def overview(runs: Sequence[RunRecord], occupied_by: LiveRun | None, ready: Read
     """Return the line of a cell; ``runs`` are its measurements, the last started first."""
     done = [r for r in runs if r.state in ENDED or r.state is State.AWAITING_ACCEPT]
     last = done[0] if done else None
+    changes = None if last is None else (last.facts.get("summary") or {}).get("changes")
     if occupied_by is not None:
         state = str(occupied_by.record.state)
     elif last is not None and last.state is State.AWAITING_ACCEPT:
@@ -27,7 +29,8 @@ def overview(runs: Sequence[RunRecord], occupied_by: LiveRun | None, ready: Read
     return Overview(
         state=state,
         last_run=None if last is None else _last_run(last),
-        changed=None if last is None else _changed(last.facts.get("summary") or {}),
+        changed=str(changes["sentence"]) if changes is not None and _has_news(changes) else None,
+        news=None if changes is None else _news(changes),
     )
 
 
@@ -43,10 +46,15 @@ def _last_run(run: RunRecord) -> LastRun:
     )
 
 
-def _changed(summary: dict[str, Any]) -> str | None:
-    changes = summary.get("changes")
+def _has_news(changes: dict[str, Any] | None) -> bool:
     if changes is None:
-        return None
+        return False
     found = [*changes.get("parameters", []), *changes.get("causes", []), *changes.get("effects", [])]
-    news = any(entry.get("status") in _NEWS for entry in found) or changes.get("structure")
-    return str(changes["sentence"]) if news else None
+    return any(entry.get("status") in _NEWS for entry in found) or bool(changes.get("structure"))
+
+
+def _news(changes: dict[str, Any]) -> dict[str, str]:
+    """Return the first of what changed by language; a run of an earlier release tells none."""
+    if not _has_news(changes):
+        return dict.fromkeys(LANGUAGES, "")
+    return {language: lines[0] for language, lines in changes.get("lines", {}).items() if lines}

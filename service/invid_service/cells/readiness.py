@@ -15,15 +15,21 @@ from invid.config import CellConfig
 from invid.errors import InvidError
 from invid.planning.build import axes_left_out, subset_sentence
 from invid_drivers.cia402.holding import Reason as CellReason
+from invid_drivers.cia402.scales import MUCH_OF_RATED, limit_over_rated
 from invid_service.jobs.live import LiveRun
 
 _KEPT_S = 4.0
 """An answer is asked for again after so long: asking may open the cell's bus."""
-_FIRST_S = 1.0
-"""The first answer is waited for so long."""
 
 
-class Reason(BaseModel):
+class _Said(BaseModel):
+    text: str
+    fix: str
+    values: dict[str, str] = {}
+    """What stands in the text, for whoever says it in another language."""
+
+
+class Reason(_Said):
     """One reason why a cell cannot start: a stable code, a sentence, a way out."""
 
     code: Literal[
@@ -32,16 +38,22 @@ class Reason(BaseModel):
         "store_unavailable",
         "bus_missing",
         "no_model",
+        "nothing_to_screen",
         "shutting_down",
         "axes_left_out",
         "axis_energised",
         "axis_suspect",
         "check_refused",
     ]
-    text: str
-    fix: str
-    values: dict[str, str] = {}
-    """What stands in the text, for whoever says it in another language."""
+
+
+class Note(_Said):
+    """What keeps nothing from starting and must be known: a stable code, a sentence, a way out.
+
+    Axes that are energised and will be taken over; torque limits beyond what their drives give.
+    """
+
+    code: Literal["axis_energised", "limit_beyond_drive"]
 
 
 class Readiness(BaseModel):
@@ -49,8 +61,7 @@ class Readiness(BaseModel):
 
     can_start: bool
     reasons: list[Reason]
-    notes: list[Reason] = []
-    """What keeps nothing from starting and must be known: axes that are energised and will be taken over."""
+    notes: list[Note] = []
     simulated: bool = False
 
 
@@ -65,7 +76,7 @@ class Situation:
     store_answers: bool
     shutting_down: bool
     has_model: bool
-    mode: Literal["simulate", "test", "full"] | None = None
+    mode: Literal["simulate", "test", "full", "screen"] | None = None
     """The mode asked for; ``None``: whether any measurement could start."""
     axes: tuple[str, ...] | None = None
     """The axes to shake; ``None``: all."""
@@ -82,14 +93,12 @@ class RecentAnswers:
         self._said: dict[str, bool] = {}
         self._asked: dict[str, tuple[float, asyncio.Task[None]]] = {}
 
-    async def of(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> bool | None:
-        """Return the last answer, ``None`` before the first; an old one is renewed in the background."""
+    def of(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> bool | None:
+        """Return the last answer, ``None`` before the first: drives may take seconds, and no poll waits."""
         at, task = self._asked.get(cell, (0.0, None))
         if task is None or (task.done() and time.monotonic() - at >= _KEPT_S):
             task = asyncio.create_task(self._ask(cell, ask))
             self._asked[cell] = time.monotonic(), task
-        if cell not in self._said:
-            await asyncio.wait({task}, timeout=_FIRST_S)
         return self._said.get(cell)
 
     async def _ask(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> None:
@@ -154,6 +163,14 @@ def readiness(s: Situation) -> Readiness:
                 fix="identify the cell in mode full and accept the result first",
             )
         )
+    if s.mode == "screen" and not s.has_model:
+        reasons.append(
+            Reason(
+                code="nothing_to_screen",
+                text="a screening compares with the accepted model, and there is none yet",
+                fix="identify the cell in mode full and accept the result first",
+            )
+        )
     drives = () if s.mode == "simulate" else s.drives
     reasons += [_of_drive(d) for d in drives if not d.taken_over]
     if s.refusal is not None:
@@ -177,10 +194,39 @@ def readiness(s: Situation) -> Readiness:
                 values={"axes": ", ".join(left_out)},
             )
         )
-    notes = [_of_drive(d) for d in drives if d.taken_over]
+    notes = [_taken_over(d) for d in drives if d.taken_over] + _limits_beyond_drives(s.config)
     return Readiness(can_start=not reasons, reasons=reasons, notes=notes, simulated=s.config.simulated)
 
 
 def _of_drive(found: CellReason) -> Reason:
     values = {"axis": found.axis, "node": str(found.node_id)}
     return Reason(code=found.code, text=found.text, fix=found.fix, values=values)
+
+
+def _taken_over(found: CellReason) -> Note:
+    return Note(code="axis_energised", **_of_drive(found).model_dump(exclude={"code"}))
+
+
+def _limits_beyond_drives(config: CellConfig) -> list[Note]:
+    """Torque limits far beyond the rated torque that the config states; no drive is asked for it."""
+    notes = []
+    for a in config.axes:
+        rated, limit = a.rated_torque, a.limits.torque
+        if rated is None or limit <= MUCH_OF_RATED * rated:
+            continue
+        notes.append(
+            Note(
+                code="limit_beyond_drive",
+                text=f"axis {a.name}: {limit_over_rated(limit, rated, linear=config.linear)}",
+                fix="correct the limit or its unit in the config; the drive's own limit holds where it "
+                "is lower",
+                values={
+                    "axis": a.name,
+                    "limit": f"{limit:g}",
+                    "rated": f"{rated:g}",
+                    "times": f"{limit / rated:.3g}",
+                    "unit": "N" if config.linear else "N·m",
+                },
+            )
+        )
+    return notes

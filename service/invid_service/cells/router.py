@@ -24,6 +24,7 @@ from invid_service.cells.schema import (
     Drive,
     ModelEntry,
     ModelList,
+    RestoreBody,
     SimulationPatch,
     SimulationView,
     StopAnswer,
@@ -218,7 +219,9 @@ async def get_model(cell: str, model: str, service: Context, _caller: Reader) ->
 
 
 @router.post("/cells/{cell}/models/{model}/restore", response_model=ModelList)
-async def restore_model(cell: str, model: str, service: Context, caller: Accepter) -> ModelList:
+async def restore_model(
+    cell: str, model: str, service: Context, caller: Accepter, body: RestoreBody | None = None
+) -> ModelList:
     """Take an earlier model into force again; the history keeps both."""
     found = service.cell(cell)
     stored = await _stored_model(service, found, model)
@@ -229,11 +232,12 @@ async def restore_model(cell: str, model: str, service: Context, caller: Accepte
             f"model {stored.id} was never accepted; only accepted models can be restored",
             simulated=found.simulated,
         )
-    facts = {"cell": found.id, "model": stored.id}
+    by = (body or RestoreBody()).by or caller.name
+    facts = {"cell": found.id, "model": stored.id, "by": by}
     await asyncio.to_thread(service.audit.try_write, "restore", caller=caller.name, **facts)
     if history[0].model != stored.id:
         await asyncio.to_thread(
-            service.store.approve, found.id, stored.id, by=caller.name, how="restore", now=service.clock()
+            service.store.approve, found.id, stored.id, by=by, how="restore", now=service.clock()
         )
     return await list_models(cell, service, caller)
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from invid_service.jobs.schema import Identification
+from invid_service.jobs.schema import Identification, PersonName
 from invid_service.jobs.states import State
 
 
@@ -62,6 +62,8 @@ class Overview(BaseModel):
     changed: str | None
     """What the last result says of changes against the model in force; ``null`` where nothing changed, or
     nothing was there to compare with."""
+    news: dict[str, str] | None
+    """The first of what changed, by language; empty where nothing did, ``null`` without a comparison."""
 
 
 class CellView(BaseModel):
@@ -125,6 +127,16 @@ class ModelList(BaseModel):
     models: list[ModelEntry]
     history: list[AcceptedModel]
     simulated: bool
+
+
+class RestoreBody(BaseModel):
+    """Who takes an earlier model into force again."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, json_schema_extra={"examples": [{"by": "Ann Weld"}]}
+    )
+    by: PersonName | None = None
+    """Default: the key's name."""
 
 
 class Payload(BaseModel):

@@ -6,9 +6,9 @@ once, for the page.
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 from datetime import datetime
+from textwrap import shorten
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field
 from invid_service.auth import Reader
 from invid_service.cells.registry import Cell
 from invid_service.context import Context
-from invid_service.jobs.schema import polling_headers
+from invid_service.jobs.schema import FoundCause, polling_headers
 from invid_service.jobs.states import IDLE, OCCUPYING, State
 from invid_service.problems import EVERYWHERE, RETRY_AFTER
 from invid_service.service import Service
@@ -64,6 +64,9 @@ class CellState(CellNow):
     """[Hz]"""
     cause: str | None = None
     """What the analysis weighs now."""
+    most_s: float | None = None
+    found: list[FoundCause] = []
+    """As of the run."""
 
 
 class CellStates(BaseModel):
@@ -96,7 +99,7 @@ async def get_cell_state(cell: str, service: Context, _caller: Reader) -> Respon
 )
 async def all_states(request: Request, service: Context, _caller: Reader) -> Response:
     """Return what every cell does, made to be asked every second: 0.5 kB a cell, with an `ETag`."""
-    cells = await asyncio.gather(*(state_of(service, cell) for cell in service.cells.values()))
+    cells = [state_of(service, cell) for cell in service.cells.values()]
     body = CellStates(cells=cells, simulated=any(c.simulated for c in cells)).model_dump_json()
     headers = {"ETag": f'"{hashlib.sha256(body.encode()).hexdigest()[:16]}"', "Cache-Control": "no-cache"}
     if headers["ETag"] in request.headers.get("if-none-match", ""):
@@ -104,7 +107,7 @@ async def all_states(request: Request, service: Context, _caller: Reader) -> Res
     return Response(body, media_type="application/json", headers=headers)
 
 
-async def state_of(service: Service, cell: Cell) -> CellState:
+def state_of(service: Service, cell: Cell) -> CellState:
     """Return the state of a cell, from memory."""
     run = service.jobs.latest(cell.id)
     now = {**_now(service, cell), "name": cell.config.robot}
@@ -116,8 +119,10 @@ async def state_of(service: Service, cell: Cell) -> CellState:
             axis=run.progress.axis,
             frequency=run.progress.frequency,
             cause=run.progress.cause,
+            most_s=run.progress.most_s,
+            found=[FoundCause.model_validate(f) for f in run.progress.found],
         )
-    can_start = await service.can_start.of(cell.id, lambda: service.readiness(cell))
+    can_start = service.can_start.of(cell.id, lambda: service.readiness(cell))
     return CellState(**now, status="unknown" if can_start is None else "ready" if can_start else "not_ready")
 
 
@@ -132,7 +137,7 @@ def _now(service: Service, cell: Cell) -> dict[str, Any]:
         "state": str(run.record.state),
         "run": run.record.id,
         "since": run.since,
-        "phase": progress.phase[:_PHASE],
+        "phase": shorten(progress.phase, _PHASE, placeholder="…"),
         "progress": progress.fraction,
         "eta_s": None if progress.eta_s is None else round(progress.eta_s, 1),
         "motion_left_s": None if progress.motion_left_s is None else round(progress.motion_left_s, 1),

@@ -9,6 +9,7 @@ from typing import Any
 
 from invid.api import diagnose, identify
 from invid.comparison.news import with_stated_inertia
+from invid.comparison.screening import with_its_causes
 from invid.config import CellConfig
 from invid.errors import InputError, RecordingError
 from invid.identification.stated_inertia import against_stated
@@ -26,6 +27,9 @@ from invid_service.jobs.protocol import Job
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
 
+WALL = 2.0
+"""By the clock an analysis takes at most so many times its budget of processor time (the contract)."""
+
 
 def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, Any]:
     """Identify, diagnose and report, write the numbers of the page's pictures, return the summary.
@@ -33,7 +37,7 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
     ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
     """
     behind_parent()
-    tell = AnalysisProgress(line.progress, job.expected_analysis_s)
+    tell = AnalysisProgress(line.progress, job.expected_analysis_s, WALL * job.budget_s)
     with tell.told():
         tell.begin("reading the recording")
         # Model and report name the run, not a working folder that is gone when somebody reads them.
@@ -46,10 +50,15 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         line.tell("recording", robot=recording.robot, axes=list(recording.axes), simulated=simulated)
         tell.begin("identifying")
         budget = 0.3 * job.budget_s
+        accepted = None if job.model is None else model_from_json(job.model, source="accepted model")
         simulator = None if job.simulator is None else job.folder / job.simulator
         masses = None if simulator is None else masses_of(simulator, recording.axes)
-        model = identify(recording, masses=masses, budget=budget, progress=tell.weigh)
-        save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
+        screened = accepted if job.mode == "screen" else None
+        if screened is not None:
+            model = with_its_causes(screened)
+        else:
+            model = identify(recording, masses=masses, budget=budget, progress=tell.weigh)
+            save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
         tell.begin("diagnosing")
         budget = job.budget_s - budget
         diagnosis = diagnose(
@@ -58,12 +67,11 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         )  # fmt: skip
         if simulator is not None:
             diagnosis = _with_copy(diagnosis, job, simulator.suffix)
-        accepted = None if job.model is None else model_from_json(job.model, source="accepted model")
         model = against_stated(model, recording, accepted)
         diagnosis = with_stated_inertia(diagnosis, recording, accepted)
         tell.begin("writing the report")
         best = diagnosis.model
-        if not diagnosis.findings:
+        if not diagnosis.findings and screened is None:
             # The identification's own numbers, with what the search for causes said of them.
             judged = {
                 k: v

@@ -8,20 +8,23 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from typing import Any
 
 BEGINS, ENDS = 0.8, 0.99
 """Shares of a whole run between which the analysis lies; motion comes before it."""
 STAGES = {
     "reading the recording": (0.0, 0.03),
-    "identifying": (0.03, 0.25),
-    "diagnosing": (0.25, 0.93),
+    "identifying": (0.03, 0.35),
+    "diagnosing": (0.35, 0.93),
     "writing the report": (0.93, 1.0),
 }
 """Shares of the analysis. Empirical: the case study and cells of one to six axes (``bench_service.py``)."""
 EVERY_S = 1.0
 PACE_S = 40.0
-"""Over which the bar moves in a cell's first run: the case study on two cores. No time is promised by it."""
+"""What a first analysis is thought to take, until its own stages say more: the case study on two cores."""
+_LEAST_S = {"diagnosing": PACE_S, "writing the report": 0.0}
+"""Stages whose beginning says how long a first analysis takes, and the least that is then thought."""
 
 Tell = Callable[..., None]
 
@@ -29,27 +32,37 @@ Tell = Callable[..., None]
 class AnalysisProgress:
     """Reports progress every second, and whenever the analysis says what it weighs, until closed.
 
-    Time left is by what the cell's last analyses took. What an analysis says of itself is none: its steps are
-    not alike, and most of its budget is never used. Where it is the first, or takes longer, no time is told.
+    Time left is by what the last analyses took, of a first one by its own stages. What an analysis says of
+    its steps is no measure: they are not alike, and most of its budget is never used. Where it takes longer,
+    no time is told but the one at which it ends at the latest.
 
     Parameters
     ----------
     tell
-        Called with ``fraction``, ``phase`` and the keywords ``axis``, ``cause``, ``eta_s``, ``always`` (never
-        to be left out).
+        Called with ``fraction``, ``phase`` and the keywords ``axis``, ``cause``, ``found``, ``eta_s``,
+        ``most_s``, ``always`` (never to be left out).
     expected_s
         What the analysis of such runs took before [s]; ``None``: it is the first.
+    most_s
+        After what time it ends with its best answer so far [s].
     """
 
     def __init__(
-        self, tell: Tell, expected_s: float | None, *, clock: Callable[[], float] = time.monotonic
+        self,
+        tell: Tell,
+        expected_s: float | None,
+        most_s: float,
+        *,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._tell, self._clock = tell, clock
-        self._expected = expected_s
+        self._expected, self._most = expected_s or PACE_S, most_s
+        self._first = expected_s is None
         self._began = clock()
         self._low, self._high = 0.0, 1.0
         self._share = 0.0
         self._phase, self._axis, self._cause = "", None, None
+        self._found: list[dict[str, Any]] = []
         self._lock = threading.Lock()
         self._over = threading.Event()
 
@@ -77,6 +90,8 @@ class AnalysisProgress:
         """Begin the next stage."""
         with self._lock:
             self._low, self._high = STAGES[stage]
+            if self._first and stage in _LEAST_S:
+                self._expected = max(_LEAST_S[stage], self.elapsed_s / self._low)
             self._share = self._low
             self._phase, self._axis, self._cause = stage, None, None
         self.say(always=True)
@@ -84,8 +99,8 @@ class AnalysisProgress:
     def weigh(self, progress: Any) -> None:
         """Take what identification and diagnosis say of themselves (``invid.numerics.budget.Progress``)."""
         with self._lock:
-            found = f" (found so far: {', '.join(progress.found)}; still looking)" if progress.found else ""
-            self._phase, self._axis, self._cause = f"{progress}{found}", progress.axis, progress.cause
+            self._phase, self._axis, self._cause = str(progress), progress.axis, progress.cause
+            self._found = [asdict(f) for f in progress.found]
             within = self._low + float(progress.fraction) * (self._high - self._low)
             self._share = max(self._share, within)
         self.say()
@@ -95,9 +110,14 @@ class AnalysisProgress:
         with self._lock:
             elapsed = self.elapsed_s
             # a stage that tells nothing moves on by the clock, up to its end
-            share = max(self._share, min(elapsed / (self._expected or PACE_S), self._high))
-            left = None if self._expected is None else self._expected - elapsed
-            eta = None if left is None or left <= 0.0 else left
-            phase, axis, cause = self._phase, self._axis, self._cause
-        fraction = BEGINS + share * (ENDS - BEGINS)
-        self._tell(fraction, phase, axis=axis, cause=cause, eta_s=eta, always=always)
+            share = max(self._share, min(elapsed / self._expected, self._high))
+            left, most = self._expected - elapsed, max(self._most - elapsed, 0.0)
+            told = {
+                "axis": self._axis,
+                "cause": self._cause,
+                "found": self._found,
+                "eta_s": min(left, most) if left > 0.0 else None,
+                "most_s": most,
+            }
+            phase = self._phase
+        self._tell(BEGINS + share * (ENDS - BEGINS), phase, **told, always=always)

@@ -28,6 +28,8 @@ class Progress:
     motion_left_s: float | None = None
     cause: str | None = None
     """What the analysis weighs."""
+    most_s: float | None = None
+    found: tuple[Mapping[str, Any], ...] = ()
 
     @classmethod
     def of(cls, record: RunRecord) -> Progress:
@@ -45,6 +47,8 @@ class Progress:
             "eta_s": self.eta_s,
             "motion_left_s": self.motion_left_s,
             "cause": self.cause,
+            "most_s": self.most_s,
+            "found": list(self.found),
         }
 
 
@@ -66,6 +70,8 @@ class LiveRun:
         """When it came into its state; the ids of events are a clock."""
         self.worker: Worker | None = None
         self.wish: Wish | None = None
+        self.unsaved = False
+        """The store has not taken its state yet: memory alone knows it."""
         self.motion_ended = asyncio.Event()
         self.changed = asyncio.Event()
         self.lock = asyncio.Lock()

@@ -16,16 +16,21 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from invid import disk
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Progress, WrongStateError
-from invid_service.jobs.protocol import ErrorInfo, Job
+from invid_service.jobs.protocol import DISK_FULL_FIX, ErrorInfo, Job
 from invid_service.jobs.results import Results
+from invid_service.jobs.run_log import tell_began, tell_ended
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.jobs.stops import without_trace
+from invid_service.store.database import is_full
 from invid_service.store.store import RunRecord, Store, StoredEvent
 
 log = logging.getLogger(__name__)
 _RETRY_S = 1.0
+_KEEP_RETRY_S = 5.0
+_TOLD = ("axis", "frequency", "eta_s", "motion_left_s", "cause", "most_s")
 _LAST_WORDS_S = 2.0
 """At the end: for the store to take the last state of a run; one that does not answer is not waited for."""
 
@@ -38,6 +43,32 @@ class Limits:
     arm_s: float
     analysis_s: float
     stop_grace_s: float
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What became of a result: ``by`` is who says so, ``caller`` the key that was used.
+
+    ``override``: why a result that is not to be trusted was accepted all the same.
+    """
+
+    accept: bool
+    by: str
+    caller: str
+    override: str | None = None
+
+    def facts(self, now: datetime) -> dict[str, Any]:
+        """Plain values; the caller where it is not who decided."""
+        told = {"type": "accepted" if self.accept else "rejected", "by": self.by, "at": now.isoformat()}
+        if self.caller != self.by:
+            told["caller"] = self.caller
+        if self.accept and self.override is not None:
+            told["override"] = self.override
+        return told
+
+
+AUTO = Decision(accept=True, by="auto", caller="auto")
+"""Within the bounds of the settings, by the service itself."""
 
 
 class JobManager:
@@ -105,6 +136,7 @@ class JobManager:
         """Run the job in the background."""
         if run.record.cell is not None and run.record.mode != UPLOAD:
             self._latest[run.record.cell] = run
+        tell_began(run.record)
         self._spawn(self._run(run, job))
 
     def _spawn(self, work: Any) -> None:
@@ -123,7 +155,7 @@ class JobManager:
     async def cancel(self, run: LiveRun) -> None:
         """End a run without a result; waits until its motion has ended or the grace is over."""
         if run.record.state is State.AWAITING_ACCEPT:
-            await self.decide(run, accept=False, by="cancel")
+            await self.decide(run, Decision(accept=False, by="cancel", caller="cancel"))
         elif run.record.state in OCCUPYING:
             self._end_early(run, "cancel")
             deadline = self._limits.stop_grace_s + 2.0
@@ -142,31 +174,25 @@ class JobManager:
             await self._persist(run, run.set(State.RUNNING, self._clock()))
         await run.worker.send({"type": "arm"})
 
-    async def decide(self, run: LiveRun, *, accept: bool, by: str, override: str | None = None) -> None:
-        """Accept or reject the result; WrongStateError where there is none to decide on.
-
-        ``override``: why a result that is not to be trusted was accepted all the same.
-        """
+    async def decide(self, run: LiveRun, decision: Decision) -> None:
+        """Accept or reject the result; WrongStateError where there is none to decide on."""
         async with run.lock:
             if run.record.state is not State.AWAITING_ACCEPT:
                 raise WrongStateError(str(run.record.state))
             now = self._clock()
-            decision = {"type": "accepted" if accept else "rejected", "by": by, "at": now.isoformat()}
-            if accept and override is not None:
-                decision["override"] = override
-            if accept and run.record.cell is not None:
-                how = "auto" if by == "auto" else "accept"
+            if decision.accept and run.record.cell is not None:
+                how = "auto" if decision is AUTO else "accept"
                 await asyncio.to_thread(
-                    self._store.approve, run.record.cell, run.record.id, by=by, how=how, now=now
+                    self._store.approve, run.record.cell, run.record.id, by=decision.by, how=how, now=now
                 )
-            state = State.SUCCEEDED if accept else State.CANCELLED
-            event = run.set(state, now, {"decision": decision})
+            state = State.SUCCEEDED if decision.accept else State.CANCELLED
+            event = run.set(state, now, {"decision": decision.facts(now)})
             await self._persist(run, event)
         self._retire(run)
 
     def _retire(self, run: LiveRun) -> None:
-        """Forget an ended run; the store has it."""
-        if run.ended and self._live.pop(run.record.id, None) is not None:
+        """Forget an ended run, once the store has it."""
+        if run.ended and not run.unsaved and self._live.pop(run.record.id, None) is not None:
             if self._latest.get(run.record.cell or "") is run:
                 self.remember(run.record)  # without its events
             self.on_end(run)
@@ -203,14 +229,32 @@ class JobManager:
                 kept = await self._watch(run, job)
         except asyncio.CancelledError:
             raise
-        except Exception:
+        except Exception as error:
             log.exception("run %s", run.record.id)
-            await self._fail(run, "internal-error", "an error of the service", "the log says where")
+            if isinstance(error, OSError) and disk.is_full(error):
+                text = f"the disk of the service is full: {disk.free(job.folder)}"
+                await self._fail(run, "disk-full", text, DISK_FULL_FIX)
+            else:
+                await self._fail(run, "internal-error", "an error of the service", "the log says where")
         finally:
             run.motion_ended.set()
-            if kept:  # else its folder waits for the next start of the service, which tries again
+            if kept:
                 await asyncio.to_thread(self._results.clear, run.record.id)
+            else:
+                self._spawn(self._keep_later(run))
             self._retire(run)
+
+    async def _keep_later(self, run: LiveRun) -> None:
+        """Store what a run left as soon as disk and store take it; what they do not take before the service
+        ends waits for its next start.
+        """
+        while True:
+            await asyncio.sleep(_KEEP_RETRY_S)
+            with contextlib.suppress(OSError, SQLAlchemyError):
+                await asyncio.to_thread(self._results.keep, run.record, self._clock())
+                await asyncio.to_thread(self._results.clear, run.record.id)
+                log.info("run %s: what it left is stored now", run.record.id)
+                return
 
     async def _watch(self, run: LiveRun, job: Job) -> bool:
         """Follow a run to its end; return whether all that it left is in the store."""
@@ -235,9 +279,9 @@ class JobManager:
         finally:
             watchdog.cancel()
             worker.kill()
-        stored = await self._keep_results(run)
-        await self._conclude(run, job, verdict, status, stored or set())
-        return stored is not None
+        kept = await self._keep_results(run)
+        await self._conclude(run, job, verdict, status, kept)
+        return isinstance(kept, set)
 
     async def _reap(self, run: LiveRun) -> int:
         worker = run.worker
@@ -265,15 +309,10 @@ class JobManager:
                     Progress(
                         float(message.get("fraction", 0.0)),
                         str(message.get("phase", run.record.state)),
-                        message.get("axis"),
-                        message.get("frequency"),
-                        message.get("eta_s"),
-                        message.get("motion_left_s"),
-                        message.get("cause"),
+                        found=tuple(message.get("found", ())),
+                        **{name: message.get(name) for name in _TOLD},
                     )
                 )
-            case "response":
-                run.events.append("response", message["response"])
             case "measured":
                 run.motion_ended.set()
                 if run.wish is None:
@@ -317,7 +356,7 @@ class JobManager:
                 return
 
     async def _conclude(
-        self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int, stored: set[str]
+        self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int, kept: set[str] | Exception
     ) -> None:
         self._note_stop(run, verdict)
         if run.wish is not None:
@@ -336,12 +375,14 @@ class JobManager:
                 await self._move(run, State.STOPPED, {"error": error.model_dump()})
             else:
                 await self._fail(run, error.code, error.text, error.fix)
-        elif not {"recording", "model", "diagnosis", "report"} <= stored:
+        elif isinstance(kept, Exception):
+            await self._not_kept(run, job, kept)
+        elif not {"recording", "model", "diagnosis", "report"} <= kept:
             await self._fail(
                 run,
-                "store-unavailable",
-                "the results could not be stored",
-                "make room on the disk and start the service again: what was measured is kept; or run again",
+                "internal-error",
+                "the runner ended without all of its results",
+                "please report it, with the log of the service",
             )
         else:
             await self._succeed(run, job, verdict.get("summary", {}))
@@ -357,22 +398,35 @@ class JobManager:
         if stopped is not None:
             run.record = replace(run.record, facts={**run.record.facts, "stopped": stopped})
 
-    async def _keep_results(self, run: LiveRun) -> set[str] | None:
-        """Store the files of a run; return their kinds, ``None`` where the store did not take them."""
+    async def _not_kept(self, run: LiveRun, job: Job, error: Exception) -> None:
+        """Fail a run whose results wait in its folder for a store that takes them."""
+        kept = "what was measured is kept, and stored as soon as there is"
+        if is_full(error) or (isinstance(error, OSError) and disk.is_full(error)):
+            text = f"the results could not be stored, the disk is full: {disk.free(job.folder)}"
+            await self._fail(run, "disk-full", text, f"make room on it: {kept} room")
+        else:
+            text = "the results could not be stored; the log of the service says why"
+            await self._fail(run, "store-unavailable", text, f"look at store and disk: {kept} an answer")
+
+    async def _keep_results(self, run: LiveRun) -> set[str] | Exception:
+        """Store the files of a run; return their kinds, or why the store did not take them."""
         try:
             return await asyncio.to_thread(self._results.keep, run.record, self._clock())
         except (OSError, SQLAlchemyError) as error:
             log.error("run %s: results could not be stored: %s", run.record.id, error)
-            return None
+            return error
 
     async def _succeed(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> None:
         if run.record.cell is None or not job.acceptable:
             await self._move(run, State.SUCCEEDED, {"summary": summary})
             return
         summary = await asyncio.to_thread(self._results.concluded, run.record, summary, self._clock())
+        if job.mode == "screen":  # it says what changed, and is no model to run a robot with
+            await self._move(run, State.SUCCEEDED, {"summary": summary})
+            return
         await self._move(run, State.AWAITING_ACCEPT, {"summary": summary})
         if job.mode != "test" and self._results.may_auto_accept(summary):
-            await self.decide(run, accept=True, by="auto")
+            await self.decide(run, AUTO)
 
     async def _finish_early(self, run: LiveRun) -> None:
         now = self._clock()
@@ -403,10 +457,13 @@ class JobManager:
         """Store the state of a run; a store that does not answer is asked again later, motion does not
         wait.
         """
+        if run.ended or run.record.state is State.AWAITING_ACCEPT:
+            tell_ended(run.record)
         try:
             await asyncio.to_thread(self._store.save_state, run.record, event)
         except SQLAlchemyError as error:
             log.error("run %s: state %s not stored yet: %s", run.record.id, run.record.state, error)
+            run.unsaved = True
             self._spawn(self._persist_later(run, event))
 
     async def _persist_later(self, run: LiveRun, event: StoredEvent) -> None:
@@ -414,6 +471,8 @@ class JobManager:
             await asyncio.sleep(_RETRY_S)
             with contextlib.suppress(SQLAlchemyError):
                 await asyncio.to_thread(self._store.save_state, run.record, event)
+                run.unsaved = False
+                self._retire(run)
                 return
 
     # --- the end -------------------------------------------------------------------------------

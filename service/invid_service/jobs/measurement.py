@@ -10,13 +10,14 @@ from invid.config import CellConfig
 from invid.errors import ConfigError
 from invid.model.document import model_from_json
 from invid.planning import Plan
-from invid.planning.belief import from_model
+from invid.planning.belief import Belief, from_model
+from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import ask_drives, measure_to_file
 from invid_drivers.readiness import loads_to_support, support_sentence
+from invid_drivers.screening import screening_plan
 from invid_service.jobs.analysis_progress import BEGINS
 from invid_service.jobs.line import Line, plain
 from invid_service.jobs.protocol import Job
-from invid_service.jobs.response import ResponseWatch
 
 _SETTLED_S = 2.0
 """Robot time after which the pace of the motion so far says how long the rest takes."""
@@ -48,8 +49,9 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     if accepted is not None and accepted.axes != tuple(a.name for a in config.axes):
         accepted = None
     model = None if accepted is None else from_model(accepted, config, source="the accepted model")
+    short = _short_plan(config, model, job.amplitude_scale) if job.mode == "screen" else None
     plan, _, budgets, warned = ask_drives(
-        config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model
+        config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model, plan=short
     )
     document = {**told_plan(plan, job), "budgets": [b.to_json() for b in budgets]}
     support = loads_to_support(config)
@@ -78,21 +80,28 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
             motion_left_s=left,
         )
 
-    with ResponseWatch(target, lambda response: line.tell("response", response=response)):
-        result = measure_to_file(
-            config,
-            target,
-            axes=job.axes,
-            amplitude_scale=job.amplitude_scale,
-            progress=progress,
-            stop=line.stop,
-            model=model,
-        )
+    result = measure_to_file(
+        config,
+        target,
+        axes=job.axes,
+        amplitude_scale=job.amplitude_scale,
+        progress=progress,
+        stop=line.stop,
+        model=model,
+        plan=short,
+    )
     line.check_stop()
     seen: dict[str, Any] = plain(result.to_json())
     del seen["recording"]
     line.tell("measured", measurement=seen)
     return seen
+
+
+def _short_plan(config: CellConfig, model: Belief | None, amplitude_scale: float) -> Plan:
+    """Return the plan of a screening."""
+    if model is None:
+        raise ConfigError("there is no accepted model of these axes, so nothing can have changed since it")
+    return screening_plan(config, model, sensor_noise(config), amplitude_scale=amplitude_scale).plan
 
 
 def told_plan(plan: Plan, job: Job) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 Service → runner: the job, then ``{"type": "arm"}`` or ``{"type": "stop"}``; the end of the pipe means
 stop, so that a service that dies takes its motion with it. Runner → service: ``planned``,
-``running``, ``progress``, ``response``, ``measured``, ``done``, ``stopped``, ``failed``.
+``running``, ``progress``, ``measured``, ``done``, ``stopped``, ``failed``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class Job(BaseModel):
     model_config = ConfigDict(extra="forbid")
     id: str
     kind: Literal["measure", "analyse"]
-    mode: Literal["simulate", "test", "full", "upload"]
+    mode: Literal["simulate", "test", "full", "screen", "upload"]
     requested_by: str
     """Who started it; named in the report."""
     folder: Path
@@ -37,7 +37,8 @@ class Job(BaseModel):
     acceptable: bool = True
     """False where the result says nothing new of the cell: a real cell simulated with its own model."""
     model: dict[str, Any] | None = None
-    """The accepted model, for the forecast of travel and for ``mode`` "simulate" on a real cell."""
+    """The accepted model: for the forecast of travel, for ``mode`` "simulate" on a real cell, and for the
+    plan of ``mode`` "screen"."""
     simulator: str | None = None
     """Name of the file in ``folder`` that the recording is judged against."""
     memory_bytes: int
@@ -45,6 +46,9 @@ class Job(BaseModel):
     budget_s: float = 1500.0
     """Time for the analysis, after which the best answer so far is given: less than the half hour after which
     the service takes a run for hung."""
+
+
+DISK_FULL_FIX = "make room on the disk of the service, then start again; what was measured is kept"
 
 
 class ErrorInfo(BaseModel):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
@@ -14,15 +15,18 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from invid.comparison.changes import Comparison
 from invid.comparison.compare import compare
-from invid.diagnosis.headline import with_headline
+from invid.comparison.expectation import answer_expectation
+from invid.comparison.screening import verdict_on
+from invid.diagnosis.headline import Beside, with_headline
 from invid.errors import InvidError
-from invid.model.diagnosis_document import Diagnosis, diagnosis_to_json, load_diagnosis
+from invid.model.diagnosis_document import Diagnosis, Verdict, diagnosis_to_json, load_diagnosis
 from invid.model.document import Model, dump_json, model_from_json, save_text
-from invid.model.doubts import DoubtCode
-from invid.model.named_change import NamedChange
+from invid.model.doubts import Doubt, DoubtCode
+from invid.model.expectation import Agreement, Answer
 from invid_service.cells.changes import changes_view
 from invid_service.jobs.doubts import doubt_view, doubts_against
 from invid_service.jobs.leftovers import complete_recording
+from invid_service.jobs.stated_change import StatedChange
 from invid_service.settings import AutoAccept
 from invid_service.store.blobs import KINDS, Blobs
 from invid_service.store.store import RunRecord, Store, StoredModel
@@ -127,23 +131,30 @@ class Results:
         summary = {**summary, "doubts": [doubt_view(d) for d in doubts]}
         try:
             found = self._against_accepted(run)
-            changes = None if found is None else found[0]
             if found is not None:
                 summary["changes"] = found[1]
+            answer = _answer(run, None if found is None else found[0], doubts)
+            summary["answer"] = None if answer is None else str(answer.agreement)
             diagnosis = self._diagnosis(run)
             if diagnosis is None:
                 said = {} if found is None else found[1]["headlines"]
                 return {**summary, **({"headline": said["en"], "headlines": said} if said else {})}
-            beside = next((d for d in doubts if d.code is DoubtCode.TEST), None)
+            test = next((d for d in doubts if d.code is DoubtCode.TEST), None)
+            changes = None if found is None else found[0].named
+            beside = Beside(test, answer, self._screened(run))
             told = with_headline(replace(diagnosis, changes=changes), beside)
             self._rewrite(run, told, now)
         except (InvidError, SQLAlchemyError, OSError) as error:
             log.error("run %s: no comparison with the accepted model: %s", run.id, error)
             return summary
+        if beside.screened is not None and told.verdict is not Verdict.CONSISTENT:
+            # What a record of seconds finds beside the accepted model is for a full one to name.
+            summary["findings"] = []
+            told = replace(told, findings=(), verdict=Verdict.UNEXPLAINED)
         grade = None if told.grade is None else str(told.grade)
         return {**summary, "headline": told.headline, "headlines": dict(told.headlines), "grade": grade}
 
-    def _against_accepted(self, run: RunRecord) -> tuple[tuple[NamedChange, ...], dict[str, Any]] | None:
+    def _against_accepted(self, run: RunRecord) -> tuple[Comparison, dict[str, Any]] | None:
         """Return what changed since the model in force, and how the interface shows it; ``None``
         without one.
         """
@@ -153,7 +164,12 @@ class Results:
         if old is None or new is None:
             return None
         found, sides = self.changes(run.cell, old, new, averaged=True)
-        return found.named, {"from": old.id, **changes_view(found, sides)}
+        return found, {"from": old.id, **changes_view(found, sides)}
+
+    def _screened(self, run: RunRecord) -> Verdict | None:
+        """Return, of a short check, the verdict on the model in force; ``None`` of any other run."""
+        old = None if run.mode != "screen" or run.cell is None else self.in_force(run.cell)
+        return None if old is None else verdict_on(load(old))
 
     def _diagnosis(self, run: RunRecord) -> Diagnosis | None:
         """Return the stored diagnosis; ``None`` where there is none that can be read."""
@@ -183,6 +199,8 @@ class Results:
         bounds, changes = self._auto, summary.get("changes")
         if bounds is None or changes is None or summary.get("verdict") not in bounds.verdicts:
             return False
+        if summary.get("answer") not in (None, Agreement.AS_SAID, Agreement.SIZE_OPEN):
+            return False
         if changes["structure"]:  # another number of masses
             return False
         if any(c["from"] is None or c["to"] is None for c in changes["causes"]):  # one that came or went
@@ -196,6 +214,18 @@ class Results:
             if 100.0 * (abs(difference) + 2.0 * std) / abs(old) > bounds.max_change_percent:
                 return False
         return True
+
+
+def _answer(run: RunRecord, found: Comparison | None, doubts: Sequence[Doubt]) -> Answer | None:
+    """Return the answer to whoever said at the start what was changed."""
+    said = run.facts.get("changed")
+    if said is None:
+        return None
+    linear = found is not None and any(p.kind == "mass" and p.unit == "kg" for p in found.parameters)
+    expectation = StatedChange.model_validate(said).expectation(linear=linear)
+    if found is not None and any(d.spoils_changes for d in doubts):
+        return Answer(expectation, Agreement.CANNOT_TELL)
+    return answer_expectation(expectation, found)
 
 
 def load(stored: StoredModel) -> Model:

@@ -18,6 +18,7 @@ from invid_service.context import Context
 from invid_service.events import EventLog, sse
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, WrongStateError
+from invid_service.jobs.manager import Decision
 from invid_service.jobs.schema import (
     PARTS,
     RETRY_AFTER_S,
@@ -33,7 +34,7 @@ from invid_service.jobs.states import ENDED, State
 from invid_service.keys import Scope
 from invid_service.links import address
 from invid_service.openapi import ACCEPTED
-from invid_service.problems import EVERYWHERE, RETRY_AFTER, Problem, problem_responses
+from invid_service.problems import EVERYWHERE, RETRY_AFTER, Problem, not_stored, problem_responses
 from invid_service.service import Service
 from invid_service.store.blobs import KINDS, Blob
 from invid_service.store.store import RunRecord
@@ -123,8 +124,16 @@ async def get_identification(identification: str, service: Context, _caller: Rea
     """Return state, progress, phase: plain polling is enough."""
     record, live = await service.run(identification)
     # Written here and not by the framework, which would check and turn it over twice: the busiest call.
-    content = view(record, live).model_dump_json()
+    content = view(record, live, recorded=await _recorded(service, record)).model_dump_json()
     return Response(content, media_type="application/json", headers=polling_headers(record))
+
+
+async def _recorded(service: Service, record: RunRecord) -> bool | None:
+    """Return whether a run that has ended has a recording in the store; ``None`` before."""
+    if record.state not in ENDED:
+        return None
+    blobs = await asyncio.to_thread(service.store.artefacts, record.id)
+    return blobs.get("recording") is not None
 
 
 async def _part(service: Service, identification: str, name: str) -> dict[str, Any]:
@@ -197,11 +206,13 @@ async def act_on_identification(
                 simulated=record.simulated,
             )
         facts["override"] = body.override
+    if body.by is not None and body.type in ("accept", "reject"):
+        facts["by"] = body.by
     if body.type in ("arm", "accept"):
         try:
             await asyncio.to_thread(service.audit.write, body.type, caller=caller.name, **facts)
         except OSError as error:
-            raise Problem("disk-full", f"the audit log cannot be written: {error.strerror}") from None
+            raise not_stored("the audit log", service.audit.path, error) from None
     try:
         await _apply(service, body, record, live, caller.name)
     except WrongStateError:
@@ -215,7 +226,7 @@ async def act_on_identification(
     if body.type in ("cancel", "reject"):
         await asyncio.to_thread(service.audit.try_write, body.type, caller=caller.name, **facts)
     record, live = await service.run(identification)
-    return view(record, live)
+    return view(record, live, recorded=await _recorded(service, record))
 
 
 async def _apply(
@@ -244,7 +255,8 @@ async def _apply(
         case _:
             doubt = why_untrusted(record.mode, record.facts.get("summary"))
             override = body.override if doubt is not None else None
-            await service.jobs.decide(live, accept=action == "accept", by=caller, override=override)
+            by = body.by or caller
+            await service.jobs.decide(live, Decision(action == "accept", by, caller, override))
 
 
 @router.get(
@@ -266,7 +278,7 @@ async def follow_identification(
     ] = None,
     follow: Annotated[bool, Query(description="false: what there is, then the end")] = True,
 ) -> StreamingResponse:
-    """Stream server-sent events ``state``, ``plan``, ``progress``, ``response``; ends when the run has ended.
+    """Stream server-sent events ``state``, ``plan``, ``progress``; ends when the run has ended.
 
     Ids grow; ``Last-Event-ID`` resumes after one. A comment every few seconds keeps the line open.
     """
@@ -330,7 +342,7 @@ async def _stored(service: Service, record: RunRecord, kind: str) -> Blob:
     return blob
 
 
-async def artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
+async def _artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
     """Return the stored file of a run as an answer."""
     record, _ = await service.run(identification)
     blob = await _stored(service, record, kind)
@@ -354,7 +366,7 @@ def _offer_file(kind: str, operation: str, text: str) -> None:
     """Add the route of one of the stored files of a run."""
 
     async def get(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-        return await artefact(service, identification, kind, request)
+        return await _artefact(service, identification, kind, request)
 
     path = f"/identifications/{{identification}}/{kind}"
     responses = _file_responses(KINDS[kind][1])

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, Progress
 from invid_service.jobs.protocol import ErrorInfo
+from invid_service.jobs.stated_change import StatedChange
 from invid_service.jobs.states import ENDED, State
 from invid_service.jobs.stops import EMPTY
 from invid_service.links import address
@@ -29,6 +30,13 @@ PARTS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any] | None]] = {
 """What a run has whole at an address of its own: a poll need not carry it."""
 
 
+PersonName = Annotated[
+    str,
+    Field(min_length=1, max_length=80, pattern=r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"),
+]
+"""Who says so, as a person writes it: no blank at either end."""
+
+
 class StartBody(BaseModel):
     """Wish for an identification: mode, axes, how it starts."""
 
@@ -37,8 +45,9 @@ class StartBody(BaseModel):
         strict=True,
         json_schema_extra={"examples": [{"mode": "full", "axes": ["A1", "A2"], "arm": True}]},
     )
-    mode: Literal["simulate", "test", "full"]
-    """simulate: no hardware; test: at most 10 % amplitude; full."""
+    mode: Literal["simulate", "test", "full", "screen"]
+    """simulate: no hardware; test: at most 10 % amplitude; full; screen: a short measurement that says
+    whether anything changed since the accepted model, and replaces none."""
     axes: list[str] | None = Field(default=None, min_length=1, max_length=64)
     """Axes to excite; the others are held. Default: all."""
     arm: bool = False
@@ -48,15 +57,24 @@ class StartBody(BaseModel):
     separate: str | None = Field(default=None, max_length=40, pattern=r"^[A-Za-z0-9-]+$")
     """An identification of this cell: run the experiments that separate the causes which its diagnosis could
     not tell apart (its ``separating``), instead of the cell's own."""
+    changed: StatedChange | None = None
+    """What a person changed before: the headline says first whether that is what was found."""
 
 
 class ActionBody(BaseModel):
     """Decision about a run: arm, cancel, accept or reject."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [{"type": "arm"}]})
+    model_config = ConfigDict(
+        extra="forbid",
+        strict=True,
+        json_schema_extra={"examples": [{"type": "arm"}, {"type": "accept", "by": "Ann Weld"}]},
+    )
     type: Literal["arm", "cancel", "accept", "reject"]
     override: str | None = Field(default=None, min_length=3, max_length=500)
     """With ``accept`` of a result that is not to be trusted: the reason, which is stored."""
+    by: PersonName | None = None
+    """With ``accept`` or ``reject``: who decides. Kept with the decision and in the history of models, the
+    key beside it in the audit log; default: the key's name."""
 
 
 class Separating(BaseModel):
@@ -101,6 +119,15 @@ class StoppedView(BaseModel):
     trace: Trace
 
 
+class FoundCause(BaseModel):
+    """A cause found while the analysis still looks."""
+
+    cause: str
+    axis: str
+    other_axis: str | None
+    element: str | None
+
+
 class Identification(BaseModel):
     """A run: what it is, how far, and its results."""
 
@@ -113,6 +140,9 @@ class Identification(BaseModel):
     """The identification whose causes this run separates."""
     analyses: str | None
     """The identification whose recording this run works out (again)."""
+    changed: StatedChange | None
+    """What a person said was changed before; the summary's ``answer`` says how that agrees with what was
+    found."""
     axes: list[str]
     state: State
     simulated: bool
@@ -122,13 +152,20 @@ class Identification(BaseModel):
     frequency: float | None
     """[Hz]"""
     eta_s: float | None
-    """Until the result, as the cell's last runs took [s]; ``null`` where that is not known: it is the first,
-    or it takes longer than they did."""
+    """Until the result, as the last runs took, in the analysis of a first one as its own stages took [s];
+    ``null`` where that is not known: it is the first and moves yet, or it takes longer than they did."""
+    most_s: float | None
+    """Until the analysis ends at the latest, with its best answer so far [s]."""
     motion_left_s: float | None
     """Until the axes are at rest, by the plan; ``null`` where nothing moves [s]."""
     cause: str | None
     """What the analysis weighs now; its axis is ``axis``."""
+    found: list[FoundCause]
+    """What the analysis found so far; it still looks."""
     error: ErrorInfo | None
+    recorded: bool | None
+    """Whether a run that has ended left a recording, to be worked out by ``analysis``; ``null`` in lists, and
+    before its end."""
     stopped: StoppedView | None
     """Of a run that ended early while it moved: where, why, the one thing to do, the last seconds."""
     created: datetime
@@ -160,7 +197,9 @@ class IdentificationList(BaseModel):
     """Where the list goes on; ``null`` at its end."""
 
 
-def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Identification:
+def view(
+    record: RunRecord, live: LiveRun | None, *, trace: bool = True, recorded: bool | None = None
+) -> Identification:
     """Return the resource of a stored or living run; ``trace``: with the last seconds of a stopped one."""
     if live is not None:
         record, progress = live.record, live.progress
@@ -179,8 +218,10 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
         amplitude=record.facts.get("amplitude", "planned"),
         separates=record.facts.get("separates"),
         analyses=record.facts.get("analyses"),
+        changed=record.facts.get("changed"),
         axes=list(record.axes),
         error=record.facts.get("error"),
+        recorded=recorded,
         stopped=stopped,
         plan=record.facts.get("plan") if record.state in _PLANNED else None,
         measurement=None

@@ -18,7 +18,7 @@ from invid_service.cells.registry import Cell
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.results import load
 from invid_service.jobs.schema import StartBody
-from invid_service.problems import Problem
+from invid_service.problems import Problem, not_stored
 from invid_service.service import Service
 from invid_service.store.store import CellBusyError, KeyReusedError, RunRecord, StoredModel
 
@@ -50,6 +50,15 @@ async def begin_identification(
             f"axes: no axis {unknown[0][:64]!r}; the cell has {list(cell.axes)}",
             simulated=cell.simulated,
         )
+    if body.mode == "screen" and (body.separate is not None or body.axes not in (None, list(cell.axes))):
+        raise Problem(
+            "invalid-request",
+            "mode: a screening shakes all axes by a plan of its own; leave 'axes' and 'separate' out",
+            simulated=cell.simulated,
+        )
+    wrong = body.changed and body.changed.refusal(cell.axes, linear=cell.config.linear)
+    if wrong:
+        raise Problem("invalid-request", wrong, simulated=cell.simulated)
     async with service.start_locks[cell.id]:
         if key is not None:
             try:
@@ -61,7 +70,9 @@ async def begin_identification(
         await _refuse_if_not_ready(service, cell, body)
         separation = None if body.separate is None else await _separation(service, cell, body)
         record = service.new_run(cell, body.mode, list(body.axes or cell.axes), caller)
-        record = replace(record, facts={"amplitude": body.amplitude, "separates": body.separate})
+        said = None if body.changed is None else body.changed.model_dump()
+        asked = {"amplitude": body.amplitude, "separates": body.separate, "changed": said}
+        record = replace(record, facts=asked)
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
         before = await asyncio.to_thread(_analysis_before, service, cell.id, body)
         job = _job(service, cell, record, body, in_force, separation)
@@ -73,7 +84,7 @@ async def begin_identification(
             await asyncio.to_thread(service.store.add_run, record, idempotency_key=key, body_sha256=digest)
         except OSError as error:
             service.jobs.release(live)
-            raise Problem("disk-full", f"the audit log cannot be written: {error.strerror}") from None
+            raise not_stored("the audit log", service.audit.path, error) from None
         except CellBusyError:
             service.jobs.release(live)
             raise Problem("run-in-progress", "another service runs this cell on the same database") from None
@@ -149,12 +160,11 @@ def _diagnosis_text(service: Service, identity: str) -> str | None:
 
 def _analysis_before(service: Service, cell: str, body: StartBody) -> float | None:
     """Return the seconds that the analysis of the cell's last runs took at most, in three of four cases; of
-    runs like this one where there are any.
+    runs like this one where there are any, of other cells with as many axes where it is the cell's first.
     """
-    done = [
-        (run, float(run.facts["summary"]["analysis_s"]))
-        for run in service.store.runs(cell=cell, limit=_RECENT, measured=True)
-        if "analysis_s" in (run.facts.get("summary") or {})
+    axes = len(service.cell(cell).axes)
+    done = _analyses(service, cell) or [
+        (run, took) for run, took in _analyses(service, None) if len(run.axes) == axes
     ]
     alike = [
         took
@@ -163,6 +173,14 @@ def _analysis_before(service: Service, cell: str, body: StartBody) -> float | No
     ]
     took = sorted(alike or [took for _, took in done])
     return took[3 * (len(took) - 1) // 4] if took else None
+
+
+def _analyses(service: Service, cell: str | None) -> list[tuple[RunRecord, float]]:
+    return [
+        (run, float(run.facts["summary"]["analysis_s"]))
+        for run in service.store.runs(cell=cell, limit=_RECENT, measured=True)
+        if "analysis_s" in (run.facts.get("summary") or {})
+    ]
 
 
 def _job(

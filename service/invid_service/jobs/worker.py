@@ -6,22 +6,26 @@ stdin ends, whoever started it is gone: motion is stopped and the process ends.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import sys
 import threading
 import time
 import traceback
+from pathlib import Path
 from typing import Any
 
-from invid.errors import InvidError, SafetyStop
+from invid.disk import is_full, not_written
+from invid.errors import DiskFullError, InvidError, SafetyStop
 from invid_service.jobs.line import Line, Stopped, plain
 from invid_service.jobs.orphans import hold
-from invid_service.jobs.protocol import ErrorInfo, Job
+from invid_service.jobs.protocol import DISK_FULL_FIX, ErrorInfo, Job
 from invid_service.jobs.stops import Run, stopped_by
 from invid_service.precedence import as_everyone
 
 FIXES = {
+    "DiskFullError": DISK_FULL_FIX,
     "ConfigError": "correct the cell's configuration",
     "RecordingError": "check the file; the contract of recordings is in the documentation",
     "NotIdentifiableError": "measure longer, with more amplitude or on more axes",
@@ -33,12 +37,15 @@ FIXES = {
 
 def error_info(error: BaseException) -> dict[str, Any]:
     """Return what the service is told of an error: a stable code, the sentence, a way out."""
+    if isinstance(error, OSError) and not isinstance(error, InvidError) and is_full(error):
+        error = not_written(Path(error.filename or "a file of the run"), error)
     kind = type(error).__name__
     if isinstance(error, InvidError):
         code = "".join("-" + c.lower() if c.isupper() else c for c in kind).lstrip("-")
         code = code.removesuffix("-error")
         fix = next((FIXES[c.__name__] for c in type(error).__mro__ if c.__name__ in FIXES), "see the manual")
-        return ErrorInfo(code=code, text=str(error), fix=fix).model_dump()
+        text = error.reason if isinstance(error, DiskFullError) else str(error)
+        return ErrorInfo(code=code, text=text, fix=fix).model_dump()
     if isinstance(error, MemoryError):
         return ErrorInfo(
             code="out-of-memory",
@@ -55,9 +62,10 @@ def run(line: Line) -> int:
     job = line.read_job()
     resource.setrlimit(resource.RLIMIT_AS, (job.memory_bytes, job.memory_bytes))
     line.listen()
-    held = hold(job.folder)
+    held = contextlib.ExitStack()
     threading.Thread(target=_end_with_parent, args=(line, job.stop_grace_s), daemon=True).start()
     try:
+        held.enter_context(hold(job.folder))
         seen = _measure(job, line) if job.kind == "measure" else None
         summary = _analyse(job, line, seen)
     except Stopped:
@@ -73,9 +81,8 @@ def run(line: Line) -> int:
         told = error_info(error)
         stopped = _stopped_by(error, job) if isinstance(error, InvidError) else None
         # Where the file lies in the service's own folders is nobody's business.
-        line.tell(
-            "failed", error={**told, "text": told["text"].replace(f"{job.folder}/", "")}, stopped=stopped
-        )
+        text = told["text"].replace(f"{job.folder}/", "").replace(f" in {job.folder}", "")
+        line.tell("failed", error={**told, "text": text}, stopped=stopped)
         return getattr(error, "exit_code", 70)
     finally:
         held.close()

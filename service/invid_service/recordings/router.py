@@ -24,7 +24,7 @@ from invid_service.jobs.schema import RETRY_AFTER_S, Identification, view
 from invid_service.jobs.states import OCCUPYING, UPLOAD
 from invid_service.links import address
 from invid_service.openapi import ACCEPTED
-from invid_service.problems import EVERYWHERE, Problem, problem_responses
+from invid_service.problems import EVERYWHERE, Problem, not_stored, problem_responses
 from invid_service.recordings.claims import check_claims
 from invid_service.recordings.simulator import LARGEST, checked_simulator
 from invid_service.service import Service
@@ -166,7 +166,7 @@ def _same_file(source: Path, target: Path) -> None:
         try:
             shutil.copyfile(source, target)
         except OSError as error:
-            raise Problem("disk-full", f"the recording cannot be copied: {error.strerror}") from None
+            raise not_stored("the copy of the recording", target, error) from None
 
 
 async def _receive_raw(request: Request, target: Path) -> None:
@@ -182,7 +182,7 @@ async def _receive_raw(request: Request, target: Path) -> None:
     except ClientDisconnect:
         raise Problem("bad-request", "the upload was cut off; send it again") from None
     except OSError as error:
-        raise Problem("disk-full", f"the upload cannot be stored: {error.strerror}") from None
+        raise not_stored("the upload", target, error) from None
     if first != SIGNATURE:
         raise _no_recording()
 
@@ -226,14 +226,14 @@ def _copy(file: UploadFile, target: Path) -> None:
         with target.open("wb") as out:
             shutil.copyfileobj(file.file, out, 1024 * 1024)
     except OSError as error:
-        raise Problem("disk-full", f"the upload cannot be stored: {error.strerror}") from None
+        raise not_stored("the upload", target, error) from None
 
 
 def _write(target: Path, text: bytes) -> None:
     try:
         target.write_bytes(text)
     except OSError as error:
-        raise Problem("disk-full", f"the simulator cannot be stored: {error.strerror}") from None
+        raise not_stored("the simulator", target, error) from None
 
 
 async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell | None) -> None:

@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
+import logging
+import sqlite3
+from contextlib import closing
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from alembic import command
 from alembic.config import Config
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import Engine, create_engine, event
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
+from invid.disk import room
 from invid.errors import ConfigError
+from invid.recording.spool import sync_folder
 
+log = logging.getLogger(__name__)
+_POSTGRESQL_DISK_FULL = "53100"
 BUSY_S = 2.0
 """A locked SQLite answers "busy" after this; a person waits that long for a page, not longer."""
+
+
+def is_full(error: BaseException) -> bool:
+    """True where a database says that its disk is full."""
+    said = getattr(error, "orig", error)
+    return getattr(said, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL or (
+        getattr(said, "sqlstate", None) == _POSTGRESQL_DISK_FULL
+    )
 
 
 def open_engine(url: str) -> Engine:
@@ -61,9 +79,49 @@ def migrations_config(engine: Engine) -> Config:
 
 
 def upgrade(engine: Engine) -> None:
-    """Bring the schema to the newest version; ConfigError where the database cannot be used."""
+    """Bring the schema to the newest version, an SQLite store with a copy of before beside it; ConfigError
+    where the database cannot be used.
+    """
+    shown = engine.url.render_as_string(hide_password=True)
     try:
-        command.upgrade(migrations_config(engine), "head")
+        config = migrations_config(engine)
+        scripts = ScriptDirectory.from_config(config)
+        head = scripts.get_current_head()
+        with engine.connect() as connection:
+            found = MigrationContext.configure(connection).get_current_revision()
+        if found not in {None, *(s.revision for s in scripts.walk_revisions())}:
+            raise ConfigError(
+                f"store {shown}: a newer invid made it (schema {found}; this one knows up to {head}); start "
+                "that one, or put back the copy that it made when it took over (how-to/upgrade)"
+            )
+        if found not in (None, head):
+            _keep_as_it_was(engine, shown, found)
+        command.upgrade(config, "head")
     except SQLAlchemyError as error:
-        shown = engine.url.render_as_string(hide_password=True)
-        raise ConfigError(f"store {shown}: cannot be opened: {str(error).splitlines()[0]}") from None
+        where = Path(engine.url.database or "").parent
+        more = f"; {room(where)}; make room there, then start again" if is_full(error) else ""
+        raise ConfigError(f"store {shown}: cannot be opened: {str(error).splitlines()[0]}{more}") from None
+
+
+def _keep_as_it_was(engine: Engine, shown: str, schema: str) -> None:
+    """Copy an SQLite store before it is migrated; of another database the backup is its owner's."""
+    if engine.url.get_backend_name() != "sqlite" or not engine.url.database:
+        log.warning(
+            "store %s: schema %s is migrated in place; the way back is your own dump of it", shown, schema
+        )
+        return
+    store = Path(engine.url.database)
+    copy = store.with_name(f"{store.stem}-schema-{schema}-{datetime.now(UTC):%Y%m%dT%H%M%S}{store.suffix}")
+    part = copy.with_name(copy.name + ".part")
+    try:
+        with closing(engine.raw_connection()) as source, closing(sqlite3.connect(part)) as target:
+            source.driver_connection.backup(target)  # type: ignore[union-attr]
+        part.replace(copy)
+        sync_folder(copy.parent)
+    except (sqlite3.Error, OSError) as error:
+        part.unlink(missing_ok=True)
+        raise ConfigError(
+            f"store {shown}: it is migrated with a copy of before beside it, and {part} cannot be written "
+            f"({error}); {room(store.parent)}. Nothing was changed: make room, then start again"
+        ) from None
+    log.info("store %s: schema %s is migrated; as it was it lies in %s", shown, schema, copy)

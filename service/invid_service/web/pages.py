@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 from fastapi import APIRouter, Request
@@ -12,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from invid import __version__
-from invid_service.web.texts import LANGUAGES, catalogue, wanted
+from invid_service.web.texts import LANGUAGES, catalogue, sayings, wanted
 
 _HERE = Path(__file__).parent
 _TEMPLATES = Environment(
@@ -40,7 +41,8 @@ async def page(request: Request) -> HTMLResponse:
         languages={name: catalogue(name)["language.name"] for name in LANGUAGES},
         t=texts.__getitem__,
         # Within the page, so that its stop button never waits for a second file. No "<" ends a script early.
-        texts=Markup(json.dumps(dict(texts), ensure_ascii=False).replace("<", "\\u003c")),
+        texts=_embedded(texts),
+        said=_embedded(sayings(language)),
     )
     headers = {
         "Content-Security-Policy": _POLICY,
@@ -49,6 +51,10 @@ async def page(request: Request) -> HTMLResponse:
         "Vary": "Accept-Language, Cookie",
     }
     return HTMLResponse(html, headers=headers)
+
+
+def _embedded(texts: Mapping[str, str]) -> Markup:
+    return Markup(json.dumps(dict(texts), ensure_ascii=False).replace("<", "\\u003c"))
 
 
 @router.get("/favicon.ico")

@@ -15,7 +15,7 @@ FOLDER = Path(__file__).parent / "static" / "texts"
 LANGUAGES = wording.LANGUAGES
 """The first is spoken where none of what a browser asks for is there."""
 COOKIE = "invid-language"
-FAMILIES = ("cause.", "effect.", "measure.")
+FAMILIES = ("cause.", "effect.", "measure.", "check.", "experiment.")
 SHARED = ("number.point", "word.and", "word.or")
 """What the page says in the words of the core (``invid.wording``): names of causes and of their sizes."""
 
@@ -28,6 +28,15 @@ def catalogue(language: str) -> Mapping[str, str]:
     own: Mapping[str, str] = json.loads((FOLDER / f"{language}.json").read_text(encoding="utf-8"))
     shared = wording.catalogue(language)
     return {**{k: v for k, v in shared.items() if k in SHARED or k.startswith(FAMILIES)}, **own}
+
+
+@cache
+def sayings(language: str) -> Mapping[str, str]:
+    """Return the sentences of core and service in a language by their English ones, with numbered gaps."""
+    if language == wording.ENGLISH:
+        return {}
+    found: Mapping[str, str] = json.loads((FOLDER / f"said.{language}.json").read_text(encoding="utf-8"))
+    return found
 
 
 def wanted(request: Request) -> str:

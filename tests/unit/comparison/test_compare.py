@@ -94,6 +94,7 @@ def test_the_same_robot_measured_twice_is_called_changed_at_most_as_often_as_sta
     assert false / trials > 0.02  # Holm on independent tests is not conservative: a dead test would show 0
 
 
+@pytest.mark.campaign
 def test_the_joint_test_is_uniform_on_a_robot_that_did_not_change() -> None:
     rng = np.random.default_rng(7)
     base = model()

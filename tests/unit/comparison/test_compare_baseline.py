@@ -34,6 +34,7 @@ def found_in(rng: np.random.Generator, shift: float, before: int, after: int, tr
     return found / tries
 
 
+@pytest.mark.campaign
 def test_the_mean_of_runs_finds_a_change_as_often_as_the_normal_distribution_says() -> None:
     rng = np.random.default_rng(31)
     # 80 % of 1 % over all parameters, two-sided; one that is off beside it does not matter here.
@@ -62,6 +63,7 @@ def test_a_change_of_the_size_called_detectable_is_found_nine_times_in_ten() -> 
     assert 0.80 <= found / 120 <= 0.98
 
 
+@pytest.mark.campaign
 def test_averaging_raises_no_more_false_alarms_also_where_the_cell_repeats_worse_or_drifts() -> None:
     rng = np.random.default_rng(33)
     alarms = {"worse": 0, "drifting": 0}

@@ -115,6 +115,7 @@ def reported(size: float, std: float, rng: np.random.Generator) -> Model:
     return model(*usual(), *((play(seen, std),) if seen > 4.4 * std else ()))
 
 
+@pytest.mark.campaign
 def test_a_cause_at_the_edge_of_what_is_named_does_not_appear_and_vanish_from_run_to_run() -> None:
     """Now named, now not, of one and the same size: neither appeared nor gone."""
     rng = np.random.default_rng(5)
@@ -127,6 +128,66 @@ def test_a_cause_at_the_edge_of_what_is_named_does_not_appear_and_vanish_from_ru
         wrong += any(x.status in CHANGED for x in causes)
     assert one_sided > 50  # the case that matters did occur
     assert wrong / 400 <= 0.02
+
+
+RHO = -0.9
+"""Correlation of dry and viscous friction at one motor in what a run of the case study tells of them."""
+
+
+def friction_of_run(dry: float, wet: float, rng: np.random.Generator) -> tuple[EffectTerm, ...]:
+    """Friction as a run names it: the viscous part where it is significant, else the dry law alone, which
+    then takes its place."""
+    std = STD["coulomb_friction"], STD["viscous_friction"]
+    noise = rng.multivariate_normal([0.0, 0.0], [[1.0, RHO], [RHO, 1.0]])
+    seen = [x + s * e for x, s, e in zip((dry, wet), std, noise, strict=True)]
+    if seen[1] > 3.3 * std[1]:
+        return friction("A1", seen[0], std[0]), viscous("A1", seen[1])
+    alone = seen[0] - RHO * std[0] / std[1] * seen[1]
+    return (friction("A1", alone, std[0] * math.sqrt(1.0 - RHO**2)),)
+
+
+def test_a_part_of_a_friction_that_one_run_names_and_the_next_does_not_changes_nothing() -> None:
+    """The dry law takes the place of the viscous part where that is left out: no other friction."""
+    rng = np.random.default_rng(11)
+    wrong = lacking = 0
+    for _ in range(400):
+        size = STD["viscous_friction"] * rng.uniform(1.0, 6.0)
+        pair = [model(*friction_of_run(TORQUE, size, rng)) for _ in range(2)]
+        lacking += len(pair[0].effects) != len(pair[1].effects)
+        wrong += any(c.status in CHANGED for c in compare(*pair).causes)
+    assert lacking > 80  # the case that matters did occur
+    assert wrong / 400 <= 0.01, wrong
+
+
+def test_dry_friction_that_doubles_has_grown_though_the_viscous_part_is_no_longer_named() -> None:
+    old, new = model(friction("A1"), viscous("A1", 0.1)), model(friction("A1", 2 * TORQUE))
+    grown = of(compare(old, new), "A1.coulomb_friction.mass 1")
+    assert grown.status is CauseStatus.GREW
+    assert grown.old is not None
+    assert grown.old.std == STD["coulomb_friction"]
+
+
+def test_friction_beside_a_law_of_another_kind_cannot_be_compared() -> None:
+    sizes = {"static": 0.6, "coulomb": 0.4, "velocity": 0.05}
+    slow = EffectTerm("stribeck_friction", "A1", {n: Estimate(v, 0.01) for n, v in sizes.items()}, "mass 1")
+    found = compare(model(friction("A1"), viscous("A1", 0.2)), model(slow, viscous("A1", 0.5)))
+    assert not any(c.status in CHANGED for c in found.causes)
+    assert "by another law" in of(found, "A1.viscous_friction.mass 1").reason
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_spring_moves_with_a_cause_that_the_other_run_may_have_missed(cut: bool) -> None:
+    """Play of 30 deviations takes stiffness along: eight deviations of a spring are no news where a search
+    was cut short, and a load of a fifth more is."""
+    was, now = model(*usual(), play()), model(*usual())
+    now = replace(now, fit={**now.fit, "search_cut_short": cut})
+    softer = [k * (1 + 0.011 * (i == 1)) for i, k in enumerate(now.chains.springs)]
+    loads = [m * (1 + 0.2 * (i == 1) * np.array([0.0, 1.0])) for i, m in enumerate(now.chains.masses)]
+    c = now.chains
+    chains = CoupledChains.build(loads, softer, c.dampers, c.couplings, axes=AXES)
+    status = {p.name: p.status for p in compare(was, replace(now, chains=chains)).parameters}
+    assert status["A2.mass.2"] is Status.CHANGED
+    assert (status["A2.spring.1"] is Status.CHANGED) is not cut
 
 
 def test_a_cause_that_was_nothing_and_is_large_has_appeared_and_the_other_way_round_gone() -> None:

@@ -65,6 +65,7 @@ def changed(old: Model, new: Model, **given: object) -> list[str]:
     return [p.name for p in result.parameters if p.status is Status.CHANGED]
 
 
+@pytest.mark.campaign
 def test_an_unchanged_robot_is_called_changed_in_at_most_two_of_a_hundred_comparisons() -> None:
     rng = np.random.default_rng(11)
     alarms = 0
@@ -75,6 +76,7 @@ def test_an_unchanged_robot_is_called_changed_in_at_most_two_of_a_hundred_compar
     assert alarms <= 8
 
 
+@pytest.mark.campaign
 def test_a_cell_that_repeats_worse_than_its_fits_say_raises_no_more_false_alarms() -> None:
     rng = np.random.default_rng(12)
     alarms = 0
@@ -237,6 +239,7 @@ def test_the_step_between_the_two_models_never_counts_as_repeatability() -> None
     assert repeatability(loose, spanning=(drawn(rng, matrix), loose[4])).pairs == 6
 
 
+@pytest.mark.campaign
 def test_the_factor_is_as_well_known_as_all_runs_together_allow() -> None:
     rng = np.random.default_rng(21)
     matrix = covariance(rng)
@@ -294,6 +297,7 @@ def lonely_damper() -> np.ndarray:
     return matrix
 
 
+@pytest.mark.campaign
 def test_false_alarms_are_spent_where_a_change_is_hard_to_see_and_stay_within_their_bound() -> None:
     rng = np.random.default_rng(23)
     matrix, deviations, starts = lonely_damper(), 3.6, 150

@@ -1,209 +1,124 @@
-"""Screening against an accepted model: nothing found where nothing changed, and only that which did."""
+"""A short record against an accepted model: nothing found where nothing changed, else what did."""
 
+from __future__ import annotations
+
+import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from invid.comparison.screening import changed_parts, part_of, screen
+from invid.cli.app import run
+from invid.comparison.screening import screen
 from invid.config import CellConfig, load_config
 from invid.errors import ModelError
 from invid.identification.identify import identify
-from invid.model.document import Model, parameter_vector
-from invid.planning import Plan
-from invid.planning.belief import from_model, guess
-from invid.planning.goal import plan_for_goal
-from invid.recording import read_recording
+from invid.model.document import Model, save_model
+from invid.planning.belief import from_model
+from invid.recording import Recording, read_recording
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import measure_to_file
-from invid_drivers.rescreening import part_axes, screen_cell, screening_plan
-from invid_drivers.simulated import truth
+from invid_drivers.screening import screen_cell, screening_plan
 
-CONFIG = Path(__file__).parents[3] / "configs" / "case-study.yaml"
-NAMES = (
-    "A1.mass.1",
-    "A1.mass.2",
-    "A1.spring.1",
-    "A2.mass.1",
-    "A2.mass.2",
-    "A2.spring.1",
-    "A1-A2.coupling",
-)
+CELL = """\
+format: invid-config
+format_version: 1
+robot: two axes
+bus: {interface: invid-virtual, channel: two, cycle_s: 0.001}
+axes:
+  - {name: A1, node_id: 1, rated_torque_Nm: 50, masses: 2, inertia_kgm2: 3.0, gravity_loaded: false,
+     limits: {torque_Nm: 25, position_window_rad: 1.0, velocity_rad_per_s: 5, stopping_room_rad: 3}}
+  - {name: A2, node_id: 2, rated_torque_Nm: 80, masses: 2, inertia_kgm2: 7.0, gravity_loaded: false,
+     limits: {torque_Nm: 40, position_window_rad: 1.0, velocity_rad_per_s: 5, stopping_room_rad: 3}}
+safety: {heartbeat_s: 0.03}
+experiments:
+  - {kind: multisine, band_Hz: [0.5, 12], period_s: 2.048, periods: 3}
+simulation:
+  seed: SEED
+  plant:
+    branches:
+      - {axis: A1, masses_kgm2: [1.0, 2.0], springs_Nm_per_rad: [SPRING], dampers_Nms_per_rad: [1.0]}
+      - {axis: A2, masses_kgm2: [1.5, LOAD], springs_Nm_per_rad: [4000], dampers_Nms_per_rad: [3.0]}
+  defaults: {torque_noise_fraction_of_rated: 0.002}
+  axes:
+    A1: {friction: {coulomb_Nm: 0.2, viscous_Nms_per_rad: 0.2}}
+    A2: {friction: {coulomb_Nm: 0.4, viscous_Nms_per_rad: 0.4}}
+"""
+pytestmark = pytest.mark.xdist_group("screening")
 
 
-def cell(seed: int, tool: float = 6.0, coupling: float = 1.0) -> CellConfig:
-    """The case study with its tool mass on A2 and its coupling of A1 and A2 as given."""
-    base = load_config(CONFIG)
-    plant, names = truth(base), [a.name for a in base.axes]
-    masses = [list(map(float, m)) for m in plant.masses]
-    masses[1][2] = tool
-    document = base.model_dump(mode="python")
-    document["simulation"] |= {
-        "seed": seed,
-        "plant": {
-            "branches": [
-                {
-                    "axis": names[i],
-                    "masses": masses[i],
-                    "springs": plant.springs[i].tolist(),
-                    "dampers": plant.dampers[i].tolist(),
-                }
-                for i in range(3)
-            ],
-            "couplings": [
-                {
-                    "between": [names[i], names[j]],
-                    "value": coupling if (i, j) == (0, 1) else float(plant.couplings[i, j]),
-                }
-                for i in range(3)
-                for j in range(i + 1, 3)
-            ],
-        },
-    }
-    return CellConfig.model_validate(document)
+def cell_file(folder: Path, seed: int, *, load: float = 5.97, spring: float = 1500.0) -> Path:
+    path = folder / f"cell-{seed}.yaml"
+    path.write_text(CELL.replace("SEED", str(seed)).replace("LOAD", str(load)).replace("SPRING", str(spring)))
+    return path
+
+
+def cell(folder: Path, seed: int, *, load: float = 5.97, spring: float = 1500.0) -> CellConfig:
+    return load_config(cell_file(folder, seed, load=load, spring=spring))
 
 
 @pytest.fixture(scope="module")
 def accepted(tmp_path_factory: pytest.TempPathFactory) -> Model:
-    config, path = cell(1), tmp_path_factory.mktemp("accepted") / "r.h5"
-    belief = guess(config)
-    assert belief is not None
-    plan = plan_for_goal(config, belief, sensor_noise(config), 1e-3).plan
-    measure_to_file(config, path, plan=plan.first(1))
-    return identify(read_recording(path), masses=(3, 3, 3))
+    folder = tmp_path_factory.mktemp("accepted")
+    measure_to_file(cell(folder, 1), folder / "r.h5")
+    return identify(read_recording(folder / "r.h5"))
 
 
-@pytest.fixture(scope="module")
-def short(accepted: Model) -> Plan:
-    config = cell(1)
-    return screening_plan(config, from_model(accepted, config), sensor_noise(config)).plan
-
-
-def test_an_unchanged_cell_is_said_to_be_unchanged_after_seconds(
-    accepted: Model, short: Plan, tmp_path: Path
-) -> None:
-    assert short.shaking_s < 10
-    measure_to_file(cell(2), tmp_path / "r.h5", plan=short)
-    found = screen(read_recording(tmp_path / "r.h5"), accepted)
-    assert found.verdict == "unchanged"
-    assert found.parts == ()
-    assert np.median(found.detectable) < 0.03
-    assert "nothing changed" in found.sentence
-
-
-@pytest.mark.slow
-def test_a_heavier_tool_on_a2_names_a2_and_all_are_shaken_where_holding_the_others_takes_their_torque(
+def test_an_unchanged_cell_is_said_to_be_unchanged_and_what_would_have_been_seen(
     accepted: Model, tmp_path: Path
 ) -> None:
-    config, path = cell(3, tool=6.6), tmp_path / "r.h5"
-    found = screen_cell(config, accepted, path, noise=sensor_noise(config))
-    assert found.screening.parts == ("A2",)
-    # What the drives' holds would need on A1 and A3 leaves A2 a fortieth of its torque.
-    assert found.axes == ("A1", "A2", "A3")
-    assert found.duration_s < 100
-    assert found.model is not None
-    assert found.model.chains.masses[1][2] == pytest.approx(6.6, rel=0.005)
-    # everything else stays as well known as it was, and true
-    names, values = parameter_vector(found.model.chains)
-    wanted = parameter_vector(replace(truth(config), ground_dampers=np.zeros(3)))[1]
-    judged = np.array([".damper." not in n for n in names])
-    assert np.abs(values / wanted - 1)[judged].max() < 0.01
-    kept = accepted.covariance
-    assert kept is not None
-    assert found.model.covariance is not None
-    other = [k for k, n in enumerate(names) if part_of(n) != "A2" and judged[k]]
-    place = [accepted.parameter_names.index(names[k]) for k in other]
-    assert np.all(np.diag(found.model.covariance)[other] <= np.diag(kept)[place] * 1.0001)
-    recording = read_recording(path)
-    assert recording.experiments[0].excited_axis == -1
-    assert {e.excited_axis for e in recording.experiments[1:]} == {-1}
-
-
-@pytest.mark.slow
-def test_a_changed_coupling_is_measured_again_on_its_two_axes_in_the_band_that_tells_about_it(
-    accepted: Model, tmp_path: Path
-) -> None:
-    config, path = cell(4, coupling=1.5), tmp_path / "r.h5"
-    found = screen_cell(config, accepted, path, noise=sensor_noise(config), goal=0.01)
-    assert found.screening.parts == ("A1-A2",)
-    assert found.axes == ("A1", "A2")
-    assert found.model is not None
-    assert found.model.chains.couplings[0, 1] == pytest.approx(1.5, abs=0.02)
-    low, high = found.band_hz or (0.0, 0.0)
-    # The config's band is 0.5 to 12 Hz; a coupling is told by what passes from one axis to the other.
-    assert high - low < 0.8 * 11.5
-    screening, *again = read_recording(path).experiments
-    assert screening.excited_axis == -1
-    assert again
-    for experiment in again:
-        lines = experiment.frequencies_hz
-        assert low <= lines.min()
-        assert lines.max() <= high
-        demand = experiment.torque_demand
-        assert demand is not None
-        hz = np.fft.rfftfreq(experiment.samples, 1 / experiment.sample_rate_hz)
-        power = np.abs(np.fft.rfft(demand, axis=0)) ** 2
-        # A quarter of a second of ramp at each end smears the lines by some hertz.
-        inside = (hz > low - 1.0) & (hz < high + 1.0)
-        shaken = power[:, :2].sum()
-        assert power[inside, :2].sum() > 0.95 * shaken
-        assert power[:, 2].sum() < 0.02 * shaken  # A3 is held, not shaken
-
-
-def test_a_model_without_covariance_or_of_another_cell_is_refused(accepted: Model) -> None:
-    config = cell(1)
-    recording = replace(_empty(config), axes=("X", "Y", "Z"))
-    with pytest.raises(ModelError, match="its own model"):
-        screen(recording, accepted)
-    with pytest.raises(ModelError, match="no covariance"):
-        screen(_empty(config), replace(accepted, covariance=None, parameter_names=()))
-
-
-def _empty(config: CellConfig):  # type: ignore[no-untyped-def]
-    from invid.recording import Recording
-
-    return Recording("r", tuple(a.name for a in config.axes), "rad", "N·m", "2026-01-01T00:00:00Z", ())
-
-
-def spread() -> np.ndarray:
-    rng = np.random.default_rng(0)
-    mix = np.eye(7) + 0.6 * rng.standard_normal((7, 7))
-    return mix @ mix.T
-
-
-def test_chance_alone_refutes_once_in_a_thousand() -> None:
-    rng, covariance = np.random.default_rng(1), spread()
-    draws = rng.multivariate_normal(np.zeros(7), covariance, size=4000)
-    alarms = sum(changed_parts(NAMES, d, covariance) != () for d in draws)
-    # 4 expected; 13 or more once in five thousand campaigns
-    assert 0 < alarms < 13
+    config = cell(tmp_path, 2)
+    plan = screening_plan(config, from_model(accepted, config), sensor_noise(config)).plan
+    assert plan.shaking_s < 10
+    found = screen_cell(config, accepted, tmp_path / "r.h5", noise=sensor_noise(config)).screening
+    assert (found.verdict, found.changed) == ("unchanged", ())
+    assert found.sentence.startswith("Nothing changed since the accepted model")
+    assert "would have been found" in found.sentence
+    assert found.comparison is not None
+    # Friction that a record of seconds could not name by itself is compared as the accepted model has it.
+    assert {c.status.value for c in found.comparison.causes} <= {"unchanged", "cannot_tell"}
 
 
 @pytest.mark.parametrize(
-    ("moved", "parts"),
-    [
-        ({1: 40.0}, ("A1",)),
-        ({4: -40.0, 5: 30.0}, ("A2",)),
-        ({6: 50.0}, ("A1-A2",)),
-        ({0: 50.0, 4: 60.0}, ("A1", "A2")),
-    ],
+    ("changed", "parameter", "by"),
+    [({"load": 7.28}, "A2.mass.2", 1.31), ({"spring": 1400.0}, "A1.spring.1", -100.0)],
 )
-def test_the_fewest_parts_that_explain_the_change_are_named(
-    moved: dict[int, float], parts: tuple[str, ...]
+def test_what_changed_is_named_with_its_size(
+    accepted: Model, tmp_path: Path, changed: dict[str, float], parameter: str, by: float
 ) -> None:
-    rng, covariance = np.random.default_rng(2), spread()
-    shift = np.zeros(7)
-    shift[list(moved)] = list(moved.values())
-    found = [
-        changed_parts(NAMES, shift + rng.multivariate_normal(np.zeros(7), covariance), covariance)
-        for _ in range(50)
-    ]
-    assert found.count(parts) >= 48
+    config = cell(tmp_path, 3, **changed)
+    found = screen_cell(config, accepted, tmp_path / "r.h5", noise=sensor_noise(config)).screening
+    assert found.verdict == "changed"
+    assert found.changed == (parameter[:2],)
+    assert found.sentence.endswith("Measure in full to take it over.")
+    assert found.comparison is not None
+    (told,) = [c for c in found.comparison.parameters if c.status == "changed"]
+    assert told.name == parameter
+    assert told.difference is not None
+    assert told.std is not None
+    assert abs(told.difference - by) < 4 * told.std
+    assert told.std < 0.05 * abs(by)
 
 
-def test_parts_are_branches_and_couplings_whatever_the_axes_are_called() -> None:
-    assert part_of("arm.2.mass.3") == "arm.2"
-    assert part_of("a-b-c.coupling") == "a-b-c"
-    assert part_axes("a-b-c", ("a-b", "c")) == ("a-b", "c")
-    assert part_axes("A2", ("A1", "A2")) == ("A2",)
+def test_the_command_answers_in_json_and_by_its_exit_status(
+    accepted: Model, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_model(accepted, tmp_path / "model.json")
+    config, out = str(cell_file(tmp_path, 4, load=7.28)), str(tmp_path / "r.h5")
+    command = ["measure", config, "--screen", "-o", out, "--json"]
+    model = ["--model", str(tmp_path / "model.json")]
+    assert run([*command, *model]) == 0
+    told = json.loads(capsys.readouterr().out)["screening"]
+    assert (told["verdict"], told["changed"]) == ("changed", ["A2"])
+    assert told["comparison"]["format"] == "invid-comparison"
+    assert run(command) == 2
+    assert "--model" in capsys.readouterr().err
+    assert run([*command, *model, "--amplitude", "0.5"]) == 2
+
+
+def test_a_model_without_covariance_or_of_another_cell_is_refused(accepted: Model) -> None:
+    recording = Recording("r", accepted.axes, "rad", "N·m", "2026-01-01T00:00:00Z", ())
+    with pytest.raises(ModelError, match="its own model"):
+        screen(replace(recording, axes=("X", "Y")), accepted)
+    with pytest.raises(ModelError, match="no covariance"):
+        screen(recording, replace(accepted, covariance=None, parameter_names=()))

@@ -135,3 +135,30 @@ def test_every_shipped_config_loads_and_its_bus_is_within_budget(path: Path) -> 
 
 def test_there_are_shipped_configs() -> None:
     assert len(CONFIGS) >= 5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "value", "right"),
+    [
+        ("torque_Nm: 20", "torque_mNm", 20000, "torque_Nm (force_N where motion is linear)"),
+        ("torque_Nm: 20", "Torque_nm", 20, "torque_Nm (force_N where motion is linear)"),
+        ("position_window_rad: 0.1", "position_window", 0.1, "position_window_rad (position_window_m where"),
+        ("velocity_rad_per_s: 1}", "velocity_rpm", "10}", "velocity_rad_per_s (velocity_m_per_s where"),
+        ("node_id: 2", "inertia_gcm2", "70\n    node_id: 2", "inertia_kgm2 (mass_kg where motion is linear)"),
+        ("channel: x", "cycle_ms", "2, channel: x", "cycle_s"),
+    ],
+)
+def test_a_wrong_or_missing_unit_is_told_with_the_key_found_and_the_right_one(
+    old: str, new: str, value: object, right: str
+) -> None:
+    before, _, after = GOOD.rpartition(old)
+    said = message(f"{before}{new}: {value}{after}")
+    assert f".{new} is no key of a config here" in said
+    assert f"write {right}" in said
+    assert "the value in that unit" in said
+    assert "is missing" not in said
+
+
+def test_a_key_that_is_missing_is_told_with_its_unit() -> None:
+    said = message(GOOD.replace("torque_Nm: 20, ", ""))
+    assert "axes[1].limits.torque_Nm (force_N where motion is linear) is missing; add it" in said

@@ -191,6 +191,20 @@ def test_alike_findings_are_one_clause_of_the_headline() -> None:
     )
 
 
+def test_each_cause_of_a_clause_is_told_on_its_own_axes() -> None:
+    dry = [term("coulomb_friction", a, torque=0.2) for a in AXES]
+    viscous = [term("viscous_friction", a, coefficient=0.02) for a in AXES]
+    on_two = grade_consequences(diagnosis(*dry, *viscous[:2]), recording())
+    assert on_two.headline.startswith(
+        "Dry friction on all three axes and viscous friction on A1 and A2, up to"
+    )
+    assert on_two.headlines["de"].startswith(
+        "Trockene Reibung an allen drei Achsen und zähe Reibung an A1 und A2, bis zu"
+    )
+    on_all = grade_consequences(diagnosis(*dry, *viscous), recording())
+    assert on_all.headline.startswith("Dry and viscous friction on all three axes, up to")
+
+
 def test_a_resonance_that_another_mass_moves_is_told_as_its_relative_change() -> None:
     extra = term("extra_mode", "A2", "mass 3", mass=0.5, stiffness=300.0)
     measures = grade_consequences(diagnosis(extra), recording()).findings[0].consequence.measures

@@ -31,6 +31,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return target
 
 
+@pytest.mark.campaign
 def test_dry_friction_with_a_gradual_change_of_sign_is_dry_friction(path: Path) -> None:
     recording = read_recording(path)
     found = diagnose(recording, masses=[2])

@@ -15,6 +15,7 @@ from hidden.foreign import make_foreign
 from hidden.generator import make
 
 
+@pytest.mark.campaign
 def test_weight_at_the_motor_is_gravity_with_its_place_open() -> None:
     recording, truth = make_foreign(640013)  # two axes, gravity before the springs of A2
     (finding,) = diagnose(recording).findings
@@ -26,6 +27,7 @@ def test_weight_at_the_motor_is_gravity_with_its_place_open() -> None:
     assert finding.confidence < 0.9
 
 
+@pytest.mark.campaign
 def test_a_cause_whose_size_is_not_told_from_none_is_not_sure() -> None:
     """Seed 640010: cogging of 0.2 ± 0.3 N·m was named at 1.00 beside the strong cause."""
     recording, _ = make_foreign(640010)
@@ -36,6 +38,7 @@ def test_a_cause_whose_size_is_not_told_from_none_is_not_sure() -> None:
             assert size.value > 2.0 * size.std or finding.confidence <= 0.5
 
 
+@pytest.mark.campaign
 def test_a_weight_that_looked_like_a_spring_to_ground_leaves_no_such_spring() -> None:
     """Around its place of rest a weight is a spring; the identification knows springs, and no weights."""
     size = {"torque": 300.0, "angle": 0.4}

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from invid.diagnosis.headline import Facts, headline
-from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade, Verdict
+from invid.model.diagnosis_document import Alternative, Consequence, Diagnosis, Finding, Grade, Verdict
 from invid.model.document import EffectTerm, Estimate
 from invid.model.doubts import Doubt, DoubtCode, by_weight, doubt_facts, doubts_of
 from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
@@ -105,6 +105,26 @@ def test_what_to_act_on_stands_beside_a_change_and_is_not_told_twice() -> None:
     assert said.endswith("Before accepting: check the gear's wear, keys and couplings.")
 
 
+@pytest.mark.parametrize(
+    ("confidence", "rivals"), [(0.5, ()), (0.89, (Alternative("spring_hysteresis", "A1", "spring 1", 0.1),))]
+)
+def test_a_doubtful_cause_asks_for_the_experiment_that_makes_sure_and_for_no_repair(
+    confidence: float, rivals: tuple[Alternative, ...]
+) -> None:
+    sure = finding("cubic_stiffness", "A1", Grade.ACT)
+    doubtful = replace(sure, confidence=confidence, alternatives=rivals)
+
+    def said(of: Finding, language: str = "en") -> str:
+        return headline(facts(None, verdict=Verdict.EXPLAINED, findings=(of,)), language)
+
+    assert said(sure).endswith("check gear, belt or coupling for preload and wear.")
+    assert said(doubtful).endswith(
+        ": not sure yet: measure again at another amplitude before anything is repaired."
+    )
+    assert "noch einmal mit anderer Amplitude messen, bevor etwas repariert wird." in said(doubtful, "de")
+    assert "check" not in said(doubtful)
+
+
 def test_what_has_no_name_is_the_last_word_after_a_change() -> None:
     said = headline(facts((LOAD,), verdict=Verdict.UNEXPLAINED, unexplained_axis="A1"))
     nameless = "Something on A1 is not in the model and no known cause explains it: do not accept it unseen."
@@ -150,3 +170,12 @@ def small_diagnosis() -> Diagnosis:
     chains = CoupledChains.build([[1.0, 2.0]], [[1000.0]], [[0.5]], axes=("A1",))
     model = Model("cell", "refined", chains, ChainStd.unknown(chains))
     return Diagnosis(Verdict.CONSISTENT, (), None, (), None, model)
+
+
+def test_a_short_check_says_what_is_new_and_not_what_the_accepted_model_left_as_well() -> None:
+    lost = facts((), verdict=Verdict.UNEXPLAINED, unexplained_axis="A1", screened=Verdict.PARTLY_EXPLAINED)
+    assert headline(lost) == f"{NONE}; as in the accepted model, something is left that has no name."
+    new = replace(lost, screened=Verdict.EXPLAINED)
+    assert headline(new).endswith("the accepted model does not have: measure in full to tell what.")
+    changed = headline(facts((SOFTER,), screened=Verdict.EXPLAINED))
+    assert changed == f"{SOFT} Measure in full to take it over."

@@ -23,6 +23,7 @@ from invid.numerics.arrays import Float64
 Torque = Callable[[Float64, Float64, Float64], Float64]
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("torque", "character"),
     [

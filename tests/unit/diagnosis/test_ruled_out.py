@@ -23,6 +23,7 @@ def quiet(seed: int) -> dict:
     return {"seed": seed, "masses": (2,), "noise": 0.003, "drive": "smooth"}
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("cause", "element", "parameter"),
     [
@@ -89,6 +90,7 @@ def test_free_play_of_a_gear_that_a_weight_holds_to_one_side_could_not_have_been
     assert limit(found, "coulomb_friction", "mass 1").limit is not None
 
 
+@pytest.mark.campaign
 def test_where_something_is_left_without_a_name_nothing_is_ruled_out() -> None:
     recording, _ = make("power_drag", target_db=25.0, **quiet(301))
     found = invid.diagnose(recording)

@@ -25,15 +25,6 @@ def test_gravity_on_a_small_motion_is_told_from_a_constant_torque_by_a_slow_move
     assert abs(finding.effect.parameters["torque"].value - true) < 0.1 * true
 
 
-def test_an_offset_on_a_small_motion_is_no_surer_than_the_gravity_that_it_may_be() -> None:
-    recording, _ = make("torque_offset", seed=500023, target_db=8.0, masses=(2,), moves=True, periods=2)
-    shaken = tuple(e for e in recording.experiments if e.kind is not Kind.CONSTANT_VELOCITY)
-    (finding,) = diagnose(replace(recording, experiments=shaken)).findings
-    causes = {finding.effect.cause, *(a.cause for a in finding.alternatives)}
-    assert causes >= {"gravity", "torque_offset"}
-    assert finding.confidence < 0.8
-
-
 def test_acceleration_and_torque_of_a_move_are_means_over_the_same_stretches() -> None:
     step = 0.004
     time = np.arange(3000) * step

@@ -47,6 +47,7 @@ def _recording(tone: float, noise: float) -> Recording:
     )
 
 
+@pytest.mark.campaign
 def test_a_tone_that_repeats_with_no_period_is_said_with_its_frequency() -> None:
     found = diagnose(_recording(tone=0.5, noise=0.0))
     assert found.verdict is Verdict.UNEXPLAINED
@@ -60,6 +61,7 @@ def test_a_tone_that_repeats_with_no_period_is_said_with_its_frequency() -> None
     assert residual.noise_floor < 0.1 * residual.before
 
 
+@pytest.mark.campaign
 def test_a_tone_is_taken_out_once_where_periods_of_one_experiment_are_held_out() -> None:
     alone = recording(_experiment(np.random.default_rng(3), Role.IDENTIFY, "000", tone=0.5, noise=0.0))
     found = diagnose(alone)
@@ -70,6 +72,7 @@ def test_a_tone_is_taken_out_once_where_periods_of_one_experiment_are_held_out()
     assert residual.noise_floor < 0.1 * residual.before
 
 
+@pytest.mark.campaign
 def test_torque_without_a_frequency_that_repeats_with_no_period_is_noise() -> None:
     found = diagnose(_recording(tone=0.0, noise=0.5))
     assert found.verdict is Verdict.CONSISTENT

@@ -33,15 +33,6 @@ def _recorded(path: Path, hold_gain: float, declared: float) -> Path:
     return path
 
 
-@pytest.mark.parametrize("declared", [np.nan, 60.0])
-def test_friction_no_larger_than_a_holds_timing_makes_is_no_finding(tmp_path: Path, declared: float) -> None:
-    path = _recorded(tmp_path / "rec.h5", 60.0, declared)
-    found = diagnose(read_recording(path), masses=[2])
-    assert found.findings == ()
-    assert found.verdict == "consistent"
-    assert found.model.effects == ()
-
-
 def test_a_stiff_hold_inside_the_drive_is_read_off_its_smooth_command_and_is_no_friction(
     tmp_path: Path,
 ) -> None:
@@ -51,6 +42,7 @@ def test_a_stiff_hold_inside_the_drive_is_read_off_its_smooth_command_and_is_no_
     assert any("A1" in w and "before the command" in w for w in found.warnings)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("told", [False, True])
 def test_viscous_friction_is_doubted_where_it_may_be_a_holds_timing(tmp_path: Path, told: bool) -> None:
     # told: the axis is said to be free, so that all of its torque was held over the sample

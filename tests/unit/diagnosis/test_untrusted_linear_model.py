@@ -27,6 +27,7 @@ def recording() -> Recording:
     return make(None, seed=SEED, motors=1, masses=(3,))[0]
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("masses", [1, 2])
 def test_too_few_masses_are_said_first_and_nothing_is_named_with_confidence(recording, masses) -> None:
     d = diagnose(recording, masses=(masses,))
@@ -40,6 +41,7 @@ def test_too_few_masses_are_said_first_and_nothing_is_named_with_confidence(reco
     assert not d.model.fit["trustworthy"]
 
 
+@pytest.mark.campaign
 def test_the_command_leaves_with_3_and_one_document_when_the_model_is_wrong(
     recording, tmp_path, capsys
 ) -> None:
@@ -51,6 +53,7 @@ def test_the_command_leaves_with_3_and_one_document_when_the_model_is_wrong(
     assert "cannot be trusted" in out["warnings"][0]
 
 
+@pytest.mark.campaign
 def test_a_record_shorter_than_its_period_is_no_ground_for_a_name(recording) -> None:
     rows = slice(0, recording.experiments[0].period_samples // 4)
     cut = tuple(
@@ -69,9 +72,3 @@ def test_a_record_shorter_than_its_period_is_no_ground_for_a_name(recording) -> 
     if d.verdict is not Verdict.CONSISTENT:
         assert "of one period" in d.sentences[0]
         assert not d.model.fit["trustworthy"]
-
-
-def test_a_strong_cause_on_the_right_model_is_still_named() -> None:
-    hidden, _ = make("coulomb_friction", seed=SEED, motors=1, target_db=38)
-    d = diagnose(hidden)
-    assert [f.effect.cause for f in d.findings] == ["coulomb_friction"]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import two_masses
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import make
@@ -32,7 +33,7 @@ from invid.model.diagnosis_document import (
 from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import frozen_float
 from invid.recording.hdf5 import write_recording
-from invid.recording.model import Recording, Role
+from invid.recording.model import Experiment, Recording, Role
 from invid.rigid_motion.effect_terms import place_of
 from invid.rigid_motion.regressors import Regressor
 
@@ -181,6 +182,7 @@ ELASTIC = (
 )  # fmt: skip
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(("cause", "seed"), ELASTIC)
 def test_diagnoses_of_elastic_machines_keep_them(cause: str | None, seed: int) -> None:
     recording, _ = make(cause, seed=seed, motors=1, target_db=None if cause is None else 25)
@@ -198,12 +200,15 @@ RIGID = {
 }
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("case", RIGID)
 def test_diagnoses_of_rigid_machines_keep_them(case: str) -> None:
     recording = recording_of(large_motion(np.random.default_rng(5), seconds=12.0, **RIGID[case]))
     assert broken(diagnosis_to_json(diagnose(recording)), recording) == []
 
 
+@pytest.mark.panel
+@pytest.mark.campaign
 def test_where_more_than_half_of_the_torque_is_missed_the_command_ends_with_three(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -222,6 +227,7 @@ def test_where_more_than_half_of_the_torque_is_missed_the_command_ends_with_thre
     assert "misses" in document["warnings"][0]
 
 
+@pytest.mark.campaign
 def test_the_same_holds_for_chains_and_for_the_identification(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -236,6 +242,25 @@ def test_the_same_holds_for_chains_and_for_the_identification(
     document = json.loads(capsys.readouterr().out)
     assert broken(document, recording) == []
     assert "misses" in document["warnings"][0]
+
+
+def test_nothing_is_called_consistent_on_a_linear_fit_that_cannot_be_trusted() -> None:
+    """It said "the linear model itself cannot be trusted" and "nothing is missing" in one document."""
+
+    def cut(e: Experiment) -> Experiment:
+        columns = ("time", "position", "torque", "torque_demand")
+        return replace(e, **{name: getattr(e, name)[: 2 * two_masses.PERIOD // 3] for name in columns})
+
+    parts = (
+        cut(two_masses.from_rest(1, Role.IDENTIFY, "000")),
+        cut(two_masses.from_rest(2, Role.VALIDATE, "001")),
+    )
+    found = diagnose(two_masses.recording(*parts))
+    assert not found.model.fit["trustworthy"]
+    assert found.verdict is Verdict.UNEXPLAINED
+    assert not any("nothing is missing" in said for said in found.sentences)
+    assert found.unexplained is not None
+    assert found.unexplained.frequencies_hz == ()
 
 
 def test_a_document_that_misses_more_than_half_is_not_trusted() -> None:

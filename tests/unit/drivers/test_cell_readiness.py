@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from invid.cli.app import run
 from invid.config import CellConfig, load_config
 from invid_drivers.cia402.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.holding import energised_reason
@@ -16,6 +17,7 @@ from invid_drivers.readiness import loads_to_support, not_ready
 from invid_service.cells.readiness import Situation, readiness
 
 CONFIG = Path(__file__).parents[3] / "configs" / "case-study-unix.yaml"
+CASE_STUDY = CONFIG.with_name("case-study.yaml")
 
 
 @pytest.fixture
@@ -124,3 +126,30 @@ def test_what_waits_for_a_person_is_remembered_without_a_serial_number_and_of_th
     for name in ("", "another drive"):
         seen = HoldMemory(path).of(name, 1)
         assert (seen.suspect, seen.loaded, seen.holds) == ("axis A1: the encoder is stuck", True, None)
+
+
+@pytest.mark.parametrize(("limit", "said"), [(200.0, True), (500.0, True), (150.0, False)])
+def test_a_torque_limit_that_no_drive_gives_is_said_beside_ready(
+    limit: float, said: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A1 is rated 50 N·m and gives three times that (0x6072)."""
+    text = CASE_STUDY.read_text(encoding="utf-8").replace("torque_Nm: 25", f"torque_Nm: {limit:g}")
+    (tmp_path / "cell.yaml").write_text(text, encoding="utf-8")
+    assert run(["check", str(tmp_path / "cell.yaml")]) == 0
+    printed = capsys.readouterr().out
+    assert ("; the torque limit of A1 is beyond what its drive gives" in printed.splitlines()[0]) == said
+    assert (f"limited to 150 N·m, not to the config's {limit:g}" in printed) == said
+    assert ("correct the config's limit, or its unit" in printed) == said
+
+
+def test_readiness_notes_a_torque_limit_far_beyond_the_rated_torque_and_asks_no_drive(
+    cell: CellConfig,
+) -> None:
+    limits = cell.axes[0].limits.model_copy(update={"torque": 500.0})
+    axes = [cell.axes[0].model_copy(update={"limits": limits}), *cell.axes[1:]]
+    found = readiness(replace(situation(cell.model_copy(update={"axes": axes})), drives=()))
+    assert found.can_start
+    (note,) = found.notes
+    assert (note.code, note.values["axis"], note.values["times"]) == ("limit_beyond_drive", "A1", "10")
+    assert "500, 10 times the rated 50 N·m" in note.text
+    assert "its unit" in note.fix

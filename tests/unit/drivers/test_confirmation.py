@@ -51,6 +51,7 @@ def measure(folder: Path, *options: str, typed: str | None = None) -> tuple[int,
     return done.returncode, done.stderr
 
 
+@pytest.mark.campaign
 def test_without_a_terminal_and_without_the_option_it_is_said_who_answers_and_the_bus_is_opened(
     tmp_path: Path,
 ) -> None:
@@ -60,16 +61,19 @@ def test_without_a_terminal_and_without_the_option_it_is_said_who_answers_and_th
     assert "nobody listens" in said
 
 
-@pytest.mark.parametrize("option", ["--confirmed", "--yes"])
-def test_with_the_option_the_bus_is_opened_without_a_question(tmp_path: Path, option: str) -> None:
-    code, said = measure(tmp_path, option)
+def test_with_the_option_the_bus_is_opened_without_a_question(tmp_path: Path) -> None:
+    code, said = measure(tmp_path, "--confirmed")
     assert code == 5
     assert "nobody listens" in said
     assert "emergency stop" not in said
 
 
 @pytest.mark.parametrize(
-    ("typed", "code", "words"), [("yes\n", 5, "nobody listens"), ("no\n", 2, "nothing moved")]
+    ("typed", "code", "words"),
+    [
+        pytest.param("yes\n", 5, "nobody listens", marks=pytest.mark.campaign),
+        ("no\n", 2, "nothing moved"),
+    ],
 )
 def test_on_a_terminal_the_answer_decides(tmp_path: Path, typed: str, code: int, words: str) -> None:
     found, said = measure(tmp_path, typed=typed)
@@ -77,6 +81,7 @@ def test_on_a_terminal_the_answer_decides(tmp_path: Path, typed: str, code: int,
     assert (found, words in said) == (code, True)
 
 
+@pytest.mark.campaign
 def test_a_dry_run_of_hardware_does_not_ask(tmp_path: Path) -> None:
     code, said = measure(tmp_path, "--dry-run")
     assert code == 0

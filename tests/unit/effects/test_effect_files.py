@@ -22,7 +22,7 @@ import invid
 from invid.cli.app import run
 from invid.effects.registry import effect_of, registered_effects
 from invid.model.document import EffectTerm, Estimate
-from invid.recording import Recording, Role, write_recording
+from invid.recording import Recording, write_recording
 from invid.report import figure_data, render_report
 from invid.report.dependence import linear_model_of
 
@@ -42,6 +42,7 @@ def drag() -> tuple[Recording, Truth, invid.Diagnosis]:
     return recording, truth, invid.diagnose(recording, effects=[DRAG])
 
 
+@pytest.mark.campaign
 def test_drag_that_was_hidden_is_found_named_and_measured(
     drag: tuple[Recording, Truth, invid.Diagnosis],
 ) -> None:
@@ -63,6 +64,7 @@ def test_drag_that_was_hidden_is_found_named_and_measured(
     assert pickle.loads(pickle.dumps(diagnosis)).findings[0].cause == "quadratic_drag"
 
 
+@pytest.mark.campaign
 def test_without_its_file_the_same_drag_is_not_explained_by_that_name() -> None:
     assert effect_of("quadratic_drag") is None
     with registered_effects([DRAG]):
@@ -70,6 +72,7 @@ def test_without_its_file_the_same_drag_is_not_explained_by_that_name() -> None:
     assert effect_of("quadratic_drag") is None
 
 
+@pytest.mark.campaign
 def test_another_kind_of_law_with_a_place_of_its_own_is_found_too() -> None:
     recording, truth = make("end_stop", seed=3, motors=1, target_db=25)
     diagnosis = invid.diagnose(recording, effects=[CUSHION, DRAG])
@@ -84,30 +87,7 @@ def test_another_kind_of_law_with_a_place_of_its_own_is_found_too() -> None:
     assert (again.verdict, again.findings) == ("consistent", ())
 
 
-def error_of(model: invid.Model, recording: Recording) -> float:
-    """Rms of simulated less measured motion over all experiments for validation."""
-    answer = invid.simulate(model, recording, effects=[DRAG])
-    held = [k for k, e in enumerate(recording.experiments) if e.role is Role.VALIDATE]
-    left = [answer.experiments[k].position - recording.experiments[k].position for k in held]
-    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
-
-
-def test_it_is_saved_reloaded_simulated_and_known_to_the_next_diagnosis(
-    drag: tuple[Recording, Truth, invid.Diagnosis], tmp_path: Path
-) -> None:
-    recording, _, diagnosis = drag
-    diagnosis.model.save(tmp_path / "model.json")
-    model = invid.load_model(tmp_path / "model.json")
-    assert model.effects == diagnosis.model.effects
-    assert error_of(model, recording) < 0.5 * error_of(linear_model_of(diagnosis), recording)
-    again = invid.diagnose(recording, model=model, effects=[DRAG])
-    assert (again.verdict, again.findings) == ("consistent", ())
-    with pytest.raises(invid.ModelError, match="--effects"):
-        invid.simulate(model, recording)
-    with pytest.raises(invid.ModelError, match="--effects"):
-        invid.diagnose(recording, model=model)
-
-
+@pytest.mark.campaign
 def test_it_is_drawn_as_the_parabola_that_it_is(drag: tuple[Recording, Truth, invid.Diagnosis]) -> None:
     recording, _, diagnosis = drag
     linear = linear_model_of(diagnosis)
@@ -142,6 +122,7 @@ EFFECT = Plain()
 """
 
 
+@pytest.mark.campaign
 def test_the_simulation_reads_a_law_from_a_table_as_exactly_as_it_is_written(tmp_path: Path) -> None:
     """Viscous friction at the load as a static law, and as the damper that it is: the same motion."""
     recording, truth = make(None, seed=4, motors=1, moves=False, periods=2)
@@ -159,6 +140,7 @@ def test_the_simulation_reads_a_law_from_a_table_as_exactly_as_it_is_written(tmp
     assert np.abs(answers[1] - answers[0])[late].max() < 5e-3 * np.abs(plain - answers[0])[late].max()
 
 
+@pytest.mark.campaign
 def test_a_rigid_machine_in_large_motion_shows_it_as_well() -> None:
     one, other = (
         integrate(np.random.default_rng(k), mass=0.5, dry=(1.0, 1.0), extra=lambda q, v, t: 0.3 * v * abs(v))
@@ -174,6 +156,7 @@ def test_a_rigid_machine_in_large_motion_shows_it_as_well() -> None:
     assert np.isfinite(answer.experiments[0].position).all()
 
 
+@pytest.mark.campaign
 def test_the_commands_take_a_file_and_the_table_of_results_holds_its_cause(
     drag: tuple[Recording, Truth, invid.Diagnosis], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -171,22 +171,7 @@ def test_a_drifting_parameter_may_be_called_by_its_name() -> None:
         model_from_json(document)
 
 
-def test_an_effect_that_is_in_the_model_is_not_found_again_and_leaves_nothing_missing() -> None:
-    recording, truth = make("coulomb_friction", seed=11, motors=1, target_db=20)
-    first = diagnose(recording)
-    assert first.verdict is Verdict.EXPLAINED
-    document = json.loads(dump_json(model_to_json(first.model)))
-    second = diagnose(recording, model=model_from_json(document))
-    assert second.verdict is Verdict.CONSISTENT
-    assert second.findings == ()
-    found = second.model.effects
-    assert [e.cause for e in found] == ["coulomb_friction"]
-    assert found[0].value("torque") == pytest.approx(truth.effects[0].parameters["torque"], rel=0.1)
-    r = second.residual[0]
-    assert r.before > 1.5 * r.after
-    assert r.after < 1.2 * r.noise_floor
-
-
+@pytest.mark.campaign
 def test_friction_that_has_gone_since_comes_out_as_nothing_and_nothing_takes_its_place() -> None:
     recording, truth = make("coulomb_friction", seed=11, motors=1, target_db=20)
     wrong = diagnose(recording).model

@@ -75,7 +75,10 @@ def transmission_error(near: float, far: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize(
     ("law", "main", "size", "cycles"),
-    [(cogging, "torque", 0.8, 31.0), (transmission_error, "amplitude", 8e-4, 17.0)],
+    [
+        (cogging, "torque", 0.8, 31.0),
+        pytest.param(transmission_error, "amplitude", 8e-4, 17.0, marks=pytest.mark.campaign),
+    ],
 )
 def test_a_ripple_of_many_cycles_is_found_with_their_number(
     law: Law, main: str, size: float, cycles: float

@@ -511,6 +511,7 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.campaign
 def test_the_command_says_losses_on_stderr_and_one_document_on_stdout(tmp_path: Path) -> None:
     machine("one axis").extended(effect("coulomb_friction", torque=0.4)).save(tmp_path / "m.json")
     done = run("export", tmp_path / "m.json", "--to", "statespace", "-o", tmp_path / "m.mat", "--json")

@@ -113,8 +113,12 @@ def record(
     in_drive: bool = True,
     time_constant: float = 0.0,
     period: int = 4000,
+    demand_at_end: bool = False,
 ) -> Recording:
-    """As many experiments as axes, two settled periods each, no axis named; hold gains are ``said``."""
+    """As many experiments as axes, two settled periods each, no axis named; hold gains are ``said``.
+
+    ``demand_at_end``: torque and demand, the hold in both, are read at the end of the command's sample.
+    """
     rng, count = np.random.default_rng(seed), len(cell.masses)
     experiments = []
     for number in range(count):
@@ -125,14 +129,18 @@ def record(
                 share = (count, (i + number) % count) if interleaved else (1, 0)
                 wave[:, i], hz = multisine(rng, period, rate, 13.0, *share)
                 lines = hz if lines.size == 0 or not interleaved else np.union1d(lines, hz)
+        command = np.tile(20.0 * wave, (4, 1))
         position, torque = cell.run(
-            np.tile(20.0 * wave, (4, 1)),
+            command,
             rate,
             gain=gain,
             damping=damping,
             in_drive=in_drive,
             time_constant=time_constant,
         )
+        if demand_at_end:
+            held = command if in_drive else torque
+            torque = torque + np.roll(held, 1, axis=0) - held
         position, torque = position[2 * period :], torque[2 * period :]
         experiments.append(
             Experiment(
@@ -147,6 +155,7 @@ def record(
                 np.arange(2 * period) / rate,
                 position + 2e-6 * rng.standard_normal(position.shape),
                 torque + 0.02 * rng.standard_normal(torque.shape),
+                torque if demand_at_end else None,
             )
         )
     axes = tuple(f"A{i + 1}" for i in range(count))

@@ -23,6 +23,7 @@ def production(path: Path, seed: int, sizes: tuple[int, ...]) -> tuple[Cell, inv
     return cell, invid.read_recording(path)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("seed", [14, 16])
 def test_axes_that_move_together_without_a_period_are_identified(seed: int, tmp_path: Path) -> None:
     cell, recording = production(tmp_path / "rec.h5", seed, (2, 3))

@@ -108,20 +108,6 @@ def test_a_hold_inside_the_drive_does_not_add_inertia_to_the_motor() -> None:
     assert_true(model_to_json(model), TWO_TRUTH, within=5e-3)
 
 
-def test_records_from_rest_with_no_settling_are_used_whole() -> None:
-    model = identify(record(TWO, 3, together=True, settle=0, periods=1, period=8000), masses=(2, 2))
-    assert model.fit["boundary_terms"] == ["000", "001"]
-    assert_true(model_to_json(model), TWO_TRUTH, within=5e-3)
-
-
-def test_motor_friction_does_not_bias_masses_and_springs() -> None:
-    rubbing = replace(TWO, coulomb=(0.4, 0.6))
-    model = identify(record(rubbing, 4, together=True), masses=(2, 2))
-    assert_true(model_to_json(model), TWO_TRUTH, within=5e-3)
-    coulomb = {e.axis: e.value("torque") for e in model.effects if e.cause == "coulomb_friction"}
-    assert coulomb == pytest.approx({"A1": 0.4, "A2": 0.6}, rel=0.05)
-
-
 def test_one_axis_in_metres_is_identified_with_the_number_of_masses_found() -> None:
     slide = oracle.OraclePlant([[2.0, 3.0]], [[8000.0]], [[3.0]])
     model = identify(record(slide, 5, linear=True), masses="auto")

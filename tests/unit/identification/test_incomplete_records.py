@@ -35,6 +35,7 @@ def worst(found: dict[str, float]) -> float:
     return max(abs(z) for z in found.values())
 
 
+@pytest.mark.campaign
 def test_a_low_passed_torque_channel_is_recognised_and_costs_no_parameter() -> None:
     recording = record(
         TWO, seed=5, rate=1000.0, gain=20 * SUMS, damping=5 * SUMS, said=20 * SUMS, in_drive=False,
@@ -48,15 +49,6 @@ def test_a_low_passed_torque_channel_is_recognised_and_costs_no_parameter() -> N
     assert any("A1: the recorded torque is low-passed" in w for w in model.warnings)
 
 
-def test_a_torque_channel_without_a_lag_is_given_none() -> None:
-    recording = record(
-        TWO, seed=6, rate=1000.0, gain=20 * SUMS, damping=5 * SUMS, said=20 * SUMS, in_drive=False
-    )
-    model = identify(recording)
-    assert model.fit["torque_lag_s"] == {}
-    assert worst(deviations(model, TWO)) < 4.5
-
-
 def test_a_stiff_hold_that_the_file_denies_widens_the_motor_mass() -> None:
     gain, damping = hold(5.0, 0.7, SUMS[:1])
     model = identify(record(ONE, seed=7, rate=500.0, gain=gain, damping=damping, said=np.zeros(1)))
@@ -65,14 +57,23 @@ def test_a_stiff_hold_that_the_file_denies_widens_the_motor_mass() -> None:
     assert any("a hold works" in w for w in model.warnings)
 
 
-def test_the_gains_of_a_hold_are_read_off_a_smooth_command() -> None:
-    gain, damping = hold(2.0, 0.7, SUMS)
-    spectra = all_spectra(record(TWO, seed=8, rate=1000.0, gain=gain, damping=damping, said=np.zeros(2)))
-    for i in range(2):
-        found = find_smooth_hold(spectra, i)
-        assert found is not None
-        assert found[0] == pytest.approx(gain[i], rel=0.05)
-        assert found[1] == pytest.approx(damping[i], rel=0.05)
+@pytest.mark.parametrize("in_drive", [True, False])
+def test_a_demand_with_the_hold_in_it_does_not_tell_when_the_hold_acts(in_drive: bool) -> None:
+    """Read at the end of its sample a command acts half a sample early and a hold inside the drive does not:
+    D·h/2 was in the motor's mass, 260 deviations."""
+    gain, damping = hold(1.5, 0.7, SUMS[:1])
+    shown = record(
+        ONE, seed=9, rate=1000.0, gain=gain, damping=damping, said=gain, in_drive=in_drive, demand_at_end=True
+    )
+    model = identify(shown)
+    assert worst(deviations(model, ONE)) < 4.5
+    assert any("a hold works" in w for w in model.warnings)
+    if in_drive:
+        return
+    by_master = tuple(replace(e, attributes={"hold_by": "master"}) for e in shown.experiments)
+    told = identify(replace(shown, experiments=by_master))
+    assert worst(deviations(told, ONE)) < 4.5
+    assert told.std.masses[0][0] < 0.2 * model.std.masses[0][0]
 
 
 def test_a_command_that_falls_with_frequency_is_smooth_where_its_lines_are_far_apart() -> None:
@@ -88,6 +89,7 @@ def test_a_command_that_falls_with_frequency_is_smooth_where_its_lines_are_far_a
         assert found[1] == pytest.approx(damping[i], rel=0.02)
 
 
+@pytest.mark.campaign
 def test_holds_that_no_record_shows_cost_the_motors_of_uncoupled_axes_nothing_unsaid() -> None:
     """A held axis rests while others are shaken; D·h/2 of its hold was in its motor's mass, 45 deviations."""
     apart = LinearCell(TWO.masses, TWO.springs, TWO.dampers)
@@ -143,13 +145,6 @@ def test_the_gains_of_a_hold_are_read_off_the_lines_of_the_other_axes() -> None:
     assert worst(deviations(identify(recording), TWO)) < 4.5
 
 
-def test_no_hold_is_seen_on_a_free_axis() -> None:
-    spectra = all_spectra(
-        record(TWO, seed=9, rate=1000.0, gain=np.zeros(2), damping=np.zeros(2), said=np.zeros(2))
-    )
-    assert [find_smooth_hold(spectra, i) for i in range(2)] == [None, None]
-
-
 def test_a_hold_damped_far_more_than_usual_is_known_from_the_command() -> None:
     gain, damping = np.array([3.0]), np.array([30.0])
     model = identify(record(ONE, seed=10, rate=1000.0, gain=gain, damping=damping, said=gain))
@@ -157,7 +152,7 @@ def test_a_hold_damped_far_more_than_usual_is_known_from_the_command() -> None:
     assert worst(deviations(model, ONE)) < 4.5
 
 
-@pytest.mark.parametrize("rate", [500.0, 1000.0])
+@pytest.mark.parametrize("rate", [1000.0])
 def test_axes_shaken_one_at_a_time_without_being_named_are_told_from_those_held(rate: float) -> None:
     gain, damping = hold(2.0, 0.7, SUMS)
     recording = record(
@@ -247,13 +242,6 @@ def sharpened(friction: float) -> tuple[float, float, float]:
     before, after = (np.linalg.norm(p.blocks[0].columns[:, 0, 0] - true) for p in (problem, sharp))
     size = dict(zip(sharp.names, found.p, strict=True))["A1.coulomb"]
     return float(after / before), found.chi2 / solution.chi2, size / friction
-
-
-def test_reversals_and_standing_of_a_rubbing_motor_are_found_from_position_and_torque() -> None:
-    error, chi2, size = sharpened(1.0)
-    assert error < 0.2
-    assert chi2 < 0.1
-    assert size == pytest.approx(1.0, rel=5e-3)
 
 
 def test_a_motor_that_stands_for_long_is_described_no_worse_than_by_its_position_alone() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from invid.inverse import PaperResult
 from invid.likelihood.fit import fit_structure
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
-from invid.modes.pole_search import search_modes
 from invid.recording.model import Recording
 from invid.signals.spectra import all_spectra
 
@@ -29,26 +27,7 @@ def recorded(plant: oracle.OraclePlant, top_hz: float) -> Recording:
     )  # fmt: skip
 
 
-def test_three_branches_alike_share_poles_and_are_found_without_a_search_under_the_noise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    searched = []
-
-    def noted(*args: Any, **settings: Any) -> Any:
-        searched.append(args)
-        return search_modes(*args, **settings)
-
-    monkeypatch.setattr("invid.identification.starts.search_modes", noted)
-    branch = ([0.8, 1.1, 1.5], [1800.0, 4000.0], [1.0, 1.0])
-    plant = oracle.OraclePlant([branch[0]] * 3, [branch[1]] * 3, [branch[2]] * 3)
-    plant = replace(plant, couplings={(0, 1): 0.3, (0, 2): 0.3, (1, 2): 0.3})
-    model = identify(recorded(plant, 20.0), masses=(3, 3, 3))
-    values, std = estimate(model)
-    assert model.fit["trustworthy"]
-    assert np.abs((values - truth(plant)) / std).max() < 6
-    assert not searched
-
-
+@pytest.mark.campaign
 def test_a_fit_in_a_wrong_minimum_is_led_out_by_the_papers_inverse_that_contradicts_it() -> None:
     plant = oracle.OraclePlant(
         [[0.889, 1.176, 0.511, 1.096], [0.885, 0.948, 1.536, 1.188]],
@@ -96,3 +75,20 @@ def test_two_branches_alike_that_do_not_move_one_another_are_each_found_on_their
     for masses, springs in zip(start.masses, start.springs, strict=True):
         assert masses == pytest.approx(branch[0], rel=0.1)
         assert springs == pytest.approx(branch[1], rel=0.1)
+
+
+def test_periods_that_still_settle_need_no_chain_grown_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    grown = []
+    monkeypatch.setattr("invid.identification.starts.grow_chains", lambda *given: grown.append(given))
+    plant = oracle.OraclePlant(
+        [[0.8, 1.6], [1.1, 2.0]], [[1800.0], [2500.0]], [[0.3], [0.4]], couplings={(0, 1): 0.3}
+    )
+    peak = 10.0 * np.array([sum(m) for m in plant.masses])
+    recording = measure(
+        plant, np.random.default_rng(78), period=5000, periods=2, settle=0, band=(0.3, 12.0), peak=peak,
+        bits=20,
+    )  # fmt: skip
+    assert all(s.transient and s.periods == 2 for s in all_spectra(recording))
+    values, std = estimate(identify(recording, masses=(2, 2)))
+    assert np.abs((values - truth(plant)) / std).max() < 6
+    assert not grown

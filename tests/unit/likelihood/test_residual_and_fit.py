@@ -121,6 +121,7 @@ def test_condensation_agrees_with_a_full_solve() -> None:
     assert np.abs(np.linalg.inv(stiffness) / full_frf(chains, omega) - 1).max() < 1e-9
 
 
+@pytest.mark.campaign
 def test_the_fit_sits_on_its_noise_and_its_errors_are_those_it_states() -> None:
     rng = np.random.default_rng(5)
     chains = random_chains(rng, (2, 2))

@@ -7,7 +7,10 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -18,10 +21,13 @@ import invid
 from invid.cli.app import INTERRUPTED, run
 from invid.cli.display import shown_progress
 from invid.diagnosis.diagnose import diagnose
+from invid.identification import machine_kind
 from invid.identification.identify import identify
 from invid.numerics import budget
 from invid.numerics.budget import Budget, Progress, use_budget
 from invid.numerics.run_clock import RunClock
+from invid.recording import Kind
+from invid.rigid_motion.selection import Selection
 
 
 class Ticks:
@@ -71,8 +77,37 @@ def test_a_part_ends_before_the_whole_and_what_is_left_out_is_told_once() -> Non
         assert not budget.is_spent()
         assert budget.left_out() == ("the rest",)
         assert "10 s of the processor" in str(budget.warning())
+        assert "at their shares of it, after 7 s in all" in str(budget.warning())
+        now[0] = 10.0
+        assert "was spent" in str(budget.warning())
     assert not budget.is_spent()
     assert budget.warning() is None
+
+
+@pytest.mark.parametrize(("moved", "least"), [(True, 80.0), (False, 45.0)])
+def test_what_a_rigid_machine_s_diagnosis_does_not_need_goes_to_the_doubt_about_its_kind(
+    moved: bool, least: float, monkeypatch: pytest.MonkeyPatch, recording: invid.Recording
+) -> None:
+    """Where rigid axes miss a lot chains are tried; a search for their causes may follow or not."""
+    monkeypatch.setattr(machine_kind, "is_trajectory", lambda _: moved)
+    monkeypatch.setattr(
+        machine_kind, "analyse", lambda _: SimpleNamespace(selection=Selection(cast("Any", None)))
+    )
+    monkeypatch.setattr(machine_kind, "rigid_missed_share", lambda _: 0.5)
+    monkeypatch.setattr(machine_kind, "identify_trajectory", lambda *_, **__: None)
+    given = list[bool]()
+    now = [0.0]
+
+    def chains() -> invid.Model:
+        for now[0] in (least, 99.0):
+            given.append(not budget.is_spent())
+        raise invid.InvidError("no chains fit")
+
+    other = tuple(replace(e, kind=Kind.OTHER, period_samples=0) for e in recording.experiments)
+    record = replace(recording, experiments=other, masses_per_axis=None)
+    with use_budget(Budget(100.0, lambda: now[0])):
+        assert machine_kind.machine_kind(record, None, chains, 0.5).rigid
+    assert given == [True, False]
 
 
 def test_progress_never_goes_back_and_says_how_long_at_most() -> None:
@@ -206,6 +241,7 @@ def test_json_stays_alone_on_stdout_and_the_budget_ends_the_command(
     assert json.loads(capsys.readouterr().out)["format"] == "invid-diagnosis"
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("fresh", [True, False])
 def test_the_first_run_after_an_installation_says_that_it_compiles(tmp_path: Path, fresh: bool) -> None:
     """With an empty cache, and with the one that this run then filled."""

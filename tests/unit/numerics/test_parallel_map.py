@@ -166,6 +166,7 @@ def test_no_helper_where_forking_is_not_safe_or_not_worth_it(begin: str):
     """)
 
 
+@pytest.mark.campaign
 def test_a_diagnosis_is_the_same_on_one_core_and_on_two():
     """And every answer of a helper arrives: one that could not be packed would be found twice, unnoticed."""
     program = """

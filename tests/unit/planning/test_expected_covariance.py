@@ -36,6 +36,7 @@ def without_friction(belief: Belief) -> Belief:
     return replace(belief, coulomb=np.zeros(3), viscous=np.zeros(3))
 
 
+@pytest.mark.campaign
 def test_the_motion_foretold_is_that_of_the_equations_of_motion(
     cell: CellConfig, belief: Belief, one_block: Plan
 ) -> None:
@@ -66,6 +67,7 @@ def test_the_motion_foretold_is_that_of_the_equations_of_motion(
     assert np.abs(found - wanted).max() < 2e-3 * np.abs(wanted).max()
 
 
+@pytest.mark.campaign
 def test_expected_and_actual_scatter_agree_in_the_simulated_cell(
     cell: CellConfig, belief: Belief, one_block: Plan, tmp_path: Path
 ) -> None:
@@ -154,6 +156,7 @@ def test_friction_of_an_accepted_model_is_part_of_the_belief(cell: CellConfig) -
         from_model(Model("r", "refined", other, ChainStd.unknown(other)), cell)
 
 
+@pytest.mark.campaign
 def test_noise_of_an_earlier_recording_is_what_its_sensors_had(
     cell: CellConfig, belief: Belief, one_block: Plan, tmp_path: Path
 ) -> None:

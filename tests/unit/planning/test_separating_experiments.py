@@ -23,7 +23,7 @@ from invid.model.document import ChainStd, EffectTerm, Model
 from invid.planning import make_plan
 from invid.planning.separating_experiments import to_separate
 from invid.recording.concatenation import concatenate_recordings
-from invid.recording.model import Kind, Role
+from invid.recording.model import Role
 
 CONFIG = Path(__file__).resolve().parents[3] / "configs" / "case-study.yaml"
 
@@ -66,17 +66,6 @@ def test_every_family_gives_a_plan_that_the_limits_allow(cause: str, rival: str)
         assert (np.abs(e.torque).max(axis=0) <= limits).all()
 
 
-def test_friction_gets_amplitudes_and_slow_moves_of_its_axis_alone() -> None:
-    config = load_config(CONFIG)
-    plan = make_plan(to_separate(diagnosis("coulomb_friction", "presliding_friction"), config).config)
-    slow = [e for e in plan.experiments if e.kind is Kind.CONSTANT_VELOCITY]
-    assert slow
-    assert all(e.excited == (1,) for e in slow)
-    assert all(e.reference[:, 1].min() < 0 < e.reference[:, 1].max() for e in slow)
-    peaks = {round(float(np.abs(e.torque[:, 1]).max()), 3) for e in plan.experiments if e not in slow}
-    assert max(peaks) / min(peaks) > 5
-
-
 def test_delay_and_lag_get_a_wider_band() -> None:
     config = load_config(CONFIG)
     own = max(float(e.frequencies_hz.max()) for e in make_plan(config).experiments)
@@ -106,6 +95,7 @@ def test_what_cannot_be_separated_is_said(document: dict, words: str) -> None:
         to_separate(document, load_config(CONFIG))
 
 
+@pytest.mark.campaign
 def test_the_command_plans_it_dry_in_one_document(tmp_path, capsys) -> None:
     path = tmp_path / "d.json"
     path.write_text(json.dumps(diagnosis("coulomb_friction", "stribeck_friction")))

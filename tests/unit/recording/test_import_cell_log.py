@@ -130,6 +130,7 @@ def rows_of(log: Path, folder: Path, measured) -> list[int]:
     return [best, best + wanted.size]
 
 
+@pytest.mark.campaign
 def test_the_log_of_a_measurement_gives_the_plant_behind_it(logged, tmp_path):
     log, recording = logged
     measured = read_recording(recording).experiments[0]
@@ -213,6 +214,7 @@ def test_what_candump_shows_on_the_screen_is_read_like_its_log(tmp_path):
     np.testing.assert_array_equal(first.torque, second.torque)
 
 
+@pytest.mark.campaign
 def test_a_log_without_a_map_is_shown_as_pdos_with_the_fields_that_move(logged, capsys):
     """The position's four bytes are told from the torque's two; what they are is left to a person."""
     assert run(["import", "--suggest", str(logged[0]), "--json"]) == 0

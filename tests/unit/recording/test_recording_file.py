@@ -273,14 +273,50 @@ def test_a_disk_that_takes_no_more_ends_the_writing_in_order_and_what_it_took_is
         [sys.executable, "-c", _FULL, str(path), "3", worse], capture_output=True, text=True, check=False
     )
     assert process.returncode == 0, process.stderr  # no segmentation fault at the end
-    assert "takes no more rows (File too large)" in process.stdout
+    assert "cannot be written: File too large; the recording so far is kept" in process.stdout
     recording = read_recording(tmp_path / where)
     kept = recording.experiments[0].samples
     assert 75_000 < 24 * kept < 100_000
     assert path.exists() is (where == "r.h5")
-    assert ("What was measured is in" in process.stdout) is (where != "r.h5")
+    assert ("what was measured is in" in process.stdout) is (where != "r.h5")
     if where == "r.h5":
         assert recording.outcome is Outcome.FAILED
+
+
+_WHOLE = """
+import resource, sys, numpy as np
+from invid.errors import RecordingError
+from invid.recording import read_recording, write_recording
+recording = read_recording(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
+try:
+    write_recording(recording, sys.argv[1])
+except RecordingError as error:
+    print(error)
+"""
+
+
+def test_a_disk_that_does_not_take_a_recording_ends_in_one_sentence_and_leaves_the_old_file(tmp_path):
+    """libhdf5 on such a disk took the process with it (segmentation fault)."""
+    path = tmp_path / "r.h5"
+    noise = np.random.default_rng(1).standard_normal((20000, 1))
+    header = Recording(robot="r", axes=("A1",), position_unit="rad", torque_unit="N·m",
+        created="2026-01-01T00:00:00Z", experiments=())  # fmt: skip
+    with RecordingWriter(path, header) as writer:
+        for _ in range(2):
+            writer.begin(
+                kind=Kind.OTHER, excited_axis=0, sample_rate_hz=1000.0, demand=False, status=False
+            )  # fmt: skip
+            writer.append(np.arange(20000) / 1000, noise, noise)
+    before = path.read_bytes()
+    for limit in (50, len(before) // 2):
+        process = subprocess.run(
+            [sys.executable, "-c", _WHOLE, str(path), str(limit)], capture_output=True, text=True, check=False
+        )
+        assert (process.returncode, process.stderr) == (0, "")
+        assert process.stdout == f"{path}: cannot be written: File too large\n"
+        assert path.read_bytes() == before
+        assert list(tmp_path.iterdir()) == [path]
 
 
 def test_rows_cut_anywhere_are_read_up_to_the_cut_and_never_raise_anything_else(tmp_path):

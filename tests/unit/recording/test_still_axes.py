@@ -58,6 +58,7 @@ def beside_a_still_axis(torque: float = 0.0, count: float | None = None) -> invi
     )
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(("torque", "count"), [(0.0, None), (3.0, 1e-5)])
 def test_axes_that_move_are_diagnosed_as_if_the_still_one_were_not_there(
     torque: float, count: float | None

@@ -104,6 +104,7 @@ def parsed(html: str) -> _Balanced:
     return parser
 
 
+@pytest.mark.campaign
 def test_the_page_is_whole_and_needs_no_network(page: str) -> None:
     tags = parsed(page).tags
     assert not [t for t, _ in tags if t in ("script", "link", "img", "iframe", "object")]
@@ -153,6 +154,7 @@ def test_every_picture_has_a_caption_and_ids_are_unique(page: str) -> None:
         assert reference in ids
 
 
+@pytest.mark.campaign
 def test_the_same_data_give_the_same_bytes(friction: tuple[Recording, Truth]) -> None:
     recording, truth = friction
     assert render_report(recording, linear_model(truth)) == render_report(recording, linear_model(truth))

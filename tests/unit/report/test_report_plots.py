@@ -50,6 +50,7 @@ def columns(path: Path) -> dict[str, np.ndarray]:
     return {name: np.array([float(r[name]) for r in rows]) for name in rows[0]}
 
 
+@pytest.mark.campaign
 def test_every_picture_is_whole_svg_with_its_data_beside_it(written) -> None:
     out, document, _ = written
     axis = document["residual"][0]["axis"]

@@ -71,6 +71,21 @@ def test_the_fitted_cause_is_drawn_at_the_instants_of_the_points_whatever_it_is_
         assert np.std(left) < 0.5 * np.std(side["y"])
 
 
+def test_a_step_is_as_round_in_the_fitted_cause_as_in_the_points_and_stands_beside_as_it_is(
+    friction: tuple[Recording, Truth, Model],
+) -> None:
+    recording, _, model = friction
+    (view,) = cause_views(recording, model, diagnosed(recording, model, coulomb(recording.axes[1])))
+    own, *others = view["sides"]
+    y, fit = np.array(own["y"]), np.array(own["fit"]["y"])
+    step = np.interp(own["x"], own["law"]["x"], own["law"]["y"])
+    assert np.std(y - fit) < 0.6 * np.std(y - step)
+    assert max(own["law"]["y"]) == pytest.approx(TORQUE)
+    assert all(side["law"] is None for side in others)
+    low, high = view["band_hz"]
+    assert 0 < low < high
+
+
 def test_over_frequency_the_right_cause_takes_the_missing_torque_down_and_a_wrong_one_does_not(
     friction: tuple[Recording, Truth, Model],
 ) -> None:

@@ -101,6 +101,7 @@ def of_torque(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
+@pytest.mark.campaign
 def test_sizes_lie_within_their_standard_deviations_and_the_rest_at_the_floor():
     distance, floors = [], []
     for seed in range(6):
@@ -128,22 +129,7 @@ def test_sizes_lie_within_their_standard_deviations_and_the_rest_at_the_floor():
     assert 0.85 < np.mean(floors) < 1.15, floors
 
 
-def test_friction_that_bends_sharply_never_pushes():
-    for seed in range(3):
-        rng = np.random.default_rng(7200 + seed)
-        dry = of_torque(rng, 0.5, 1.5)
-        axis = Axis(of_torque(rng, 0.5, 2.0), (dry, dry), static=dry * rng.uniform(2.0, 3.0), slow=0.3)
-        for _ in range(3):
-            axis.record(rng, wander(rng))
-        causes = found(axis.diagnosis())
-        assert "stribeck_friction" in causes, (seed, causes)
-        assert causes["stribeck_friction"]["static"][0] == pytest.approx(axis.static, rel=0.02)
-        assert causes["stribeck_friction"]["coulomb"][0] == pytest.approx(dry, rel=0.02)
-        for cause, parameters in causes.items():
-            for name, (value, _) in parameters.items():
-                assert value >= 0 or not cause.endswith("friction"), (seed, cause, name, value)
-
-
+@pytest.mark.campaign
 def test_a_drag_with_the_square_of_the_speed_is_a_law_without_a_name():
     laws = 0
     for seed in range(5):
@@ -166,25 +152,7 @@ def test_a_drag_with_the_square_of_the_speed_is_a_law_without_a_name():
     assert laws >= 4  # where validation is faster than what was fitted, no law need hold
 
 
-def test_a_coefficient_at_its_bound_is_zero_and_has_a_standard_deviation():
-    for seed in range(3):
-        rng = np.random.default_rng(7300 + seed)
-        dry = (of_torque(rng, 0.5, 1.0), of_torque(rng, 1.5, 3.0))
-        axis = Axis(of_torque(rng, 0.5, 2.0), dry, (0.0, of_torque(rng, 0.5, 1.0)))
-        for _ in range(2):
-            axis.record(rng, wander(rng))
-        friction = found(axis.diagnosis())["asymmetric_friction"]
-        value, std = friction["viscous_positive"]
-        assert 0.0 <= value < 4 * std
-        assert 0 < std < 0.01
-        for name, truth in (
-            ("coulomb_positive", dry[0]),
-            ("coulomb_negative", dry[1]),
-            ("viscous_negative", axis.wet[1]),
-        ):
-            assert friction[name][0] == pytest.approx(truth, rel=5e-3)
-
-
+@pytest.mark.campaign
 @pytest.mark.parametrize("turns", [0, 1, 4], ids=["one way", "forth and back", "several times"])
 @pytest.mark.parametrize("kept_out", [0, 2], ids=["all identify", "two validate"])
 def test_constant_speeds_show_friction_however_they_are_cut_into_records(turns: int, kept_out: int):
@@ -236,6 +204,7 @@ def arm(rng: np.random.Generator, seconds: float = 15.0) -> list[Experiment]:
     return records
 
 
+@pytest.mark.campaign
 def test_which_motion_of_an_arm_validates_changes_no_cause():
     for seed in range(2):
         records = arm(np.random.default_rng(7500 + seed))

@@ -48,14 +48,6 @@ def test_friction_that_grows_with_the_weight_is_named_with_its_size_beside_gravi
     assert named.after < named.before
 
 
-def test_what_the_weight_leaves_is_coulomb_friction_beside_it():
-    diagnosis = loaded(np.random.default_rng(2), stroke=1.5, dry=0.4, grows=0.2)
-    found = {f.effect.cause: f.effect for f in diagnosis.findings}
-    assert set(found) == {"gravity", "coulomb_friction", "load_dependent_friction"}, diagnosis.sentences
-    assert found["load_dependent_friction"].value("coefficient") == pytest.approx(0.2, rel=0.05)
-    assert found["coulomb_friction"].value("torque") == pytest.approx(0.4, rel=0.05)
-
-
 def test_coulomb_friction_under_a_varying_weight_is_not_called_load_dependent():
     diagnosis = loaded(np.random.default_rng(3), stroke=1.5, dry=0.6, grows=0.0)
     assert {f.effect.cause for f in diagnosis.findings} == {"gravity", "coulomb_friction"}

@@ -196,6 +196,7 @@ def test_constant_speeds_show_stribeck_friction_and_say_that_the_inertia_is_unkn
     assert any("no inertia" in w for w in diagnosis.warnings)
 
 
+@pytest.mark.campaign
 def test_a_chain_with_a_visible_resonance_is_left_to_the_chain_diagnosis():
     rng = np.random.default_rng(8)
     dt = 2e-4
@@ -244,6 +245,7 @@ def test_the_commands_take_a_large_motion_to_a_rigid_model_and_back(tmp_path):
     assert '"coulomb_friction"' in diagnosis.read_text(encoding="utf-8")
 
 
+@pytest.mark.campaign
 def test_more_masses_than_one_are_a_wish_for_the_chain():
     data = recording(simulate(np.random.default_rng(12), seconds=10))
     assert identify(data, masses=[2]).chains.masses_per_branch == (2,)

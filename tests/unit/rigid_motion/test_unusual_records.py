@@ -42,20 +42,6 @@ def test_friction_in_one_direction_only_comes_to_an_end(seed: int) -> None:
     assert found.findings
 
 
-def test_a_fast_record_kept_out_of_slow_ones_leaves_numbers() -> None:
-    rng = np.random.default_rng(3)
-    records = []
-    for key, role, count, waves in (
-        ("000", Role.IDENTIFY, 10_000, ((2.0, 0.3), (1.5, 0.25))),
-        ("001", Role.VALIDATE, 4000, ((2.0, 0.3), (0.1, 6.0))),
-    ):
-        time = np.arange(count) / RATE
-        q = np.stack([size * np.sin(2 * np.pi * hz * time) for size, hz in waves], axis=1)
-        v = np.gradient(q, time, axis=0)
-        records.append(_axes(rng, q, 1.5 * np.sign(v) + 0.4 * v, key, role))
-    assert _are_numbers(diagnose_trajectory(recording(*records)))
-
-
 def test_constant_velocities_of_a_second_each_leave_numbers() -> None:
     rng = np.random.default_rng(1)
     records = []

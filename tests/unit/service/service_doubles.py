@@ -141,16 +141,14 @@ class ScriptedWorker:
         folder, director = self.job.folder, self.director
         document = {**director.model(), "simulated": self.job.simulated}
         (folder / "model.json").write_text(json.dumps(document))
-        (folder / "diagnosis.json").write_text(
-            json.dumps(
-                {
-                    "format": "invid-diagnosis",
-                    "verdict": director.verdict,
-                    "simulated": self.job.simulated,
-                    "findings": director.findings,
-                }
-            )
-        )
+        diagnosis = {
+            "format": "invid-diagnosis",
+            "verdict": director.verdict,
+            "simulated": self.job.simulated,
+            "findings": director.findings,
+            **director.diagnosis(),
+        }
+        (folder / "diagnosis.json").write_text(json.dumps(diagnosis))
         (folder / "report.html").write_text("<html><body>report</body></html>")
 
 
@@ -170,6 +168,8 @@ class Director:
         self.summary: dict[str, Any] = {}
         self.verdict = "consistent"
         self.model: Callable[[], dict[str, Any]] = model_document
+        self.diagnosis: Callable[[], dict[str, Any]] = dict
+        """What more stands in it: without, it is one that cannot be read."""
         self.workers: list[ScriptedWorker] = []
 
     async def launch(self, job: Job) -> ScriptedWorker:

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import hmac
 import json
 import shutil
 import sqlite3
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +18,6 @@ from invid.errors import ConfigError
 from invid_service.keys import Keys, add_key, revoke_key
 from invid_service.service import build, utc_now
 from invid_service.settings import Settings
-from invid_service.webhook import Webhook
 
 CELLS = "/api/v1/cells"
 START = "/api/v1/cells/cell/identifications"
@@ -234,79 +227,13 @@ def test_every_event_of_a_simulated_cell_says_so(tmp_path: Path) -> None:
         assert all(body.get("simulated") is True for body in bodies), bodies
 
 
-# --- webhook ---------------------------------------------------------------------------------------
-@contextmanager
-def receiver(statuses: list[int]) -> Iterator[tuple[str, list[tuple[dict[str, str], bytes]]]]:
-    """A server on loopback that answers with these statuses in turn, then 200; what it was sent."""
-    got: list[tuple[dict[str, str], bytes]] = []
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            body = self.rfile.read(int(self.headers["Content-Length"]))
-            got.append(({k.lower(): v for k, v in self.headers.items()}, body))
-            self.send_response(statuses.pop(0) if statuses else 200)
-            self.send_header("Content-Length", "0")
-            self.end_headers()
-
-        def log_message(self, *_: Any) -> None:
-            pass
-
-    server = HTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_port}/hook?token=hidden", got
-    finally:
-        server.shutdown()
-        server.server_close()
-
-
-def test_the_end_of_a_run_is_told_signed_and_again_where_it_was_not_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    secret = "a secret of more than 24 bytes"
-    (tmp_path / "secret").write_text(secret + "\n")
-    monkeypatch.setattr("invid_service.webhook.WAITS_S", (0.05, 0.05))
-    monkeypatch.setattr(Webhook.__init__, "__defaults__", ((0.05, 0.05),))
-    with receiver([503, 500]) as (url, got):
-        given = {"webhook_url": url, "webhook_secret_file": tmp_path / "secret"}
-        with running(tmp_path, **given) as (client, _):
-            location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
-            wait_for(client, location, "awaiting_accept")
-            client.post(f"{location}/actions", json={"type": "accept"})
-            deadline = time.monotonic() + 10
-            while len(got) < 3 and time.monotonic() < deadline:
-                time.sleep(0.02)
-    assert len(got) == 3
-    for headers, body in got:
-        signed = b".".join((headers["webhook-id"].encode(), headers["webhook-timestamp"].encode(), body))
-        expected = base64.b64encode(hmac.new(secret.encode(), signed, hashlib.sha256).digest()).decode()
-        assert headers["webhook-signature"] == f"v1,{expected}"
-    document = json.loads(got[-1][1])
-    assert document["type"] == "identification.ended"
-    assert document["data"]["state"] == "succeeded"
-    assert document["data"]["simulated"] is True
-    assert secret not in caplog.text
-    assert "token=hidden" not in caplog.text
-
-
-@pytest.mark.parametrize("given", [{}, {"webhook_secret_file": "short"}])
-def test_a_webhook_that_could_not_be_signed_is_refused_at_the_start(
-    tmp_path: Path, given: dict[str, str]
-) -> None:
-    (tmp_path / "short").write_text("too short")
-    files = {k: tmp_path / v for k, v in given.items()}
-    settings = Settings(data_dir=tmp_path / "data", webhook_url="http://127.0.0.1:9/", **files)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="secret"):
-        build(settings, Director().launch, utc_now)
-
-
 def test_a_missing_database_driver_names_the_way_out(tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path / "data", database_url="postgresql+asyncpg2://u@h/d")
     with pytest.raises(ConfigError, match="database_url"):
         build(settings, Director().launch, utc_now)
 
 
+@pytest.mark.campaign
 def test_a_copy_taken_while_the_service_runs_can_be_served(tmp_path: Path) -> None:
     with running(tmp_path) as (client, _):
         location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from invid.numerics.budget import Found
 from invid_service.jobs.analysis_progress import BEGINS, ENDS, STAGES, AnalysisProgress
 from invid_service.jobs.line import Line
 from invid_service.jobs.measurement import Pace
@@ -23,7 +24,7 @@ class Weighing:
     cause: str | None = None
     fraction: float = 0.0
     seconds_left: float | None = None
-    found: tuple[str, ...] = ()
+    found: tuple[Found, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.stage} {self.cause}, {self.axis}"
@@ -44,7 +45,7 @@ def analysis() -> tuple[AnalysisProgress, Clock, list[dict[str, Any]]]:
     def tell(fraction: float, phase: str, **members: Any) -> None:
         told.append({"fraction": fraction, "phase": phase, **members})
 
-    return AnalysisProgress(tell, 40.0, clock=clock), clock, told
+    return AnalysisProgress(tell, 40.0, 600.0, clock=clock), clock, told
 
 
 Analysis = tuple[AnalysisProgress, Clock, list[dict[str, Any]]]
@@ -82,16 +83,34 @@ def test_what_is_weighed_is_told_with_cause_and_axis_and_no_time_but_that_of_ear
     assert told[-1]["fraction"] >= told[-2]["fraction"]
 
 
-def test_an_analysis_that_takes_longer_than_ever_or_is_the_first_promises_no_time(analysis: Analysis) -> None:
+def test_an_analysis_that_takes_longer_than_ever_says_when_it_ends_at_the_latest(analysis: Analysis) -> None:
     progress, clock, told = analysis
     progress.begin("diagnosing")
     clock.now = 100.0
     progress.say()
-    assert told[-1]["eta_s"] is None
-    first = AnalysisProgress(lambda *_, **members: told.append(members), None, clock=clock)
-    first.begin("diagnosing")
+    assert (told[-1]["eta_s"], told[-1]["most_s"]) == (None, pytest.approx(500.0))
+    clock.now = 700.0
+    progress.say()
+    assert told[-1]["most_s"] == 0.0
+
+
+@pytest.mark.parametrize(("identified", "left"), [(4.0, 36.0), (35.0, 65.0)])
+def test_a_first_analysis_is_told_by_what_such_ones_take_and_by_its_own_first_stage(
+    identified: float, left: float
+) -> None:
+    told: list[dict[str, Any]] = []
+    clock = Clock()
+    first = AnalysisProgress(lambda *_, **members: told.append(members), None, 600.0, clock=clock)
+    first.begin("identifying")
+    assert told[-1]["eta_s"] == pytest.approx(40.0)
+    clock.now = identified
+    first.begin("diagnosing")  # about a third of the work lies behind
+    assert told[-1]["eta_s"] == pytest.approx(left)
     first.weigh(Weighing("weighing", "A1", "cogging", 0.5, 480.0))
-    assert told[-1]["eta_s"] is None
+    assert told[-1]["eta_s"] == pytest.approx(left), "what the search says of its own steps is no measure"
+    clock.now += 0.5 * left
+    first.begin("writing the report")
+    assert told[-1]["eta_s"] < 0.1 * clock.now, "nearly done"
 
 
 def test_time_left_of_a_motion_follows_the_pace_that_it_has(analysis: Analysis) -> None:
@@ -107,13 +126,17 @@ def test_time_left_of_a_motion_follows_the_pace_that_it_has(analysis: Analysis) 
 def test_what_is_found_is_told_while_the_search_goes_on(analysis: Analysis) -> None:
     progress, _, told = analysis
     progress.begin("diagnosing")
-    progress.weigh(Weighing("weighing", "A2", "backlash", 0.5, 12.0, ("friction A1 mass 1",)))
-    assert "found so far: friction A1 mass 1; still looking" in told[-1]["phase"]
+    found = Found("coulomb_friction", "A1", element="mass 1")
+    progress.weigh(Weighing("weighing", "A2", "backlash", 0.5, 12.0, (found,)))
+    assert told[-1]["found"] == [
+        {"cause": "coulomb_friction", "axis": "A1", "other_axis": None, "element": "mass 1"}
+    ]
+    assert "found" not in told[-1]["phase"], "the phase is what it does, and short"
 
 
 def test_a_stage_that_begins_is_told_however_short_the_one_before_was() -> None:
     line = Line(io.BytesIO(), sink := io.BytesIO())
-    progress = AnalysisProgress(line.progress, None)
+    progress = AnalysisProgress(line.progress, None, 600.0)
     for stage in STAGES:
         progress.begin(stage)
         progress.weigh(Weighing("weighing", "A1", "backlash", 0.5))

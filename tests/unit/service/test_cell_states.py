@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from pathlib import Path
 from typing import Any
@@ -101,6 +102,25 @@ def test_a_store_that_hangs_keeps_no_state_back(tmp_path: Path, monkeypatch: pyt
         began = time.monotonic()
         assert of(client)["moves"]
         assert time.monotonic() - began < 1.0
+
+
+def test_the_first_state_is_told_at_once_while_the_drives_are_still_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running(tmp_path) as (client, _):
+        service = client.app.state.service  # type: ignore[attr-defined]
+        judged = service.readiness
+
+        async def slow(*given: Any, **named: Any) -> Any:
+            await asyncio.sleep(1.0)
+            return await judged(*given, **named)
+
+        monkeypatch.setattr(service, "readiness", slow)
+        began = time.monotonic()
+        assert of(client)["status"] == "unknown"
+        assert time.monotonic() - began < 0.3
+        known(client)
+        assert of(client)["status"] == "ready"
 
 
 def test_a_stop_of_all_says_for_each_cell_whether_something_moved_until_nothing_does(tmp_path: Path) -> None:

@@ -156,6 +156,7 @@ def test_systemd_is_told_where_it_listens(tmp_path: Path, monkeypatch: pytest.Mo
     assert watchdog_s() is None
 
 
+@pytest.mark.service
 def test_a_service_says_ready_alive_and_stopping(tmp_path: Path) -> None:
     with listening(tmp_path) as listener:
         given = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "600000"}

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from service_doubles import Director, running, wait_for
+
+from invid_service.jobs.doubts import why_untrusted
 
 START = "/api/v1/cells/cell/identifications"
 PLANNED = "A1: velocity could be 2.63 rad/s without its model; limits.velocity ends the run"
@@ -12,6 +15,7 @@ UNSEEN = {"code": "unseen", "text": "A1.damper.1: not seen by these data", "valu
 MISSED = {"code": "missed_torque", "text": "The model cannot be trusted: …", "values": {"share": 0.79}}
 
 
+@pytest.mark.campaign
 def test_the_weightiest_doubt_is_the_reason_and_stays_it_in_a_test_run(tmp_path: Path) -> None:
     director = Director()
     director.summary = {"trustworthy": False, "warnings": [PLANNED], "distrust": [UNSEEN, MISSED]}
@@ -38,3 +42,9 @@ def test_a_run_of_an_earlier_release_without_codes_still_needs_a_reason(tmp_path
         location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
         body = wait_for(client, location, "awaiting_accept")
         assert body["untrusted"] == "the data do not carry the model"
+
+
+def test_a_short_check_is_not_warned_of_as_nobody_accepts_it() -> None:
+    summary = {"verdict": "unexplained", "trustworthy": True}
+    assert why_untrusted("full", summary) is not None
+    assert why_untrusted("screen", summary) is None

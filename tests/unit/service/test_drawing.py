@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
 from service_doubles import Director, model_document, running, wait_for
 
 from invid_service.jobs.drawing import changed_parameters
@@ -19,6 +20,7 @@ def run(client, director, made) -> str:
     return location
 
 
+@pytest.mark.campaign
 def test_the_drawing_shows_the_model_and_what_changed_since_the_one_in_force(tmp_path: Path) -> None:
     with running(tmp_path, Director()) as (client, director):
         first = run(client, director, model_document())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from service_doubles import Director, running, settings_in, wait_for
+from sqlalchemy.exc import OperationalError
 
 from invid.recording import Kind, Outcome, Recording, RecordingWriter, read_recording
 from invid_service.app import create_app
@@ -127,6 +130,44 @@ def test_a_run_in_progress_is_not_analysed_before_its_end(tmp_path: Path) -> Non
         assert (answer.status_code, answer.json()["type"]) == (409, "urn:invid:problem:wrong-state")
 
 
+def test_a_run_whose_end_a_full_disk_does_not_take_is_told_and_stored_when_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("invid_service.jobs.manager._KEEP_RETRY_S", 0.2)
+
+    def full(*_: Any) -> None:
+        raise OperationalError("INSERT", None, sqlite3.OperationalError("database or disk is full"))
+
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        body = {"mode": "full", "arm": True}
+        location = client.post("/api/v1/cells/cell/identifications", json=body).headers["Location"]
+        wait_for(client, location, "running")
+        store = client.app.state.service.store  # type: ignore[attr-defined]
+        with monkeypatch.context() as patched:
+            patched.setattr(store, "save_state", full)
+            patched.setattr(store, "add_artefacts", full)
+            director.failure = {
+                "code": "disk-full",
+                "text": "model.json: cannot be written",
+                "fix": "make room",
+            }
+            client.portal.call(director.go.set)
+            assert wait_for(client, location, "failed")["error"]["code"] == "disk-full"
+            time.sleep(1.5)  # the store still says "running"
+            assert client.get(location).json()["state"] == "failed"
+            assert client.get("/api/v1/cells/cell/state").json()["state"] == "failed"
+        deadline = time.monotonic() + 10.0
+        while client.get(f"{location}/recording").status_code != 200:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        while client.app.state.service.jobs.live(location.rsplit("/", 1)[1]) is not None:  # type: ignore[attr-defined]
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        assert client.get(location).json()["state"] == "failed"
+
+
 def test_what_the_store_does_not_take_waits_for_the_next_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,7 +178,11 @@ def test_what_the_store_does_not_take_waits_for_the_next_start(
         patched.setattr(Blobs, "put", full)
         body = {"mode": "full", "arm": True}
         location = client.post("/api/v1/cells/cell/identifications", json=body).headers["Location"]
-        assert wait_for(client, location, "failed")["error"]["code"] == "store-unavailable"
+        error = wait_for(client, location, "failed")["error"]
+        assert error["code"] == "disk-full"
+        assert "MiB are free" in error["text"]
+        assert str(tmp_path) not in error["text"]
+        assert "make room on it: what was measured is kept" in error["fix"]
         assert client.get(f"{location}/recording").status_code == 404
     with running(tmp_path) as (client, _):
         assert client.get(location).json()["state"] == "failed"

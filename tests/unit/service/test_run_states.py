@@ -17,6 +17,7 @@ from invid.config import load_config
 from invid.errors import ConfigError
 from invid_drivers.measurement import ask_drives
 from invid_service.store.blobs import Blobs
+from invid_service.store.database import open_engine
 
 START = "/api/v1/cells/cell/identifications"
 STOP = "/api/v1/cells/cell/stop"
@@ -112,6 +113,7 @@ def test_a_test_run_asks_for_at_most_a_tenth_of_the_torque(tmp_path: Path) -> No
     assert director.workers[1].job.amplitude_scale == 1.0
 
 
+@pytest.mark.campaign
 def test_every_body_of_a_simulated_cell_says_so(tmp_path: Path) -> None:
     with running(tmp_path) as (client, _):
         location = start(client)
@@ -136,7 +138,6 @@ def test_every_body_of_a_simulated_cell_says_so(tmp_path: Path) -> None:
             client.get("/api/v1/cells/cell/series"),
             client.get("/api/v1/cells/cell/changes", params={"nonsense": 1}),
             act(client, location, "dance"),
-            client.get(f"{location}/export", params={"to": "paper"}),
         ):
             assert answer.status_code in (404, 422), answer.text
             assert answer.json().get("simulated") is True, answer.text
@@ -342,6 +343,7 @@ def test_a_run_nobody_arms_is_cancelled_after_its_time(tmp_path: Path) -> None:
         assert cancelled["error"]["code"] == "timeout"
 
 
+@pytest.mark.campaign
 def test_accepted_models_form_a_history_and_can_be_restored(tmp_path: Path) -> None:
     director = Director()
     with running(tmp_path, director) as (client, _):
@@ -399,6 +401,7 @@ def test_results_within_the_stated_bounds_are_accepted_automatically(
         assert client.get(second).json()["state"] == state
 
 
+@pytest.mark.campaign
 def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
     director = Director()
     with running(tmp_path, director) as (client, _):
@@ -416,6 +419,7 @@ def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
         problem(client.get("/api/v1/cells/cell/changes?from=nothing"), 404, "model-not-found")
 
 
+@pytest.mark.campaign
 def test_the_default_changes_average_accepted_runs_and_two_named_models_only_where_asked(
     tmp_path: Path,
 ) -> None:
@@ -515,10 +519,41 @@ def test_an_audit_log_that_cannot_be_written_lets_nothing_start(
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(service.audit, "write", full)
-        problem(client.post(START, json={"mode": "full", "arm": True}), 507, "disk-full")
+        refused = client.post(START, json={"mode": "full", "arm": True})
+        problem(refused, 507, "disk-full")
+        for said in ("audit.jsonl", "No space left", "MiB are free", "retention_days"):
+            assert said in refused.json()["detail"]
+
+        def forbidden(*_: Any, **__: Any) -> None:
+            raise OSError(13, "Permission denied")
+
+        monkeypatch.setattr(service.audit, "write", forbidden)
+        problem(client.post(START, json={"mode": "full", "arm": True}), 503, "store-unavailable")
         monkeypatch.undo()
         assert director.workers == []
         wait_for(client, start(client), "awaiting_accept")
+
+
+def test_a_store_whose_disk_is_full_says_so_and_not_that_it_is_slow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = open_engine(f"sqlite:///{tmp_path / 'small.sqlite'}")
+    with engine.connect() as connection:
+        connection.exec_driver_sql("PRAGMA max_page_count = 4")  # as a disk that holds no more
+        connection.exec_driver_sql("CREATE TABLE t (x)")
+        with pytest.raises(OperationalError) as full:
+            connection.exec_driver_sql(f"INSERT INTO t VALUES ('{'x' * 20_000}')")
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise full.value
+
+    with running(tmp_path) as (client, _):
+        service = client.app.state.service  # type: ignore[attr-defined]
+        monkeypatch.setattr(service.store, "add_run", refuse)
+        answer = client.post(START, json={"mode": "full", "arm": True})
+        problem(answer, 503, "store-unavailable")
+        assert "its disk is full" in answer.json()["detail"]
+        assert "make room on the disk" in answer.json()["detail"]
 
 
 def test_a_simulated_cell_gets_another_tool_and_its_old_one_back(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import io
 from pathlib import Path
 from typing import Any
 
+import pytest
 from service_doubles import Director, model_document, running, wait_for
 
 API = "/api/v1/cells/cell"
@@ -33,6 +34,7 @@ def accept(client: Any, director: Director, made: dict[str, Any]) -> dict[str, A
     return run
 
 
+@pytest.mark.campaign
 def test_a_cause_that_appears_is_in_the_headline_and_in_the_changes(tmp_path: Path) -> None:
     director = Director()
     with running(tmp_path, director) as (client, _):
@@ -50,6 +52,7 @@ def test_a_cause_that_appears_is_in_the_headline_and_in_the_changes(tmp_path: Pa
         assert cause["to"]["value"] == 3e-4
 
 
+@pytest.mark.campaign
 def test_a_cause_that_the_run_before_had_no_name_for_cannot_be_called_new(tmp_path: Path) -> None:
     director = Director()
     with running(tmp_path, director) as (client, _):
@@ -59,6 +62,7 @@ def test_a_cause_that_the_run_before_had_no_name_for_cannot_be_called_new(tmp_pa
         assert run["summary"]["changes"]["causes"][0]["status"] == "cannot_tell"
 
 
+@pytest.mark.campaign
 def test_a_cause_that_came_is_never_accepted_without_a_person(tmp_path: Path) -> None:
     director = Director()
     with running(
@@ -75,6 +79,7 @@ def test_a_cause_that_came_is_never_accepted_without_a_person(tmp_path: Path) ->
         assert wait_for(client, location, "awaiting_accept")["state"] == "awaiting_accept"
 
 
+@pytest.mark.campaign
 def test_the_history_of_a_parameter_and_of_a_cause_is_a_series_in_json_and_csv(tmp_path: Path) -> None:
     director = Director()
     with running(tmp_path, director) as (client, _):

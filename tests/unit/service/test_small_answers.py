@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import pytest
 from service_doubles import CELL, Director, model_document, running, wait_for
 
 from invid_service.jobs.live import LiveRun, Progress
@@ -27,6 +28,7 @@ def accepted_and_changed(client: Any, director: Director) -> str:
     return location
 
 
+@pytest.mark.campaign
 def test_a_poll_carries_what_changed_and_the_link_carries_every_parameter(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
         location = accepted_and_changed(client, director)

@@ -146,6 +146,7 @@ def test_a_long_trace_is_thinned_and_keeps_its_end() -> None:
     assert trace["position"]["A1"][-1] == 0.6
 
 
+@pytest.mark.campaign
 def test_the_overview_says_state_last_run_and_what_changed(tmp_path: Path) -> None:
     director = Director()
     director.summary = {"headline": "As expected.", "grade": "as_expected"}
@@ -154,7 +155,7 @@ def test_the_overview_says_state_last_run_and_what_changed(tmp_path: Path) -> No
         return client.get("/api/v1/cells").json()["cells"][0]["overview"]
 
     with running(tmp_path, director) as (client, _):
-        assert seen(client) == {"state": "ready", "last_run": None, "changed": None}
+        assert seen(client) == {"state": "ready", "last_run": None, "changed": None, "news": None}
         location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
         wait_for(client, location, "awaiting_accept")
         found = seen(client)
@@ -171,7 +172,11 @@ def test_the_overview_says_state_last_run_and_what_changed(tmp_path: Path) -> No
         assert found["last_run"]["state"] == "succeeded"
         client.post(f"{waiting}/actions", json={"type": "arm"})
         wait_for(client, waiting, "awaiting_accept")
-        assert "A2" in seen(client)["changed"]
+        found = seen(client)
+        assert "A2" in found["changed"]
+        assert found["changed"].startswith(found["news"]["en"])
+        assert "A2" in found["news"]["de"]
+        assert "Achse" in found["news"]["de"] or "Masse" in found["news"]["de"]
 
 
 def recording() -> bytes:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import shutil
+import sqlite3
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -72,6 +74,59 @@ def test_a_store_of_an_older_release_still_opens(tmp_path: Path) -> None:
         assert done.json()["state"] == "succeeded"
         changes = client.get("/api/v1/cells/cell/changes").json()
         assert [p["parameter"] for p in changes["parameters"] if p["status"] == "changed"] == ["A2.mass.3"]
+
+
+def test_a_store_is_copied_before_a_migration_and_the_copy_is_the_way_back(tmp_path: Path) -> None:
+    shutil.copytree(V1, tmp_path, dirs_exist_ok=True)
+    store = tmp_path / "data" / "store.sqlite"
+    before = rows_of(store)
+    with running(tmp_path) as (client, _):
+        client.post(f"/api/v1/identifications/{WAITING}/actions", json={"type": "accept"})
+    (copy,) = store.parent.glob("store-schema-0001-*.sqlite")
+    assert rows_of(copy) == before != rows_of(store)
+    with running(tmp_path):  # nothing to migrate, nothing to copy
+        assert list(store.parent.glob("store-schema-*")) == [copy]
+    # Back, as the page on upgrades says.
+    for beside in ("-wal", "-shm"):
+        store.with_name(store.name + beside).unlink(missing_ok=True)
+    shutil.copy(copy, store)
+    assert rows_of(store) == before
+    with running(tmp_path) as (client, _):
+        assert client.get(f"/api/v1/identifications/{WAITING}").json()["state"] == "awaiting_accept"
+
+
+def rows_of(store: Path) -> dict[str, list[Any]]:
+    """Every row of every table."""
+    with closing(sqlite3.connect(store)) as connection:
+        tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")
+        return {name: connection.execute(f"SELECT * FROM {name}").fetchall() for (name,) in tables.fetchall()}
+
+
+def test_a_store_that_cannot_be_copied_stays_as_it_was_with_the_room_and_the_way_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(V1, tmp_path, dirs_exist_ok=True)
+    store = tmp_path / "data" / "store.sqlite"
+    before = rows_of(store)
+
+    def full(self: Path, *_: Any) -> Path:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(ConfigError, match=r"schema-0001.*No space left.*MiB are free in .*make room"):
+        create_app(settings_in(tmp_path))
+    assert rows_of(store) == before
+    assert not list(store.parent.glob("*.part"))
+
+
+def test_a_store_of_a_newer_release_is_refused_with_the_way_back(tmp_path: Path) -> None:
+    with running(tmp_path):
+        pass
+    store = tmp_path / "data" / "store.sqlite"
+    with closing(sqlite3.connect(store)) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    with pytest.raises(ConfigError, match=r"newer invid made it \(schema 9999.*put back the copy"):
+        create_app(settings_in(tmp_path))
 
 
 @pytest.mark.parametrize("state", ["awaiting_arm", "running", "analysing"])

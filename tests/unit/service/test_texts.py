@@ -13,9 +13,11 @@ from invid import errors
 from invid.config import load_config
 from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Grade
+from invid.numerics.compiled import COMPILING
 from invid.planning import make_plan
 from invid.report.branch_drawing import WORDS
-from invid_service.cells.readiness import Reason
+from invid_service.cells.readiness import Note, Reason
+from invid_service.jobs.analysis_progress import STAGES
 from invid_service.jobs.states import State
 from invid_service.jobs.stops import STOPS, Run, action_for
 from invid_service.jobs.worker import FIXES, error_info
@@ -82,6 +84,8 @@ def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
         wanted |= {f"state.{s}" for s in State} | {f"grade.{g}" for g in Grade}
         for code in get_args(Reason.model_fields["code"].annotation):
             wanted |= {f"reason.{code}", f"reason.{code}.fix"}
+        for code in get_args(Note.model_fields["code"].annotation):
+            wanted |= {f"note.{code}", f"note.{code}.fix"}
         wanted |= {f"problem.{kind}" for kind in PROBLEMS}
         for name in FIXES:
             code = error_info(getattr(errors, name)("x"))["code"]
@@ -92,15 +96,23 @@ def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
         assert wanted - known.keys() == set()
 
 
-def test_every_phase_of_a_sweep_has_its_words() -> None:
+def test_every_phase_of_a_sweep_and_of_an_analysis_has_its_words() -> None:
     config = load_config(Path(__file__).parents[3] / "configs" / "case-study.yaml")
     patterns = [
         re.compile(re.sub(r"\\\{\d\\\}", ".+", re.escape(k.removeprefix("phase."))))
         for k in ENGLISH
         if k.startswith("phase.")
     ]
-    for phase in make_plan(config).phases:
-        assert any(p.fullmatch(phase.name) for p in patterns), phase.name
+    core = Path(__file__).parents[3] / "invid"
+    told = {
+        stage
+        for path in core.rglob("*.py")
+        for stage in re.findall(r"\btell\(\s*f?\"([^\"]+)\"", path.read_text(encoding="utf-8"))
+    }
+    assert {"still looking", "reading spectra", "trying {_label(large)} masses"} <= told
+    names = [p.name for p in make_plan(config).phases] + [COMPILING, *STAGES, *told - {"weighing"}]
+    for name in names:  # "weighing" comes with its cause, which the page names
+        assert any(p.fullmatch(name) for p in patterns), name
 
 
 def test_the_drawing_says_in_english_what_the_catalogue_says() -> None:

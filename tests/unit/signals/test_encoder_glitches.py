@@ -141,6 +141,7 @@ def test_rows_that_are_missing_or_repeated_are_no_glitches() -> None:
     assert remove_glitches(given) == (given, [])
 
 
+@pytest.mark.campaign
 def test_a_model_and_a_diagnosis_do_not_feel_them() -> None:
     clean, _ = make(None, seed=11, motors=1)
     rng = np.random.default_rng(3)

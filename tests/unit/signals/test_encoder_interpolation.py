@@ -68,6 +68,23 @@ def test_motion_that_a_torque_ripple_makes_is_left_as_it_is() -> None:
     assert remove_interpolation_error(recording(true + ripple))[1] == []
 
 
+@pytest.mark.parametrize("crest", ["low", "random"])
+def test_fast_motion_is_no_error_of_its_encoder(crest: str) -> None:
+    """Lines up to a third of the sampling rate, none declared: what is fast is the motion itself, and a wave
+    over a way that it hardly fills looks like it."""
+    lines = np.arange(10, 2000)
+    phase = np.pi * lines**2 / lines.size  # Schroeder
+    if crest == "random":
+        phase = np.random.default_rng(4).uniform(0, 2 * np.pi, lines.size)
+    bins = np.zeros(COUNT // 2 + 1, complex)
+    bins[lines] = np.exp(1j * phase)
+    wave = np.fft.irfft(bins)
+    measured = recording(0.1 * wave / wave.std())
+    (e,) = measured.experiments
+    undeclared = replace(measured, experiments=(replace(e, frequencies_hz=np.zeros(0)),))
+    assert remove_interpolation_error(undeclared) == (undeclared, [])
+
+
 def test_a_short_recording_is_left_as_it_is() -> None:
     measured = recording(motion() + 2.0 * STEP * np.sin(1024.0 * motion()))
     (e,) = measured.experiments

@@ -123,6 +123,7 @@ def test_the_linear_answer_is_that_of_an_independent_integrator() -> None:
     assert relative(answer.experiments[0].position, truth) < 1e-4
 
 
+@pytest.mark.campaign
 def test_a_record_in_steady_state_starts_without_a_transient() -> None:
     time, truth = reference(plant(), nothing, duration=12.0)
     late = time >= 8.0
@@ -281,6 +282,7 @@ def test_a_constant_torque_moves_no_lines_and_is_found_in_the_torque_where_the_m
         assert relative(answer.position, truth) < 1e-3
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("where", ["mass", "spring"])
 def test_sliding_springs_agree_with_an_independent_event_free_scheme(where: str) -> None:
     """Elastoplastic element marched by tiny explicit steps: z is clipped, which no ODE solver likes."""
@@ -371,6 +373,7 @@ def test_eccentricity_distorts_the_reading_only() -> None:
     np.testing.assert_allclose(answer.experiments[0].position, reading, atol=2e-3 * np.ptp(truth))
 
 
+@pytest.mark.campaign
 def test_a_payload_joins_at_its_time() -> None:
     chains = plant()
     heavy = dataclasses.replace(chains, masses=(np.array([1.0, 2.0]), chains.masses[1]))
@@ -577,6 +580,7 @@ def test_effects_that_cannot_be_simulated_are_named(term: EffectTerm, words: str
         simulate(model(plant(), term), record)
 
 
+@pytest.mark.campaign
 def test_the_uncompiled_kernel_gives_the_same_bits_of_motion() -> None:
     from invid.simulation import kernel, run
 

@@ -37,9 +37,3 @@ export async function download(path, name) {
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60000);
 }
-
-// Events of a run behind `last`: what there is, then it ends. No line is held open, of which a browser has six for all its tabs.
-export async function events(path, last) {
-  const text = await (await call("GET", `${path}?follow=false`, undefined, { "Last-Event-ID": last })).text();
-  return [...text.matchAll(/^event: (.*)\ndata: (.*)\nid: (.*)$/gm)].map(([, type, data, id]) => ({ id, type, data: JSON.parse(data) }));
-}

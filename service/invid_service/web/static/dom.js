@@ -37,7 +37,6 @@ export function table(target, head, rows) {
     cells.map((c, i) => el("td", { "data-label": head[i] || null }, [c instanceof Node ? c : String(c ?? "")]))));
   const top = el("tr", {}, head.map((h) => (h ? el("th", { scope: "col" }, h) : el("td"))));
   fill(target, [el("thead", {}, [top]), el("tbody", {}, body)]);
-  target.classList.add("stacks");
 }
 const pointed = (text) => text.replace(".", t("number.point"));
 export function fmt(value, digits = 4) {
@@ -58,6 +57,13 @@ export function estimate(value, std) {
 const LOCALE = navigator.languages.find((l) => l.startsWith(LANGUAGE)) ?? LANGUAGE;
 export const time = (text) => (text ? new Date(text).toLocaleString(LOCALE, { dateStyle: "medium", timeStyle: "medium" }) : "");
 export const when = (text) => (text ? new Date(text).toLocaleString(LOCALE, { dateStyle: "medium", timeStyle: "short" }) : "");
+const AGES = /** @type {[Intl.RelativeTimeFormatUnit, number][]} */ ([["day", 86400], ["hour", 3600], ["minute", 60]]);
+const relative = new Intl.RelativeTimeFormat(LOCALE, { numeric: "auto" });
+// "3 days ago".
+export function ago(text) {
+  const s = (Date.now() - Date.parse(text)) / 1000, [unit, size] = AGES.find(([, n]) => s >= n) ?? ["minute", 60];
+  return relative.format(-Math.floor(Math.max(s, 0) / size), unit);
+}
 export const clock = (at) => new Date(at).toLocaleTimeString(LOCALE, { timeStyle: "medium" });
 export const seconds = (n) => (n < 100 ? t("time.seconds", { n: Math.ceil(n) })
   : t("time.minutes", { m: Math.floor(Math.ceil(n) / 60), s: Math.ceil(n) % 60 }));
@@ -68,6 +74,7 @@ export const typical = (values) => [...values].sort((a, b) => a - b)[Math.floor(
 const widths = new ResizeObserver((entries) => {
   for (const { target } of entries) {
     const box = /** @type {HTMLElement} */ (target.closest(".scroll"));
+    if (!box) continue; // it has left the page
     if (box.scrollWidth > box.clientWidth + 1) box.tabIndex = 0;
     else box.removeAttribute("tabindex");
   }

@@ -1,7 +1,10 @@
 // What was found, in words of the page's language: headline, what changed, groups by grade.
-import { $, el, fill, fmt, sentence } from "./dom.js";
+import { $, el, estimate, fill, fmt, sentence } from "./dom.js";
+import { said } from "./said.js";
+import { spoken } from "./spoken.js";
 import { LANGUAGE, english, has, named, t } from "./texts.js";
 
+const SURE = 0.9; // confidence from which a cause is named without reserve
 const GRADES = ["act", "watch", "as_expected", "none"];
 const SHAPES = { act: "▲", watch: "◆", as_expected: "●", none: "■" };
 const gradeOf = (finding) => finding.consequence?.grade ?? "none";
@@ -58,12 +61,26 @@ export function parameterLabel(name, sizes) {
   return name.replaceAll("_", " ");
 }
 
+// A finding in full, from its numbers; in English, and where the numbers are gone, as the service put it.
+function told(text, findings, full, sizes, linear) {
+  const n = english ? -1 : findings.findIndex((f) => f.sentence === text), f = full[n];
+  if (!f) return spoken("li", text);
+  const numbers = Object.entries(f.parameters).filter(([, e]) => typeof e.value === "number").map(([name, e]) => `${named("effect", name)} ${estimate(e.value, e.std)}${e.unit && e.unit !== "1" ? ` ${e.unit}` : ""}`);
+  const others = [...new Set((f.alternatives ?? []).map((a) => named("cause", a.cause)))].filter((a) => a !== named("cause", f.cause));
+  const doubtful = others.length || f.confidence < SURE, experiment = f.separating_experiment && (f.separating_experiment.kind === "constant_velocity" ? "speeds" : "amplitudes");
+  const parts = [
+    t("finding.full", { axis: f.axis, cause: named("cause", f.cause), place: place(f, sizes) && ` ${place(f, sizes)}`, numbers: numbers.join(", "), share: fmt(100 * f.gain.fraction, 2), confidence: fmt(f.confidence, 3) }),
+    others.length && `${sentence(t("finding.or", { cause: others.join(t("word.or")) }))}.`,
+    size(f, linear) && `${sentence(size(f, linear))}: ${t(`grade.${gradeOf(f)}`)}.`,
+    doubtful ? experiment && `${t("finding.sure", { experiment: t(`experiment.${experiment}`) })}.` : gradeOf(f) !== "as_expected" && has(`check.${f.cause}`) && t(`check.${f.cause}`)];
+  return el("li", {}, parts.filter(Boolean).join(" "));
+}
+
 /** @param {Run} run
  * @param {Model | null} model */
 export function showFindings(run, diagnosis, model) {
   const findings = run.summary.findings ?? [], full = diagnosis?.findings ?? [];
   const sizes = sizesOf(model), linear = linearOf(model), groups = [];
-  const spoken = (text) => el("p", { lang: "en" }, text);
   findings.forEach((f, i) => { f.number = i + 1; });
   for (const grade of GRADES) {
     const list = findings.filter((f) => gradeOf(f) === grade);
@@ -76,17 +93,17 @@ export function showFindings(run, diagnosis, model) {
     })));
   }
   const lost = diagnosis?.unexplained;
-  if (lost) groups.push(el("h3", {}, [gradeBadge("none"), ` ${t("finding.no_name", { axis: lost.axis })}`]), spoken(lost.sentence));
+  if (lost) groups.push(el("h3", {}, [gradeBadge("none"), ` ${t("finding.no_name", { axis: lost.axis })}`]), spoken("p", lost.sentence));
   const against = diagnosis?.against;
   if (against) {
-    groups.push(el("h3", {}, t("result.against")), el("ul", { id: "against", class: "reasons", lang: "en" }, against.sentences.map((line) => el("li", {}, line))));
+    groups.push(el("h3", {}, t("result.against")), el("ul", { id: "against", class: "reasons" }, against.sentences.map((line) => spoken("li", line))));
     if (against.corrected) groups.push(el("p", { class: "links" }, [el("a", { id: "corrected", href: run.links.corrected, "data-download": `${run.id}-${against.corrected}` }, t("file.corrected"))]));
   }
   const sentences = run.summary.sentences ?? [];
   if (sentences.length) {
     groups.push(el("details", { id: "sentences-box" }, [el("summary", {}, t("result.details")),
-      el("ul", { id: "sentences", class: "reasons", lang: "en" }, [...sentences.map((s) => el("li", {}, s)),
-        ...[...new Set(findings.map((f) => f.consequence?.source).filter((s) => s && s !== "config"))].map((source) => el("li", { class: "quiet" }, t("finding.source", { source })))])]));
+      el("ul", { id: "sentences", class: "reasons" }, [...sentences.map((s) => told(s, findings, full, sizes, linear)),
+        ...[...new Set(findings.map((f) => f.consequence?.source).filter((s) => s && s !== "config"))].map((source) => el("li", { class: "quiet" }, t("finding.source", { source: said(source).text })))])]));
   }
   fill($("findings"), groups.length ? [el("h3", { class: "over" }, t("result.findings")), ...groups] : []);
 }

@@ -7,6 +7,7 @@ import { numbersOf } from "./result.js";
 import { $, button, clear, el, fill, table, time, when } from "./dom.js";
 import { ended } from "./spoken.js";
 import { named, t } from "./texts.js";
+import { who } from "./who.js";
 
 export async function showHistory(cell, guarded, open) {
   /** @type {Api["ModelList"]} */
@@ -14,7 +15,7 @@ export async function showHistory(cell, guarded, open) {
   const changes = $("history-changes");
   const restore = (m) => guarded(async () => {
     if (!await ask(changes, { title: t("history.restore.title", { time: time(m.accepted) }), text: t("history.restore.what"), yes: t("history.restore") })) return;
-    await post(`/cells/${cell.id}/models/${m.id}/restore`);
+    await post(`/cells/${cell.id}/models/${m.id}/restore`, who());
     await showHistory(cell, guarded, open);
   });
   const compare = (m) => guarded(async () => {

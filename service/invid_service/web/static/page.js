@@ -1,9 +1,9 @@
 // The technician's page: one cell, one button, what will move, progress, stop, then the result.
 import { Problem, call, download, get, onKeyRefused, post, useKey } from "./api.js";
 import { ask } from "./ask.js";
+import { changed, forgetChanged, offerChanged } from "./changed.js";
 import { why } from "./findings.js";
 import { showHistory } from "./history.js";
-import { clearLive, showLive } from "./live.js";
 import { showOverview, stateText } from "./overview.js";
 import { showPlan } from "./plan.js";
 import { redraw } from "./plots.js";
@@ -15,6 +15,7 @@ import { showStopped } from "./stopped.js";
 import { blind, busy, find, known, look, onState, troubled } from "./store.js";
 import { $, $$, clock, el, fill, fmt, row, sentence, time } from "./dom.js";
 import { choose, named, t } from "./texts.js";
+import { who } from "./who.js";
 
 const ENDED = ["succeeded", "failed", "cancelled", "stopped", "interrupted"];
 const MOVING = ["running", "analysing", "queued", "checking"];
@@ -56,7 +57,7 @@ function draw(news) {
   $("stop-of").textContent = all ? t("stop.all_cells") : c?.name ?? "";
   const moving = known.cells.filter((other) => other.moves && (all || viewed() !== "work" || other !== c)).map((other) => `► ${other.name}: ${stateText(other)}`);
   $("moving").textContent = quiet ? "" : moving.join("; ");
-  if (viewed() === "overview") showOverview(inCell);
+  if (viewed() === "overview") showOverview(acts);
   buttons();
   if (quiet) { $("ready-title").className = ""; $("ready-title").textContent = t("ready.unknown"); }
   if (state.run) title();
@@ -64,10 +65,12 @@ function draw(news) {
   if (news) follow(c);
 }
 onState(draw);
+// What stands above the stop bar has to know how high its words make it.
+new ResizeObserver(() => document.documentElement.style.setProperty("--stop-height", `${$("stopbar").offsetHeight}px`)).observe($("stopbar"));
 
 // What changes something is pressed only where it is known what it meets.
 function buttons() {
-  for (const b of $$("[data-acts]")) b.disabled = blind() || b.dataset.pressed === "true" || (b.id === "prepare" && !state.ready?.can_start);
+  for (const b of $$("[data-acts]")) b.disabled = blind() || b.dataset.pressed === "true" || (["prepare", "screen"].includes(b.id) && !state.ready?.can_start);
 }
 
 // Which run is to be seen: one in progress, whoever started it and whatever is open; then the one that a person opened; then
@@ -85,7 +88,6 @@ function follow(c) {
   if (state.details?.of !== of) details(c.cell, of);
   if (!id) { if (run) show(null); } else if (run?.id !== id || (c.run === id ? run.state !== c.state : MOVING.includes(run.state))) fetchRun(id);
   if (!state.run && Date.now() - state.at > READY_EVERY_MS) refresh();
-  if (run && run.id === c.run && ["running", "analysing"].includes(c.state) && viewed() === "work") showLive(run, state.details?.axes ?? []);
 }
 
 const once = new Set();
@@ -120,8 +122,10 @@ const details = (id, of) => alone(`cell ${id}`, async () => {
   state.details = { ...cell, of };
   $("simulated").hidden = !cell.simulated;
   $("in-force").textContent = cell.model ? t("ready.in_force", { time: time(cell.model.accepted), by: cell.model.by }) : t("ready.no_model");
+  $("screen").hidden = !cell.model; // nothing can have changed since none
   if (state.run) show(state.run);
   if (same) return;
+  offerChanged(cell);
   $("strength").hidden = $("upload-cell-choice").hidden = false;
   fill($("axes"), cell.axes.map((a) => el("label", {}, [el("input", { type: "checkbox", name: "axis", value: a, checked: true }), el("b", {}, a)])));
   fill($("drives"), [el("table", {}, [
@@ -161,11 +165,13 @@ $("start-card").addEventListener("submit", guarded(async (event) => {
   event.preventDefault();
   const form = new FormData(event.target), axes = form.getAll("axis");
   if (!axes.length) { $("problem").hidden = false; fill($("problem"), [t("start.no_axis")]); return; }
-  await begin({ mode: form.get("mode"), axes, ...(form.get("amplitude") === "gentler" ? { amplitude: "gentler" } : {}) }, $("prepare"));
+  await begin({ mode: form.get("mode"), axes, ...(form.get("amplitude") === "gentler" ? { amplitude: "gentler" } : {}), ...changed() }, $("prepare"));
+  forgetChanged();
 }));
+$("screen").addEventListener("click", guarded(async () => { await begin({ mode: "screen", ...changed() }, $("screen")); forgetChanged(); }));
 $("separate").addEventListener("click", guarded(() => begin({ mode: state.run.mode === "simulate" ? "simulate" : "full", separate: state.run.id }, $("separate"))));
 $("analyse").addEventListener("click", guarded(() => pressing($("analyse"), async () => opens(await post(state.run.links.analysis, undefined, unique())))));
-const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));
+const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.changed ? { changed: state.run.changed } : {}), ...(state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));
 
 // --- the run that is seen -----------------------------------------------------------------------------
 /** @param {Run} run */
@@ -189,7 +195,6 @@ function show(run) {
     for (const question of $$("main form.ask")) question.remove();
     keepFocus(run ? (result ? "sentence" : "run-title") : "ready-title");
   }
-  if (before?.id !== run?.id) clearLive();
   if (!run) { $("result-card").hidden = true; refresh(); return; }
   $("start-card").hidden = $("ready-card").hidden = true;
   title();
@@ -201,7 +206,8 @@ function show(run) {
   $("arm").hidden = run.state !== "awaiting_arm";
   $("cancel").hidden = ENDED.includes(run.state) || run.state === "awaiting_accept";
   $("retry").hidden = !ENDED.includes(run.state);
-  $("analyse").hidden = run.mode === "upload" || !["failed", "stopped", "interrupted"].includes(run.state);
+  $("analyse").hidden = run.mode === "upload" || !run.recorded || !["failed", "stopped", "interrupted"].includes(run.state);
+  emphasize();
   $("again").hidden = !ENDED.includes(run.state) && run.state !== "awaiting_accept";
   $("plan").hidden = !(run.plan && ["awaiting_arm", "running"].includes(run.state));
   // To be read before arming; while the robot moves it must not push the progress off a tablet.
@@ -211,6 +217,12 @@ function show(run) {
   if (isNew || find(state.cell)?.run !== run.id) showProgress({ ...run, run: run.id });
   if (result) { showResult(run).catch(say); showDecision(run); } else $("result-card").hidden = true;
   buttons();
+}
+
+// One action of a state invites: what a stop leads to, else what makes most of what was recorded.
+function emphasize() {
+  const first = ["stopped-do", "analyse", "retry"].find((id) => !$(id).closest("[hidden]"));
+  for (const id of ["analyse", "retry"]) $(id).classList.toggle("primary", id === first);
 }
 
 function title() {
@@ -226,7 +238,9 @@ function keepFocus(heading) {
 }
 
 const act = (type) => guarded(async () => {
-  const run = state.run, body = { type };
+  const run = state.run;
+  /** @type {Api["ActionBody"]} */
+  const body = { type, ...(type === "accept" || type === "reject" ? who() : {}) };
   if (type === "accept" && run.untrusted) { // for a reason or not at all
     body.override = await ask($("decide"), { title: t("override.title"), text: why(run), label: t("override.reason"), yes: t("override.yes"), least: 3 });
     if (!body.override) return;
@@ -257,12 +271,17 @@ $("upload-form").addEventListener("submit", async (event) => {
 });
 
 // --- views ------------------------------------------------------------------------------------------
-const inCell = (id) => { setView("work"); enter(id); };
+// What is done with a cell from the table of all.
+const acts = {
+  open: (id) => { setView("work"); enter(id); },
+  begin: guarded((id, pressed) => pressing(pressed, async () => { await post(`/cells/${id}/identifications`, { mode: "full" }, unique()); look(); })),
+  accept: guarded(async (run) => { await post(`${run.links.self}/actions`, { type: "accept" }); look(); }),
+};
 const VIEWS = {
   work: async () => {},
   upload: async () => {},
   history: () => showHistory({ id: state.cell }, guarded, (run) => { state.opened = run.id; setView("work"); fetchRun(run.id); }),
-  overview: async () => showOverview(inCell, true),
+  overview: async () => showOverview(acts, true),
 };
 const ofAll = () => viewed() === "overview" && known.cells.length !== 1;
 const viewed = () => $$("nav [aria-pressed=true]")[0].dataset.view;

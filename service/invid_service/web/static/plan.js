@@ -1,6 +1,6 @@
 // What will move and how far, before anybody arms.
 import { $, el, fill, fmt, seconds, table, MOTION } from "./dom.js";
-import { supporting } from "./spoken.js";
+import { spoken, supporting } from "./spoken.js";
 import { t } from "./texts.js";
 
 /** @param {Run} run
@@ -19,14 +19,15 @@ export function showPlan(run, cell) {
   }));
   $("plan-facts").textContent = `${t("plan.facts", { time: seconds(plan.duration_s), n: plan.experiments?.length ?? "?" })}${run.simulated ? "" : ` ${t("plan.people")}`}`;
   // What the page says in its own words above is not said again.
-  const said = (plan.warnings ?? []).filter((w) => w !== plan.purpose && !(plan.amplitude === "gentler" && w.startsWith("gentler:")));
-  fill($("plan-warnings"), said.map((w) => el("li", { lang: "en" }, w)));
-  $("plan-notes").hidden = !said.length; // unfolded: what is said before arming is read before arming
-  $("plan-notes-title").textContent = t("plan.notes", { n: said.length });
-  $("plan-basis").hidden = !(plan.forecast ?? []).some((f) => f.basis === "limits");
+  const unforeseen = (plan.forecast ?? []).some((f) => f.basis === "limits");
+  const notes = (plan.warnings ?? []).filter((w) => w !== plan.purpose && !(plan.amplitude === "gentler" && w.startsWith("gentler:")) && !(unforeseen && w.startsWith("no model of this cell:")));
+  fill($("plan-warnings"), notes.map((w) => spoken("li", w)));
+  $("plan-notes").hidden = !notes.length; // unfolded: what is said before arming is read before arming
+  $("plan-notes-title").textContent = t("plan.notes", { n: notes.length });
+  $("plan-basis").hidden = !unforeseen;
   $("support").hidden = !plan.support || run.state !== "awaiting_arm";
   $("support-text").textContent = supporting(plan.support);
-  const notes = [run.separates && t("plan.separates"), run.amplitude === "gentler" && t("plan.gentler")].filter(Boolean);
-  $("run-note").hidden = !notes.length || run.state !== "awaiting_arm";
-  $("run-note").textContent = notes.join(" ");
+  const beside = [run.separates && t("plan.separates"), run.amplitude === "gentler" && t("plan.gentler")].filter(Boolean);
+  $("run-note").hidden = !beside.length || run.state !== "awaiting_arm";
+  $("run-note").textContent = beside.join(" ");
 }

@@ -32,11 +32,11 @@ window.addEventListener("afterprint", () => {
 });
 const DASHES = [[], [10, 5], [3, 4]];
 
-function axes(x, y, logX) {
+function axes(x, y) {
   const base = { stroke: colour("--ink"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--grid") }, font: "14px system-ui", labelFont: "14px system-ui", labelSize: 28 };
   const plain = (u, ticks) => ticks.map((v) => (v == null ? "" : short(v)));
   const decades = (u, ticks) => ticks.map((v) => (v == null || !round(v) ? "" : short(v)));
-  return [{ ...base, label: x, values: logX ? decades : plain, filter: logX ? (u, splits) => splits : undefined }, { ...base, label: y, size: 78, values: plain }];
+  return [{ ...base, label: x, values: decades, filter: (u, splits) => splits }, { ...base, label: y, size: 78, values: plain }];
 }
 // 1, 2 or 5 times a power of ten: what a logarithmic axis is labelled at.
 function round(v) { const mantissa = v / 10 ** Math.floor(Math.log10(v) + 1e-9); return [1, 2, 5, 10].some((m) => Math.abs(mantissa - m) < 1e-6); }
@@ -47,7 +47,7 @@ function joined(series) {
   const at = new Map(all.map((v, i) => [v, i]));
   const columns = series.map((s) => {
     const column = new Array(all.length).fill(undefined);
-    s.x.forEach((v, i) => { column[at.get(v)] = s.y[i] > 0 || !s.positive ? s.y[i] : null; });
+    s.x.forEach((v, i) => { column[at.get(v)] = s.y[i] > 0 ? s.y[i] : null; });
     return column;
   });
   return [all, ...columns];
@@ -58,17 +58,17 @@ export function curves(target, picture) {
   return drawCurves(target, picture);
 }
 
-function drawCurves(target, { x, y, series, peaks = [], logX = true, logY = true, alt = "" }) {
+function drawCurves(target, { x, y, series, peaks = [], alt = "" }) {
   target.replaceChildren();
   target.setAttribute("role", "img");
   target.setAttribute("aria-label", alt || `${y}, ${x}: ${series.map((s) => s.label).join(", ")}`);
   const shown = series.filter((s) => s.x.length);
   if (!shown.length) return null;
-  const data = joined(shown.map((s) => ({ ...s, positive: logY })));
+  const data = joined(shown);
   const options = {
     width: Math.max(280, target.clientWidth), height: Math.min(420, Math.max(300, Math.round(target.clientWidth * 0.5))),
-    scales: { x: { time: false, distr: logX ? 3 : 1, range: (u, low, high) => [low * 0.97, high * 1.03] }, y: { distr: logY ? 3 : 1 } },
-    axes: axes(x, y, logX), legend: { live: false }, cursor: { drag: { x: true, y: false } },
+    scales: { x: { time: false, distr: 3, range: (u, low, high) => [low * 0.97, high * 1.03] }, y: { distr: 3 } },
+    axes: axes(x, y), legend: { live: false }, cursor: { drag: { x: true, y: false } },
     series: [{}, ...shown.map((s, k) => ({
       label: s.label, stroke: colour(s.colour), width: s.points ? 0 : s.width ?? 2.5, dash: s.points ? undefined : DASHES[s.dash ?? k % 3], spanGaps: true,
       points: s.points ? { show: true, size: 6, stroke: colour(s.colour), fill: colour(s.colour) } : { show: false },
@@ -102,13 +102,14 @@ function labelPeaks(u, peaks) {
   c.restore();
 }
 
-// Missing torque over what it depends on, with the fitted cause drawn over the cloud.
+// Missing torque over what it depends on: dots; over them squares, the fitted cause in the same band, and the cause itself
+// as a line where it is a curve over this quantity.
 export function cloud(target, picture) {
   drawn.set(target, () => drawCloud(target, picture));
   drawCloud(target, picture);
 }
 
-function drawCloud(target, { x, y, fit, line: joined = true, xLabel, yLabel, alt }) {
+function drawCloud(target, { x, y, fit, law, xLabel, yLabel, alt }) {
   target.replaceChildren();
   target.setAttribute("role", "img");
   target.setAttribute("aria-label", alt);
@@ -120,7 +121,7 @@ function drawCloud(target, { x, y, fit, line: joined = true, xLabel, yLabel, alt
   const c = canvas.getContext("2d");
   c.scale(ratio, ratio);
   const box = { left: 74, top: 12, right: width - 12, bottom: height - 48 };
-  const ys = fit ? y.concat(fit.y) : y;
+  const ys = [y, fit?.y ?? [], law?.y ?? []].flat();
   const [x0, x1] = range(x), [y0, y1] = range(ys);
   const px = (v) => box.left + (v - x0) / (x1 - x0) * (box.right - box.left);
   const py = (v) => box.bottom - (v - y0) / (y1 - y0) * (box.bottom - box.top);
@@ -129,26 +130,13 @@ function drawCloud(target, { x, y, fit, line: joined = true, xLabel, yLabel, alt
   for (const v of ticks(y0, y1)) { line(c, box.left, py(v), box.right, py(v)); c.textAlign = "right"; c.fillText(short(v), box.left - 8, py(v) + 5); }
   c.textAlign = "center"; c.fillText(xLabel, (box.left + box.right) / 2, height - 8);
   c.save(); c.translate(16, (box.top + box.bottom) / 2); c.rotate(-Math.PI / 2); c.fillText(yLabel, 0, 0); c.restore();
-  c.globalAlpha = 0.6; c.fillStyle = colour("--measured");
-  x.forEach((v, i) => { c.beginPath(); c.arc(px(v), py(y[i]), 2.5, 0, 7); c.fill(); });
-  c.globalAlpha = 1;
-  if (fit) {
-    // Over its own quantity a cause is a curve; over any other it is the torque of the same instants.
-    c.strokeStyle = c.fillStyle = colour("--before");
-    const order = joined ? fit.x.map((v, i) => i).sort((a, b) => fit.x[a] - fit.x[b]) : [], single = joined && isCurve(order.map((i) => fit.y[i]));
-    if (single) {
-      c.lineWidth = 3.5; c.beginPath();
-      order.forEach((i, k) => (k ? c.lineTo(px(fit.x[i]), py(fit.y[i])) : c.moveTo(px(fit.x[i]), py(fit.y[i]))));
-      c.stroke();
-    } else fit.x.forEach((v, i) => c.fillRect(px(v) - 2.5, py(fit.y[i]) - 2.5, 5, 5));
-  }
-}
-
-// A function of x jumps rarely; a loop goes back and forth all the time.
-function isCurve(y) {
-  let way = 0;
-  for (let i = 1; i < y.length; i++) way += Math.abs(y[i] - y[i - 1]);
-  return way < 12 * (Math.max(...y) - Math.min(...y));
+  c.globalAlpha = 0.5; c.fillStyle = colour("--before");
+  fit?.x.forEach((v, i) => c.fillRect(px(v) - 3, py(fit.y[i]) - 3, 6, 6));
+  c.globalAlpha = 0.7; c.fillStyle = colour("--measured");
+  x.forEach((v, i) => { c.beginPath(); c.arc(px(v), py(y[i]), 2, 0, 7); c.fill(); });
+  c.globalAlpha = 1; c.strokeStyle = colour("--before"); c.lineWidth = 2.5; c.beginPath();
+  law?.x.forEach((v, i) => (i ? c.lineTo(px(v), py(law.y[i])) : c.moveTo(px(v), py(law.y[i]))));
+  c.stroke();
 }
 function line(c, ax, ay, bx, by) { c.beginPath(); c.moveTo(ax, ay); c.lineTo(bx, by); c.stroke(); }
 function range(values) {

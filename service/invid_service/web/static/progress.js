@@ -1,24 +1,37 @@
 // How far a run is: what is done or weighed now, what is left, and that it still looks.
 import { $, fmt, seconds } from "./dom.js";
 import { age, blind } from "./store.js";
-import { named, phase, t } from "./texts.js";
+import { and, named, phase, t } from "./texts.js";
 
-const LOOKING_S = 5;
-const seen = { key: "", since: 0 };
 // No more exact than it is known.
 const coarse = (s) => (s < 20 ? s : Math.ceil(s / (s < 100 ? 5 : 30)) * (s < 100 ? 5 : 30));
 
-/** @param {Pick<Now, "run" | "state" | "progress" | "cause" | "axis" | "phase" | "frequency" | "eta_s" | "motion_left_s">} c */
+/** @param {Pick<Now, "run" | "state" | "progress" | "cause" | "axis" | "phase" | "frequency" | "eta_s" | "motion_left_s" | "most_s" | "found">} c */
 export function showProgress(c) {
-  const key = `${c.run} ${c.state}`, now = Date.now();
-  if (seen.key !== key) Object.assign(seen, { key, since: now });
   $("bar").value = c.progress;
   const what = c.cause ? [t(c.axis ? "progress.weighing_on" : "progress.weighing", { cause: named("cause", c.cause), axis: c.axis })]
     : [phase(c.phase), c.axis && !c.phase.includes(c.axis) && t("progress.axis", { axis: c.axis }), c.frequency && `${fmt(c.frequency, 3)} Hz`];
   const parts = [t("progress.percent", { n: Math.round(c.progress * 100), what: what.filter(Boolean).join(", ") })];
-  const [of, known] = c.eta_s != null ? ["progress.left", c.eta_s] : ["progress.motion_left", c.motion_left_s], left = known == null || blind() ? 0 : known - age();
-  if (left > 0.5) parts.push(t(of, { time: seconds(coarse(left)) }));
-  else if (!blind() && c.state === "analysing" && now - seen.since > 1000 * LOOKING_S) parts.push(t("progress.looking", { time: seconds((now - seen.since) / 1000) }));
-  const text = parts.join(", ");
-  if ($("phase").textContent !== text) $("phase").textContent = text;
+  write("phase", [...parts, ...left(c)].join(", "));
+  write("found-so-far", c.state === "analysing" && c.found.length ? t("progress.found", { what: foundSoFar(c.found) }) : "");
+}
+
+// How long it will take, in words; none where that is not known.
+/** @param {Pick<Now, "state" | "eta_s" | "motion_left_s" | "most_s">} c */
+export function left(c) {
+  const [of, known] = c.eta_s != null ? ["progress.left", c.eta_s] : ["progress.motion_left", c.motion_left_s], rest = known == null ? 0 : known - age();
+  if (blind()) return [];
+  if (rest > 0.5) return [t(of, { time: seconds(coarse(rest)) })];
+  return c.state === "analysing" && c.most_s != null ? [t("progress.longer", { time: seconds(coarse(c.most_s - age())) })] : [];
+}
+
+// "friction on A1 and A2, play on A3".
+function foundSoFar(found) {
+  const axes = new Map();
+  for (const { cause, axis, other_axis } of found) axes.set(cause, new Set([...(axes.get(cause) ?? []), other_axis ? `${axis}–${other_axis}` : axis]));
+  return and([...axes].map(([cause, on]) => t("progress.found_on", { cause: named("cause", cause), axes: and([...on]) })));
+}
+
+function write(id, text) {
+  if ($(id).textContent !== text) $(id).textContent = text;
 }

@@ -1,8 +1,10 @@
 // The result: grade and headline, where it is, the decision; what was found; the numbers unfold below.
 import { call, get } from "./api.js";
+import { saidBefore } from "./changed.js";
 import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesOf, spokenHeadline, place, why } from "./findings.js";
 import { cloud, curves, redraw } from "./plots.js";
 import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
+import { spoken } from "./spoken.js";
 import { LANGUAGE, english, has, named, t } from "./texts.js";
 
 // Not before what stands above a button has its place: one that moves under a finger is pressed by mistake.
@@ -42,7 +44,7 @@ export async function showResult(run) {
   showDecision(run);
   if (shown === run.id) return;
   shown = run.id;
-  $("run-facts").textContent = t("run.facts", { kind: named("mode", run.mode), time: time(run.started ?? run.created), by: run.requested_by }) + (run.simulated ? ` ${t("run.simulated")}` : "");
+  $("run-facts").textContent = t("run.facts", { kind: named("mode", run.mode), time: time(run.started ?? run.created), by: run.requested_by }) + (run.simulated ? ` ${t("run.simulated")}` : "") + (run.changed ? `. ${saidBefore(run)}` : "");
   fill($("grade"), [gradeBadge(summary.grade ?? "none")]);
   $("sentence").textContent = headline(summary);
   $("sentence").lang = spokenHeadline(summary) ?? LANGUAGE;
@@ -104,14 +106,15 @@ function separating(run, diagnosis) {
   if (!offered) return;
   const finding = diagnosis?.findings?.[s.finding], other = finding?.alternatives?.find((a) => a.cause !== finding.cause);
   const names = finding && other ? { first: `${finding.axis}: ${named("cause", finding.cause)}`, other: named("cause", other.cause) } : null;
-  fill($("separate-note"), [names ? t("separate.note", names) : t("separate.plain"), s.text ? el("small", { lang: "en" }, s.text) : null].filter(Boolean));
+  fill($("separate-note"), [names ? t("separate.note", names) : t("separate.plain"), s.text ? spoken("small", s.text) : null].filter(Boolean));
 }
 
 function warnings(summary) {
   const all = [...new Set([...(summary.warnings ?? []), ...(summary.changes?.warnings ?? [])].filter(Boolean))];
   $("notes").hidden = !all.length;
   $("notes-title").textContent = t("result.warnings", { n: all.length });
-  fill($("warnings"), [...(english || !all.length ? [] : [el("li", { class: "quiet" }, t("page.untranslated"))]), ...all.map((w) => el("li", { lang: "en" }, w))]);
+  const lines = all.map((w) => spoken("li", w));
+  fill($("warnings"), [...(english || lines.every((l) => l.lang !== "en") ? [] : [el("li", { class: "quiet" }, t("page.untranslated"))]), ...lines]);
 }
 
 // Every number of a model: label, name in series and changes, estimate, unit.
@@ -156,7 +159,6 @@ function table(head, lines, known, change) {
     return el("tr", { class: known.get(l.name)?.status === "changed" ? "changed" : null }, cells.map((c, i) => el("td", { "data-label": head[i] }, [c])));
   });
   fill($("parameters"), [el("thead", {}, [el("tr", {}, head.map((h) => el("th", { scope: "col" }, h)))]), el("tbody", {}, body)]);
-  $("parameters").classList.add("stacks");
 }
 
 // A row of buttons of which one is chosen; `draw` gets the entry.
@@ -240,7 +242,7 @@ function cause(view, sizes) {
   const draw = (side) => {
     if (side.what !== "frequency") {
       const xLabel = has(`over.${side.what}`) ? `${t(`over.${side.what}`)} [${UNIT.exec(side.x_label)?.[1] ?? ""}]` : side.x_label;
-      cloud(target, { x: side.x, y: side.y, fit: side.fit, line: side.what === view.own, xLabel, yLabel, alt: cloudAlt(side, unit, xLabel) });
+      cloud(target, { x: side.x, y: side.y, fit: side.fit, law: side.law, xLabel, yLabel, alt: cloudAlt(side, unit, xLabel) });
       return;
     }
     const s = view.spectrum, series = [{ label: t("chart.lost"), x: s.frequency_hz, y: s.missing, colour: "--measured", dash: 0 }];
@@ -249,7 +251,7 @@ function cause(view, sizes) {
     const alt = t("chart.spectrum.alt", { before: fmt(typical(s.missing), 2), after: fmt(typical(s.left ?? s.missing), 2), unit });
     curves(target, { x: t("chart.frequency"), y: yLabel, series, alt });
   };
-  const caption = t("chart.cause", { axis: view.axis, cause: view.cause ? named("cause", view.cause) : t("chart.cause.none"), place: where ? ` ${where}` : "", note }) + (fitted ? ` ${t("chart.cause.fit")}` : "");
+  const caption = t("chart.cause", { axis: view.axis, cause: view.cause ? named("cause", view.cause) : t("chart.cause.none"), place: where ? ` ${where}` : "", note }) + (fitted ? ` ${t("chart.cause.fit")}` : "") + (fitted && view.band_hz ? ` ${t("chart.cause.band", { low: fmt(view.band_hz[0], 2), high: fmt(view.band_hz[1], 2) })}` : "");
   const figure = el("figure", {}, [el("figcaption", {}, caption), buttons, target]);
   // Drawn when it has a width, which it has only on the page.
   queueMicrotask(() => chooser(buttons, entries, (e) => t("chart.over", { what: named("over", e.what) }), draw));

@@ -1,13 +1,20 @@
 // What the service says with a code: in the page's language where the catalogue has it, else as it is, in English.
 import { Problem } from "./api.js";
 import { el, sentence } from "./dom.js";
+import { said } from "./said.js";
 import { and, english, has, t } from "./texts.js";
 
 const ours = (key) => !english && has(key);
-const detail = (text) => el("small", { lang: "en" }, sentence(text));
+const detail = (text) => spoken("small", text);
+
+// A sentence of the service as an element, in the page's language where there are words for it.
+export function spoken(kind, text) {
+  const words = said(text);
+  return el(kind, { lang: words.lang }, sentence(words.text));
+}
 
 // A reason why a cell cannot start, or a note beside it, with its way out.
-/** @param {Api["Reason"]} r */
+/** @param {Api["Reason"] | Api["Note"]} r */
 export function reasonItem(r, key = `reason.${r.code}`) {
   const known = ours(key), [text, fix] = known ? [t(key, r.values), t(`${key}.fix`, r.values)] : [sentence(r.text), r.fix];
   return el("li", { lang: known ? null : "en" }, [el("b", {}, text), t("ready.todo", { fix })]);
@@ -31,10 +38,15 @@ export function refused(problem) {
 // Why a run ended early. A stopped one has its one action beside it; two that differ are none.
 /** @param {Run} run */
 export function ended(run) {
-  const stop = run.stopped, { code, text, fix } = run.error, said = stop?.reason ?? text;
+  const stop = run.stopped, { code, text, fix } = run.error, reason = stop?.reason ?? text;
   const key = stop ? `halt.${stop.code}` : `error.${code}`;
-  if (!ours(key)) return [`${sentence(said)}.${stop ? "" : ` ${t("ready.todo", { fix })}`}`];
-  return [stop ? t(key) : `${t(key)} ${t("ready.todo", { fix: t(`${key}.fix`) })}`, detail(said)];
+  if (!ours(key)) return [`${sentence(said(reason).text)}.${stop ? "" : ` ${t("ready.todo", { fix })}`}`];
+  return [stop ? t(key) : `${t(key)} ${t("ready.todo", { fix: t(`${key}.fix`) })}`, ...(whole(reason, key) ? [] : [detail(reason)])];
+}
+
+// What the page says already is not said again.
+function whole(reason, key) {
+  return sentence(said(reason).text) === t(key).replace(/\.$/, "");
 }
 
 // Before arming: loads that must not be able to fall far.

@@ -1,1 +1,0 @@
-"""Evidence of a measurement in one signed file, and its results worked out again."""

@@ -1,0 +1,182 @@
+"""Every state of a cell at a desk and on a phone: its one action lies in view, in one language."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from page_browser import Page, browser, needs_browser
+from service_process import SMALL_CELL, Serving, serving
+
+pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
+SIZES = ((1280, 800), (390, 844))
+STIFF = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 0.3}}}\n"
+# Nothing is kept for validation, which is said before arming and with the result.
+SHORT = re.sub(r"  - \{kind: multisine, role: validate.*\n", "", STIFF)
+LONG = SHORT.replace("periods: 3}", "periods: 120}").replace("small", "long")
+ABSENT = SHORT.replace("small", "absent").replace("invid-virtual", "socketcan")
+WORDS = "the|and|of|is|are|it|with|for|that|its|this|from|to|axis|torque|record"
+ENGLISH = re.compile(rf"\b({WORDS})\b", re.IGNORECASE)
+"""Words that no German sentence has."""
+CITATION = re.compile(r"\([^()]*\b(?:19|20)\d\d\b[^()]*\)")
+"""Who found it stays as it is."""
+IN_VIEW = """const b = document.getElementById(arguments[0]).getBoundingClientRect();
+  const over = document.elementFromPoint(b.x + b.width / 2, b.y + b.height / 2);
+  const bar = document.getElementById('stopbar').getBoundingClientRect();
+  const end = arguments[0] === 'stop' ? innerHeight : bar.top;
+  return b.height > 0 && b.top >= 0 && b.bottom <= end && b.left >= 0 && b.right <= innerWidth
+    && over?.closest('button')?.id === arguments[0];"""
+
+
+class Looking(Page):
+    """Looks at a state: in every size, with everything unfolded in the end."""
+
+    def __init__(self, driver: Any, folder: Path, language: str) -> None:
+        super().__init__(driver)
+        self.folder, self.language = Path(os.environ.get("INVID_PICTURES", folder)), language
+        self.english = set[str]()
+
+    def action(self, state: str, *buttons: str) -> None:
+        for width, height in SIZES:
+            self.resize(width, height)
+            self.driver.execute_script("window.scrollTo(0, 0)")
+            self.driver.save_screenshot(str(self.folder / f"{self.language}-{state}-{width}.png"))
+            for button in buttons:
+                assert self.driver.execute_script(IN_VIEW, button), (
+                    f"{state}: #{button} at {width} x {height}"
+                )
+            assert not self.stop_covered(), state
+            assert self.overflow() <= 0, state
+        self.resize(*SIZES[0])
+
+    def reads(self, state: str) -> None:
+        if self.language == "en":
+            return
+        unfold = "for (const d of document.querySelectorAll('details')) d.open = true;"
+        text = str(self.driver.execute_script(f"{unfold} return document.body.innerText"))
+        for line in text.splitlines():
+            if ENGLISH.search(CITATION.sub("", line)):
+                self.english.add(f"{state}: {line}")
+
+    def view(self, name: str) -> None:
+        self.driver.execute_script("window.scrollTo(0, 0)")
+        self.driver.find_element("css selector", f"[data-view={name}]").click()
+        self.shown(f"view-{name}")
+        time.sleep(1.0)
+
+
+@pytest.mark.parametrize("language", ["de", "en"])
+def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
+    tmp_path: Path, language: str
+) -> None:
+    configs = []
+    for name, cell in (("short", SHORT), ("long", LONG), ("absent", ABSENT)):
+        configs.append(str(tmp_path / f"{name}.yaml"))
+        Path(configs[-1]).write_text(cell)
+    with (
+        serving(tmp_path, *configs, cell=None) as service,
+        browser(tmp_path / "profile", language=language) as driver,
+    ):
+        page = Looking(driver, tmp_path, language)
+        page.resize(*SIZES[0])
+        driver.get(service.url + "/")
+        _choose(page, "absent")
+        page.shown("reasons")
+        page.action("refused")
+        assert driver.execute_script(
+            "return document.getElementById('reasons').getBoundingClientRect().bottom"
+            " <= document.getElementById('stopbar').getBoundingClientRect().top"
+        )
+        page.reads("refused")
+        _choose(page, "long")
+        page.action("ready", "prepare")
+        page.reads("ready")
+        page.press(page.shown("prepare"))
+        page.shown("arm")
+        page.action("awaiting arm", "arm", "cancel")
+        assert page.text("plan-warnings"), "something is to be read before arming"
+        page.reads("awaiting arm")
+        page.press(page.shown("arm"))
+        page.shown("progress")
+        location = _started(service, "long")
+        service.wait_for_motion(location)
+        page.action("running", "stop", "cancel")
+        page.reads("running")
+        page.shown("stop").click()
+        service.wait(location, "stopped", timeout=20)
+        page.shown("stopped-do")
+        page.action("stopped", "stopped-do", "retry")
+        page.reads("stopped")
+        page.press(page.shown("retry"))
+        page.press(page.shown("prepare"))
+        page.press(page.shown("cancel"))
+        page.shown("retry")
+        assert not driver.find_element("id", "analyse").is_displayed(), "nothing was recorded"
+        page.action("cancelled", "retry")
+        page.reads("cancelled")
+        page.press(page.shown("retry"))
+        location = _start(service, "long")
+        service.wait_for_motion(location)
+        for runner in service.runners():
+            os.kill(runner, signal.SIGKILL)
+        service.wait(location, "failed", timeout=20)
+        page.shown("retry")
+        page.action("failed", "retry")
+        page.reads("failed")
+        _choose(page, "short")
+        location = _start(service, "short")
+        service.wait(location, "analysing")
+        page.shown("progress")
+        page.action("analysing", "cancel")
+        page.reads("analysing")
+        page.shown("accept", 120)
+        page.drawing()
+        page.action("awaiting accept", "accept", "reject")
+        page.shown("numbers")
+        page.reads("awaiting accept")
+        page.press(page.shown("accept"))
+        page.shown("again")
+        page.action("succeeded", "again")
+        page.reads("succeeded")
+        page.press(page.shown("again"))
+        location = _start(service, "short", mode="test")
+        page.shown("untrusted", 120)
+        page.drawing()
+        page.action("not to be trusted", "accept", "reject")
+        page.reads("not to be trusted")
+        for view in ("history", "overview", "upload"):
+            page.view(view)
+            page.action(view)
+            page.reads(view)
+        assert page.english == set()
+        assert page.mistakes() == []
+
+
+def _choose(page: Looking, cell: str) -> None:
+    from selenium.webdriver.support.ui import Select
+
+    page.driver.execute_script("window.scrollTo(0, 0)")
+    deadline = time.monotonic() + 30
+    while not page.driver.find_elements("css selector", f"#cell option[value={cell}]"):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    Select(page.driver.find_element("id", "cell")).select_by_value(cell)
+    page.shown("ready-card")
+    time.sleep(1.0)
+
+
+def _started(service: Serving, cell: str) -> str:
+    runs = service.client.get("/api/v1/identifications", params={"cell": cell}).json()["identifications"]
+    return str(runs[0]["links"]["self"])
+
+
+def _start(service: Serving, cell: str, **body: str) -> str:
+    given = {"mode": "full", "arm": True, **body}
+    answer = service.client.post(f"/api/v1/cells/{cell}/identifications", json=given)
+    assert answer.status_code == 202, answer.text
+    return str(answer.headers["Location"])

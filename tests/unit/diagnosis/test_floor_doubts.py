@@ -1,0 +1,63 @@
+"""Nothing is sure where a record does not show what its sensors' noise alone would leave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import two_masses
+
+import invid
+from invid.diagnosis.diagnose import diagnose
+from invid.model.diagnosis_document import diagnosis_from_json, diagnosis_to_json
+from invid.recording.model import Experiment, Role
+
+
+def _pair(make: Callable[[Experiment, int], Experiment]) -> list[Experiment]:
+    roles = (Role.IDENTIFY, Role.VALIDATE)
+    return [make(two_masses.from_rest(k, role, f"{k:03d}"), k) for k, role in enumerate(roles)]
+
+
+def test_scatter_between_periods_is_no_floor() -> None:
+    """A torque that no two periods share stood in the floor, and nothing was missing beneath it."""
+
+    def rough(e: Experiment, seed: int) -> Experiment:
+        rng = np.random.default_rng(seed)
+        bins = np.zeros(two_masses.PERIOD // 2 + 1, complex)
+        lines = np.arange(1, 120, 2)
+        bins[lines] = np.exp(2j * np.pi * rng.random(lines.size)) * two_masses.PERIOD / 5
+        asked = np.tile(np.fft.irfft(bins), 6)
+        push = np.repeat(rng.standard_normal(asked.size // 32), 32)
+        position, torque = two_masses.held(asked, two_masses.STEP, two_masses.HOLD, rate=1.0, beside=push)
+        noisy = torque + two_masses.NOISE * rng.standard_normal(torque.size)
+        time = np.arange(asked.size) * two_masses.STEP
+        columns = (c[:, None] for c in (position, noisy, torque))
+        return replace(
+            e, time=time, **dict(zip(("position", "torque", "torque_demand"), columns, strict=True))
+        )
+
+    found = invid.diagnose(two_masses.recording(*_pair(rough)), budget=20.0)
+    assert found.residual[0].noise_floor is None
+    assert all(f.confidence <= 0.5 for f in found.findings)
+    assert any("scatters from period to period" in w for w in found.warnings)
+    again = diagnosis_from_json(diagnosis_to_json(found))
+    assert again.residual[0].noise_floor is None
+
+
+def test_one_short_period_makes_nothing_sure() -> None:
+    def cut(e: Experiment, _: int) -> Experiment:
+        columns = ("time", "position", "torque", "torque_demand")
+        return replace(e, **{name: getattr(e, name)[: two_masses.PERIOD] for name in columns})
+
+    found = diagnose(two_masses.recording(*_pair(cut)))
+    assert found.residual[0].noise_floor is None
+    assert all(f.confidence <= 0.5 for f in found.findings)
+    assert "likely, not certain" in found.headline
+    assert "nicht sicher" in found.headlines["de"]
+
+
+def test_records_that_repeat_to_their_sensors_noise_keep_their_floor() -> None:
+    found = diagnose(two_masses.recording(*_pair(lambda e, _: e)))
+    assert found.residual[0].noise_floor is not None
+    assert "not certain" not in found.headline

@@ -1,0 +1,83 @@
+"""The log of the service: where a run went, for whoever has only the log."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from service_doubles import Director, running, wait_for
+
+from invid_service.logging_setup import configure_logging
+
+START = "/api/v1/cells/cell/identifications"
+
+
+@pytest.fixture
+def root_logger(monkeypatch: pytest.MonkeyPatch) -> Iterator[logging.Logger]:
+    root = logging.getLogger()
+    level = root.level
+    monkeypatch.setattr(root, "handlers", list(root.handlers))
+    yield root
+    root.setLevel(level)
+
+
+def start(client: Any) -> str:
+    return str(client.post(START, json={"mode": "full", "arm": True}).headers["Location"])
+
+
+def test_the_log_holds_start_end_verdict_and_cell_of_every_run(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], root_logger: logging.Logger
+) -> None:
+    director = Director()
+    director.summary = {"headline": "Dry friction on A1.", "grade": "watch"}
+    director.verdict = "explained"
+    configure_logging(json_lines=True)
+    with running(tmp_path, director) as (client, _):
+        accepted, failed = start(client), ""
+        wait_for(client, accepted, "awaiting_accept")
+        client.post(f"{accepted}/actions", json={"type": "accept"})
+        director.failure = {"code": "drive", "text": "A2 does not answer", "fix": "look at its cable"}
+        wait_for(client, failed := start(client), "failed")
+        director.failure = None
+        director.go.clear()
+        wait_for(client, stopped := start(client), "running")
+        client.post("/api/v1/cells/cell/stop")
+        wait_for(client, stopped, "stopped")
+    lines = [json.loads(line) for line in capfd.readouterr().err.splitlines()]
+
+    def of(location: str) -> list[dict[str, Any]]:
+        return [line for line in lines if line.get("run") == location.rsplit("/", 1)[1]]
+
+    began, judged, ended = of(accepted)
+    assert (began["event"], began["cell"], began["mode"], began["caller"]) == (
+        "run began", "cell", "full", "local",
+    )  # fmt: skip
+    assert (judged["state"], judged["verdict"]) == ("awaiting_accept", "explained")
+    assert (judged["grade"], judged["headline"]) == ("watch", "Dry friction on A1.")
+    assert (ended["event"], ended["state"], ended["by"]) == ("run ended", "succeeded", "local")
+    assert all(line["cell"] == "cell" and line["timestamp"] for line in (began, judged, ended))
+    _, ended = of(failed)
+    assert (ended["level"], ended["state"]) == ("warning", "failed")
+    assert (ended["error"], ended["fix"]) == ("drive: A2 does not answer", "look at its cable")
+    _, ended = of(stopped)
+    assert (ended["level"], ended["state"], ended["cell"]) == ("warning", "stopped", "cell")
+
+
+def test_a_run_that_a_kill_cut_off_is_in_the_log_of_the_next_start(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        wait_for(client, location := start(client), "running")
+        # As after a kill: what the end would write never reaches the store.
+        client.app.state.service.jobs._store.save_state = lambda *_: None  # type: ignore[attr-defined]
+    caplog.clear()
+    with caplog.at_level(logging.INFO), running(tmp_path):
+        pass
+    (line,) = [r for r in caplog.records if getattr(r, "run", "") == location.rsplit("/", 1)[1]]
+    assert (line.getMessage(), line.state, line.cell) == ("run ended", "interrupted", "cell")  # type: ignore[attr-defined]

@@ -1,0 +1,156 @@
+"""Records that others published: fetched (here from a server on loopback), checked, with their licence."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+from collections.abc import Iterator
+from dataclasses import asdict
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import pytest
+
+from invid.api import import_recording
+from invid.cli.app import run
+from invid.public_records import SETS, RecordFile, RecordSet
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = next(
+    (p for p in (ROOT.parent / "shared/data", ROOT.parents[1] / "shared/data") if p.is_dir()),
+    ROOT.parent / "shared/data",
+)
+PENDULUM = next(s for s in SETS if s.name == "double_pendulum")
+
+
+class Place:
+    """A server that has what it is given, by path, and counts who asked."""
+
+    def __init__(self) -> None:
+        self.files: dict[str, bytes] = {}
+        self.asked: list[str] = []
+        place = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                path = unquote(self.path).lstrip("/")
+                place.asked.append(path)
+                content = place.files.get(path)
+                self.send_response(200 if content is not None else 404)
+                self.send_header("Content-Length", str(len(content or b"")))
+                self.end_headers()
+                self.wfile.write(content or b"")
+
+            def log_message(self, *_: Any) -> None:
+                pass
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.url = f"http://127.0.0.1:{self.server.server_port}"
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def carry(self, name: str, data: Path) -> None:
+        """Carry a set as its repository does."""
+        records = next(s for s in SETS if s.name == name)
+        for f in records.files:
+            content = data / name / f.name
+            if content.exists():
+                self.files[f"{records.repository}/{records.commit}/{f.upstream}"] = content.read_bytes()
+
+
+@pytest.fixture
+def place() -> Iterator[Place]:
+    found = Place()
+    yield found
+    found.server.shutdown()
+    found.server.server_close()
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch, place: Place) -> bytes:
+    """The pendulum's set with one file of nine bytes and its licence."""
+    content = b"0,1,2\n3,4"
+    rows = [("a.csv", "far away/b.csv", content), ("LICENSE", "LICENSE", b"BSD 3-Clause License")]
+
+    class Small(RecordSet):
+        files = tuple(RecordFile(n, u, hashlib.sha256(c).hexdigest()) for n, u, c in rows)  # type: ignore[assignment]
+
+    monkeypatch.setattr("invid.cli.fetch_data.SETS", (Small(**asdict(PENDULUM)),))
+    for _, upstream, c in rows:
+        place.files[f"{PENDULUM.repository}/{PENDULUM.commit}/{upstream}"] = c
+    return content
+
+
+def test_a_set_comes_with_licence_and_source_and_is_not_fetched_twice(
+    tmp_path: Path, place: Place, small: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["fetch-data", "double_pendulum", "--to", str(tmp_path), "--source", place.url, "--json"]
+    assert run(given) == 0
+    (told,) = json.loads(capsys.readouterr().out)["sets"]
+    own = tmp_path / "double_pendulum"
+    assert (told["folder"], told["licence"][:12]) == (str(own), "BSD-3-Clause")
+    assert (own / "a.csv").read_bytes() == small
+    assert "BSD" in (own / "LICENSE").read_text()
+    assert PENDULUM.commit in (own / "SOURCE.txt").read_text()
+    assert len(place.asked) == 2
+    assert run(given) == 0
+    assert len(place.asked) == 2
+    (own / "a.csv").write_bytes(b"damaged")
+    assert run(given) == 0
+    assert (own / "a.csv").read_bytes() == small
+
+
+def test_another_file_than_the_published_one_is_refused_and_not_kept(
+    tmp_path: Path, place: Place, small: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place.files = dict.fromkeys(place.files, b"something else")
+    assert run(["fetch-data", "double_pendulum", "--to", str(tmp_path), "--source", place.url]) == 2
+    assert "is not the file that was published" in capsys.readouterr().err
+    assert not [p for p in tmp_path.rglob("*") if p.is_file()]
+
+
+def test_without_a_network_the_words_say_what_to_do(
+    tmp_path: Path, place: Place, small: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["fetch-data", "double_pendulum", "--to", str(tmp_path), "--source"]
+    assert run([*given, "http://127.0.0.1:9"]) == 2  # nobody listens on the port "discard"
+    said = capsys.readouterr().err
+    for part in (
+        "b.csv: cannot be reached",
+        "copy that folder",
+        "--source",
+        "demo and quickstart need no record",
+    ):
+        assert part in said
+    place.files.clear()
+    assert run([*given, place.url]) == 2
+    assert "answers 404" in capsys.readouterr().err
+    assert run(["fetch-data", "nope"]) == 2
+    assert "there are double_pendulum" in capsys.readouterr().err
+
+
+def test_every_set_says_licence_and_source_and_pins_every_file() -> None:
+    for s in SETS:
+        assert s.files, s.name
+        assert s.licence
+        assert s.cite
+        assert len(s.commit) == 40
+        assert all(len(f.sha256) == 64 for f in s.files)
+        assert ("LICENSE" in s.licence) == any(f.name == "LICENSE" for f in s.files)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"measured data are not in {DATA}: sets are NOT checked")
+def test_the_published_records_are_those_of_the_tutorials_and_import(tmp_path: Path, place: Place) -> None:
+    for s in SETS:
+        for f in s.files:
+            there = DATA / s.name / f.name
+            if there.exists():  # a licence may lie in the repository alone
+                assert hashlib.sha256(there.read_bytes()).hexdigest() == f.sha256, there
+    for name in ("emps", "screw_drives"):
+        place.carry(name, DATA)
+        assert run(["fetch-data", name, "--to", str(tmp_path), "--source", place.url]) == 0
+    assert import_recording(tmp_path / "emps", ROOT / "configs/import/emps.yaml").experiments
+    drive = tmp_path / "screw_drives" / "driveNo1"
+    assert import_recording(drive, ROOT / "configs/import/screw_drive_1.yaml").experiments
