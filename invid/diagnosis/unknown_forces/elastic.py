@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 
@@ -80,6 +81,8 @@ def search_elastic(recording: Recording, sizes: Sequence[int]) -> ElasticSearch:
 def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
     """The hypothesis with the causes that pay, fitted."""
     gone = {w.key for w in found if not w.stays}
+    # Friction that rises at slow speed rises above dry friction.
+    gone -= {(Part.DRY, w.key[1]) for w in found if w.stays and _is_rise(w.key)}
     laws = tuple(p for p in now.hypothesis.laws if p.key not in gone)
     columns = {k for k in gone if isinstance(k, tuple) and isinstance(k[0], Part)}
     pairs = {k for k in now.hypothesis.structure.pairs if not any(w.key == k and w.stays for w in found)}
@@ -88,6 +91,10 @@ def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
     return now.refit(
         replace(now.hypothesis, laws=laws, absent=frozenset(absent), channels=channels), iterations=15
     )
+
+
+def _is_rise(key: Hashable) -> TypeGuard[tuple[Part, int]]:
+    return isinstance(key, tuple) and key[0] is Part.RISE
 
 
 def without_causes(now: Supposed) -> Supposed:

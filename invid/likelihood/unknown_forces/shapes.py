@@ -17,7 +17,7 @@ from invid.numerics.arrays import Complex128, Float64, Int64
 
 LARGEST = 0.5
 """Largest step of a shape's logarithm."""
-WIDTH_BOUNDS, STRIBECK_BOUNDS = (3e-4, 0.1), (0.01, 1.0)
+WIDTH_BOUNDS, STRIBECK_BOUNDS = (3e-4, 0.1), (0.01, 8.0)
 """Bounds of a width and a Stribeck velocity over the motor's rms velocity."""
 FALL = 0.5
 """Predicted fall of −2 ln L below which shapes stay."""
@@ -145,7 +145,7 @@ def _first_column(now: Supposed, number: int) -> int:
     return friction + sum(len(p.law.low) for p in now.hypothesis.laws[:number])
 
 
-STRIBECK_GRID = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
+STRIBECK_GRID = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
 WIDTH_GRID = (0.4, 1.0, 2.5)
 """Stribeck velocities over the motor's rms velocity, and widths over the present one, that are looked at."""
 
