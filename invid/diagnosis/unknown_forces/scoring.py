@@ -11,8 +11,9 @@ from invid.effects.supposed_laws import SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.shapes import joint_rows
+from invid.likelihood.unknown_forces.slope import whitened_rows
 from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, vector_of
-from invid.likelihood.unknown_forces.value import along, whitened_rows
+from invid.likelihood.unknown_forces.value import along
 from invid.numerics.arrays import Float64
 
 COARSE = 4

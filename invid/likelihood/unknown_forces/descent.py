@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.likelihood.unknown_forces.value import Numbers, Problem, Slope, Value, evaluate, slope, stronger
+from invid.likelihood.unknown_forces.slope import Slope, slope
+from invid.likelihood.unknown_forces.strengths import stronger
+from invid.likelihood.unknown_forces.value import Numbers, Problem, Value, evaluate
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part
 from invid.likelihood.unknown_forces.plant import Structure
+from invid.likelihood.unknown_forces.slope import number_rows, whitened_rows
 from invid.likelihood.unknown_forces.supposition import Hypothesis, Supposed, vector_of
-from invid.likelihood.unknown_forces.value import along, evaluate, number_rows, whitened_rows
+from invid.likelihood.unknown_forces.value import along, evaluate
 from invid.numerics.arrays import Complex128, Float64, Int64
 
 LARGEST = 0.5

@@ -19,8 +19,9 @@ import numpy as np
 
 from invid.likelihood.unknown_forces.forces import colours, missing_noise
 from invid.likelihood.unknown_forces.plant import Plant
+from invid.likelihood.unknown_forces.slope import ends_of
 from invid.likelihood.unknown_forces.stack import Stack
-from invid.likelihood.unknown_forces.value import Problem, Value, along, ends_of
+from invid.likelihood.unknown_forces.value import Problem, Value, along
 from invid.numerics.arrays import Complex128, Float64
 
 

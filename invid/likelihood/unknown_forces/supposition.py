@@ -16,8 +16,9 @@ from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws
 from invid.likelihood.unknown_forces.plant import Kind, Structure
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
+from invid.likelihood.unknown_forces.strengths import stronger
 from invid.likelihood.unknown_forces.timing import Timing
-from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate, stronger
+from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate
 from invid.numerics.arrays import Complex128, Float64
 
 

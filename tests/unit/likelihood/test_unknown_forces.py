@@ -11,11 +11,12 @@ from unit.likelihood.chain_plant import RATE, ChainPlant
 from invid.likelihood.unknown_forces.forces import Where
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.slope import slope
 from invid.likelihood.unknown_forces.smoother import smooth
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
 from invid.likelihood.unknown_forces.timing import Timing
-from invid.likelihood.unknown_forces.value import Numbers, evaluate, slope
+from invid.likelihood.unknown_forces.value import Numbers, evaluate
 from invid.recording.model import Role
 from invid.signals.record import make_record
 
