@@ -57,6 +57,8 @@ class SupposedLaw(ABC):
     at: str
     """Kind of place: "motor", "mass", "load" or "spring"."""
     low: tuple[float, ...] = (-np.inf,)
+    least_axes = 1
+    """Axes without which it is another number of the plant."""
     several = False
     """Whether it may stand at one place several times."""
     shape_step = 0.01
@@ -286,6 +288,7 @@ class TorqueGain(SupposedLaw):
     """More or less torque acts than is recorded, by a share of it."""
 
     cause, at = "torque_gain", "motor"
+    least_axes = 2
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         torque = np.zeros(motion.position.size) if motion.torque is None else motion.torque

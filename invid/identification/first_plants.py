@@ -23,7 +23,7 @@ DAMPING_RATIO = 0.02
 """Of every spring at the start."""
 SPLIT = 4.0
 """Concentration of the random shares: of two masses one is rarely less than a tenth of the other."""
-FREQUENCIES = (0.2, 1.1)
+FREQUENCIES = (0.06, 1.1)
 """Range of the springs' own frequencies over the highest excited one."""
 GRIDS = {1: 60, 2: 26, 3: 19, 4: 15}
 """Frequencies of the grid by the number of zeros: ten thousand sets at most."""

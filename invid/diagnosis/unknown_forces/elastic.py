@@ -16,7 +16,7 @@ from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_elem
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
-from invid.identification.contest import begin
+from invid.identification.contest import begin, begin_open
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Kind, Structure
 from invid.likelihood.unknown_forces.shapes import curvature
@@ -56,8 +56,11 @@ def records_of(recording: Recording) -> list[Record]:
     return [make_record(e, recording.encoder_resolution, top) for e in recording.experiments]
 
 
-def search_elastic(recording: Recording, sizes: Sequence[int]) -> ElasticSearch:
-    """The search over causes on the records for fitting, judged on those kept out."""
+def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> ElasticSearch:
+    """The search over causes on the records for fitting, judged on those kept out.
+
+    ``sizes``: masses of each axis; as many as the records ask for where not given.
+    """
     records = records_of(recording)
     fitted = [r for r in records if r.role is Role.IDENTIFY]
     kept = [r for r in records if r.role is Role.VALIDATE]
@@ -66,7 +69,11 @@ def search_elastic(recording: Recording, sizes: Sequence[int]) -> ElasticSearch:
     damping = hold_damping(records)
     bench = Bench(stack_records(fitted, damping))
     try:
-        first = begin(bench, Structure(tuple(sizes)), Bench(stack_records(kept, damping)) if kept else None)
+        beside = Bench(stack_records(kept, damping)) if kept else None
+        if sizes is None:
+            first = begin_open(bench, recording.axis_count, beside)
+        else:
+            first = begin(bench, Structure(tuple(sizes)), beside)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"
@@ -104,7 +111,7 @@ def without_causes(now: Supposed) -> Supposed:
     return now.refit(replace(now.hypothesis, laws=(), absent=absent), iterations=15)
 
 
-def diagnose_elastic(recording: Recording, sizes: Sequence[int]) -> Diagnosis:
+def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagnosis:
     """What the chains get wrong on a recording, in the contract's terms."""
     found = search_elastic(recording, sizes)
     before, after = axis_missing(found.bare), axis_missing(found.end)
@@ -112,8 +119,8 @@ def diagnose_elastic(recording: Recording, sizes: Sequence[int]) -> Diagnosis:
     causes = named_causes(found, before, after)
     effects = tuple(c.effect for c in causes)
     explained = explained_share(residual)
-    sizes = tuple(sizes)
-    findings = [finding_of(c, explained, sizes, recording.axes, at_noise=True) for c in causes]
+    masses = found.end.hypothesis.structure.sizes
+    findings = [finding_of(c, explained, masses, recording.axes, at_noise=True) for c in causes]
     sure = [f for f in found.forces if f.is_sure]
     left = describe_left(found, sure, recording)
     return assemble_diagnosis(

@@ -42,6 +42,7 @@ def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
     return [
         PlacedLaw(law, spot, shape)
         for law in laws
+        if law.least_axes <= now.hypothesis.structure.motors
         for spot in spots_of(law, now.hypothesis.structure)
         if law.several or (law.cause, spot) not in taken
         for shape in law.shapes(now.motions.flat(spot))
