@@ -197,8 +197,8 @@ def warning() -> str | None:
         spent = f"{SPENT} {budget.seconds:g} s of the processor, at most twice that on the clock, was spent"
         if used < budget.seconds:
             spent = (
-                f"{SPENT} {budget.seconds:g} s of the processor, at most twice that on the clock, ended parts "
-                f"of the work at their shares of it, after {used:.2g} s in all"
+                f"{SPENT} {budget.seconds:g} s of the processor, at most twice that on the clock, ended "
+                f"parts of the work at their shares of it, after {used:.2g} s in all"
             )
         way_out = f"a larger --budget than {budget.seconds:g} lets the search end by itself"
     return (
