@@ -194,11 +194,12 @@ def warning() -> str | None:
         spent, way_out = f"{SPENT} this search was ended by whoever waited", "let it run to its end"
     else:
         used = budget.clock() - budget.began
-        spent = f"{SPENT} {budget.seconds:g} s of the processor, at most twice that on the clock, "
+        spent = f"{SPENT} {budget.seconds:g} s of the processor, at most twice that on the clock, was spent"
         if used < budget.seconds:
-            spent += f"ended parts of the work at their shares of it, after {used:.2g} s in all"
-        else:
-            spent += "was spent"
+            spent = (
+                f"{SPENT} {budget.seconds:g} s of the processor, at most twice that on the clock, ended "
+                f"parts of the work at their shares of it, after {used:.2g} s in all"
+            )
         way_out = f"a larger --budget than {budget.seconds:g} lets the search end by itself"
     return (
         f"{spent}; this is the best answer so far, nothing is concluded from what was not looked at: "

@@ -126,6 +126,12 @@ def state_of(service: Service, cell: Cell) -> CellState:
     return CellState(**now, status="unknown" if can_start is None else "ready" if can_start else "not_ready")
 
 
+def _short(phase: str) -> str:
+    """Return a phase cut at a word, within one where it has no other."""
+    cut = shorten(phase, _PHASE, placeholder="…")
+    return phase[:_PHASE] if cut == "…" else cut
+
+
 def _now(service: Service, cell: Cell) -> dict[str, Any]:
     """Return the members of ``CellNow``."""
     run = service.jobs.latest(cell.id)
@@ -137,7 +143,7 @@ def _now(service: Service, cell: Cell) -> dict[str, Any]:
         "state": str(run.record.state),
         "run": run.record.id,
         "since": run.since,
-        "phase": shorten(progress.phase, _PHASE, placeholder="…"),
+        "phase": _short(progress.phase),
         "progress": progress.fraction,
         "eta_s": None if progress.eta_s is None else round(progress.eta_s, 1),
         "motion_left_s": None if progress.motion_left_s is None else round(progress.motion_left_s, 1),
