@@ -1,0 +1,111 @@
+"""What each cause is worth at the end: the rise of −2 ln L when it alone goes out and all else fits anew."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.diagnosis.unknown_forces.pursuit import pays, restructured, role_falls
+from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.shapes import reshape
+from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
+
+PRICE_OF_FRICTION = 25.0
+"""Rise of −2 ln L for a part of the friction of a motor, which is expected on every motor: Schwarz's price
+of its two numbers and ten thousand rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """A cause of the final hypothesis with the rise of −2 ln L on all records and on either role's without
+    it."""
+
+    cause: str
+    key: Hashable
+    rise: float
+    roles: tuple[float, float]
+
+    @property
+    def stays(self) -> bool:
+        """Whether it pays its price."""
+        if isinstance(self.key, tuple) and isinstance(self.key[0], Part):
+            # Its strength left at a motor makes a fit without it less sure of the records kept out.
+            return self.rise > PRICE_OF_FRICTION and sum(self.roles) > PRICE_OF_FRICTION
+        return pays(*self.roles)
+
+
+def worths(now: Supposed) -> list[Worth]:
+    """The worth of every law, mode, load spring, constant torque and part of friction."""
+    out = []
+    for k, placed in enumerate(now.hypothesis.laws):
+        fewer = replace(now.hypothesis, laws=(*now.hypothesis.laws[:k], *now.hypothesis.laws[k + 1 :]))
+        out.append(_worth(now, placed.law.cause, placed.key, now.refit(fewer, iterations=10)))
+    structure = now.hypothesis.structure
+    springs = now.numbers.plant.of_kind(Kind.LOAD_SPRING)
+    deviation = np.sqrt(np.diag(now.fit.covariance))[structure.index(Kind.LOAD_SPRING)]
+    for k, pair in enumerate(structure.pairs):
+        unit = now.numbers.plant.unit[structure.index(Kind.LOAD_SPRING)][k]
+        if abs(springs[k]) > 4.0 * deviation[k] * unit:
+            out.append(_worth(now, "coupling_stiffness", pair, _without(now, pair)))
+    names = [c.name for c in now.fit.problem.columns]
+    for motor in range(structure.motors):
+        for part, cause in (
+            (Part.OFFSET, "torque_offset"),
+            (Part.RISE, "stribeck_friction"),
+            (Part.VISCOUS, "viscous_friction"),
+            (Part.DRY, "coulomb_friction"),
+        ):
+            if now.fit.value.coefficients[names.index((part, motor))]:
+                out.append(_worth(now, cause, (part, motor), _without(now, (part, motor))))
+    for channel, axis in now.hypothesis.channels:
+        absent = now.hypothesis.absent | {(Channel.DELAY, axis)}
+        less = replace(now.hypothesis, channels=now.hypothesis.channels - {(channel, axis)}, absent=absent)
+        out.append(_worth(now, channel.value, (channel, axis), now.refit(less, iterations=15)))
+    for branch in structure.modes:
+        out.append(_worth(now, "extra_mode", ("mode", branch), without_mode(now, branch)))
+    return out
+
+
+def _worth(now: Supposed, cause: str, key: Hashable, less: Supposed) -> Worth:
+    return Worth(cause, key, less.total - now.total, role_falls(less, now))
+
+
+def _without(now: Supposed, name: Hashable) -> Supposed:
+    hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | {name})
+    return reshape(now.refit(hypothesis, iterations=10), 1)
+
+
+def without_mode(now: Supposed, branch: int) -> Supposed:
+    """The fit with a mode's mass put back on its load."""
+    structure, plant = now.hypothesis.structure, now.numbers.plant
+    number = structure.modes.index(branch)
+    fewer = Structure(structure.sizes, tuple(b for b in structure.modes if b != branch))
+    at, link = sum(structure.sizes) + number, len(structure.links) - len(structure.modes) + number
+    mass = plant.of_kind(Kind.MASS).copy()
+    mass[structure.load[branch]] += mass[at]
+    values = np.concatenate(
+        (
+            np.delete(mass, at),
+            np.delete(plant.of_kind(Kind.SPRING), link),
+            np.delete(plant.of_kind(Kind.DAMPER), link),
+            plant.of_kind(Kind.COUPLING),
+            plant.of_kind(Kind.LOAD_SPRING),
+        )
+    )
+    laws = tuple(p for p in (_moved(p, at, link) for p in now.hypothesis.laws) if p is not None)
+    numbers = replace(now.numbers, plant=Plant.of_values(fewer, values))
+    return restructured(now, replace(now.hypothesis, structure=fewer, laws=laws), numbers, 25)
+
+
+def _moved(placed: PlacedLaw, mass: int, link: int) -> PlacedLaw | None:
+    """A law in the structure without a mass and its spring; none where it stood there."""
+    gone = link if placed.spot.where is Where.SPRING else mass
+    if placed.spot.where is Where.MOTOR or placed.spot.number < gone:
+        return placed
+    if placed.spot.number == gone:
+        return None
+    return replace(placed, spot=Spot(placed.spot.where, placed.spot.number - 1))

@@ -1,0 +1,105 @@
+"""Where a search begins: starts of both classes in short fits, the best of each class to the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from invid.identification.first_plants import fraction_plants, random_plants
+from invid.likelihood.unknown_forces.motor_laws import first_shapes
+from invid.likelihood.unknown_forces.plant import Plant, Structure
+from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.value import Numbers
+from invid.numerics import budget
+
+Benches = tuple[Bench, Bench | None]
+"""Records fitted and kept out."""
+RANDOM = 12
+"""Random splits: of one alone one in three comes home."""
+ROUNDS = ((6, 4), (12, 2), (40, 1))
+"""Iterations of each round, and how many of each class go on."""
+MOST_MASSES = 8
+"""Masses of an axis beyond which none are sought."""
+PRICE_OF_MASS = 60.0
+"""Fall of −2 ln L on all records for one more mass: Schwarz's price of its three numbers is 25; the rest is
+what the form of friction leaves (empirical)."""
+HOME, HOME_AT_MOTORS = 0.01, 0.03
+"""Unknown force over the torque's rms, behind the motors and anywhere, below which a start is home: what
+friction leaves before its shape is fitted stays below a fiftieth (empirical)."""
+
+
+def torque_rms(bench: Bench) -> float:
+    """Rms of the torque on the likelihood's lines."""
+    power = [(np.abs(s.parts.sum(axis=0)) ** 2 * s.weight[:, None]).sum(axis=1).mean() for s in bench.stacks]
+    return float(np.sqrt(np.mean(power) / 2.0))
+
+
+def is_home(found: Supposed) -> bool:
+    """Return whether nothing unknown acts that counts."""
+    torque = torque_rms(found.bench)
+    return found.inner_strength < HOME * torque and found.strength[0][0] < HOME_AT_MOTORS * torque
+
+
+def begin(bench: Bench, structure: Structure, kept: Bench | None = None, seed: int = 1) -> Supposed:
+    """The fit of a structure with friction at the motors, from the best of all starts."""
+    fractions = fraction_plants(bench.stacks, structure)
+    if fractions:
+        found = _from_plant((bench, kept), structure, fractions[0], ROUNDS[-1][0])
+        if found is not None and is_home(found):
+            return found
+    rng = np.random.default_rng(seed)
+    classes = [fractions, random_plants(bench.stacks, structure, RANDOM, rng)]
+    ends = [_contest((bench, kept), structure, plants) for plants in classes if plants]
+    best = min((e for e in ends if e is not None), key=lambda e: e.total, default=None)
+    if best is None:
+        raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
+    return best
+
+
+def begin_open(bench: Bench, motors: int, kept: Bench | None = None) -> Supposed:
+    """The fit of as many masses as the records ask for, one axis after another or all at once."""
+    now = begin(bench, Structure((1,) * motors), kept)
+    while max(now.hypothesis.structure.sizes) < MOST_MASSES and not budget.is_left_out("further masses"):
+        sizes = now.hypothesis.structure.sizes
+        wider = [tuple(n + (i == k) for k, n in enumerate(sizes)) for i in range(motors)]
+        wider += [tuple(n + 1 for n in sizes)] if motors > 1 else []
+        tried = []
+        for one in wider:
+            with suppress(np.linalg.LinAlgError):
+                tried.append(begin(bench, Structure(one), kept))
+        best = min(tried, key=lambda f: f.total, default=now)
+        more = sum(best.hypothesis.structure.sizes) - sum(sizes)
+        falls = now.total - best.total, now.kept_total - best.kept_total
+        if sum(falls) < more * PRICE_OF_MASS or min(falls) < 0.0:
+            break
+        now = best
+    return now
+
+
+def _contest(benches: Benches, structure: Structure, plants: Sequence[Plant]) -> Supposed | None:
+    first = [_from_plant(benches, structure, p, ROUNDS[0][0]) for p in plants]
+    return contest([f for f in first if f is not None])
+
+
+def contest(pool: Sequence[Supposed], say: Callable[[str], None] = lambda _: None) -> Supposed | None:
+    """The best of several fits, run further in rounds."""
+    fits = sorted(pool, key=lambda f: f.total)[: ROUNDS[0][1]]
+    for iterations, kept in ROUNDS[1:]:
+        if budget.is_left_out("further starts") and fits:
+            break
+        say(str([round(f.total) for f in fits]))
+        fits = sorted((f.refit(iterations=iterations) for f in fits), key=lambda f: f.total)[:kept]
+    return fits[0] if fits else None
+
+
+def _from_plant(benches: Benches, structure: Structure, plant: Plant, iterations: int) -> Supposed | None:
+    stacks = benches[0].stacks
+    timing = Timing.nominal(structure.motors, stacks[0].step)
+    numbers = Numbers(plant, timing, first_strength(stacks, structure))
+    try:
+        return suppose(benches, Hypothesis(structure, first_shapes(stacks)), numbers, iterations)
+    except np.linalg.LinAlgError:
+        return None

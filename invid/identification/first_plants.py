@@ -1,0 +1,197 @@
+"""Plants to start from: two classes that fail in different places, so that they compete apart.
+
+*Random splits*: the inertia of each chain from its slowest lines, shared out at random, springs at random
+frequencies of the band. *Continued fractions*: interlaced zeros and poles on a grid against the motor's own
+dynamic stiffness, each set made a chain by Cauer's continued fraction of the lossless stiffness
+
+    Z(λ) = −M λ Π(1 − λ/p_k)/Π(1 − λ/z_k),   λ = ω².
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from invid.likelihood.unknown_forces.plant import Plant, Structure
+from invid.likelihood.unknown_forces.stack import Stack
+from invid.numerics.arrays import Float64
+
+DAMPING_RATIO = 0.02
+"""Of every spring at the start."""
+SPLIT = 4.0
+"""Concentration of the random shares: of two masses one is rarely less than a tenth of the other."""
+FREQUENCIES = (0.06, 1.1)
+"""Range of the springs' own frequencies over the highest excited one."""
+GRIDS = {1: 60, 2: 26, 3: 19, 4: 15}
+"""Frequencies of the grid by the number of zeros: ten thousand sets at most."""
+LOWEST = 0.08
+"""Lowest frequency of the grid over the highest excited one."""
+APART = 2
+"""Sets of zeros and poles that differ by less than so many points of the grid are one."""
+BLUNT = 0.01
+"""Squared loss of the resonances that are compared."""
+SLOW = (0.025, 0.13)
+"""Lines that show a chain's whole inertia, over the highest excited one."""
+
+Chain = tuple[Float64, Float64]
+"""Masses and springs."""
+
+
+def total_inertias(stacks: Sequence[Stack]) -> Float64:
+    """(M,) inertia of each chain from its slowest lines, beside viscous and dry friction."""
+    motors = stacks[0].position.shape[2]
+    out = np.ones(motors)
+    for m in range(motors):
+        rows, right = [], []
+        for stack in stacks:
+            omega = stack.omega
+            top = 2 * np.pi * stack.records[0].top_hz
+            torque = stack.parts.sum(axis=0)
+            for k, record in enumerate(stack.records):
+                if not record.driven[m]:
+                    continue
+                size = np.abs(stack.parts[0, k, :, m])
+                use = (omega > SLOW[0] * top) & (omega < SLOW[1] * top) & (size > 0.1 * size.max())
+                if use.sum() < 3:
+                    use = (omega > 0) & (omega < 2 * SLOW[1] * top)
+                w, theta = omega[use], stack.position[k, use, m]
+                rows.append(
+                    np.stack((-(w**2) * theta, 1j * w * theta, 1j * theta / (np.abs(theta) + 1e-300)), axis=1)
+                )
+                right.append(torque[k, use, m])
+        if rows:
+            columns, target = np.concatenate(rows), np.concatenate(right)
+            columns, target = (
+                np.concatenate((columns.real, columns.imag)),
+                np.concatenate((target.real, target.imag)),
+            )
+            unit = np.linalg.norm(columns, axis=0) + 1e-300
+            out[m] = (np.linalg.lstsq(columns / unit, target, rcond=None)[0] / unit)[0]
+    least: Float64 = np.maximum(out, 1e-3 * np.abs(out).max())
+    return least
+
+
+def plant_of_chains(structure: Structure, chains: Sequence[Chain]) -> Plant:
+    """The plant of uncoupled chains."""
+    mass = np.concatenate([m for m, _ in chains])
+    spring = np.concatenate([k for _, k in chains])
+    reduced = [1 / (1 / mass[a] + 1 / mass[b]) for a, b in structure.links]
+    damper = 2 * DAMPING_RATIO * np.sqrt(spring * np.array(reduced).reshape(spring.shape))
+    none = np.zeros(2 * len(structure.pairs))
+    return Plant.of_values(structure, np.concatenate((mass, spring, damper, none)))
+
+
+def random_plants(
+    stacks: Sequence[Stack], structure: Structure, count: int, rng: np.random.Generator
+) -> list[Plant]:
+    """Random splits of the chains' inertia."""
+    total = total_inertias(stacks)
+    top = 2 * np.pi * stacks[0].records[0].top_hz
+    out = []
+    for _ in range(count):
+        chains = []
+        for whole, n in zip(total, structure.sizes, strict=True):
+            mass = rng.dirichlet(np.full(n, SPLIT)) * whole
+            frequency = top * np.exp(rng.uniform(np.log(FREQUENCIES[0]), np.log(FREQUENCIES[1]), n - 1))
+            chains.append((mass, frequency**2 / (1 / mass[:-1] + 1 / mass[1:])))
+        out.append(plant_of_chains(structure, chains))
+    return out
+
+
+def fraction_plants(stacks: Sequence[Stack], structure: Structure) -> list[Plant]:
+    """Chains by continued fractions: the best of every axis, then each axis and all at their next best."""
+    chains = [fraction_chains(stacks, m, n) for m, n in enumerate(structure.sizes)]
+    if not all(chains):
+        return []
+    motors = structure.motors
+    choices = [[0] * motors, [1] * motors, [2] * motors]
+    if motors > 1:
+        choices += [[int(a == b) for a in range(motors)] for b in range(motors)]
+    seen: dict[tuple[int, ...], None] = {}
+    for choice in choices:
+        seen[tuple(min(c, len(found) - 1) for c, found in zip(choice, chains, strict=True))] = None
+    return [
+        plant_of_chains(structure, [found[c] for c, found in zip(choice, chains, strict=True)])
+        for choice in seen
+    ]
+
+
+def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int = 4) -> list[Chain]:
+    """Chains whose zeros and poles follow the motor's own stiffness best, the best first."""
+    omega, size = own_stiffness(stacks, motor)
+    top = 2 * np.pi * stacks[0].records[0].top_hz
+    zeros = masses - 1
+    if zeros == 0:
+        return [(np.array([np.exp(np.median(np.log(size / omega**2)))]), np.zeros(0))]
+    if zeros not in GRIDS or omega.size < 2 * zeros + 2:
+        return []
+    keep = slice(None, None, max(1, omega.size // 70))
+    omega, level = omega[keep], np.log(size[keep] / omega[keep] ** 2)
+    grid = np.exp(np.linspace(np.log(LOWEST * top), np.log(1.3 * top), GRIDS[zeros]))
+    ratio = (omega[:, None] / grid) ** 2
+    each = 0.5 * np.log((1 - ratio) ** 2 + BLUNT * ratio).T
+    sets = np.array(list(combinations(range(grid.size), 2 * zeros)))
+    shape = each[sets[:, 1::2]].sum(axis=1) - each[sets[:, 0::2]].sum(axis=1)
+    inertia = np.median(level - shape, axis=1)
+    misfit = np.abs(level - shape - inertia[:, None]).mean(axis=1)
+    out: list[Chain] = []
+    taken: list[int] = []
+    for k in np.argsort(misfit)[:400]:
+        if any(np.abs(sets[k] - sets[j]).max() < APART for j in taken):
+            continue
+        taken.append(int(k))
+        mass, spring = cauer_chain(
+            float(np.exp(inertia[k])), grid[sets[k, 1::2]] ** 2, grid[sets[k, 0::2]] ** 2
+        )
+        if (mass > 0).all() and (spring > 0).all():
+            out.append((mass, spring))
+        if len(out) >= most:
+            break
+    return out
+
+
+def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:
+    """Lines [rad/s] and |Z| of a motor with the other motors still, from the records that drive each axis.
+
+    Where there are not as many independent records as motors, torque over motion of the records that drive
+    it.
+    """
+    stack = max(stacks, key=lambda s: s.count)
+    motors = stack.position.shape[2]
+    torque = stack.parts.sum(axis=0)
+    number = [
+        [k for k, r in enumerate(stack.records) if r.driven[m] and r.driven.sum() == 1] for m in range(motors)
+    ]
+    driven = np.abs(stack.parts[0]).max(axis=(0, 2))
+    lines = np.flatnonzero((stack.omega > 0) & (driven > 0.1 * driven.max()))
+    omega = stack.omega[lines]
+    if motors > 1 and all(number):
+        first = [k[0] for k in number]
+        theta = stack.position[first][:, lines].transpose(1, 0, 2)
+        tau = torque[first][:, lines].transpose(1, 0, 2)
+        return omega, np.abs(np.linalg.solve(theta, tau).transpose(0, 2, 1)[:, motor, motor])
+    own = number[motor] or list(range(stack.count))
+    power = (np.abs(stack.position[own][:, lines, motor]) ** 2).sum(axis=0)
+    cross = (torque[own][:, lines, motor] * stack.position[own][:, lines, motor].conj()).sum(axis=0)
+    return omega, np.abs(cross) / np.maximum(power, 1e-300)
+
+
+def cauer_chain(inertia: float, poles: Float64, zeros: Float64) -> Chain:
+    """Masses and springs of the lossless chain with these resonances and (motor fixed) antiresonances
+    [rad²/s²]."""
+    upper = polynomial.polymul([0.0, -inertia], polynomial.polyfromroots(poles) / np.prod(-poles))
+    lower = polynomial.polyfromroots(zeros) / np.prod(-zeros)
+    mass, spring = [], []
+    for _ in poles:
+        first = -upper[-1] / lower[-1]
+        rest = polynomial.polyadd(upper, polynomial.polymul([0.0, first], lower))[: lower.size]
+        stiffness = rest[-1] / lower[-1]
+        lower_rest = polynomial.polysub(lower, rest / stiffness)[: lower.size - 1]
+        mass.append(first)
+        spring.append(stiffness)
+        upper, lower = rest, lower_rest
+    mass.append(-upper[-1] / lower[-1])
+    return np.array(mass), np.array(spring)

@@ -1,0 +1,294 @@
+"""The linear plant as a sum of rank-one terms: numbers to matrices, and what the motors see of them.
+
+    D(ω) = Σ_p v_p Σ_t s_t (jω)^k_t u_t u_tᵀ
+
+Every parameter p adds terms u uᵀ of stiffness (k = 0), damping (1) or inertia (2), so that no derivative
+needs code of its own: a change of D by u uᵀ changes the dynamic stiffness at the motors by V u uᵀ Vᵀ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from invid.numerics.arrays import Bool, Complex128, Float64, Int64
+
+
+class Kind(Enum):
+    """Kinds of parameters, each with the standard deviation of its weak prior, in the units in which it
+    moves.
+
+    Masses, springs and dampers move as logarithms, couplings and load springs in units of their own
+    (``Plant.unit``). The priors keep what the data do not show near its start (empirical: a factor of twenty
+    for masses and springs, of five for dampers).
+    """
+
+    MASS = ("mass", 3.0)
+    SPRING = ("spring", 3.0)
+    DAMPER = ("damper", 1.5)
+    COUPLING = ("coupling", 3.0)
+    LOAD_SPRING = ("load_spring", 3.0)
+
+    def __init__(self, word: str, prior: float) -> None:
+        self.word, self.prior = word, prior
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether it moves as a logarithm."""
+        return self in (Kind.MASS, Kind.SPRING, Kind.DAMPER)
+
+
+@dataclass(frozen=True)
+class Element:
+    """One parameter: its kind, and the coordinates that it joins (``b`` = −1: none)."""
+
+    kind: Kind
+    a: int
+    b: int = -1
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Which parameters a plant has: chains of ``sizes`` masses, one more mass behind the loads of
+    ``modes``, and a ``base`` under all loads on a spring to ground.
+
+    Coordinates stand chain after chain, then the masses of ``modes``, then the base. All loads are coupled
+    through inertia and through springs; the base is coupled to them through inertia.
+    """
+
+    sizes: tuple[int, ...]
+    modes: tuple[int, ...] = ()
+    base: bool = False
+
+    @property
+    def motors(self) -> int:
+        """M."""
+        return len(self.sizes)
+
+    @property
+    def coordinates(self) -> int:
+        """n."""
+        return sum(self.sizes) + len(self.modes) + self.base
+
+    @cached_property
+    def motor(self) -> tuple[int, ...]:
+        """Coordinate of each motor."""
+        return tuple(int(i) for i in np.cumsum((0, *self.sizes[:-1])))
+
+    @cached_property
+    def load(self) -> tuple[int, ...]:
+        """Coordinate of each chain's final mass."""
+        return tuple(int(i) - 1 for i in np.cumsum(self.sizes))
+
+    @cached_property
+    def inner(self) -> tuple[int, ...]:
+        """Coordinates that are no motor."""
+        return tuple(i for i in range(self.coordinates) if i not in self.motor)
+
+    @cached_property
+    def tip(self) -> tuple[int, ...]:
+        """Coordinate of the outermost mass of each chain: its mode's, else its load."""
+        tips = list(self.load)
+        for k, branch in enumerate(self.modes):
+            tips[branch] = sum(self.sizes) + k
+        return tuple(tips)
+
+    def axis_of(self, coordinate: int) -> int:
+        """The chain to which a mass belongs, that of a mode included."""
+        chain = sum(self.sizes)
+        if coordinate >= chain:
+            return self.modes[coordinate - chain]
+        return max(i for i, first in enumerate(self.motor) if first <= coordinate)
+
+    @cached_property
+    def links(self) -> tuple[tuple[int, int], ...]:
+        """Coordinates that each spring joins, chain after chain, then those of ``modes``."""
+        chain = [
+            (first + q, first + q + 1)
+            for first, n in zip(self.motor, self.sizes, strict=True)
+            for q in range(n - 1)
+        ]
+        return (*chain, *((self.load[b], sum(self.sizes) + k) for k, b in enumerate(self.modes)))
+
+    @cached_property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of chains, i < j."""
+        return tuple(combinations(range(self.motors), 2))
+
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """The parameters in the order of ``Plant.x``."""
+        grounded = [(self.coordinates - 1, -1)] if self.base else []
+        stands_on = [(load, self.coordinates - 1) for load in self.load] if self.base else []
+        coupled = [*((self.load[i], self.load[j]) for i, j in self.pairs), *stands_on]
+        return (
+            *(Element(Kind.MASS, i) for i in range(self.coordinates)),
+            *(Element(Kind.SPRING, a, b) for a, b in (*self.links, *grounded)),
+            *(Element(Kind.DAMPER, a, b) for a, b in (*self.links, *grounded)),
+            *(Element(Kind.COUPLING, a, b) for a, b in coupled),
+            *(Element(Kind.LOAD_SPRING, self.tip[i], self.tip[j]) for i, j in self.pairs),
+        )
+
+    def index(self, kind: Kind) -> slice:
+        """Where the parameters of a kind stand."""
+        at = [k for k, e in enumerate(self.elements) if e.kind is kind]
+        return slice(at[0], at[-1] + 1) if at else slice(0, 0)
+
+    @cached_property
+    def logarithmic(self) -> Bool:
+        """(p,) which parameters move as logarithms."""
+        return np.array([e.kind.logarithmic for e in self.elements], dtype=bool)
+
+    @cached_property
+    def prior(self) -> Float64:
+        """(p,) standard deviations of the weak prior."""
+        return np.array([e.kind.prior for e in self.elements])
+
+    @cached_property
+    def terms(self) -> Terms:
+        """The rank-one terms of all parameters."""
+        unit = np.eye(self.coordinates)
+        vectors, power, sign, owner = [], [], [], []
+        for p, e in enumerate(self.elements):
+            apart = unit[e.a] - unit[e.b] if e.b >= 0 else unit[e.a]
+            order = {Kind.MASS: 2, Kind.COUPLING: 2, Kind.DAMPER: 1}.get(e.kind, 0)
+            if e.kind is Kind.COUPLING:  # e_a e_bᵀ + e_b e_aᵀ
+                parts = [(unit[e.a] + unit[e.b], 0.5), (apart, -0.5)]
+            else:
+                parts = [(apart, 1.0)]
+            for vector, factor in parts:
+                vectors.append(vector)
+                power.append(order)
+                sign.append(factor)
+                owner.append(p)
+        return Terms(np.array(vectors).T, np.array(power), np.array(sign), np.array(owner))
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """Rank-one terms: vectors (n, T), powers of jω, signs and the parameters they belong to, each (T,)."""
+
+    vectors: Float64
+    power: Int64
+    sign: Float64
+    owner: Int64
+
+    @cached_property
+    def _first(self) -> Int64:
+        return np.flatnonzero(np.diff(self.owner, prepend=-1))
+
+    def by_parameter(self, values: NDArray[Any]) -> NDArray[Any]:
+        """(…, p) sums over the terms (…, T) of each parameter."""
+        return np.add.reduceat(values, self._first, axis=-1)
+
+    def factors(self, omega: Float64, slope: Float64) -> Complex128:
+        """(F, T) what each term is multiplied by for a step of its parameter, of slope (p,) in physical
+        units."""
+        powers = (1j * omega)[:, None] ** self.power
+        return np.asarray(powers * (self.sign * slope[self.owner]), dtype=np.complex128)
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """A structure with its numbers: ``x`` (p,) as they move, ``unit`` (p,) of those that move linearly."""
+
+    structure: Structure
+    x: Float64
+    unit: Float64
+
+    @classmethod
+    def of_values(cls, structure: Structure, values: Float64) -> Plant:
+        """The plant with physical ``values`` (p,) [kg·m², N·m/rad, N·m·s/rad or of linear axes].
+
+        Couplings move in units of their loads' masses, load springs in units of the springs' geometric
+        mean; a damper of zero moves from a thousandth of what its spring and masses make aperiodic.
+        """
+        unit, log = np.ones(len(values)), structure.logarithmic
+        mass = values[structure.index(Kind.MASS)]
+        springs = values[structure.index(Kind.SPRING)]
+        dampers = structure.index(Kind.DAMPER)
+        joined = structure.elements[structure.index(Kind.SPRING)]
+        eased = [1 / mass[e.a] + (1 / mass[e.b] if e.b >= 0 else 0.0) for e in joined]
+        values = values.copy()
+        values[dampers] = np.maximum(values[dampers], 1e-3 * np.sqrt(springs / np.array(eased).reshape(-1)))
+        for p, e in enumerate(structure.elements):
+            if e.kind is Kind.COUPLING:
+                unit[p] = np.sqrt(mass[e.a] * mass[e.b])
+            elif e.kind is Kind.LOAD_SPRING:
+                unit[p] = np.exp(np.log(springs).mean()) if springs.size else float(mass.mean())
+        x = np.where(log, np.log(np.where(log, values, 1.0)), values / unit)
+        return cls(structure, x, unit)
+
+    @cached_property
+    def values(self) -> Float64:
+        """(p,) physical values."""
+        log = self.structure.logarithmic
+        out: Float64 = np.where(log, np.exp(np.where(log, self.x, 0.0)), self.x * self.unit)
+        return out
+
+    @property
+    def slope(self) -> Float64:
+        """(p,) physical value for a step of one in ``x``."""
+        out: Float64 = np.where(self.structure.logarithmic, self.values, self.unit)
+        return out
+
+    def moved(self, x: Float64) -> Plant:
+        """The plant with other numbers (p,)."""
+        return replace(self, x=x)
+
+    def of_kind(self, kind: Kind) -> Float64:
+        """Physical values of one kind."""
+        return self.values[self.structure.index(kind)]
+
+    @cached_property
+    def matrices(self) -> tuple[Float64, Float64, Float64]:
+        """Stiffness, damping and inertia, (n, n) each."""
+        terms = self.structure.terms
+        weight = terms.sign * self.values[terms.owner]
+        stiffness, damping, inertia = (
+            (terms.vectors * np.where(terms.power == k, weight, 0.0)) @ terms.vectors.T for k in range(3)
+        )
+        return stiffness, damping, inertia
+
+    def is_admissible(self) -> bool:
+        """Return whether all is finite and the inertia positive definite."""
+        if not np.isfinite(self.values).all():
+            return False
+        inertia = self.matrices[2]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(inertia), 1e-300))
+        return bool(np.linalg.eigvalsh(inertia * scale[:, None] * scale)[0] > 1e-3)
+
+    def condense(self, omega: Float64) -> Condensed:
+        """The plant as the motors see it on lines ``omega`` (F,) [rad/s]."""
+        stiffness, damping, inertia = self.matrices
+        s = (1j * omega)[:, None, None]
+        dynamic = stiffness + s * damping + s**2 * inertia
+        motor, inner = np.array(self.structure.motor), np.array(self.structure.inner, dtype=int)
+        receptance = np.zeros(dynamic.shape, dtype=complex)
+        if inner.size:
+            block = np.ix_(np.arange(omega.size), inner, inner)
+            receptance[block] = np.linalg.inv(dynamic[block])
+        motion = -dynamic[:, motor] @ receptance
+        motion[:, :, motor] = np.eye(motor.size)
+        return Condensed(receptance, motion, motion @ dynamic[:, :, motor])
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """The plant as the motors see it on F lines.
+
+    ``receptance`` (F, n, n): X, inverse of D over the inner coordinates, zero elsewhere. ``motion`` (F, M,
+    n):
+    V = [I, −D_mi X], what a force at any coordinate asks of the motors, and (transposed) how every coordinate
+    moves with them. ``stiffness`` (F, M, M): Z = V D_·m.
+    """
+
+    receptance: Complex128
+    motion: Complex128
+    stiffness: Complex128

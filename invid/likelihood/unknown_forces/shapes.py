@@ -1,0 +1,249 @@
+"""Shapes of laws and of friction, moved together with all numbers: Gauss and Newton with each shape's own
+column."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part
+from invid.likelihood.unknown_forces.plant import Structure
+from invid.likelihood.unknown_forces.slope import number_rows, whitened_rows
+from invid.likelihood.unknown_forces.supposition import Hypothesis, Supposed, vector_of
+from invid.likelihood.unknown_forces.value import along, evaluate
+from invid.numerics.arrays import Complex128, Float64, Int64
+
+LARGEST = 0.5
+"""Largest step of a shape's logarithm."""
+WIDTH_BOUNDS, STRIBECK_BOUNDS = (3e-4, 0.1), (0.01, 8.0)
+"""Bounds of a width and a Stribeck velocity over the motor's rms velocity."""
+FALL = 0.5
+"""Predicted fall of −2 ln L below which shapes stay."""
+FRICTION_STEP = 0.05
+
+
+@dataclass(frozen=True)
+class ShapeAt:
+    """One shape of a hypothesis: whose it is, where it stands, its bounds, its derivative."""
+
+    name: Hashable
+    get: Callable[[Hypothesis], float]
+    put: Callable[[Hypothesis, float], Hypothesis]
+    slope: Callable[[Supposed], list[Complex128]]
+    """(R, F) of each stack: change of the law's force by the shape."""
+    vector: Float64
+    low: float
+    high: float
+
+
+def shapes_of(now: Supposed) -> list[ShapeAt]:
+    """All shapes of friction and laws that have a force."""
+    out: list[ShapeAt] = []
+    structure = now.hypothesis.structure
+    coefficients = now.fit.value.coefficients
+    names = [c.name for c in now.fit.problem.columns]
+    speed = _speeds(now)
+    unit = np.eye(structure.coordinates)
+    for motor in range(structure.motors):
+        dry = coefficients[names.index((Part.DRY, motor))]
+        rise = coefficients[names.index((Part.RISE, motor))]
+        vector = unit[structure.motor[motor]]
+        if dry or rise:
+            out.append(_friction_shape(motor, "width", vector, WIDTH_BOUNDS, speed[motor]))
+        if rise:
+            out.append(_friction_shape(motor, "stribeck", vector, STRIBECK_BOUNDS, speed[motor]))
+    for k, placed in enumerate(now.hypothesis.laws):
+        bounds = placed.law.bounds(now.motions.flat(placed.spot))
+        for i, (low, high) in enumerate(bounds):
+            out.append(_law_shape(now, k, i, (low, high), structure))
+    return out
+
+
+def _speeds(now: Supposed) -> Float64:
+    records = [r for s in now.bench.stacks for r in s.records]
+    out: Float64 = np.sqrt(np.mean([(r.motion.velocity**2).mean(axis=0) for r in records], axis=0))
+    return out
+
+
+def _friction_shape(
+    motor: int, name: str, vector: Float64, bounds: tuple[float, float], speed: float
+) -> ShapeAt:
+    def get(h: Hypothesis) -> float:
+        return float(np.log(getattr(h.friction[motor], name)))
+
+    def put(h: Hypothesis, value: float) -> Hypothesis:
+        shapes = list(h.friction)
+        shapes[motor] = replace(shapes[motor], **{name: float(np.exp(value))})
+        return replace(h, friction=tuple(shapes))
+
+    def slope(now: Supposed) -> list[Complex128]:
+        names = [c.name for c in now.fit.problem.columns]
+        value = now.fit.value.coefficients
+        out = []
+        for sign in (1.0, -1.0):
+            shape = put(now.hypothesis, get(now.hypothesis) + sign * FRICTION_STEP).friction[motor]
+            out.append(_friction_force(now, motor, shape, names, value))
+        return [(a - b) / (2 * FRICTION_STEP) for a, b in zip(*out, strict=True)]
+
+    return ShapeAt(
+        (Part.DRY, motor, name),
+        get,
+        put,
+        slope,
+        vector,
+        float(np.log(bounds[0] * speed)),
+        float(np.log(bounds[1] * speed)),
+    )
+
+
+def _friction_force(
+    now: Supposed, motor: int, shape: FrictionShape, names: list[object], value: Float64
+) -> list[Complex128]:
+    parts = [(p, value[names.index((p, motor))]) for p in (Part.DRY, Part.RISE)]
+    lines = [[size * s for s in now.bench.motor_laws.lines(motor, p, shape)] for p, size in parts if size]
+    return [np.sum(stack, axis=0) for stack in zip(*lines, strict=True)]
+
+
+def _law_shape(
+    now: Supposed, number: int, shape: int, bounds: tuple[float, float], structure: Structure
+) -> ShapeAt:
+    def get(h: Hypothesis) -> float:
+        return h.laws[number].shape[shape]
+
+    def put(h: Hypothesis, value: float) -> Hypothesis:
+        laws = list(h.laws)
+        moved = list(laws[number].shape)
+        moved[shape] = value
+        laws[number] = replace(laws[number], shape=tuple(moved))
+        return replace(h, laws=tuple(laws))
+
+    def slope(now: Supposed) -> list[Complex128]:
+        placed = now.hypothesis.laws[number]
+        step = placed.law.shape_step
+        names = [c.name for c in now.fit.problem.columns]
+        first = (
+            names.index((placed.law.cause, placed.spot, 0))
+            if not placed.law.several
+            else _first_column(now, number)
+        )
+        value = now.fit.value.coefficients[first : first + len(placed.law.low)]
+        out = []
+        for sign in (1.0, -1.0):
+            at = put(now.hypothesis, get(now.hypothesis) + sign * step).laws[number].shape
+            out.append([lines @ value for lines in now.bench.law_lines(placed, now.motions, at)])
+        return [(a - b) / (2 * step) for a, b in zip(*out, strict=True)]
+
+    return ShapeAt(
+        (number, shape), get, put, slope, vector_of(structure, now.hypothesis.laws[number].spot), *bounds
+    )
+
+
+def _first_column(now: Supposed, number: int) -> int:
+    friction = len(now.hypothesis.friction) * len(Part)
+    return friction + sum(len(p.law.low) for p in now.hypothesis.laws[:number])
+
+
+STRIBECK_GRID = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
+WIDTH_GRID = (0.4, 1.0, 2.5)
+"""Stribeck velocities over the motor's rms velocity, and widths over the present one, that are looked at."""
+
+
+def scan_friction(now: Supposed) -> Supposed:
+    """The same with each motor's friction at the best of a grid of shapes, numbers as they are."""
+    speed = _speeds(now)
+    best, hypothesis = now.total, now.hypothesis
+    for motor in range(len(hypothesis.friction)):
+        first = hypothesis.friction[motor]
+        for width in WIDTH_GRID:
+            for share in STRIBECK_GRID:
+                shapes = list(hypothesis.friction)
+                shapes[motor] = FrictionShape(
+                    float(np.clip(first.width * width, *(b * speed[motor] for b in WIDTH_BOUNDS))),
+                    share * speed[motor],
+                )
+                trial = replace(hypothesis, friction=tuple(shapes))
+                problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
+                total = evaluate(problem, now.numbers).total
+                if total < best - 2.0 * FALL:
+                    best, hypothesis = total, trial
+    return now.refit(hypothesis) if hypothesis is not now.hypothesis else now
+
+
+def reshape(now: Supposed, rounds: int = 4) -> Supposed:
+    """The same with shapes at their best, inner motion as it is."""
+    for _ in range(rounds):
+        moved = _step(now)
+        if moved is None:
+            break
+        gained, now = now.total - moved.total, moved
+        if gained < 2.0 * FALL:
+            break
+    return now
+
+
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """Half the gradient and the curvature of −2 ln L by the numbers, the free coefficients and the shapes."""
+
+    gradient: Float64
+    matrix: Float64
+    numbers: int
+    free: Int64
+    shapes: tuple[ShapeAt, ...]
+
+    @cached_property
+    def covariance(self) -> Float64:
+        """Joint covariance in the same order."""
+        unit = np.sqrt(np.diag(self.matrix)) + 1e-300
+        scaled = self.matrix / unit[:, None] / unit + 1e-12 * np.eye(unit.size)
+        return np.asarray(np.linalg.inv(scaled) / unit[:, None] / unit, dtype=np.float64)
+
+
+def curvature(now: Supposed) -> Curvature:
+    """The curvature at a fit, its shapes included."""
+    shapes = tuple(shapes_of(now))
+    value, around = now.fit.value, now.fit.slope
+    columns = [shape.slope(now) for shape in shapes]
+    size, count = around.gradient.size, len(shapes)
+    free = np.flatnonzero(value.free)
+    cross, own, pull = np.zeros((size + free.size, count)), np.zeros((count, count)), np.zeros(count)
+    for k, work in enumerate(value.work if shapes else ()):
+        reach = [along(work.condensed.motion, s.vector[:, None])[..., 0] for s in shapes]
+        lines = [c[k][..., None] * r for c, r in zip(columns, reach, strict=True)]
+        flat = whitened_rows(work, np.stack(lines, axis=-1)).reshape(-1, count)
+        cross += joint_rows(now, k).T @ flat
+        own += flat.T @ flat
+        pull += flat.T @ (work.missing + work.laws @ value.coefficients).ravel()
+    gradient = np.concatenate((around.gradient, np.zeros(free.size), pull))
+    return Curvature(gradient, np.block([[around.joint, cross], [cross.T, own]]), size, free, shapes)
+
+
+def _step(now: Supposed) -> Supposed | None:
+    around = curvature(now)
+    if not around.shapes:
+        return None
+    unit = np.sqrt(np.diag(around.matrix)) + 1e-300
+    damped = around.matrix / unit[:, None] / unit + 1e-6 * np.eye(unit.size)
+    step = -np.linalg.solve(damped, around.gradient / unit) / unit
+    if -float(around.gradient @ step) < FALL:
+        return None
+    for share in (1.0, 0.4, 0.1):
+        hypothesis = now.hypothesis
+        for shape, move in zip(around.shapes, step[-len(around.shapes) :], strict=True):
+            at = shape.get(hypothesis) + share * float(np.clip(move, -LARGEST, LARGEST))
+            hypothesis = shape.put(hypothesis, float(np.clip(at, shape.low, shape.high)))
+        trial = now.refit(hypothesis, iterations=3)
+        if trial.total < now.total:
+            return trial
+    return None
+
+
+def joint_rows(now: Supposed, number: int) -> Float64:
+    """(rows, p + J') whitened columns of the numbers and of the free laws in one stack."""
+    work = now.fit.value.work[number]
+    rows = number_rows(now.fit.problem, now.fit.value, number)
+    free = np.flatnonzero(now.fit.value.free)
+    return np.concatenate((rows, work.laws[..., free]), axis=2).reshape(-1, rows.shape[2] + free.size)

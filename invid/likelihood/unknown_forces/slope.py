@@ -1,0 +1,185 @@
+"""The exact gradient of −2 ln L by all numbers, and its curvature; no parameter has code of its own.
+
+With dD = u uᵀ the missing torque moves by V u (uᵀq), q the motion of every coordinate that measured motion,
+laws and ends ask for, and S through dZ = V u uᵀVᵀ and dH = −V u uᵀX b.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.value import (
+    NEARLY_SINGULAR,
+    Problem,
+    StackWork,
+    Value,
+    along,
+    closed_loop,
+    real_rows,
+)
+from invid.numerics.arrays import Complex128, Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Slope:
+    """Half the gradient (p,) of −2 ln L by the numbers, and its curvature (p, p) with the laws profiled out.
+
+    For a step s the value falls by −2·gradient·s − sᵀ·curvature·s. ``joint`` (p + J', p + J') is the
+    curvature with the J' free coefficients beside the numbers.
+    """
+
+    gradient: Float64
+    curvature: Float64
+    joint: Float64
+
+
+def slope(problem: Problem, value: Value) -> Slope:
+    """The exact gradient of −2 ln L, and Gauss and Newton's curvature of its sum of squares."""
+    numbers = value.numbers
+    terms = numbers.plant.structure.terms
+    plant, size = numbers.plant.x.size, numbers.x.size
+    free = np.flatnonzero(value.free)
+    joint = np.zeros((size + free.size, size + free.size))
+    gradient = np.zeros(size)
+    for k, work in enumerate(value.work):
+        count, lines, motors = work.shape
+        rows = work.missing + work.laws @ value.coefficients
+        factor = terms.factors(work.stack.omega, numbers.plant.slope)
+        seen = along(work.condensed.motion, terms.vectors)
+        columns = number_rows(problem, value, k)
+        flat = np.concatenate((columns, work.laws[..., free]), axis=2).reshape(-1, joint.shape[0])
+        joint += flat.T @ flat
+        gradient += columns.reshape(-1, size).T @ rows.ravel()
+        white = (rows[:, : lines * motors] + 1j * rows[:, lines * motors :]).reshape(count, lines, motors)
+        gradient[:plant] += terms.by_parameter(_covariance_slope(problem, value, work, white, seen, factor))
+    prior = 1.0 / problem.spread**2
+    gradient += (numbers.x - problem.centre) * prior
+    gradient -= _through_viscous(problem, value, joint, size)
+    joint[np.arange(size), np.arange(size)] += prior
+    return Slope(gradient, _profiled(joint, size), joint)
+
+
+def number_rows(problem: Problem, value: Value, number: int) -> Float64:
+    """(R, 2FM, p) whitened derivative of a stack's missing torque by the numbers, without the ends' share."""
+    work, plant = value.work[number], value.numbers.plant
+    terms = plant.structure.terms
+    seen = work.whitener @ along(work.condensed.motion, terms.vectors)
+    moved = along(inner_motion(problem, value, number), terms.vectors)
+    moved = moved * terms.factors(work.stack.omega, plant.slope)
+    by_plant = terms.by_parameter(seen[None] * moved[:, :, None])
+    by_timing = _timing_columns(work, value.numbers.timing)
+    rows = np.concatenate((real_rows(by_plant), real_rows(by_timing)), axis=2)
+    return rows - work.ends @ (work.ends.T @ rows)
+
+
+def whitened_rows(work: StackWork, lines: Complex128) -> Float64:
+    """(R, 2FM, k) whitened rows of torques at the motors (R, F, M, k), without the ends' share."""
+    rows = real_rows(work.whitener @ lines)
+    return rows - work.ends @ (work.ends.T @ rows)
+
+
+def _through_viscous(problem: Problem, value: Value, joint: Float64, size: int) -> Float64:
+    """(p,) half the gradient through the loop's viscous friction, whose coefficients follow the numbers."""
+    free = np.flatnonzero(value.free)
+    pull = np.zeros(free.size)
+    for work in value.work:
+        loop = closed_loop(problem, work, value.coefficients)
+        if not loop.size:
+            continue
+        answer = (
+            np.einsum("rfii->rfi", np.linalg.inv(loop)) * (1j * work.stack.omega * work.stack.weight)[:, None]
+        )
+        each = -2.0 * answer.real.sum(axis=(0, 1))
+        pull += [each[problem.columns[j].damps] if problem.columns[j].damps >= 0 else 0.0 for j in free]
+    if not pull.any():
+        return np.zeros(size)
+    out: Float64 = joint[:size, size:] @ _solve_scaled(joint[size:, size:], pull)
+    return out
+
+
+def _solve_scaled(matrix: Float64, right: Float64) -> Float64:
+    """Solution of a positive system whose unknowns have units of their own."""
+    unit = np.sqrt(np.diag(matrix)) + 1e-300
+    scaled = matrix / unit[:, None] / unit + NEARLY_SINGULAR * np.eye(unit.size)
+    out: Float64 = (np.linalg.solve(scaled, (right.T / unit).T).T / unit).T
+    return out
+
+
+def _profiled(joint: Float64, size: int) -> Float64:
+    """Curvature of the first ``size`` numbers with the rest at its best for each."""
+    if joint.shape[0] == size:
+        return joint
+    cross = joint[:size, size:]
+    out: Float64 = joint[:size, :size] - cross @ _solve_scaled(joint[size:, size:], cross.T)
+    return out
+
+
+def ends_of(value: Value, number: int) -> Float64:
+    """(R, 2n) the ends α, then β_e, of each record of a stack, over 2/T."""
+    work = value.work[number]
+    out: Float64 = -(work.law_ends @ np.append(value.coefficients, 1.0)) @ work.back.T
+    return out
+
+
+def named_force(problem: Problem, value: Value, number: int) -> Complex128:
+    """(R, F, n) force of laws and ends on every coordinate."""
+    work = value.work[number]
+    n = problem.spots.vectors.shape[0]
+    ends = ends_of(value, number)
+    omega = work.stack.omega
+    force = ends[:, None, :n] + 1j * omega[:, None] * ends[:, None, n:]
+    for column, coefficient in zip(problem.columns, value.coefficients, strict=True):
+        if coefficient and column.lines[number].ndim == 2:
+            force = force + coefficient * column.lines[number][..., None] * column.vector
+    return force
+
+
+def inner_motion(problem: Problem, value: Value, number: int) -> Complex128:
+    """(R, F, n) motion of every coordinate that measured motor motion, laws and ends ask for: Vᵀθ −
+    X·force."""
+    work = value.work[number]
+    motion, receptance = work.condensed.motion, work.condensed.receptance
+    moved = (motion.transpose(0, 2, 1) @ work.stack.position[..., None])[..., 0]
+    out: Complex128 = moved - (receptance @ named_force(problem, value, number)[..., None])[..., 0]
+    return out
+
+
+def _timing_columns(work: StackWork, timing: Timing) -> Complex128:
+    """(R, F, M, 5M) whitened −dτ by the timing's numbers: of axis m at motor m alone."""
+    slopes = timing.slopes(work.stack)
+    columns = -work.whitener[None, :, :, None, :] * slopes.transpose(0, 1, 3, 2)[:, :, None]
+    return columns.reshape(*slopes.shape[:3], slopes.shape[2] * slopes.shape[3])
+
+
+def _covariance_slope(
+    problem: Problem, value: Value, work: StackWork, white: Complex128, seen: Complex128, factor: Complex128
+) -> Float64:
+    """(T,) half the gradient by each term through S, in the quadratic form and in ln|S|, and through the
+    loop.
+
+    With G = R·S⁻¹ − Σ S⁻¹r rᴴS⁻¹ (weights included) half the change is Re tr(G·dZ C_θ Zᴴ) + Re tr(G·dH q g
+    Hᴴ), dZ = V u uᵀ Vᵀ, dH = −V u uᵀ X b.
+    """
+    turned = work.whitener.conj().transpose(0, 2, 1)
+    pulled = turned @ white.transpose(1, 2, 0)
+    told = (pulled @ pulled.conj().transpose(0, 2, 1)) / (2.0 * work.stack.weight)[:, None, None]
+    balance = white.shape[0] * (turned @ work.whitener) - told
+    terms = value.numbers.plant.structure.terms
+    noise, condensed = work.noise, work.condensed
+    pull = balance @ seen
+    motion_noise = work.stack.position_noise[:, None] * condensed.stiffness.conj().transpose(0, 2, 1)
+    by_motion = (seen * (motion_noise @ pull)).sum(axis=1)
+    pushed = (noise.power[:, :, None] * noise.reach.conj().transpose(0, 2, 1)).transpose(0, 2, 1)  # (F, M, P)
+    pushed = along(pushed, problem.spots.vectors.T).transpose(0, 2, 1)  # (F, n, M)
+    by_force = -(along(condensed.receptance, terms.vectors) * (pushed @ pull)).sum(axis=1)
+    out = ((by_motion + by_force) * factor).real
+    loop = closed_loop(problem, work, value.coefficients)
+    if loop.size:
+        answer = np.linalg.inv(loop).sum(axis=0)
+        closed = (seen * (answer @ seen)).sum(axis=1) * factor
+        out = out - 2.0 * work.stack.weight[:, None] * closed.real
+    total: Float64 = out.sum(axis=0)
+    return total

@@ -1,0 +1,126 @@
+"""Motion of every coordinate and force at every place over time: the best linear estimate of both.
+
+With S the covariance of the missing torque r at the fitted numbers
+
+    force at a place     f̂_p = q_p g H_pᴴ S⁻¹ r
+    motor motion         θ̂ = θ − C_θ Zᴴ S⁻¹ r
+    inner motion         q = Vᵀθ̂ − X(laws + ends − Σ b_p f̂_p)
+
+Where a place is well modelled this is the motion that follows from the motor's; where it is not, it is read
+from the torque (the paper's peeling, after equation 22). There is no fixed point, and nothing chaotic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from invid.likelihood.unknown_forces.forces import colours, missing_noise
+from invid.likelihood.unknown_forces.plant import Plant
+from invid.likelihood.unknown_forces.slope import ends_of
+from invid.likelihood.unknown_forces.stack import Stack
+from invid.likelihood.unknown_forces.value import Problem, Value, along
+from invid.numerics.arrays import Complex128, Float64
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedStack:
+    """Motion in the records of one stack.
+
+    ``lines`` (R, A, n) of every coordinate; ``jump`` (R, n) and ``bend`` (R, n) of its position and
+    velocity from a record's start to its end; ``force`` (R, A, P) unknown forces.
+    """
+
+    stack: Stack
+    lines: Complex128
+    jump: Float64
+    bend: Float64
+    force: Complex128
+
+    @cached_property
+    def grid(self) -> int:
+        """Points of the records' grids of motion, less one."""
+        return int(self.stack.records[0].motion.position.shape[0] - 1)
+
+    def over_time(self, vector: Float64) -> tuple[Float64, Float64]:
+        """(R, k + 1) position and velocity along ``vector`` (n,).
+
+        The parabola with the record's jumps is taken out of the lines, and put back exactly.
+        """
+        omega, span = self.stack.records[0].wide, self.stack.span
+        lines: Complex128 = self.lines @ vector
+        jump, bend = self.jump @ vector, self.bend @ vector
+        turning = np.where(omega > 0, omega, 1.0)
+        parabola = (2.0 / span) * (1j * jump[:, None] / turning + bend[:, None] / turning**2)
+        parabola[:, 0] = 0.0
+        clean = np.zeros((lines.shape[0], self.grid // 2 + 1), dtype=complex)
+        clean[:, : omega.size] = lines - parabola
+        time = np.arange(self.grid + 1) / self.grid
+        ramp = jump[:, None] * (time - 0.5) + bend[:, None] * span * (time**2 / 2 - time / 2 + 1 / 12)
+        slope = jump[:, None] / span + bend[:, None] * (time - 0.5)
+        rate = clean * 1j * np.pad(omega, (0, clean.shape[1] - omega.size))
+        where: Float64 = self._wave(clean) + ramp
+        speed: Float64 = self._wave(rate) + slope
+        return where, speed
+
+    def _wave(self, lines: Complex128) -> Float64:
+        wave = np.fft.irfft(lines, self.grid, axis=1) * (self.grid / 2)
+        return np.concatenate((wave, wave[:, :1]), axis=1)
+
+
+def smooth(problem: Problem, value: Value) -> tuple[SmoothedStack, ...]:
+    """Motion in all records at the fitted numbers."""
+    return tuple(_smooth_stack(problem, value, k) for k in range(len(problem.stacks)))
+
+
+def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
+    stack = problem.stacks[number]
+    numbers = value.numbers
+    omega = stack.records[0].wide
+    condensed = numbers.plant.condense(omega)
+    stiffness, motion = condensed.stiffness, condensed.motion
+    wide = stack.wide
+    reach = along(motion, problem.spots.vectors)
+    power = colours(omega, problem.corner) @ numbers.strength.T
+    noise = missing_noise(stiffness, reach, power, (stack.position_noise, stack.torque_noise))
+    ends = ends_of(value, number)
+    n = motion.shape[2]
+    named = ends[:, None, :n] + 1j * omega[:, None] * ends[:, None, n:]
+    direct: Complex128 = np.zeros(wide.position.shape, dtype=complex)
+    for column, coefficient in zip(problem.columns, value.coefficients, strict=True):
+        if coefficient:
+            lines = column.wide(number)
+            if lines.ndim == 3:
+                direct += coefficient * lines
+            else:
+                named = named + coefficient * lines[..., None] * column.vector
+    missing = direct + ((stiffness @ wide.position[..., None]) + (motion @ named[..., None]))[..., 0]
+    missing = missing - numbers.timing.acting(wide)
+    white = (noise.whitener @ missing[..., None])[..., 0]
+    solved = (noise.whitener.conj().transpose(0, 2, 1) @ white[..., None])[..., 0]
+    force = power * (reach.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
+    motor = (
+        wide.position
+        - stack.position_noise * (stiffness.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
+    )
+    pushed = named - along(force, problem.spots.vectors.T)
+    lines = ((motion.transpose(0, 2, 1) @ motor[..., None]) - (condensed.receptance @ pushed[..., None]))[
+        ..., 0
+    ]
+    jump, bend = _jumps(numbers.plant, ends * stack.span / 2.0)
+    return SmoothedStack(stack, lines, jump, bend, force)
+
+
+def _jumps(plant: Plant, ends: Float64) -> tuple[Float64, Float64]:
+    """(R, n) changes of position and velocity over each record, from its ends (R, 2n) in full.
+
+    The transform of M q̈ + C q̇ + K q over a span has M(Δq̇ + jωΔq) + CΔq beside D·q: α = MΔq̇ + CΔq, β = MΔq.
+    """
+    _, damping, inertia = plant.matrices
+    n = inertia.shape[0]
+    inverse = np.linalg.inv(inertia)
+    jump: Float64 = ends[:, n:] @ inverse
+    bend: Float64 = (ends[:, :n] - jump @ damping) @ inverse
+    return jump, bend

@@ -1,0 +1,339 @@
+"""What a search supposes of a machine: structure, friction's shapes, laws at places; and the fit of it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cached_property, partial
+
+import numpy as np
+
+from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
+from invid.likelihood.unknown_forces.descent import Fit, fit
+from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours
+from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws
+from invid.likelihood.unknown_forces.plant import Kind, Structure
+from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
+from invid.likelihood.unknown_forces.stack import Stack
+from invid.likelihood.unknown_forces.strengths import stronger
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate
+from invid.numerics.arrays import Complex128, Float64
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedLaw:
+    """A law at a place with its shape."""
+
+    law: SupposedLaw
+    spot: Spot
+    shape: Shape = ()
+
+    @property
+    def key(self) -> tuple[str, Spot]:
+        """What may stand once."""
+        return self.law.cause, self.spot
+
+
+class Channel(Enum):
+    """What a drive may do to its torque."""
+
+    DELAY = "torque_delay"
+    LAG = "torque_lag"
+
+
+FREE_TIME = 30.0
+"""Standard deviation of a supposed delay or lag [samples]: not bounded by it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Structure, friction's shapes and laws; no numbers."""
+
+    structure: Structure
+    friction: tuple[FrictionShape, ...]
+    laws: tuple[PlacedLaw, ...] = ()
+    absent: frozenset[Hashable] = frozenset()
+    """Names of columns, and pairs of loads, that are held at zero; delays held within a sample."""
+    channels: frozenset[tuple[Channel, int]] = frozenset()
+    """Axes whose drive is late or lags by more than a sample's convention."""
+
+
+class Motions:
+    """Motion at every place of a machine: of motors as measured, elsewhere as smoothed at a fit."""
+
+    def __init__(
+        self, stacks: Sequence[Stack], structure: Structure, smoothed: Sequence[SmoothedStack] = ()
+    ) -> None:
+        self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
+        self._known: dict[Spot, list[list[SpotMotion]]] = {}
+
+    @classmethod
+    def at(cls, found: Fit) -> Motions:
+        """Smoothed at a fit."""
+        problem = found.problem
+        return cls(problem.stacks, found.numbers.plant.structure, smooth(problem, found.value))
+
+    def in_structure(self, structure: Structure) -> Motions:
+        """The same for a structure with one more mass: places keep their numbers, and their motion."""
+        out = Motions(self.stacks, structure, ())
+        out._known = self._all_known()
+        return out
+
+    def _all_known(self) -> dict[Spot, list[list[SpotMotion]]]:
+        if self.smoothed:
+            for spot in Spots.of(self.structure).spots:
+                if spot.where is Where.SPRING:
+                    self.of(spot)
+        return dict(self._known)
+
+    def of(self, spot: Spot) -> list[list[SpotMotion]]:
+        """Motion in each record of each stack."""
+        if spot not in self._known:
+            self._known[spot] = [self._of_stack(spot, k) for k in range(len(self.stacks))]
+        return self._known[spot]
+
+    def flat(self, spot: Spot) -> list[SpotMotion]:
+        """Motion in all records."""
+        return [m for stack in self.of(spot) for m in stack]
+
+    def _of_stack(self, spot: Spot, number: int) -> list[SpotMotion]:
+        records = self.stacks[number].records
+        clocks: list[Float64] = [
+            r.start + r.motion.step * np.arange(r.motion.position.shape[0], dtype=np.float64) for r in records
+        ]
+        if spot.where is Where.MOTOR:
+            i = spot.number
+            out = []
+            for r, clock in zip(records, clocks, strict=True):
+                q, v = r.motion.position[:, i], r.motion.velocity[:, i]
+                torque = np.interp(
+                    clock - r.start, np.arange(r.torque_wave.shape[0]) * r.step, r.torque_wave[:, i]
+                )
+                out.append(SpotMotion(q, v, q, clock, torque))
+            return out
+        vector = vector_of(self.structure, spot)
+        unit = np.eye(self.structure.coordinates)
+        first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
+        position, velocity = self.smoothed[number].over_time(vector)
+        angle = self.smoothed[number].over_time(unit[first])[0]
+        return [SpotMotion(q, v, a, t) for q, v, a, t in zip(position, velocity, angle, clocks, strict=True)]
+
+
+def vector_of(structure: Structure, spot: Spot) -> Float64:
+    """(n,) coordinates that a force at a place acts on."""
+    spots = Spots.of(structure)
+    out: Float64 = spots.vectors[:, spots.number[spot]]
+    return out
+
+
+class Bench:
+    """Records with what they alone decide: friction's columns, kept by shape."""
+
+    def __init__(self, stacks: Sequence[Stack]) -> None:
+        self.stacks = tuple(stacks)
+        self.motor_laws = MotorLaws(stacks)
+
+    def columns(self, hypothesis: Hypothesis, motions: Motions) -> tuple[Column, ...]:
+        """Friction, then the laws."""
+        friction = self.motor_laws.columns(hypothesis.structure, hypothesis.friction)
+        laws = [c for law in hypothesis.laws for c in self.law_columns(hypothesis.structure, law, motions)]
+        return tuple(
+            replace(c, low=0.0, high=0.0) if c.name in hypothesis.absent else c for c in (*friction, *laws)
+        )
+
+    def law_columns(self, structure: Structure, placed: PlacedLaw, motions: Motions) -> tuple[Column, ...]:
+        """Columns of one law, one a coefficient."""
+        lines = self.law_lines(placed, motions)
+        vector = vector_of(structure, placed.spot)
+        return tuple(
+            Column(
+                (placed.law.cause, placed.spot, i),
+                vector,
+                tuple(stack[..., i] for stack in lines),
+                partial(_wide, placed, motions, i),
+                low=low,
+            )
+            for i, low in enumerate(placed.law.low)
+        )
+
+    def law_lines(
+        self, placed: PlacedLaw, motions: Motions, shape: Shape | None = None, every: int = 1
+    ) -> list[Complex128]:
+        """(R, F, L) of each stack; on every ``every``-th instant of the motion."""
+        at = placed.shape if shape is None else shape
+        return [
+            np.array(
+                [
+                    r.lines(placed.law.waves(m.every(every), at))
+                    for r, m in zip(stack.records, moved, strict=True)
+                ]
+            )
+            for stack, moved in zip(self.stacks, motions.of(placed.spot), strict=True)
+        ]
+
+
+def _wide(placed: PlacedLaw, motions: Motions, coefficient: int, number: int) -> Complex128:
+    records = motions.stacks[number].records
+    return np.array(
+        [
+            r.wide_lines(placed.law.waves(m, placed.shape)[:, coefficient])
+            for r, m in zip(records, motions.of(placed.spot)[number], strict=True)
+        ]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Supposed:
+    """A hypothesis with its fit, the motions its laws were evaluated on, and the same of the records kept
+    out."""
+
+    bench: Bench
+    hypothesis: Hypothesis
+    motions: Motions
+    fit: Fit
+    kept: Bench | None = None
+    kept_motions: Motions | None = None
+
+    @property
+    def total(self) -> float:
+        """−2 ln L of the records fitted."""
+        return self.fit.total
+
+    @property
+    def numbers(self) -> Numbers:
+        """The numbers found."""
+        return self.fit.numbers
+
+    @cached_property
+    def kept_value(self) -> Value | None:
+        """−2 ln L of the records kept out, at the numbers and coefficients that were fitted.
+
+        Strengths are their own: what friction's shape leaves depends on how the axes moved there.
+        """
+        if self.kept is None or self.kept_motions is None:
+            return None
+        problem = replace(
+            self.fit.problem,
+            stacks=self.kept.stacks,
+            columns=self.kept.columns(self.hypothesis, self.kept_motions),
+        )
+        coefficients = self.fit.value.coefficients
+        first = evaluate(problem, self.numbers, coefficients)
+        return evaluate(problem, stronger(problem, first, KEPT_STEPS), coefficients)
+
+    @property
+    def kept_total(self) -> float:
+        """−2 ln L of the records kept out; that of those fitted where none are."""
+        return self.total if self.kept_value is None else float(self.kept_value.share.sum())
+
+    def refit(
+        self, hypothesis: Hypothesis | None = None, numbers: Numbers | None = None, iterations: int = 8
+    ) -> Supposed:
+        """Another hypothesis, on the same motions, from here."""
+        changed = self.hypothesis if hypothesis is None else hypothesis
+        start = carry_over(self.numbers if numbers is None else numbers, self.fit.problem.spots)
+        columns = self.bench.columns(changed, self.motions)
+        problem = Problem.about(self.bench.stacks, columns, start)
+        if start.plant.structure == self.numbers.plant.structure:
+            problem = replace(problem, centre=self.fit.problem.centre)
+        start, problem = bounded(start, problem, changed)
+        return replace(self, hypothesis=changed, fit=fit(problem, start, iterations))
+
+    def renewed(self, iterations: int = 8) -> Supposed:
+        """The same with inner motion smoothed anew."""
+        return self.smoothed().refit(iterations=iterations)
+
+    def smoothed(self) -> Supposed:
+        """The same on inner motion smoothed at its own fit."""
+        structure, value = self.numbers.plant.structure, self.kept_value
+        kept = None
+        if self.kept is not None and value is not None:
+            problem = replace(
+                self.fit.problem,
+                stacks=self.kept.stacks,
+                columns=self.kept.columns(
+                    self.hypothesis, self.kept_motions or Motions(self.kept.stacks, structure)
+                ),
+            )
+            kept = Motions(self.kept.stacks, structure, smooth(problem, value))
+        return replace(self, motions=Motions.at(self.fit), kept_motions=kept)
+
+    def in_structure(self, structure: Structure) -> Supposed:
+        """The same with its motions at the places of a structure with one more mass."""
+        kept = self.kept_motions
+        return replace(
+            self,
+            motions=self.motions.in_structure(structure),
+            kept_motions=None if kept is None else kept.in_structure(structure),
+        )
+
+    @property
+    def strength(self) -> list[tuple[float, Spot]]:
+        """Rms of the unknown force at every place [N·m], the strongest first."""
+        problem = self.fit.problem
+        power = sum(
+            (colours(s.omega, problem.corner) * s.weight[:, None]).sum(axis=0) @ self.numbers.strength.T
+            for s in problem.stacks
+        ) / len(problem.stacks)
+        rms = np.sqrt(power / 2.0)
+        return sorted(
+            ((float(v), s) for v, s in zip(rms, problem.spots.spots, strict=True)), key=lambda t: -t[0]
+        )
+
+    @property
+    def inner_strength(self) -> float:
+        """Rms of the strongest unknown force behind the motors [N·m]."""
+        return max((v for v, s in self.strength if s.where is not Where.MOTOR), default=0.0)
+
+
+KEPT_STEPS = 8
+"""Steps by which the strengths of records kept out are found."""
+HELD = 1e-9
+"""Standard deviation of a number that is held at zero."""
+
+
+def bounded(numbers: Numbers, problem: Problem, hypothesis: Hypothesis) -> tuple[Numbers, Problem]:
+    """Numbers and problem with absent springs between loads held at zero, and supposed channels free."""
+    structure, motors = numbers.plant.structure, numbers.plant.structure.motors
+    first = structure.index(Kind.LOAD_SPRING).start
+    at = [first + k for k, pair in enumerate(structure.pairs) if pair in hypothesis.absent]
+    x, centre, spread = numbers.x.copy(), problem.centre.copy(), problem.spread.copy()
+    x[at], centre[at], spread[at] = 0.0, 0.0, HELD
+    times = numbers.plant.x.size
+    late = [times + k for k in range(2 * motors) if (Channel.DELAY, k % motors) in hypothesis.absent]
+    usual = Timing.nominal(motors, 1.0).x[[k - times for k in late]]
+    x[late] = centre[late] = usual + np.clip(x[late] - usual, -1.0, 1.0)
+    spread[late] = HELD
+    for channel, axis in hypothesis.channels:
+        free = [axis, motors + axis] if channel is Channel.DELAY else [4 * motors + axis]
+        spread[[times + k for k in free]] = FREE_TIME
+    return numbers.moved(x), replace(problem, centre=centre, spread=spread)
+
+
+def carry_over(numbers: Numbers, spots: Spots) -> Numbers:
+    """The numbers with strengths for all places of their structure, known ones as they were."""
+    own = Spots.of(numbers.plant.structure)
+    if len(own.spots) == numbers.strength.shape[0]:
+        return numbers
+    known = {spot: numbers.strength[k] for k, spot in enumerate(spots.spots)}
+    first = np.full(2, np.median(numbers.strength))
+    return replace(numbers, strength=np.array([known.get(s, first) for s in own.spots]))
+
+
+def suppose(
+    benches: tuple[Bench, Bench | None], hypothesis: Hypothesis, numbers: Numbers, iterations: int = 40
+) -> Supposed:
+    """The first fit of a hypothesis without laws, on records fitted and kept out."""
+    bench, kept = benches
+    motions = Motions(bench.stacks, hypothesis.structure)
+    problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
+    kept_motions = None if kept is None else Motions(kept.stacks, hypothesis.structure)
+    return Supposed(bench, hypothesis, motions, fit(problem, numbers, iterations), kept, kept_motions)
+
+
+def first_strength(stacks: Sequence[Stack], structure: Structure) -> Float64:
+    """(P, 2) small strengths to start from."""
+    noise = float(np.mean([s.torque_noise.mean() for s in stacks]))
+    return np.full((len(Spots.of(structure).spots), 2), FIRST * noise)

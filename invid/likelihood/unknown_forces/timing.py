@@ -1,0 +1,109 @@
+"""From the recorded torque to the one that acts: delay and held share of each part, lag of each axis.
+
+A part of the torque (``Stack.parts``: command and hold) acts as
+
+    part·e^{−jωhδ}·(1 − s·loss)/(1 + jωhλ)
+
+with the delay δ and the lag λ in samples of h, and the share s that is held over the sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.likelihood.unknown_forces.stack import Stack
+from invid.numerics.arrays import Complex128, Float64
+
+COMMAND, HOLD = 0, 1
+"""Parts of the torque."""
+DELAY_PRIOR, SHARE_PRIOR = 0.5, 0.3
+"""Standard deviations of a part's delay [samples] and of the share held over the sample: what one sample of
+convention leaves open (physical)."""
+NO_LAG = 1e-9
+"""Standard deviation of a lag that is not supposed."""
+EXPECTED_DELAY = (-0.5, 0.0)
+"""Delay [samples] of a command, which acts over the sample before the SYNC that shows it, and of a hold."""
+EXPECTED_SHARE = (1.0, 0.5)
+"""Share of a command that is held over the sample, and of a hold, which works inside the drive or outside."""
+PER_AXIS = 5
+"""Numbers of an axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """Delays [samples] and held shares (2, M), command and hold of each axis; lags (M,) [samples]."""
+
+    delay: Float64
+    share: Float64
+    lag: Float64
+    step: float
+
+    @classmethod
+    def nominal(cls, motors: int, step: float) -> Timing:
+        """What a drive shows at a SYNC of the command acted over the sample before it, of its hold at it."""
+        delay, share = (
+            np.repeat(np.array(v)[:, None], motors, axis=1) for v in (EXPECTED_DELAY, EXPECTED_SHARE)
+        )
+        return cls(delay, share, np.zeros(motors), step)
+
+    @property
+    def motors(self) -> int:
+        """M."""
+        return int(self.lag.size)
+
+    @property
+    def x(self) -> Float64:
+        """(5M,) delays, shares, lags."""
+        return np.concatenate((self.delay.ravel(), self.share.ravel(), self.lag))
+
+    @property
+    def expected(self) -> Float64:
+        """(5M,) centre of the prior."""
+        return Timing.nominal(self.motors, self.step).x
+
+    @property
+    def prior(self) -> Float64:
+        """(5M,) standard deviations of the prior."""
+        size = 2 * self.motors
+        return np.concatenate(
+            (np.full(size, DELAY_PRIOR), np.full(size, SHARE_PRIOR), np.full(self.motors, NO_LAG))
+        )
+
+    def moved(self, x: Float64) -> Timing:
+        """The timing with other numbers (5M,)."""
+        size, shape = 2 * self.motors, self.delay.shape
+        return replace(
+            self,
+            delay=x[:size].reshape(shape),
+            share=x[size : 2 * size].reshape(shape),
+            lag=x[2 * size :],
+        )
+
+    def acting(self, stack: Stack) -> Complex128:
+        """(R, F, M) the torque that acts."""
+        out: Complex128 = self._parts(stack).sum(axis=0)
+        return out
+
+    def slopes(self, stack: Stack) -> Complex128:
+        """(R, F, M, 5) its derivative by an axis' delays of command and hold, their shares, and the lag."""
+        parts = self._parts(stack)
+        turn = 1j * stack.omega[:, None] * self.step
+        late = -turn * parts
+        held = -stack.loss * stack.parts * (self._turn(stack) / (1.0 + turn * self.lag))[:, None]
+        lagging = -turn / (1.0 + turn * self.lag) * parts.sum(axis=0)
+        out: Complex128 = np.concatenate((late, held, lagging[None])).transpose(1, 2, 3, 0)
+        return out
+
+    def _turn(self, stack: Stack) -> Complex128:
+        """(2, F, M)."""
+        out: Complex128 = np.exp(-1j * stack.omega[:, None] * self.step * self.delay[:, None])
+        return out
+
+    def _parts(self, stack: Stack) -> Complex128:
+        """(2, R, F, M)."""
+        lag = 1.0 + 1j * stack.omega[:, None] * self.step * self.lag
+        factor = self._turn(stack) * (1.0 - self.share[:, None] * stack.loss) / lag
+        out: Complex128 = stack.parts * factor[:, None]
+        return out

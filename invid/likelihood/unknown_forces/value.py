@@ -1,0 +1,311 @@
+"""−2 ln L of a plant beside laws and unknown forces, its exact gradient and its curvature.
+
+Per record and line the motors miss the torque
+
+    r = Zθ + V(Σ_j b_j φ_j β_j) + V(α + jωβ_e)·2/T − τ
+
+with laws φ_j of coefficients β_j at places b_j and the record's ends α, β_e. With S from ``forces`` and real
+weights w
+
+    −2 ln L = 2 Σ w [rᴴS⁻¹r + ln|S|] − 4 Σ w ln|Z + L|.
+
+The last term, L the torque per position of the records' holds, makes it the density of what was measured
+with the
+drives' commands free (restricted likelihood: the contrast r of motion and torque, whose Jacobian by the
+motion is
+Z + L). Without it lines on which the machine answers an unknown force through plant and hold pull Z to zero.
+
+Ends and coefficients are profiled out: the ends by a QR for each stack, the coefficients, within their
+bounds, by normal equations over all stacks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from invid.likelihood.unknown_forces.forces import (
+    CORNER,
+    LEAST,
+    MissingNoise,
+    Spots,
+    colours,
+    missing_noise,
+)
+from invid.likelihood.unknown_forces.plant import Condensed, Plant
+from invid.likelihood.unknown_forces.stack import Stack
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.numerics.arrays import Bool, Complex128, Float64, Int64
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """A law with its coefficient at one.
+
+    ``vector`` (n,) is its place and ``lines`` its transform (R, F) in every stack, or (R, F, M) what it
+    asks of
+    the motors where it acts on no coordinate. ``wide`` gives the transform on all lines of a stack up to
+    where motion is known. ``damps``: the motor at which it is viscous friction, which belongs to the loop of
+    plant and hold.
+    """
+
+    name: Hashable
+    vector: Float64
+    lines: tuple[Complex128, ...]
+    wide: Callable[[int], Complex128]
+    low: float = -np.inf
+    high: float = np.inf
+    damps: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """What a fit moves: plant, timing of the torque, strengths (P, 2) [(N·m)² on a line]."""
+
+    plant: Plant
+    timing: Timing
+    strength: Float64
+
+    @property
+    def x(self) -> Float64:
+        """(p,) plant, then timing."""
+        return np.concatenate((self.plant.x, self.timing.x))
+
+    def moved(self, x: Float64) -> Numbers:
+        """The same with other numbers (p,)."""
+        size = self.plant.x.size
+        return replace(self, plant=self.plant.moved(x[:size]), timing=self.timing.moved(x[size:]))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Records, laws and the weak prior of the numbers: what a value is of."""
+
+    stacks: tuple[Stack, ...]
+    columns: tuple[Column, ...]
+    spots: Spots
+    centre: Float64
+    spread: Float64
+    corner: float
+    least: float
+    """Least strength [(N·m)²]."""
+    shut: Int64 = field(default_factory=lambda: np.zeros(0, dtype=int))
+    """Places whose strength stays as it is."""
+
+    @classmethod
+    def about(cls, stacks: tuple[Stack, ...], columns: tuple[Column, ...], numbers: Numbers) -> Problem:
+        """The problem whose prior lies about ``numbers``."""
+        structure, timing = numbers.plant.structure, numbers.timing
+        top = max(r.top_hz for s in stacks for r in s.records)
+        return cls(
+            stacks,
+            columns,
+            Spots.of(structure),
+            np.concatenate((numbers.plant.x, timing.expected)),
+            np.concatenate((structure.prior, timing.prior)),
+            2 * np.pi * CORNER * top,
+            LEAST * float(np.mean([s.torque_noise.mean() for s in stacks])),
+        )
+
+    @cached_property
+    def bounds(self) -> tuple[Float64, Float64]:
+        """(J,) bounds of the coefficients."""
+        return np.array([c.low for c in self.columns]), np.array([c.high for c in self.columns])
+
+    @cached_property
+    def vectors(self) -> Float64:
+        """(n, J) places of the laws."""
+        n = self.spots.vectors.shape[0]
+        return np.array([c.vector for c in self.columns]).T if self.columns else np.zeros((n, 0))
+
+
+NEARLY_SINGULAR = 1e-12
+"""Diagonal beside normal equations of unit diagonal, for laws that the records cannot tell apart."""
+TIED = 1e-6
+"""Diagonal beside the ends' columns of unit length: ends that a record cannot tell apart stay small."""
+
+
+@dataclass(frozen=True, eq=False)
+class StackWork:
+    """One stack at given numbers: whitened rows with the ends taken out."""
+
+    stack: Stack
+    condensed: Condensed
+    noise: MissingNoise
+    whitener: Complex128
+    """(F, M, M) with the lines' weights: rows of unit variance."""
+    ends: Float64
+    """(2FM, 2n) orthonormal basis of the ends' rows."""
+    back: Float64
+    """(2n, 2n) from coordinates in it to the ends' own numbers."""
+    laws: Float64
+    """(R, 2FM, J) whitened laws without the ends' share."""
+    missing: Float64
+    """(R, 2FM) whitened missing torque of the plant alone, the same way."""
+    law_ends: Float64
+    """(R, 2n, J + 1) coordinates of laws and missing torque in the ends' basis."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """R, F, M."""
+        count, lines, motors = self.stack.position.shape
+        return count, lines, motors
+
+
+@dataclass(frozen=True, eq=False)
+class Value:
+    """−2 ln L at some numbers, with the coefficients (J,) that minimise it.
+
+    ``share`` (records,) is each record's part of it, ``free`` (J,) which coefficients are within their
+    bounds.
+    """
+
+    numbers: Numbers
+    coefficients: Float64
+    free: Bool
+    share: Float64
+    prior: float
+    work: tuple[StackWork, ...]
+
+    @property
+    def total(self) -> float:
+        """−2 ln L with the prior."""
+        return float(self.share.sum()) + self.prior
+
+
+def evaluate(problem: Problem, numbers: Numbers, coefficients: Float64 | None = None) -> Value:
+    """−2 ln L at ``numbers``, the coefficients and ends profiled out; of kept-out records with
+    ``coefficients`` (J,) as they were fitted.
+
+    Raises
+    ------
+    LinAlgError
+        The numbers are so far off that a covariance is not positive.
+    """
+    work = tuple(_work(problem, numbers, k) for k in range(len(problem.stacks)))
+    if coefficients is None:
+        coefficients, free = _coefficients(problem, work)
+    else:
+        free = np.zeros(coefficients.size, dtype=bool)
+    share = [
+        part for w in work for part in _shares(problem, w, w.missing + w.laws @ coefficients, coefficients)
+    ]
+    off = (numbers.x - problem.centre) / problem.spread
+    return Value(numbers, coefficients, free, np.array(share), float(off @ off), work)
+
+
+def _work(problem: Problem, numbers: Numbers, number: int) -> StackWork:
+    stack = problem.stacks[number]
+    omega = stack.omega
+    condensed = numbers.plant.condense(omega)
+    stiffness, motion = condensed.stiffness, condensed.motion
+    noise = missing_noise(
+        stiffness,
+        along(motion, problem.spots.vectors),
+        colours(omega, problem.corner) @ numbers.strength.T,
+        (stack.position_noise, stack.torque_noise),
+    )
+    whitener = noise.whitener * np.sqrt(2.0 * stack.weight)[:, None, None]
+    jumps = np.concatenate((motion, 1j * omega[:, None, None] * motion), axis=2)
+    columns = real_rows((whitener @ jumps)[None])[0]
+    length = np.linalg.norm(columns, axis=0) + 1e-300
+    basis, triangle = np.linalg.qr(np.vstack((columns / length, TIED * np.eye(length.size))))
+    basis = basis[: columns.shape[0]]
+    missing = (stiffness @ stack.position[..., None])[..., 0] - numbers.timing.acting(stack)
+    both = np.concatenate(
+        (_law_columns(problem, number, whitener, motion), (whitener @ missing[..., None])), axis=3
+    )
+    rows = real_rows(both)
+    inside = basis.T @ rows
+    rows = rows - basis @ inside
+    back = np.linalg.inv(triangle) / length[:, None]
+    return StackWork(stack, condensed, noise, whitener, basis, back, rows[..., :-1], rows[..., -1], inside)
+
+
+def _law_columns(problem: Problem, number: int, whitener: Complex128, motion: Complex128) -> Complex128:
+    """(R, F, M, J) whitened laws."""
+    stack = problem.stacks[number]
+    reach = whitener @ along(motion, problem.vectors)
+    out = np.empty((*stack.position.shape, len(problem.columns)), dtype=complex)
+    for j, column in enumerate(problem.columns):
+        lines = column.lines[number]
+        if lines.ndim == 2:
+            out[..., j] = lines[:, :, None] * reach[:, :, j]
+        else:
+            out[..., j] = (whitener @ lines[..., None])[..., 0]
+    return out
+
+
+def along(values: Complex128, vectors: Float64) -> Complex128:
+    """(…, k) of (…, n) along vectors (n, k), as one product."""
+    flat = values.reshape(-1, values.shape[-1])
+    out: Complex128 = (flat @ vectors.astype(complex)).reshape(*values.shape[:-1], vectors.shape[1])
+    return out
+
+
+def real_rows(values: Complex128) -> Float64:
+    """(R, 2FM, k) real and imaginary parts of (R, F, M, k)."""
+    flat = values.reshape(values.shape[0], -1, values.shape[-1])
+    return np.concatenate((flat.real, flat.imag), axis=1)
+
+
+def _coefficients(problem: Problem, work: tuple[StackWork, ...]) -> tuple[Float64, Bool]:
+    """(J,) coefficients that minimise the sum of squares within their bounds, and which are free.
+
+    One at a time the coefficient that violates its bound most (in standard deviations) is put there.
+    """
+    count = len(problem.columns)
+    normal, right = np.zeros((count, count)), np.zeros(count)
+    for w in work:
+        flat = w.laws.reshape(-1, count)
+        normal += flat.T @ flat
+        right += flat.T @ w.missing.ravel()
+    size = np.sqrt(np.diag(normal)) + 1e-300
+    normal = normal / size[:, None] / size + NEARLY_SINGULAR * np.eye(count)
+    low, high = problem.bounds
+    found, free = np.zeros(count), np.ones(count, dtype=bool)
+    while free.any():
+        fixed = ~free
+        target = -right[free] / size[free] - normal[np.ix_(free, fixed)] @ (found[fixed] * size[fixed])
+        found[free] = np.linalg.solve(normal[np.ix_(free, free)], target) / size[free]
+        bound = np.clip(found, low, high)
+        beyond = np.abs(found - bound) * size
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 0:
+            break
+        found[worst], free[worst] = bound[worst], False
+    return found, free
+
+
+def _shares(problem: Problem, work: StackWork, rows: Float64, coefficients: Float64) -> Float64:
+    """(R,) each record's part of −2 ln L."""
+    weight = work.stack.weight
+    loop = closed_loop(problem, work, coefficients)
+    closed = 4.0 * (weight * np.linalg.slogdet(loop)[1]).sum(axis=1) if loop.size else 0.0
+    out: Float64 = (rows**2).sum(axis=1) + 2.0 * float(weight @ work.noise.log_determinant)
+    out[work.stack.closed] -= closed
+    return out
+
+
+def closed_loop(problem: Problem, work: StackWork, coefficients: Float64) -> Complex128:
+    """(C, F, M, M) Z + L of the records whose holds are known."""
+    stack = work.stack
+    damping = np.zeros(stack.position.shape[2])
+    for column, value in zip(problem.columns, coefficients, strict=True):
+        if column.damps >= 0:
+            damping[column.damps] += value
+    added = stack.loop[stack.closed] + 1j * stack.omega[:, None] * damping
+    out: Complex128 = work.condensed.stiffness + added[..., None] * np.eye(damping.size)
+    return out
+
+
+def missing_torque(value: Value, number: int) -> Complex128:
+    """(R, F, M) missing torque with laws and ends in it."""
+    work = value.work[number]
+    count, lines, motors = work.shape
+    rows = work.missing + work.laws @ value.coefficients
+    white = (rows[:, : lines * motors] + 1j * rows[:, lines * motors :]).reshape(count, lines, motors)
+    return np.asarray((np.linalg.inv(work.whitener) @ white[..., None])[..., 0], dtype=np.complex128)

@@ -1,0 +1,95 @@
+"""The likelihood with unknown forces: exact gradient, a plant found among faults, inner motion, strengths."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from unit.likelihood.chain_plant import RATE, ChainPlant
+
+from invid.likelihood.unknown_forces.forces import Where
+from invid.likelihood.unknown_forces.motor_laws import first_shapes
+from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.slope import slope
+from invid.likelihood.unknown_forces.smoother import smooth
+from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
+from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.value import Numbers, evaluate
+from invid.recording.model import Role
+from invid.signals.record import make_record
+
+
+def true_values(plant: ChainPlant) -> np.ndarray:
+    structure = Structure(plant.sizes)
+    mass, spring = np.concatenate(plant.masses), np.concatenate(plant.springs)
+    damper = [
+        0.02 * np.sqrt(k / (1 / mass[a] + 1 / mass[b]))
+        for k, (a, b) in zip(spring, structure.links, strict=True)
+    ]
+    return np.concatenate((mass, spring, damper, [plant.coupling], [0.0]))
+
+
+@cache
+def fitted(gap: float = 0.0, seed: int = 3) -> tuple[ChainPlant, Supposed]:
+    """The first fit, from a start a tenth off in every number."""
+    plant = ChainPlant(gaps={0: gap} if gap else {})
+    recording = plant.recording(seed)
+    records = [make_record(e, recording.encoder_resolution) for e in recording.experiments]
+    fitted_ones = [r for r in records if r.role is Role.IDENTIFY]
+    stacks = stack_records(fitted_ones, hold_damping(records))
+    structure = Structure(plant.sizes)
+    off = np.exp(0.1 * np.random.default_rng(seed).standard_normal(true_values(plant).size))
+    numbers = Numbers(
+        Plant.of_values(structure, true_values(plant) * off),
+        Timing.nominal(2, 1 / RATE),
+        first_strength(stacks, structure),
+    )
+    return plant, suppose((Bench(stacks), None), Hypothesis(structure, first_shapes(stacks)), numbers)
+
+
+def errors(plant: ChainPlant, found: Supposed) -> np.ndarray:
+    """Errors of masses and springs over their deviations."""
+    size = sum(plant.sizes) + len(found.hypothesis.structure.links)
+    true = np.log(true_values(plant)[:size])
+    return (found.numbers.plant.x[:size] - true) / np.sqrt(np.diag(found.fit.covariance))[:size]
+
+
+def test_the_gradient_is_that_of_the_value():
+    _, found = fitted()
+    rng = np.random.default_rng(0)
+    numbers = found.numbers.moved(found.numbers.x + 1e-3 * rng.standard_normal(found.numbers.x.size))
+    problem = found.fit.problem
+    exact = slope(problem, evaluate(problem, numbers)).gradient
+    lags = np.arange(numbers.x.size) >= numbers.x.size - 2  # held at zero by their prior
+    for k in np.flatnonzero(~lags):
+        step = np.zeros(numbers.x.size)
+        step[k] = 1e-5
+        up, down = (evaluate(problem, numbers.moved(numbers.x + s)).total for s in (step, -step))
+        assert exact[k] == pytest.approx((up - down) / 4e-5, rel=2e-3, abs=0.05 + 1e-5 * np.abs(exact).max())
+
+
+def test_a_plant_with_friction_is_found_within_its_deviations():
+    plant, found = fitted()
+    assert np.sqrt(np.mean(errors(plant, found) ** 2)) < 2.0
+    assert found.inner_strength < 0.02
+
+
+def test_free_play_does_not_bias_the_plant_and_shows_where_it_is():
+    plant, found = fitted(gap=3e-3)
+    place = found.strength[0][1]
+    assert (place.where, place.number) in {(Where.SPRING, 0), (Where.MASS, 1)}
+    values = found.numbers.plant.of_kind(Kind.MASS)
+    assert values[2:] == pytest.approx(np.concatenate(plant.masses)[2:], rel=0.01)
+
+
+def test_smoothed_motion_of_a_motor_is_the_measured_one():
+    _, found = fitted(gap=3e-3)
+    problem = found.fit.problem
+    motion = smooth(problem, found.fit.value)[0]
+    where, rate = motion.over_time(np.eye(5)[0])
+    for r, record in enumerate(problem.stacks[0].records):
+        inside = slice(200, -200)
+        assert where[r, inside] == pytest.approx(record.motion.position[inside, 0], abs=2e-5)
+        assert rate[r, inside] == pytest.approx(record.motion.velocity[inside, 0], abs=5e-3)
