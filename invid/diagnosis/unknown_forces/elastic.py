@@ -10,7 +10,7 @@ from typing import TypeGuard
 import numpy as np
 
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, explained_share, finding_of
-from invid.diagnosis.unknown_forces.backward import Worth, worths
+from invid.diagnosis.unknown_forces.backward import Worth, without_mode, worths
 from invid.diagnosis.unknown_forces.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
 from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
@@ -87,6 +87,9 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
 
 def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
     """The hypothesis with the causes that pay, fitted."""
+    for branch in now.hypothesis.structure.modes:
+        if any(w.key == ("mode", branch) and not w.stays for w in found):
+            now = without_mode(now, branch)
     gone = {w.key for w in found if not w.stays}
     # Friction that rises at slow speed rises above dry friction.
     gone -= {(Part.DRY, w.key[1]) for w in found if w.stays and _is_rise(w.key)}
