@@ -90,7 +90,7 @@ def _through_viscous(problem: Problem, value: Value, joint: Float64, size: int) 
         if not loop.size:
             continue
         answer = (
-            np.einsum("rfii->rfi", np.linalg.inv(loop)) * (1j * work.stack.omega * work.stack.weight)[:, None]
+            np.einsum("rfii->rfi", np.linalg.inv(loop)) * (1j * work.stack.omega * work.turning)[:, None]
         )
         each = -2.0 * answer.real.sum(axis=(0, 1))
         pull += [each[problem.columns[j].damps] if problem.columns[j].damps >= 0 else 0.0 for j in free]
@@ -180,6 +180,6 @@ def _covariance_slope(
     if loop.size:
         answer = np.linalg.inv(loop).sum(axis=0)
         closed = (seen * (answer @ seen)).sum(axis=1) * factor
-        out = out - 2.0 * work.stack.weight[:, None] * closed.real
+        out = out - 2.0 * work.turning[:, None] * closed.real
     total: Float64 = out.sum(axis=0)
     return total

@@ -149,6 +149,11 @@ class StackWork:
     """(R, 2n, J + 1) coordinates of laws and missing torque in the ends' basis."""
 
     @property
+    def turning(self) -> Float64:
+        """(F,) weights of the loop's term: none for the mean, at which a free machine has no stiffness."""
+        return np.where(self.stack.omega > 0.0, self.stack.weight, 0.0)
+
+    @property
     def shape(self) -> tuple[int, int, int]:
         """R, F, M."""
         count, lines, motors = self.stack.position.shape
@@ -284,7 +289,7 @@ def _shares(problem: Problem, work: StackWork, rows: Float64, coefficients: Floa
     """(R,) each record's part of −2 ln L."""
     weight = work.stack.weight
     loop = closed_loop(problem, work, coefficients)
-    closed = 4.0 * (weight * np.linalg.slogdet(loop)[1]).sum(axis=1) if loop.size else 0.0
+    closed = 4.0 * (work.turning * np.linalg.slogdet(loop)[1]).sum(axis=1) if loop.size else 0.0
     out: Float64 = (rows**2).sum(axis=1) + 2.0 * float(weight @ work.noise.log_determinant)
     out[work.stack.closed] -= closed
     return out
@@ -299,6 +304,7 @@ def closed_loop(problem: Problem, work: StackWork, coefficients: Float64) -> Com
             damping[column.damps] += value
     added = stack.loop[stack.closed] + 1j * stack.omega[:, None] * damping
     out: Complex128 = work.condensed.stiffness + added[..., None] * np.eye(damping.size)
+    out[:, stack.omega == 0.0] = np.eye(damping.size)
     return out
 
 
