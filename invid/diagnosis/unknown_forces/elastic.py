@@ -78,7 +78,6 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"
         ) from None
-    budget.tell("searching causes", 0.4)
     pursued = pursue(first)
     found = tuple(worths(pursued.end))
     end = only(pursued.end, found)

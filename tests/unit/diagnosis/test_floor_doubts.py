@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import two_masses
 
 from invid.diagnosis.diagnose import diagnose
@@ -18,6 +19,7 @@ def _pair(make: Callable[[Experiment, int], Experiment]) -> list[Experiment]:
     return [make(two_masses.from_rest(k, role, f"{k:03d}"), k) for k, role in enumerate(roles)]
 
 
+@pytest.mark.campaign
 def test_scatter_between_periods_is_no_floor() -> None:
     """A torque that no two periods share stood in the floor, and nothing was missing beneath it."""
 

@@ -15,6 +15,7 @@ from invid.simulators.judge import judge
 from invid.simulators.open import open_simulator
 
 
+@pytest.mark.campaign
 def test_an_fmu_with_wrong_numbers_is_set_right_by_its_parameters(tmp_path: Path) -> None:
     cell = drawn(4, kinds=(), motion="multisine", sizes=(1,))
     write(cell, measured(cell), tmp_path / "rec.h5")
