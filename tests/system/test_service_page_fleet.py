@@ -9,7 +9,13 @@ import pytest
 from page_browser import Page, browser, needs_browser
 from page_fleet import CELLS, plant
 
-pytestmark = [pytest.mark.browser, pytest.mark.service, pytest.mark.campaign, pytest.mark.panel, needs_browser]
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.service,
+    pytest.mark.campaign,
+    pytest.mark.panel,
+    needs_browser,
+]
 ROWS = "return [...document.querySelectorAll('#fleet-rows tr')].filter((r) => !r.hidden)"
 
 

@@ -13,7 +13,13 @@ import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, Serving, serving
 
-pytestmark = [pytest.mark.browser, pytest.mark.service, pytest.mark.campaign, pytest.mark.panel, needs_browser]
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.service,
+    pytest.mark.campaign,
+    pytest.mark.panel,
+    needs_browser,
+]
 SIZES = ((1280, 800), (390, 844))
 STIFF = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 0.3}}}\n"
 # Nothing is kept for validation, which is said before arming and with the result.

@@ -89,9 +89,7 @@ def _through_viscous(problem: Problem, value: Value, joint: Float64, size: int) 
         loop = closed_loop(problem, work, value.coefficients)
         if not loop.size:
             continue
-        answer = (
-            np.einsum("rfii->rfi", np.linalg.inv(loop)) * (1j * work.stack.omega * work.turning)[:, None]
-        )
+        answer = np.einsum("rfii->rfi", np.linalg.inv(loop)) * (1j * work.stack.omega * work.turning)[:, None]
         each = -2.0 * answer.real.sum(axis=(0, 1))
         pull += [each[problem.columns[j].damps] if problem.columns[j].damps >= 0 else 0.0 for j in free]
     if not pull.any():
