@@ -212,18 +212,6 @@ class InnerDry(SupposedLaw):
         return [(float(np.log(2e-3 * size)), float(np.log(0.3 * size)))]
 
 
-class UnevenFriction(SupposedLaw):
-    """Friction that differs between the directions: what it has beside friction that is the same.
-
-    Coefficients: half the difference of the viscous and of the dry parts; shape ln(width of the turn).
-    """
-
-    cause, at, low = "asymmetric_friction", "motor", (-np.inf,)
-
-    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        return np.abs(motion.velocity)[:, None]
-
-
 class Slider(SupposedLaw):
     """A spring that slides at its limit, beside a spring or at a motor; shape ln(deflection at which it
     slides).
@@ -324,27 +312,6 @@ class PayloadChange(SupposedLaw):
         return {"mass": float(coefficients[0]), "time": float(np.exp(shape[0]))}
 
 
-class SpringDrift(SupposedLaw):
-    """A spring whose stiffness changes with time, by a rate a second."""
-
-    cause, at = "parameter_drift", "spring"
-
-    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        middle = 0.5 * (motion.time[0] + motion.time[-1])
-        force: Float64 = (motion.position * (motion.time - middle))[:, None]
-        return force
-
-
-class Gravity(SupposedLaw):
-    """Weight of a load: sine and cosine of its angle."""
-
-    cause, at, low = "gravity", "load", (-np.inf, -np.inf)
-    coarse = True
-
-    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        return np.stack((np.sin(motion.position), np.cos(motion.position) - 1.0), axis=1)
-
-
 SUPPOSED: tuple[SupposedLaw, ...] = (
     Backlash(),
     CubicStiffness(),
@@ -352,11 +319,9 @@ SUPPOSED: tuple[SupposedLaw, ...] = (
     TransmissionError(),
     SpringHysteresis(),
     PreslidingFriction(),
-    UnevenFriction(),
     TorqueSaturation(),
     TorqueGain(),
     PayloadChange(),
-    SpringDrift(),
     InnerViscous(),
     InnerDry(),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -84,13 +84,12 @@ def _contest(benches: Benches, structure: Structure, plants: Sequence[Plant]) ->
     return contest([f for f in first if f is not None])
 
 
-def contest(pool: Sequence[Supposed], say: Callable[[str], None] = lambda _: None) -> Supposed | None:
+def contest(pool: Sequence[Supposed]) -> Supposed | None:
     """The best of several fits, run further in rounds."""
     fits = sorted(pool, key=lambda f: f.total)[: ROUNDS[0][1]]
     for iterations, kept in ROUNDS[1:]:
         if budget.is_left_out("further starts") and fits:
             break
-        say(str([round(f.total) for f in fits]))
         fits = sorted((f.refit(iterations=iterations) for f in fits), key=lambda f: f.total)[:kept]
     return fits[0] if fits else None
 

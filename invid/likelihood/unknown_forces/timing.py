@@ -27,8 +27,6 @@ EXPECTED_DELAY = (-0.5, 0.0)
 """Delay [samples] of a command, which acts over the sample before the SYNC that shows it, and of a hold."""
 EXPECTED_SHARE = (1.0, 0.5)
 """Share of a command that is held over the sample, and of a hold, which works inside the drive or outside."""
-PER_AXIS = 5
-"""Numbers of an axis."""
 
 
 @dataclass(frozen=True, eq=False)

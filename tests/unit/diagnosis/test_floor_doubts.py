@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import two_masses
 
 from invid.diagnosis.diagnose import diagnose
-from invid.model.diagnosis_document import Verdict, diagnosis_from_json, diagnosis_to_json
+from invid.diagnosis.limits.floor_doubts import doubt_floors
+from invid.model.diagnosis_document import Finding, Verdict, diagnosis_from_json, diagnosis_to_json
+from invid.model.document import EffectTerm, Estimate
 from invid.recording.model import Experiment, Role
 
 
@@ -46,6 +49,21 @@ def test_scatter_between_periods_is_no_floor() -> None:
     assert all(f.confidence <= 0.5 for f in found.findings)
     unknown = replace(found, residual=(replace(left, noise_floor=None),))
     assert diagnosis_from_json(diagnosis_to_json(unknown)).residual[0].noise_floor is None
+
+
+def test_a_floor_that_is_scatter_is_none_and_what_stands_on_it_is_in_doubt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recording = two_masses.recording(*_pair(lambda e, _: e))
+    torque = {"torque": Estimate(0.4, 0.01, "N·m")}
+    sure = Finding(EffectTerm("coulomb_friction", "A1", torque, "mass 1"), 0.99, 1.0, 0.1, 0.9)
+    found = replace(diagnose(recording), findings=(sure,))
+    state = SimpleNamespace(dof=1000, cost=1000.0, held=None)
+    monkeypatch.setattr("invid.diagnosis.limits.floor_doubts.scatter_share", lambda held, axis: 0.6)
+    doubted = doubt_floors(found, SimpleNamespace(final=state, base=state), recording)  # type: ignore[arg-type]
+    assert doubted.residual[0].noise_floor is None
+    assert [f.confidence for f in doubted.findings] == [0.5]
+    assert any("scatters from period to period" in w for w in doubted.warnings)
 
 
 def test_one_short_period_makes_nothing_sure() -> None:

@@ -12,6 +12,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from unit.likelihood.chain_plant import ChainPlant
 
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
+from invid.effects.registry import BY_CAUSE
+from invid.effects.supposed_laws import SUPPOSED, SupposedLaw
 from invid.model.diagnosis_document import Diagnosis
 
 SPRINGS = ("A1", "spring 1"), ("A2", "spring 1"), ("A2", "spring 2")
@@ -71,3 +73,9 @@ def test_a_hardening_spring_is_found_with_its_coefficient(seed: int) -> None:
     finding = next(f for f in result.findings if f.cause == "cubic_stiffness")
     assert (finding.axis, finding.element) == SPRINGS[spring]
     assert finding.parameters["coefficient"].value == pytest.approx(stiffness * share, rel=0.1)
+
+
+@pytest.mark.parametrize("law", SUPPOSED, ids=lambda law: f"{law.cause} {law.at}")
+def test_a_supposed_law_has_the_parameters_of_its_cause(law: SupposedLaw) -> None:
+    said = law.parameters(np.ones(len(law.low)), (0.0,), 1.0)
+    assert set(said) == set(BY_CAUSE[law.cause].parameters)
