@@ -275,7 +275,7 @@ $("upload-form").addEventListener("submit", async (event) => {
 const acts = {
   open: (id) => { setView("work"); enter(id); },
   begin: guarded((id, pressed) => pressing(pressed, async () => { await post(`/cells/${id}/identifications`, { mode: "full" }, unique()); look(); })),
-  accept: guarded(async (run) => { await post(`${run.links.self}/actions`, { type: "accept" }); look(); }),
+  accept: guarded(async (run) => { await post(`${run.links.self}/actions`, { type: "accept", ...who() }); look(); }),
 };
 const VIEWS = {
   work: async () => {},
