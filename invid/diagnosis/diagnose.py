@@ -16,6 +16,7 @@ from invid.diagnosis.limits.floor_doubts import doubt_floors
 from invid.diagnosis.limits.ruled_out import ruled_out
 from invid.diagnosis.outcome import limit_unfinished_search
 from invid.diagnosis.remainder.law_without_name import add_laws
+from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import (
     add_dropped_rows_finding,
@@ -101,61 +102,29 @@ def _diagnose_clean(
         return diagnose_trajectory(recording, model=model)
     dropped = find_dropped_rows(recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
+    sizes = _requested_sizes(recording, masses) if model is None else model.chains.masses_per_branch
     if model is None:
         with budget.use_share(1.0, 0.0, 0.3):
             kind = machine_kind(
                 recording, masses, lambda: identify_chains(repaired, masses), TIME_TO_IDENTIFY
             )
-            model = kind.model
-            if model is None and not kind.rigid:
-                with budget.use_share(TIME_TO_IDENTIFY):
-                    model = identify_chains(repaired, masses)
-        if model is None:
+        if kind.rigid:
             result = diagnose_trajectory(recording, analysis=kind.analysis)
             return replace(result, warnings=(*result.warnings, kind.sentence)) if kind.sentence else result
-    elif model.provenance.get("recorded") != recording.created:
-        said = (w.removeprefix(GIVEN_MODEL_PREFIX) for w in model.warnings)
-        model = replace(model, warnings=tuple(f"{GIVEN_MODEL_PREFIX}{w}" for w in said))
-    if model.axes != recording.axes:
+    elif model.axes != recording.axes:
         raise InputError(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
             "the model of this robot, or without one"
         )
-    check_units(model, recording)
-    with budget.use_share(TIME_TO_SEARCH, 0.3, 0.9):
-        search = run_search_pass(repaired, merge_spring_damping(model))
-    repaired, train, held = search.recording, search.train, search.held
-    found = JudgedSearch(search, hold_timing_warnings(search.selection.final.fit, recording))
-    selection = search.selection.widen_by_remainder()
-    result = found.diagnosis(selection)
-    if result.verdict is Verdict.UNEXPLAINED and selection.steps:
-        selection = _without_the_rest(selection, train, held)
-        result = found.diagnosis(selection)
-    with_law = None
-    if result.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not selection.is_cut_short:
-        with_law = add_laws(selection if result.findings else selection.without_causes(), train, held)
-    budget.tell("simulating over time", 0.92)
-    checked = None
-    if with_law is not None:
-        with_law = with_law.widen_by_remainder()
-        checked = found.simulated(with_law, found.diagnosis(with_law))
-    if checked is None or checked.is_refused:
-        checked = found.simulated(selection, result)
-    selection, result = checked.selection, checked.diagnosis
-    if selection.is_cut_short:
-        result = limit_unfinished_search(result)
-    elif result.verdict is not Verdict.UNEXPLAINED and all(f.effect.table is None for f in result.findings):
-        # Behind what has no name anything may hide.
-        open_holds = holds_left_open(search.spectra, search.model, repaired)
-        limits = ruled_out(selection, train, held, repaired, open_holds)
-        is_own = model.provenance.get("recorded") == recording.created
-        result = replace(
-            result, ruled_out=_without_found(limits, result.findings, model.effects if is_own else ())
-        )
-    result = doubt_floors(result, selection, repaired)
-    return add_dropped_rows_finding(
-        result, recording, dropped, rms_before_repair(recording, search.bare) if dropped else {}
-    )
+    else:
+        check_units(model, recording)
+    result = diagnose_elastic(repaired, sizes)
+    return result
+
+
+def _requested_sizes(recording, masses):
+    wanted = recording.masses_per_axis if masses is None else masses
+    return None if wanted is None or isinstance(wanted, str) else tuple(wanted)
 
 
 def _without_the_rest(
