@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
-from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import (
     find_dropped_rows,
     interpolate_dropped_rows,
 )
+from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
@@ -26,15 +26,9 @@ from invid.recording.still_axes import masses_of_moving
 from invid.signals.plausibility import check_units
 from invid.signals.repair import repair
 
-NOTABLE_SHARE = 0.1
-"""Share of a hold inside the drive from which a warning says so (empirical)."""
-
 TIME_TO_IDENTIFY, TIME_TO_SEARCH = 0.5, 0.85
 """Share of the budget for the identification, and of the rest for the search; what remains is for the
 simulation over time and the sentences (empirical)."""
-
-GIVEN_MODEL_PREFIX = "the model given, of its own recording: "
-"""Prefix of warnings that come from the identification of a model made from other data."""
 
 
 def diagnose(
