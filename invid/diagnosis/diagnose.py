@@ -96,11 +96,13 @@ def _diagnose_clean(
         )
     else:
         check_units(model, recording)
-    result = diagnose_elastic(repaired, sizes)
-    return result
+    return diagnose_elastic(repaired, sizes)
 
 
-def _requested_sizes(recording, masses):
+def _requested_sizes(
+    recording: Recording, masses: Sequence[int] | Literal["auto"] | None
+) -> tuple[int, ...] | None:
+    """Masses of each axis as asked for or recorded; ``None`` where the data are to choose."""
     wanted = recording.masses_per_axis if masses is None else masses
     return None if wanted is None or isinstance(wanted, str) else tuple(wanted)
 
