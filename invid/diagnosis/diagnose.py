@@ -9,11 +9,8 @@ from typing import Literal
 import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
+from invid.diagnosis.lost_samples import with_lost_samples
 from invid.diagnosis.rigid import diagnose_trajectory
-from invid.diagnosis.rules.dropped_rows import (
-    find_dropped_rows,
-    interpolate_dropped_rows,
-)
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
@@ -23,6 +20,7 @@ from invid.model.document import Model
 from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.recording.still_axes import masses_of_moving
+from invid.signals.dropped_rows import find_dropped_rows, interpolate_dropped_rows
 from invid.signals.plausibility import check_units
 from invid.signals.repair import repair
 
@@ -96,7 +94,7 @@ def _diagnose_clean(
         )
     else:
         check_units(model, recording)
-    return diagnose_elastic(repaired, sizes)
+    return with_lost_samples(diagnose_elastic(repaired, sizes), recording, dropped)
 
 
 def _requested_sizes(
