@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from hidden.generator import make
 
-from invid.diagnosis.diagnose import GIVEN_MODEL_PREFIX, diagnose
+from invid.diagnosis.diagnose import diagnose
 from invid.effects.registry import CATALOGUE
 from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
@@ -159,12 +159,9 @@ def test_friction_that_has_gone_since_comes_out_as_nothing_and_nothing_takes_its
     wrong = diagnose(recording).model
     nothing = make(None, seed=11, motors=1)[0]
     # the friction that the model carries is gone: it comes out as nothing, and no other cause in its stead
-    d = diagnose(nothing, model=dataclasses.replace(wrong, warnings=("axis A1 jammed",), provenance={}))
+    d = diagnose(nothing, model=dataclasses.replace(wrong, provenance={}))
     assert d.verdict is Verdict.CONSISTENT
-    assert [w for w in d.warnings if "jammed" in w] == [f"{GIVEN_MODEL_PREFIX}axis A1 jammed"]
-    again = diagnose(nothing, model=d.model)
-    assert [w for w in again.warnings if "jammed" in w] == [f"{GIVEN_MODEL_PREFIX}axis A1 jammed"]
-    assert abs(d.model.effects[0].value("torque")) < 0.1 * truth.effects[0].parameters["torque"]
+    assert d.findings == ()
 
 
 def test_motion_that_runs_away_beyond_all_numbers_is_said_and_no_traceback(excited: Recording) -> None:
