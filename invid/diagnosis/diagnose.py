@@ -10,30 +10,20 @@ from typing import Literal
 import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
-from invid.diagnosis.judged_search import JudgedSearch
-from invid.diagnosis.known_effects import merge_spring_damping
-from invid.diagnosis.limits.floor_doubts import doubt_floors
-from invid.diagnosis.limits.ruled_out import ruled_out
-from invid.diagnosis.outcome import limit_unfinished_search
-from invid.diagnosis.remainder.law_without_name import add_laws
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import (
-    add_dropped_rows_finding,
     find_dropped_rows,
     interpolate_dropped_rows,
-    rms_before_repair,
 )
 from invid.diagnosis.rules.own_evidence import keep_independent_causes
-from invid.diagnosis.search_pass import run_search_pass
 from invid.diagnosis.selection import Selection
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.likelihood.joint_fit import JointFit
-from invid.likelihood.nuisance.hold_share import holds_left_open
-from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, RuledOut, Verdict
+from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, RuledOut
 from invid.model.document import EffectTerm, Model
 from invid.numerics import budget
 from invid.recording.model import Recording
