@@ -1,0 +1,362 @@
+"""What a machine may have besides its chains: a mode at a mass, a base that gives way, one more mass; each
+with starts by a scan over frequency, and each taken out again.
+
+A mass m on a spring resists with m·f(ω), f = −ω²s/(s − ω²) and s = ω₀² + 2jζω₀ω; a base on which the loads
+stand with c cᵀ·f/M, but for an inertia of the loads that is free anyway. To first order both are a symmetric
+matrix times f: one term of its diagonal, or rank one over the loads.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from invid.diagnosis.unknown_forces.scoring import Background, solve_scaled
+from invid.likelihood.unknown_forces.correspondence import Correspondence
+from invid.likelihood.unknown_forces.descent import LARGEST_STEP
+from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
+from invid.likelihood.unknown_forces.slope import inner_motion, whitened_rows
+from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.numerics.arrays import Complex128, Float64
+
+BAND, SPACING = (0.04, 1.6), 1.06
+"""Frequencies that are scanned over the highest excited one, and the ratio of neighbours: a resonance of
+``DAMPING`` is as wide."""
+DAMPING = 0.03
+"""Damping ratio of what is scanned."""
+LEAST_FALL = 6.0
+"""First-order fall of −2 ln L below which nothing is fitted."""
+PEAKS, STARTS = 3, 2
+"""Frequencies of the scan that are started from, and starts that are fitted."""
+SHARES = (0.1, 0.35)
+"""Masses of a mode over its host's, and of the loads' inertia of a base, to start from."""
+MASS = (0.02, 2.0)
+"""Bounds of a mode's mass over its chain's."""
+HEAVIEST = 1000.0
+"""Most mass of a base over that of its heaviest load."""
+NEARLY, HOSTS = 0.3, 3
+"""Hosts that are fitted: first-order fall over that of the best, and how many."""
+
+Values = dict[Element, float]
+
+
+class Addition(ABC):
+    """A part that a structure may have besides its chains as they are."""
+
+    cause: str
+    """As the contract names it; empty where it is one more mass of the chain."""
+
+    @abstractmethod
+    def within(self, structure: Structure) -> Structure:
+        """The structure with it."""
+
+    @abstractmethod
+    def spot(self, structure: Structure) -> Spot:
+        """The place in a structure without it that it hangs on."""
+
+    @abstractmethod
+    def starts(self, now: Supposed, looked: Scan) -> list[Values]:
+        """Its values at the peaks of a scan."""
+
+    @abstractmethod
+    def is_real(self, now: Supposed) -> bool:
+        """Return whether records can show what was found."""
+
+
+class AddedMass(Addition):
+    """One more mass on a spring behind a coordinate."""
+
+    @abstractmethod
+    def ends(self, wider: Structure) -> tuple[int, int]:
+        """Coordinates of its host and of its mass in the structure with it; the host's is as without it."""
+
+    def spot(self, structure: Structure) -> Spot:
+        host = self.ends(self.within(structure))[0]
+        motor = host in structure.motor
+        return Spot(Where.MOTOR, structure.motor.index(host)) if motor else Spot(Where.MASS, host)
+
+    def starts(self, now: Supposed, looked: Scan) -> list[Values]:
+        wider = self.within(now.hypothesis.structure)
+        host, at = self.ends(wider)
+        whole = float(now.numbers.plant.of_kind(Kind.MASS)[host])
+        out = []
+        for k in peaks(looked.mode[host]):
+            for share in SHARES:
+                mass = share * whole
+                values = _spring(looked.frequencies[k], mass, Element(Kind.SPRING, host, at))
+                values |= {Element(Kind.MASS, at): mass, Element(Kind.MASS, host): whole - mass}
+                out.append(values | self.carried(now, wider, share))
+        return out
+
+    def carried(self, now: Supposed, wider: Structure, share: float) -> Values:
+        """What moves from the host to the mass."""
+        return {}
+
+    def is_real(self, now: Supposed) -> bool:
+        structure, plant = now.hypothesis.structure, now.numbers.plant
+        host, at = self.ends(structure)
+        mass, spring = (
+            plant.of_kind(Kind.MASS),
+            plant.of_kind(Kind.SPRING)[structure.links.index((host, at))],
+        )
+        axis = structure.axis_of(at)
+        chain = mass[structure.motor[axis] : structure.load[axis] + 1].sum()
+        frequency = np.sqrt(spring / mass[at]) / top(now)
+        return bool(MASS[0] < mass[at] / chain < MASS[1] and BAND[0] < frequency < BAND[1])
+
+
+@dataclass(frozen=True)
+class Mode(AddedMass):
+    """A mass on a spring at a coordinate of a chain, beside what the chain carries."""
+
+    host: int
+    cause = "extra_mode"
+
+    def within(self, structure: Structure) -> Structure:
+        return replace(structure, modes=(*structure.modes, self.host))
+
+    def ends(self, wider: Structure) -> tuple[int, int]:
+        return self.host, sum(wider.sizes) + wider.modes.index(self.host)
+
+
+@dataclass(frozen=True)
+class FurtherMass(AddedMass):
+    """A mass at the end of a chain, which then carries the couplings."""
+
+    axis: int
+    cause = ""
+
+    def within(self, structure: Structure) -> Structure:
+        sizes = tuple(n + (i == self.axis) for i, n in enumerate(structure.sizes))
+        last = structure.load[self.axis]
+        return replace(structure, sizes=sizes, modes=tuple(h + (h > last) for h in structure.modes))
+
+    def ends(self, wider: Structure) -> tuple[int, int]:
+        last = wider.load[self.axis]
+        return last - 1, last
+
+    def carried(self, now: Supposed, wider: Structure, share: float) -> Values:
+        coupling = now.numbers.plant.of_kind(Kind.COUPLING)
+        joined = zip(wider.elements[wider.index(Kind.COUPLING)], coupling, strict=True)
+        mass = wider.load[self.axis]
+        return {e: float(c * np.sqrt(share)) for e, c in joined if mass in (e.a, e.b)}
+
+
+@dataclass(frozen=True)
+class Base(Addition):
+    """The body under all loads on a spring to ground."""
+
+    cause = "base_compliance"
+
+    def within(self, structure: Structure) -> Structure:
+        return replace(structure, base=True)
+
+    def spot(self, structure: Structure) -> Spot:
+        return Spot(Where.MOTOR, 0)
+
+    def starts(self, now: Supposed, looked: Scan) -> list[Values]:
+        wider = self.within(now.hypothesis.structure)
+        at = wider.coordinates - 1
+        inertia = load_inertia(now.hypothesis.structure, now.numbers.plant.values)
+        mass = float(np.exp(np.log(np.diag(inertia)).mean()))
+        out = []
+        for k in peaks(looked.base):
+            size, direction = np.linalg.eigh(looked.matrix[k])
+            if size[-1] <= 0.0:
+                continue
+            force = direction[:, -1] * np.sqrt(mass)
+            part = float(force @ np.linalg.solve(inertia, force)) / mass
+            for share in SHARES:
+                coupling = force * np.sqrt(share / part)
+                values = _spring(looked.frequencies[k], mass, Element(Kind.SPRING, at))
+                values[Element(Kind.MASS, at)] = mass
+                values |= {
+                    Element(Kind.COUPLING, load, at): float(c)
+                    for load, c in zip(wider.load, coupling, strict=True)
+                }
+                out.append(values)
+        return out
+
+    def is_real(self, now: Supposed) -> bool:
+        structure, plant = now.hypothesis.structure, now.numbers.plant
+        own, _ = base_of(structure, plant.values)
+        frequency = np.sqrt(own["stiffness"] / (own["mass"] + own["carried"])) / top(now)
+        heaviest = max(plant.of_kind(Kind.MASS)[i] for i in structure.load)
+        return bool(0.0 < own["mass"] < HEAVIEST * heaviest and BAND[0] < frequency < BAND[1])
+
+
+def additions_of(structure: Structure) -> tuple[Addition, ...]:
+    """What a structure has besides its chains."""
+    return (*(Mode(h) for h in structure.modes), *((Base(),) if structure.base else ()))
+
+
+def _spring(frequency: float, mass: float, spring: Element) -> Values:
+    """A spring on which a mass swings, and its damper."""
+    stiffness = float(frequency**2 * mass)
+    damper = Element(Kind.DAMPER, spring.a, spring.b)
+    return {spring: stiffness, damper: 2 * DAMPING * stiffness / float(frequency)}
+
+
+def base_of(structure: Structure, values: Float64) -> tuple[dict[str, float], Float64]:
+    """Mass, that of what it ``carries``, stiffness and damping ratio of a base, and (M,) its loads' shares.
+
+    The base moves as the load that takes most part: its share is one. With c (M,) the base's couplings and J
+    the inertia of the loads, shares are J⁻¹c, scaled so.
+    """
+    mass, spring, damper, coupling = (
+        values[structure.index(k)] for k in (Kind.MASS, Kind.SPRING, Kind.DAMPER, Kind.COUPLING)
+    )
+    inertia = load_inertia(structure, values)
+    shares = np.linalg.solve(inertia, coupling[-structure.motors :])
+    scale = 1.0 / float(shares[np.argmax(np.abs(shares))])
+    shares = shares * scale
+    carried = float(shares @ inertia @ shares)
+    out = {
+        "mass": float(mass[-1]) * scale**2 - carried,
+        "carried": carried,
+        "stiffness": float(spring[-1]) * scale**2,
+        "damping_ratio": float(damper[-1]) / (2.0 * float(np.sqrt(spring[-1] * mass[-1]))),
+    }
+    return out, shares
+
+
+def load_inertia(structure: Structure, values: Float64) -> Float64:
+    """(M, M) inertia of the loads."""
+    out: Float64 = np.diag(values[structure.index(Kind.MASS)][list(structure.load)])
+    for (i, j), c in zip(structure.pairs, values[structure.index(Kind.COUPLING)], strict=False):
+        out[i, j] = out[j, i] = c
+    return out
+
+
+def top(now: Supposed) -> float:
+    """Highest excited frequency [rad/s]."""
+    return 2 * np.pi * max(r.top_hz for s in now.bench.stacks for r in s.records)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """First-order falls of −2 ln L over frequency.
+
+    ``frequencies`` (K,) [rad/s]; ``mode`` {host: (K,)} falls by a mass on a spring at a host; ``base`` (K,)
+    falls by a symmetric ``matrix`` (K, M, M) over the loads.
+    """
+
+    frequencies: Float64
+    mode: dict[int, Float64]
+    base: Float64
+    matrix: Float64
+
+
+def scan(now: Supposed) -> Scan:
+    """The falls with everything else projected out, strengths as they are."""
+    structure = now.hypothesis.structure
+    count = int(np.log(BAND[1] / BAND[0]) / np.log(SPACING)) + 1
+    frequencies = top(now) * BAND[0] * SPACING ** np.arange(count)
+    pairs = [*combinations_with_replacement(structure.load, 2)]
+    hosts = [a for a in range(sum(structure.sizes)) if a not in structure.load]
+    places = [*pairs, *((a, a) for a in hosts)]
+    background = Background.of(now)
+    seen = [_seen(now, k, places) for k in range(len(now.fit.value.work))]
+    fall = np.zeros((count, len(places)))
+    base, matrix = np.zeros(count), np.zeros((count, structure.motors, structure.motors))
+    for f, own in enumerate(frequencies):
+        columns = []
+        for work, lines in zip(now.fit.value.work, seen, strict=True):
+            answer = mode_answer(work.stack.omega, own)
+            rows = whitened_rows(work, lines * answer[:, None, None])
+            columns.append(rows.reshape(-1, len(places)))
+        normal, pull = background.beside(columns)
+        fall[f] = np.maximum(-pull, 0.0) ** 2 / np.diag(normal)
+        block = solve_scaled(normal[: len(pairs), : len(pairs)], -pull[: len(pairs)])
+        base[f] = -pull[: len(pairs)] @ block
+        for (a, b), value in zip(pairs, block, strict=True):
+            i, j = structure.load.index(a), structure.load.index(b)
+            matrix[f, i, j] = matrix[f, j, i] = value
+    mode = {a: fall[:, k] for k, (a, b) in enumerate(places) if a == b}
+    return Scan(frequencies, mode, base, matrix)
+
+
+def mode_answer(omega: Float64, own: float) -> Complex128:
+    """(F,) resistance of a unit mass on a spring of frequency ``own``."""
+    spring = own**2 + 2j * DAMPING * own * omega
+    out: Complex128 = -(omega**2) * spring / (spring - omega**2)
+    return out
+
+
+def _seen(now: Supposed, number: int, places: Sequence[tuple[int, int]]) -> Complex128:
+    """(R, F, M, P) change of the missing torque by a unit resistance between coordinates of one stack."""
+    motion = now.fit.value.work[number].condensed.motion
+    moved = inner_motion(now.fit.problem, now.fit.value, number)
+    columns = [
+        motion[..., a] * moved[..., b, None] + (motion[..., b] * moved[..., a, None] if a != b else 0.0)
+        for a, b in places
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def peaks(falls: Float64) -> list[int]:
+    """Numbers of the highest peaks, the highest first."""
+    padded = np.concatenate(([0.0], falls, [0.0]))
+    tops = np.flatnonzero((falls >= padded[:-2]) & (falls >= padded[2:]) & (falls > 0.0))
+    return [int(k) for k in tops[np.argsort(-falls[tops])][:PEAKS]]
+
+
+def expected(found: Supposed) -> float:
+    """−2 ln L after the next step, by its slope and curvature here."""
+    around = found.fit.slope
+    unit = np.sqrt(np.diag(around.curvature))
+    step = np.linalg.solve(around.curvature / unit[:, None] / unit, around.gradient / unit) / unit
+    share = min(1.0, LARGEST_STEP / float(np.abs(step).max()))
+    return found.total - float(around.gradient @ step) * share * (2.0 - share)
+
+
+def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
+    """The fit with an addition, from its best starts; none where none has a value."""
+    structure = now.hypothesis.structure
+    moved = Correspondence.of(structure, addition.within(structure))
+    pool = []
+    for values in addition.starts(now, looked):
+        with suppress(np.linalg.LinAlgError):
+            pool.append(now.in_structure(moved, values, 0))
+    pool = sorted(pool, key=expected)[:STARTS]
+    tried = sorted((f.refit(iterations=6) for f in pool), key=lambda f: f.total)
+    return tried[0].refit(iterations=25) if tried else None
+
+
+def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
+    """What is worth a fit: hosts by the falls of the scan, a base where there are several loads.
+
+    From one motor no host can be told from another. Where the number of masses is not known (``growing``) a
+    chain may be longer.
+    """
+    structure = now.hypothesis.structure
+    hosts = [h for h in looked.mode if h not in structure.modes]
+    if structure.motors == 1:
+        hosts = [h for h in hosts if h in structure.load]
+    falls = {h: float(looked.mode[h].max()) for h in hosts}
+    best = max([LEAST_FALL, *falls.values()])
+    leaders = sorted((h for h in hosts if falls[h] > NEARLY * best), key=lambda h: -falls[h])[:HOSTS]
+    longer = [h for h in leaders if growing and h in structure.load]
+    out: list[Addition] = [FurtherMass(structure.load.index(h)) for h in longer]
+    out += [Mode(h) for h in leaders if not growing or structure.motors > 1]
+    if structure.motors > 1 and not structure.base and looked.base.max() > LEAST_FALL:
+        out.append(Base())
+    return out
+
+
+def without(now: Supposed, addition: Addition) -> Supposed:
+    """The fit with an addition taken out, its mass put back on its host."""
+    structure, values = now.hypothesis.structure, {}
+    if isinstance(addition, Mode):
+        fewer = replace(structure, modes=tuple(h for h in structure.modes if h != addition.host))
+        mass = now.numbers.plant.of_kind(Kind.MASS)
+        values[Element(Kind.MASS, addition.host)] = float(sum(mass[[*addition.ends(structure)]]))
+    else:
+        fewer = replace(structure, base=False)
+    return now.in_structure(Correspondence.of(structure, fewer), values, 25)
