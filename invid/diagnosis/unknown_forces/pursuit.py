@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import candidates, score
-from invid.diagnosis.unknown_forces.structures import Addition, add, additions, scan
+from invid.diagnosis.unknown_forces.structures import Addition, add, additions
 from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
@@ -24,6 +25,8 @@ Schwarz's price of its numbers, and of the places and shapes looked at, is about
 of friction and the grid of motion leave (empirical: false falls of up to 60 of −ln L in sixty rounds of whole
 cells of another hand).
 """
+NUMBER = 10.0
+"""Schwarz's price of one number and ten thousand rows."""
 REFINED = 4
 """Leaders of the scores that are fitted."""
 OWN_STIFFNESS = (0.7, 1.4)
@@ -56,6 +59,13 @@ class Trial:
     def fall(self) -> float:
         """Fall of −2 ln L."""
         return self.base.total - self.found.total
+
+    @property
+    def merit(self) -> float:
+        """The fall less what the numbers of a base cost that the mode of one load has not: of two that do as
+        well the simpler one is taken."""
+        spare = self.found.hypothesis.structure.base and not self.base.hypothesis.structure.base
+        return self.fall - spare * NUMBER * (self.found.hypothesis.structure.motors - 1)
 
 
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
@@ -150,7 +160,7 @@ def try_channels(now: Supposed) -> list[Trial]:
 
 def try_structures(now: Supposed, *, growing: bool) -> list[Trial]:
     """A mode, a base, one more mass of a chain, each where a scan over frequency says that it may be."""
-    looked = scan(now)
+    looked = Scan(now)
     structure = now.hypothesis.structure
     out = []
     for addition in additions(now, looked, growing=growing):
@@ -210,7 +220,7 @@ def pursue(
         if best < 2000.0 or now.inner_strength > LOST:
             trials += try_structures(now, growing=growing)
         trials += try_channels(now)
-        trials.sort(key=lambda t: -t.fall)
+        trials.sort(key=lambda t: -t.merit)
         say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
         taken = next((t for t in trials if pays(*role_falls(t.base, t.found))), None)
         if taken is None:

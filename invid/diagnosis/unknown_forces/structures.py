@@ -1,43 +1,33 @@
 """What a machine may have besides its chains: a mode at a mass, a base that gives way, one more mass; each
-with starts by a scan over frequency, and each taken out again.
-
-A mass m on a spring resists with m·f(ω), f = −ω²s/(s − ω²) and s = ω₀² + 2jζω₀ω; a base on which the loads
-stand with c cᵀ·f/M, but for an inertia of the loads that is free anyway. To first order both are a symmetric
-matrix times f: one term of its diagonal, or rank one over the loads.
-"""
+with starts by a scan over frequency, and each taken out again."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import combinations_with_replacement
 
 import numpy as np
 
-from invid.diagnosis.unknown_forces.scoring import Background, solve_scaled
+from invid.diagnosis.unknown_forces.resonances import BAND, Resonance, Scan, top
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import LARGEST_STEP
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
-from invid.likelihood.unknown_forces.slope import inner_motion, whitened_rows
 from invid.likelihood.unknown_forces.supposition import Supposed
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Float64
 
-BAND, SPACING = (0.04, 1.6), 1.06
-"""Frequencies that are scanned over the highest excited one, and the ratio of neighbours: a resonance of
-``DAMPING`` is as wide."""
-DAMPING = 0.03
-"""Damping ratio of what is scanned."""
 LEAST_FALL = 6.0
 """First-order fall of −2 ln L below which nothing is fitted."""
-PEAKS, STARTS = 3, 2
-"""Frequencies of the scan that are started from, and starts that are fitted."""
-SHARES = (0.1, 0.35)
-"""Masses of a mode over its host's, and of the loads' inertia of a base, to start from."""
-MASS = (0.02, 2.0)
-"""Bounds of a mode's mass over its chain's."""
+STARTS = 2
+"""Starts that are fitted."""
+SMALL, SHARES = 0.03, (0.1, 0.35)
+"""Masses of a mode over its host's, and of the loads' inertia of a base, to start from beside that of first
+order, where that is no longer small."""
+HEAVIEST_MODE = 2.0
+"""Most mass of a mode over its chain's."""
+SURE = 0.5
+"""Most deviation of the logarithms of a mass and its spring that are known at all."""
 HEAVIEST = 1000.0
 """Most mass of a base over that of its heaviest load."""
 NEARLY, HOSTS = 0.3, 3
@@ -86,10 +76,10 @@ class AddedMass(Addition):
         host, at = self.ends(wider)
         whole = float(now.numbers.plant.of_kind(Kind.MASS)[host])
         out = []
-        for k in peaks(looked.mode[host]):
-            for share in SHARES:
+        for peak in looked.peaks([(host, host)]):
+            for share in _shares(float(peak.sizes[0]) / whole):
                 mass = share * whole
-                values = _spring(looked.frequencies[k], mass, Element(Kind.SPRING, host, at))
+                values = _spring(peak, mass, Element(Kind.SPRING, host, at))
                 values |= {Element(Kind.MASS, at): mass, Element(Kind.MASS, host): whole - mass}
                 out.append(values | self.carried(now, wider, share))
         return out
@@ -101,14 +91,16 @@ class AddedMass(Addition):
     def is_real(self, now: Supposed) -> bool:
         structure, plant = now.hypothesis.structure, now.numbers.plant
         host, at = self.ends(structure)
-        mass, spring = (
-            plant.of_kind(Kind.MASS),
-            plant.of_kind(Kind.SPRING)[structure.links.index((host, at))],
-        )
+        link = structure.links.index((host, at))
+        mass, spring = plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)[link]
+        numbers = [structure.index(Kind.MASS).start + at, structure.index(Kind.SPRING).start + link]
+        deviation = np.sqrt(np.diag(now.fit.covariance)[numbers])
         axis = structure.axis_of(at)
         chain = mass[structure.motor[axis] : structure.load[axis] + 1].sum()
         frequency = np.sqrt(spring / mass[at]) / top(now)
-        return bool(MASS[0] < mass[at] / chain < MASS[1] and BAND[0] < frequency < BAND[1])
+        return bool(
+            deviation.max() < SURE and mass[at] < HEAVIEST_MODE * chain and BAND[0] < frequency < BAND[1]
+        )
 
 
 @dataclass(frozen=True)
@@ -166,15 +158,17 @@ class Base(Addition):
         inertia = load_inertia(now.hypothesis.structure, now.numbers.plant.values)
         mass = float(np.exp(np.log(np.diag(inertia)).mean()))
         out = []
-        for k in peaks(looked.base):
-            size, direction = np.linalg.eigh(looked.matrix[k])
+        for peak in looked.peaks(looked.loads):
+            matrix = np.zeros(inertia.shape)
+            matrix[np.triu_indices(inertia.shape[0])] = peak.sizes
+            size, direction = np.linalg.eigh(matrix, UPLO="U")
             if size[-1] <= 0.0:
                 continue
             force = direction[:, -1] * np.sqrt(mass)
             part = float(force @ np.linalg.solve(inertia, force)) / mass
-            for share in SHARES:
+            for share in _shares(float(size[-1]) * part):
                 coupling = force * np.sqrt(share / part)
-                values = _spring(looked.frequencies[k], mass, Element(Kind.SPRING, at))
+                values = _spring(peak, mass, Element(Kind.SPRING, at))
                 values[Element(Kind.MASS, at)] = mass
                 values |= {
                     Element(Kind.COUPLING, load, at): float(c)
@@ -196,11 +190,15 @@ def additions_of(structure: Structure) -> tuple[Addition, ...]:
     return (*(Mode(h) for h in structure.modes), *((Base(),) if structure.base else ()))
 
 
-def _spring(frequency: float, mass: float, spring: Element) -> Values:
+def _shares(first: float) -> tuple[float, ...]:
+    return (first,) if first < SMALL else SHARES if first > SHARES[-1] else (first, *SHARES)
+
+
+def _spring(peak: Resonance, mass: float, spring: Element) -> Values:
     """A spring on which a mass swings, and its damper."""
-    stiffness = float(frequency**2 * mass)
+    stiffness = peak.frequency**2 * mass
     damper = Element(Kind.DAMPER, spring.a, spring.b)
-    return {spring: stiffness, damper: 2 * DAMPING * stiffness / float(frequency)}
+    return {spring: stiffness, damper: 2 * peak.damping * peak.frequency * mass}
 
 
 def base_of(structure: Structure, values: Float64) -> tuple[dict[str, float], Float64]:
@@ -234,79 +232,6 @@ def load_inertia(structure: Structure, values: Float64) -> Float64:
     return out
 
 
-def top(now: Supposed) -> float:
-    """Highest excited frequency [rad/s]."""
-    return 2 * np.pi * max(r.top_hz for s in now.bench.stacks for r in s.records)
-
-
-@dataclass(frozen=True, eq=False)
-class Scan:
-    """First-order falls of −2 ln L over frequency.
-
-    ``frequencies`` (K,) [rad/s]; ``mode`` {host: (K,)} falls by a mass on a spring at a host; ``base`` (K,)
-    falls by a symmetric ``matrix`` (K, M, M) over the loads.
-    """
-
-    frequencies: Float64
-    mode: dict[int, Float64]
-    base: Float64
-    matrix: Float64
-
-
-def scan(now: Supposed) -> Scan:
-    """The falls with everything else projected out, strengths as they are."""
-    structure = now.hypothesis.structure
-    count = int(np.log(BAND[1] / BAND[0]) / np.log(SPACING)) + 1
-    frequencies = top(now) * BAND[0] * SPACING ** np.arange(count)
-    pairs = [*combinations_with_replacement(structure.load, 2)]
-    hosts = [a for a in range(sum(structure.sizes)) if a not in structure.load]
-    places = [*pairs, *((a, a) for a in hosts)]
-    background = Background.of(now)
-    seen = [_seen(now, k, places) for k in range(len(now.fit.value.work))]
-    fall = np.zeros((count, len(places)))
-    base, matrix = np.zeros(count), np.zeros((count, structure.motors, structure.motors))
-    for f, own in enumerate(frequencies):
-        columns = []
-        for work, lines in zip(now.fit.value.work, seen, strict=True):
-            answer = mode_answer(work.stack.omega, own)
-            rows = whitened_rows(work, lines * answer[:, None, None])
-            columns.append(rows.reshape(-1, len(places)))
-        normal, pull = background.beside(columns)
-        fall[f] = np.maximum(-pull, 0.0) ** 2 / np.diag(normal)
-        block = solve_scaled(normal[: len(pairs), : len(pairs)], -pull[: len(pairs)])
-        base[f] = -pull[: len(pairs)] @ block
-        for (a, b), value in zip(pairs, block, strict=True):
-            i, j = structure.load.index(a), structure.load.index(b)
-            matrix[f, i, j] = matrix[f, j, i] = value
-    mode = {a: fall[:, k] for k, (a, b) in enumerate(places) if a == b}
-    return Scan(frequencies, mode, base, matrix)
-
-
-def mode_answer(omega: Float64, own: float) -> Complex128:
-    """(F,) resistance of a unit mass on a spring of frequency ``own``."""
-    spring = own**2 + 2j * DAMPING * own * omega
-    out: Complex128 = -(omega**2) * spring / (spring - omega**2)
-    return out
-
-
-def _seen(now: Supposed, number: int, places: Sequence[tuple[int, int]]) -> Complex128:
-    """(R, F, M, P) change of the missing torque by a unit resistance between coordinates of one stack."""
-    motion = now.fit.value.work[number].condensed.motion
-    moved = inner_motion(now.fit.problem, now.fit.value, number)
-    columns = [
-        motion[..., a] * moved[..., b, None] + (motion[..., b] * moved[..., a, None] if a != b else 0.0)
-        for a, b in places
-    ]
-    return np.stack(columns, axis=-1)
-
-
-def peaks(falls: Float64) -> list[int]:
-    """Numbers of the highest peaks, the highest first."""
-    padded = np.concatenate(([0.0], falls, [0.0]))
-    tops = np.flatnonzero((falls >= padded[:-2]) & (falls >= padded[2:]) & (falls > 0.0))
-    return [int(k) for k in tops[np.argsort(-falls[tops])][:PEAKS]]
-
-
 def expected(found: Supposed) -> float:
     """−2 ln L after the next step, by its slope and curvature here."""
     around = found.fit.slope
@@ -336,16 +261,16 @@ def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
     chain may be longer.
     """
     structure = now.hypothesis.structure
-    hosts = [h for h in looked.mode if h not in structure.modes]
+    hosts = [h for h in range(sum(structure.sizes)) if h not in structure.modes]
     if structure.motors == 1:
         hosts = [h for h in hosts if h in structure.load]
-    falls = {h: float(looked.mode[h].max()) for h in hosts}
+    falls = {h: looked.fall([(h, h)]) for h in hosts}
     best = max([LEAST_FALL, *falls.values()])
     leaders = sorted((h for h in hosts if falls[h] > NEARLY * best), key=lambda h: -falls[h])[:HOSTS]
     longer = [h for h in leaders if growing and h in structure.load]
     out: list[Addition] = [FurtherMass(structure.load.index(h)) for h in longer]
     out += [Mode(h) for h in leaders if not growing or structure.motors > 1]
-    if structure.motors > 1 and not structure.base and looked.base.max() > LEAST_FALL:
+    if structure.motors > 1 and not structure.base and looked.fall(looked.loads) > LEAST_FALL:
         out.append(Base())
     return out
 
