@@ -72,7 +72,8 @@ def shaken(now: Supposed, rng: np.random.Generator) -> Supposed:
     Unknown forces as strong as they are make the way home smooth.
     """
     for _ in range(SHAKES):
-        if is_home(now) or budget.is_left_out("further starts"):
+        at_home = now.inner_strength < HOME * torque_rms(now.bench)
+        if at_home or budget.is_left_out("further starts"):
             break
         moved = []
         for _ in range(SHAKEN):
