@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.unknown_forces.resonances import BAND, Resonance, Scan, top
+from invid.diagnosis.unknown_forces.resonances import BAND, DAMPING, Resonance, Scan, top
+from invid.identification.first_plants import fraction_chains
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import LARGEST_STEP
 from invid.likelihood.unknown_forces.forces import Spot, Where
@@ -24,6 +25,8 @@ STARTS = 2
 SMALL, SHARES = 0.03, (0.1, 0.35)
 """Masses of a mode over its host's, and of the loads' inertia of a base, to start from beside that of first
 order, where that is no longer small."""
+FRACTIONS = 2
+"""Continued fractions of a chain with one mass more to start from."""
 HEAVIEST_MODE = 2.0
 """Most mass of a mode over its chain's."""
 SURE = 0.5
@@ -82,6 +85,24 @@ class AddedMass(Addition):
                 values = _spring(peak, mass, Element(Kind.SPRING, host, at))
                 values |= {Element(Kind.MASS, at): mass, Element(Kind.MASS, host): whole - mass}
                 out.append(values | self.carried(now, wider, share))
+        return [*out, *self._fractions(now, wider)]
+
+    def _fractions(self, now: Supposed, wider: Structure) -> list[Values]:
+        """Values of the whole chain with the mass at its end, by continued fractions."""
+        host, at = self.ends(wider)
+        axis, plant = wider.axis_of(host), now.numbers.plant
+        first = wider.motor[axis]
+        chain = [*(i for i in range(first, host + 1)), at]
+        if host != first + now.hypothesis.structure.sizes[axis] - 1:
+            return []
+        out = []
+        for masses, springs in fraction_chains(now.bench.stacks, axis, len(chain), FRACTIONS):
+            values = {Element(Kind.MASS, i): float(m) for i, m in zip(chain, masses, strict=True)}
+            for a, b, m, k in zip(chain[:-1], chain[1:], masses[1:], springs, strict=True):
+                peak = Resonance(float(np.sqrt(k / m)), DAMPING, 0.0, masses)
+                values |= _spring(peak, float(m), Element(Kind.SPRING, a, b))
+            share = float(masses[-1]) / plant.of_kind(Kind.MASS)[host]
+            out.append(values | self.carried(now, wider, min(share, 1.0)))
         return out
 
     def carried(self, now: Supposed, wider: Structure, share: float) -> Values:
@@ -273,6 +294,29 @@ def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
     if structure.motors > 1 and not structure.base and looked.fall(looked.loads) > LEAST_FALL:
         out.append(Base())
     return out
+
+
+def as_mode(now: Supposed) -> Supposed | None:
+    """The mode of one load that is nearest to a base, fitted; none where that load has one."""
+    structure, plant = now.hypothesis.structure, now.numbers.plant
+    forces = plant.of_kind(Kind.COUPLING)[-structure.motors :]
+    axis = int(np.argmax(np.abs(forces) / plant.of_kind(Kind.MASS)[list(structure.load)]))
+    mode = Mode(structure.load[axis])
+    if mode.host in structure.modes:
+        return None
+    wider = mode.within(replace(structure, base=False))
+    host, at = mode.ends(wider)
+    mass, spring, damper = (float(plant.of_kind(k)[-1]) for k in (Kind.MASS, Kind.SPRING, Kind.DAMPER))
+    share = float(forces[axis]) / mass
+    values = {
+        Element(Kind.MASS, at): share**2 * mass,
+        Element(Kind.MASS, host): float(plant.of_kind(Kind.MASS)[host]) - share**2 * mass,
+        Element(Kind.SPRING, host, at): share**2 * spring,
+        Element(Kind.DAMPER, host, at): share**2 * damper,
+    }
+    with suppress(np.linalg.LinAlgError):
+        return now.in_structure(Correspondence.of(structure, wider), values, 31)
+    return None
 
 
 def without(now: Supposed, addition: Addition) -> Supposed:
