@@ -45,8 +45,12 @@ def torque_rms(bench: Bench) -> float:
 
 def is_home(found: Supposed) -> bool:
     """Return whether nothing unknown acts that counts."""
-    torque = torque_rms(found.bench)
-    return found.inner_strength < HOME * torque and found.strength[0][0] < HOME_AT_MOTORS * torque
+    return is_settled(found) and found.strength[0][0] < HOME_AT_MOTORS * torque_rms(found.bench)
+
+
+def is_settled(found: Supposed) -> bool:
+    """Return whether nothing unknown that counts acts behind the motors."""
+    return found.inner_strength < HOME * torque_rms(found.bench)
 
 
 def begin(bench: Bench, structure: Structure, kept: Bench | None = None, seed: int = 1) -> Supposed:
@@ -72,8 +76,7 @@ def shaken(now: Supposed, rng: np.random.Generator) -> Supposed:
     Unknown forces as strong as they are make the way home smooth.
     """
     for _ in range(SHAKES):
-        at_home = now.inner_strength < HOME * torque_rms(now.bench)
-        if at_home or budget.is_left_out("further starts"):
+        if is_settled(now) or budget.is_left_out("further starts"):
             break
         moved = []
         for _ in range(SHAKEN):

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.diagnosis.unknown_forces.resonances import BAND, DAMPING, Resonance, Scan, top
+from invid.identification.contest import is_settled
 from invid.identification.first_plants import fraction_chains
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import LARGEST_STEP
@@ -27,6 +28,8 @@ SMALL, SHARES = 0.03, (0.1, 0.35)
 order, where that is no longer small."""
 FRACTIONS = 2
 """Continued fractions of a chain with one mass more to start from."""
+STRONG = 0.1
+"""Unknown force over the strongest from which on an axis may have one mass more."""
 HEAVIEST_MODE = 2.0
 """Most mass of a mode over its chain's."""
 SURE = 0.5
@@ -57,6 +60,10 @@ class Addition(ABC):
     def starts(self, now: Supposed, looked: Scan) -> list[Values]:
         """Its values at the peaks of a scan."""
 
+    def fractions(self, now: Supposed) -> list[Values]:
+        """Its values, and those of the chain that it belongs to, by what does not know the fit."""
+        return []
+
     @abstractmethod
     def is_real(self, now: Supposed) -> bool:
         """Return whether records can show what was found."""
@@ -85,10 +92,11 @@ class AddedMass(Addition):
                 values = _spring(peak, mass, Element(Kind.SPRING, host, at))
                 values |= {Element(Kind.MASS, at): mass, Element(Kind.MASS, host): whole - mass}
                 out.append(values | self.carried(now, wider, share))
-        return [*out, *self._fractions(now, wider)]
+        return out
 
-    def _fractions(self, now: Supposed, wider: Structure) -> list[Values]:
+    def fractions(self, now: Supposed) -> list[Values]:
         """Values of the whole chain with the mass at its end, by continued fractions."""
+        wider = self.within(now.hypothesis.structure)
         host, at = self.ends(wider)
         axis, plant = wider.axis_of(host), now.numbers.plant
         first = wider.motor[axis]
@@ -263,20 +271,29 @@ def expected(found: Supposed) -> float:
 
 
 def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
-    """The fit with an addition, from its best starts; none where none has a value."""
+    """The fit with an addition; none where no start has a value.
+
+    The best starts of the scan compete with those of continued fractions where the fit is not home: a scan at
+    numbers that are bent cannot judge them.
+    """
     structure = now.hypothesis.structure
     moved = Correspondence.of(structure, addition.within(structure))
-    pool = []
-    for values in addition.starts(now, looked):
-        with suppress(np.linalg.LinAlgError):
-            pool.append(now.in_structure(moved, values, 0))
-    pool = sorted(pool, key=expected)[:STARTS]
-    tried = sorted((f.refit(iterations=6) for f in pool), key=lambda f: f.total)
-    return tried[0].refit(iterations=25) if tried else None
+    tried = []
+    for starts in (addition.starts(now, looked), [] if is_settled(now) else addition.fractions(now)):
+        pool = []
+        for values in starts:
+            with suppress(np.linalg.LinAlgError):
+                pool.append(now.in_structure(moved, values, 0))
+        tried += [f.refit(iterations=6) for f in sorted(pool, key=expected)[:STARTS]]
+    for iterations, kept in ((12, 2), (25, 1)):
+        best = sorted(tried, key=lambda f: f.total)[:kept]
+        tried = [f.refit(iterations=iterations) for f in best]
+    return tried[0] if tried else None
 
 
 def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
-    """What is worth a fit: hosts by the falls of the scan, a base where there are several loads.
+    """What is worth a fit: hosts by the falls of the scan, loads of axes on which an unknown force is strong,
+    a base where there are several loads.
 
     From one motor no host can be told from another. Where the number of masses is not known (``growing``) a
     chain may be longer.
@@ -288,12 +305,32 @@ def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
     falls = {h: looked.fall([(h, h)]) for h in hosts}
     best = max([LEAST_FALL, *falls.values()])
     leaders = sorted((h for h in hosts if falls[h] > NEARLY * best), key=lambda h: -falls[h])[:HOSTS]
+    bent = [structure.load[axis] for axis in axes_with_force(now)]
+    leaders += [h for h in bent if h in hosts and h not in leaders]
     longer = [h for h in leaders if growing and h in structure.load]
     out: list[Addition] = [FurtherMass(structure.load.index(h)) for h in longer]
     out += [Mode(h) for h in leaders if not growing or structure.motors > 1]
     if structure.motors > 1 and not structure.base and looked.fall(looked.loads) > LEAST_FALL:
         out.append(Base())
     return out
+
+
+def axes_with_force(now: Supposed) -> list[int]:
+    """Axes with an unknown force behind the motor that is no tenth of the strongest; none where none
+    counts."""
+    if is_settled(now):
+        return []
+    structure = now.hypothesis.structure
+    out: list[int] = []
+    for rms, spot in now.strength:
+        if spot.where is Where.MOTOR or rms < STRONG * now.inner_strength:
+            continue
+        if spot.where is Where.PAIR:
+            out += [spot.number, spot.other]
+        else:
+            link = spot.where is Where.SPRING
+            out.append(structure.axis_of(structure.links[spot.number][0] if link else spot.number))
+    return list(dict.fromkeys(out))
 
 
 def as_mode(now: Supposed) -> Supposed | None:
