@@ -10,10 +10,11 @@ from typing import TypeGuard
 import numpy as np
 
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, explained_share, finding_of
-from invid.diagnosis.unknown_forces.backward import Worth, without_mode, worths
+from invid.diagnosis.unknown_forces.backward import Worth, worths
 from invid.diagnosis.unknown_forces.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
 from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
+from invid.diagnosis.unknown_forces.structures import additions_of, without
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.contest import begin, begin_open
@@ -78,7 +79,7 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"
         ) from None
-    pursued = pursue(first)
+    pursued = pursue(first, growing=sizes is None)
     found = tuple(worths(pursued.end))
     end = only(pursued.end, found)
     return ElasticSearch(recording, pursued, end, found, without_causes(end), tuple(place_forces(end)))
@@ -86,9 +87,9 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
 
 def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
     """The hypothesis with the causes that pay, fitted."""
-    for branch in now.hypothesis.structure.modes:
-        if any(w.key == ("mode", branch) and not w.stays for w in found):
-            now = without_mode(now, branch)
+    for addition in additions_of(now.hypothesis.structure):
+        if any(w.key == addition and not w.stays for w in found):
+            now = without(now, addition)
     gone = {w.key for w in found if not w.stays}
     # Friction that rises at slow speed rises above dry friction.
     gone -= {(Part.DRY, w.key[1]) for w in found if w.stays and _is_rise(w.key)}
@@ -172,11 +173,7 @@ def named_causes(found: ElasticSearch, before: AxisMissing, after: AxisMissing) 
             terms.append((term, worth.rise))
     terms += [(writer.load_spring(p), stays[p].rise) for p in end.hypothesis.structure.pairs if p in stays]
     terms += [(writer.channel(*c), stays[c].rise) for c in end.hypothesis.channels if c in stays]
-    terms += [
-        (writer.mode(b), stays["mode", b].rise)
-        for b in end.hypothesis.structure.modes
-        if ("mode", b) in stays
-    ]
+    terms += [(writer.addition(a), stays[a].rise) for a in additions_of(end.hypothesis.structure)]
     out = []
     for number, (term, rise) in enumerate(terms):
         axis = axes.index(term.axis)

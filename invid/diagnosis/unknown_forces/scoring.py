@@ -4,6 +4,7 @@ order."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,13 +28,13 @@ def spots_of(law: SupposedLaw, structure: Structure) -> list[Spot]:
     if law.at == "motor":
         return [Spot(Where.MOTOR, i) for i in range(structure.motors)]
     if law.at == "spring":
-        return [Spot(Where.SPRING, k) for k in range(len(structure.links))]
+        return [Spot(Where.SPRING, k) for k in range(len(structure.links) - len(structure.modes))]
     if law.at == "load":
         return [
             Spot(Where.MOTOR, i) if a == structure.motor[i] else Spot(Where.MASS, a)
             for i, a in enumerate(structure.tip)
         ]
-    return [Spot(Where.MASS, a) for a in structure.inner]
+    return [Spot(Where.MASS, a) for a in structure.inner if a < sum(structure.sizes)]
 
 
 def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
@@ -49,30 +50,62 @@ def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What else a fit moves: by how much −2 ln L falls with columns beside it, all else moving to first
+    order."""
+
+    rows: tuple[Float64, ...]
+    """(rows, p + J') of each stack."""
+    left: tuple[Float64, ...]
+    """(rows,) missing torque of each stack."""
+    size: Float64
+    inverse: Float64
+
+    @classmethod
+    def of(cls, now: Supposed) -> Background:
+        """At a fit, with strengths as they are."""
+        value, joint = now.fit.value, now.fit.slope.joint
+        size = np.sqrt(np.diag(joint)) + 1e-300
+        return cls(
+            tuple(joint_rows(now, k) for k in range(len(value.work))),
+            tuple((w.missing + w.laws @ value.coefficients).ravel() for w in value.work),
+            size,
+            np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size)),
+        )
+
+    def beside(self, columns: Sequence[Float64]) -> tuple[Float64, Float64]:
+        """(k, k) and (k,): what of whitened columns (rows, k) of each stack nothing else explains, and their
+        pull."""
+        count = columns[0].shape[1]
+        own, cross, pull = np.zeros((count, count)), np.zeros((self.size.size, count)), np.zeros(count)
+        for rows, rest, flat in zip(self.rows, self.left, columns, strict=True):
+            own += flat.T @ flat
+            cross += rows.T @ flat
+            pull += flat.T @ rest
+        cross = cross / self.size[:, None]
+        return own - cross.T @ self.inverse @ cross + ALIKE * np.diag(np.diag(own) + 1e-300), pull
+
+
 def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
     """(k,) falls of −2 ln L by each law with strengths as they are."""
-    value = now.fit.value
-    base = [joint_rows(now, k) for k in range(len(value.work))]
-    joint = now.fit.slope.joint
-    size = np.sqrt(np.diag(joint)) + 1e-300
-    inverse = np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size))
-    left = [(w.missing + w.laws @ value.coefficients).ravel() for w in value.work]
+    background = Background.of(now)
     out = []
     for placed in laws:
         every = COARSE if placed.law.coarse else 1
         lines = now.bench.law_lines(placed, now.motions, every=every)
         vector = vector_of(now.hypothesis.structure, placed.spot)[:, None]
-        count = lines[0].shape[2]
-        own, cross, pull = np.zeros((count, count)), np.zeros((size.size, count)), np.zeros(count)
-        for work, rows, rest, wave in zip(value.work, base, left, lines, strict=True):
+        columns = []
+        for work, wave in zip(now.fit.value.work, lines, strict=True):
             reach = along(work.condensed.motion, vector)
-            flat = whitened_rows(work, wave[:, :, None] * reach).reshape(-1, count)
-            own += flat.T @ flat
-            cross += rows.T @ flat
-            pull += flat.T @ rest
-        cross = cross / size[:, None]
-        unit = np.sqrt(np.diag(own)) + 1e-300
-        rest_own = (own - cross.T @ inverse @ cross) / unit[:, None] / unit
-        pull = pull / unit
-        out.append(float(pull @ np.linalg.solve(rest_own + ALIKE * np.eye(count), pull)))
+            columns.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
+        own, pull = background.beside(columns)
+        out.append(float(pull @ solve_scaled(own, pull)))
     return np.array(out)
+
+
+def solve_scaled(own: Float64, pull: Float64) -> Float64:
+    """Solution of a positive system whose unknowns have units of their own."""
+    unit = np.sqrt(np.diag(own)) + 1e-300
+    out: Float64 = np.linalg.solve(own / unit[:, None] / unit, pull / unit) / unit
+    return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property, partial
@@ -10,10 +10,11 @@ from functools import cached_property, partial
 import numpy as np
 
 from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
+from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws
-from invid.likelihood.unknown_forces.plant import Kind, Structure
+from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.strengths import stronger
@@ -75,16 +76,19 @@ class Motions:
         problem = found.problem
         return cls(problem.stacks, found.numbers.plant.structure, smooth(problem, found.value))
 
-    def in_structure(self, structure: Structure) -> Motions:
-        """The same for a structure with one more mass: places keep their numbers, and their motion."""
-        out = Motions(self.stacks, structure, ())
-        out._known = self._all_known()
+    def in_structure(self, moved: Correspondence) -> Motions:
+        """The same for another structure, at the places that both have."""
+        out = Motions(self.stacks, moved.new, ())
+        for spot, motion in self._all_known().items():
+            at = moved.spot(spot)
+            if at is not None:
+                out._known[at] = motion
         return out
 
     def _all_known(self) -> dict[Spot, list[list[SpotMotion]]]:
         if self.smoothed:
             for spot in Spots.of(self.structure).spots:
-                if spot.where is Where.SPRING:
+                if spot.where in (Where.MASS, Where.SPRING):
                     self.of(spot)
         return dict(self._known)
 
@@ -233,7 +237,7 @@ class Supposed:
     ) -> Supposed:
         """Another hypothesis, on the same motions, from here."""
         changed = self.hypothesis if hypothesis is None else hypothesis
-        start = carry_over(self.numbers if numbers is None else numbers, self.fit.problem.spots)
+        start = self.numbers if numbers is None else numbers
         columns = self.bench.columns(changed, self.motions)
         problem = Problem.about(self.bench.stacks, columns, start)
         if start.plant.structure == self.numbers.plant.structure:
@@ -260,14 +264,34 @@ class Supposed:
             kept = Motions(self.kept.stacks, structure, smooth(problem, value))
         return replace(self, motions=Motions.at(self.fit), kept_motions=kept)
 
-    def in_structure(self, structure: Structure) -> Supposed:
-        """The same with its motions at the places of a structure with one more mass."""
-        kept = self.kept_motions
-        return replace(
-            self,
-            motions=self.motions.in_structure(structure),
-            kept_motions=None if kept is None else kept.in_structure(structure),
+    def in_structure(
+        self, moved: Correspondence, added: Mapping[Element, float], iterations: int
+    ) -> Supposed:
+        """The fit of another structure from here: what both have as it was, what is ``added`` from its
+        values.
+
+        Laws at places that are gone go too.
+        """
+        kept, known = self.kept_motions, self.fit.problem.spots.number
+        first = np.full(2, np.median(self.numbers.strength))
+        strength = {moved.spot(spot): self.numbers.strength[k] for spot, k in known.items()}
+        numbers = replace(
+            self.numbers,
+            plant=moved.plant(self.numbers.plant, added),
+            strength=np.array([strength.get(s, first) for s in Spots.of(moved.new).spots]),
         )
+        laws = [(placed, moved.spot(placed.spot)) for placed in self.hypothesis.laws]
+        hypothesis = replace(
+            self.hypothesis,
+            structure=moved.new,
+            laws=tuple(replace(placed, spot=at) for placed, at in laws if at is not None),
+        )
+        there = replace(
+            self,
+            motions=self.motions.in_structure(moved),
+            kept_motions=None if kept is None else kept.in_structure(moved),
+        )
+        return there.refit(hypothesis, numbers, iterations)
 
     @property
     def strength(self) -> list[tuple[float, Spot]]:
@@ -310,16 +334,6 @@ def bounded(numbers: Numbers, problem: Problem, hypothesis: Hypothesis) -> tuple
         free = [axis, motors + axis] if channel is Channel.DELAY else [4 * motors + axis]
         spread[[times + k for k in free]] = FREE_TIME
     return numbers.moved(x), replace(problem, centre=centre, spread=spread)
-
-
-def carry_over(numbers: Numbers, spots: Spots) -> Numbers:
-    """The numbers with strengths for all places of their structure, known ones as they were."""
-    own = Spots.of(numbers.plant.structure)
-    if len(own.spots) == numbers.strength.shape[0]:
-        return numbers
-    known = {spot: numbers.strength[k] for k, spot in enumerate(spots.spots)}
-    first = np.full(2, np.median(numbers.strength))
-    return replace(numbers, strength=np.array([known.get(s, first) for s in own.spots]))
 
 
 def suppose(
