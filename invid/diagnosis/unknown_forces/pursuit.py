@@ -111,16 +111,14 @@ def try_law(now: Supposed, placed: PlacedLaw) -> Supposed:
     found = now.refit(now.hypothesis.plus(placed), iterations=5)
     for _ in range(2):
         found = reshape(found, 2)
-        found = found.renewed(5) if placed.spot.where is not Where.MOTOR else found
+        found = found.renewed(5) if placed.needs_fit else found
     return found
 
 
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Inner motion, shapes and numbers in turn until the value stands."""
     for _ in range(rounds):
-        moved = reshape(
-            now.renewed() if any(p.spot.where is not Where.MOTOR for p in now.hypothesis.laws) else now
-        )
+        moved = reshape(now.renewed() if any(p.needs_fit for p in now.hypothesis.laws) else now)
         gained = now.total - moved.total
         if gained > 0:
             now = moved

@@ -115,8 +115,26 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
             )
             columns.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
         own, pull = background.beside(columns)
-        out.append(float(pull @ solve_scaled(own, pull)))
+        out.append(bounded_fall(own, pull, placed.law.limits(now.motions.flat(placed.spot))))
     return np.array(out)
+
+
+def bounded_fall(own: Float64, pull: Float64, limits: Sequence[tuple[float, float]]) -> float:
+    """Largest −2·pull·β − βᵀ·own·β with β within its limits: one at a time the worst violator is put at
+    its bound."""
+    low, high = np.array(limits).T
+    beta, free = np.zeros(pull.size), np.ones(pull.size, dtype=bool)
+    while free.any():
+        beta[free] = -solve_scaled(
+            own[np.ix_(free, free)], pull[free] + own[np.ix_(free, ~free)] @ beta[~free]
+        )
+        bound = np.clip(beta, low, high)
+        beyond = np.abs(beta - bound) * np.sqrt(np.diag(own))
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 0.0:
+            break
+        beta[worst], free[worst] = bound[worst], False
+    return float(-2.0 * pull @ beta - beta @ own @ beta)
 
 
 def solve_scaled(own: Float64, pull: Float64) -> Float64:

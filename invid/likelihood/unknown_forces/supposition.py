@@ -38,6 +38,11 @@ class PlacedLaw:
         """What may stand once."""
         return self.law.cause, self.spot, self.number
 
+    @property
+    def needs_fit(self) -> bool:
+        """Whether its waves are on motion that a fit has said."""
+        return self.spot.where is not Where.MOTOR or self.law.reads
+
 
 class Channel(Enum):
     """What a drive may do to its torque."""
@@ -86,11 +91,21 @@ class Motions:
         self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
         self._known: dict[Spot, list[list[SpotMotion]]] = {}
 
-    @classmethod
-    def at(cls, found: Fit) -> Motions:
-        """Smoothed at a fit."""
-        problem = found.problem
-        return cls(problem.stacks, found.numbers.plant.structure, smooth(problem, found.value))
+    def renewed(self, problem: Problem, value: Value, laws: Sequence[PlacedLaw]) -> Motions:
+        """Smoothed at a fit, motors where ``laws`` of their readings say that they stand."""
+        out = Motions(self.stacks, value.numbers.plant.structure, smooth(problem, value))
+        names = [c.name for c in problem.columns]
+        for placed in laws:
+            if placed.law.reads:
+                size = value.coefficients[[names.index((*placed.key, i)) for i in range(len(placed.law.low))]]
+                out._known[placed.spot] = [
+                    [
+                        _standing(new, placed.law.waves(old, placed.shape) @ size)
+                        for new, old in zip(*both, strict=True)
+                    ]
+                    for both in zip(out.of(placed.spot), self.of(placed.spot), strict=True)
+                ]
+        return out
 
     def in_structure(self, moved: Correspondence) -> Motions:
         """The same for another structure, at the places that both have."""
@@ -144,6 +159,13 @@ class Motions:
             SpotMotion(q, v, a, t, stiffness=stiffness, origin=r.origin)
             for q, v, a, t, r in zip(position, velocity, angle, clocks, records, strict=True)
         ]
+
+
+def _standing(reading: SpotMotion, beyond: Float64) -> SpotMotion:
+    """The motion of a motor that stands ``beyond`` (k,) its reading."""
+    position = reading.position + beyond
+    rate = np.gradient(beyond, reading.time[1] - reading.time[0])
+    return replace(reading, position=position, angle=position, velocity=reading.velocity + rate)
 
 
 def axis_of(structure: Structure, spot: Spot) -> int:
@@ -281,18 +303,14 @@ class Supposed:
 
     def smoothed(self) -> Supposed:
         """The same on inner motion smoothed at its own fit."""
-        structure, value = self.numbers.plant.structure, self.kept_value
+        value, laws = self.kept_value, self.hypothesis.laws
         kept = None
-        if self.kept is not None and value is not None:
-            problem = replace(
-                self.fit.problem,
-                stacks=self.kept.stacks,
-                columns=self.kept.columns(
-                    self.hypothesis, self.kept_motions or Motions(self.kept.stacks, structure)
-                ),
-            )
-            kept = Motions(self.kept.stacks, structure, smooth(problem, value))
-        return replace(self, motions=Motions.at(self.fit), kept_motions=kept)
+        if self.kept is not None and self.kept_motions is not None and value is not None:
+            columns = self.kept.columns(self.hypothesis, self.kept_motions)
+            problem = replace(self.fit.problem, stacks=self.kept.stacks, columns=columns)
+            kept = self.kept_motions.renewed(problem, value, laws)
+        motions = self.motions.renewed(self.fit.problem, self.fit.value, laws)
+        return replace(self, motions=motions, kept_motions=kept)
 
     def in_structure(
         self, moved: Correspondence, added: Mapping[Element, float], iterations: int
