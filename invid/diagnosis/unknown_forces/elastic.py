@@ -15,6 +15,7 @@ from invid.diagnosis.unknown_forces.left_over import AxisMissing, PlaceForce, ax
 from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
 from invid.diagnosis.unknown_forces.structures import additions_of, without
+from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.contest import begin, begin_open
@@ -54,7 +55,11 @@ def records_of(recording: Recording) -> list[Record]:
     """The experiments as records on lines up to the highest frequency that any of them excites."""
     tops = [float(e.frequencies_hz.max()) for e in recording.experiments if e.frequencies_hz.size]
     top = max(tops, default=None)
-    return [make_record(e, recording.encoder_resolution, top) for e in recording.experiments]
+    origin = min(float(e.time[0]) for e in recording.experiments)
+    return [
+        replace(make_record(e, recording.encoder_resolution, top), origin=origin)
+        for e in recording.experiments
+    ]
 
 
 def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> ElasticSearch:
@@ -79,7 +84,7 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"
         ) from None
-    pursued = pursue(first, growing=sizes is None)
+    pursued = pursue(first, supposed_laws(linear=recording.linear), growing=sizes is None)
     found = tuple(worths(pursued.end))
     end = only(pursued.end, found)
     return ElasticSearch(recording, pursued, end, found, without_causes(end), tuple(place_forces(end)))

@@ -10,6 +10,7 @@ import numpy as np
 from invid.diagnosis.unknown_forces.structures import Addition, Mode, base_of
 from invid.effects.laws.moving_base import SHARE
 from invid.effects.registry import BY_CAUSE
+from invid.effects.supposed_laws import LawPlace
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -119,6 +120,13 @@ class TermWriter:
 
     def friction(self, motor: int, parts: frozenset[Part]) -> list[EffectTerm]:
         """Terms of a motor's friction for the parts that stay."""
+        named = {
+            Part(part)
+            for placed in self.now.hypothesis.laws
+            if axis_and_element(self.structure, placed.spot)[0] == motor
+            for part in placed.law.beside
+        }
+        parts = parts - named
         dry, rise, viscous = (self.known.coefficient((p, motor)) for p in (Part.DRY, Part.RISE, Part.VISCOUS))
         out = []
         if Part.RISE in parts:
@@ -146,20 +154,20 @@ class TermWriter:
     def law(self, placed: PlacedLaw) -> EffectTerm:
         """Term of a law."""
         number = self.now.hypothesis.laws.index(placed)
-        indices: list[int | None] = [
-            self.known.coefficient((placed.law.cause, placed.spot, i)) for i in range(len(placed.law.low))
-        ]
+        axis, element = axis_and_element(self.structure, placed.spot)
+        indices = [self.known.coefficient((*placed.key, i)) for i in range(len(placed.law.low))]
+        indices += [self.known.coefficient((Part(part), axis)) for part in placed.law.beside]
         count = len(indices)
         shapes = [self.known.shape((number, i)) for i in range(len(placed.shape))]
-        axis, element = axis_and_element(self.structure, placed.spot)
         stiffness = 1.0
         if placed.spot.where is Where.SPRING:
             stiffness = float(self.now.numbers.plant.of_kind(Kind.SPRING)[placed.spot.number])
+        place = LawPlace(int(element.split()[-1]), stiffness)
 
         def size(name: str) -> Callable[[Float64], float]:
-            return lambda v: placed.law.parameters(v[:count], tuple(v[count:]), stiffness)[name]
+            return lambda v: placed.law.parameters(v[:count], tuple(v[count:]), place)[name]
 
-        names = placed.law.parameters(np.ones(count), placed.shape, stiffness)
+        names = placed.law.parameters(np.ones(count), placed.shape, place)
         sizes = {name: (size(name), [*indices, *shapes]) for name in names}
         return self._term(placed.law.cause, axis, sizes, element=element)
 

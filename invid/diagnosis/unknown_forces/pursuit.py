@@ -10,7 +10,7 @@ import numpy as np
 from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import candidates, score
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
-from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
+from invid.effects.supposed_laws import Backlash, SupposedLaw
 from invid.identification.contest import shaken
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
@@ -63,10 +63,13 @@ class Trial:
 
     @property
     def merit(self) -> float:
-        """The fall less what the numbers of a base cost that the mode of one load has not: of two that do as
-        well the simpler one is taken."""
+        """The fall less what the numbers cost that a law of one coefficient, or the mode of one load, has
+        not: of two that do as well the simpler one is taken."""
         spare = self.found.hypothesis.structure.base and not self.base.hypothesis.structure.base
-        return self.fall - spare * NUMBER * (self.found.hypothesis.structure.motors - 1)
+        numbers = spare * (self.found.hypothesis.structure.motors - 1)
+        if self.placed is not None:
+            numbers += len(self.placed.law.low) + len(self.placed.shape) - 1
+        return self.fall - NUMBER * numbers
 
 
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
@@ -106,19 +109,17 @@ def is_sound(found: Supposed) -> bool:
 
 def try_law(now: Supposed, placed: PlacedLaw) -> Supposed:
     """The hypothesis with one law more, its shape and all numbers at their best."""
-    found = now.refit(replace(now.hypothesis, laws=(*now.hypothesis.laws, placed)), iterations=5)
+    found = now.refit(now.hypothesis.plus(placed), iterations=5)
     for _ in range(2):
         found = reshape(found, 2)
-        found = found.renewed(5) if placed.spot.where is not Where.MOTOR else found
+        found = found.renewed(5) if placed.needs_fit else found
     return found
 
 
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Inner motion, shapes and numbers in turn until the value stands."""
     for _ in range(rounds):
-        moved = reshape(
-            now.renewed() if any(p.spot.where is not Where.MOTOR for p in now.hypothesis.laws) else now
-        )
+        moved = reshape(now.renewed() if any(p.needs_fit for p in now.hypothesis.laws) else now)
         gained = now.total - moved.total
         if gained > 0:
             now = moved
@@ -151,8 +152,10 @@ def try_channels(now: Supposed) -> list[Trial]:
                 replace(now.hypothesis, channels=now.hypothesis.channels | {(channel, axis)}), iterations=15
             )
             if channel is Channel.LAG:
+                punctual = found.numbers.timing.punctual(axis)
                 found = found.refit(
                     replace(found.hypothesis, absent=found.hypothesis.absent | {(Channel.DELAY, axis)}),
+                    replace(found.numbers, timing=punctual),
                     iterations=15,
                 )
             out.append(Trial(channel.value, spot, found, without))
@@ -198,7 +201,7 @@ NEARLY_AS_WELL = 0.15
 
 def pursue(
     now: Supposed,
-    laws: Sequence[SupposedLaw] = SUPPOSED,
+    laws: Sequence[SupposedLaw],
     say: Say = lambda _: None,
     rounds: int = 8,
     *,

@@ -15,6 +15,8 @@ from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.slope import whitened_rows
 from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, vector_of
 from invid.likelihood.unknown_forces.value import along
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
 from invid.numerics.arrays import Float64
 
 COARSE = 4
@@ -25,29 +27,38 @@ ALIKE = 1e-6
 
 def spots_of(law: SupposedLaw, structure: Structure) -> list[Spot]:
     """Where a law may stand."""
-    if law.at == "motor":
-        return [Spot(Where.MOTOR, i) for i in range(structure.motors)]
-    if law.at == "spring":
-        return [Spot(Where.SPRING, k) for k in range(len(structure.links) - len(structure.modes))]
-    if law.at == "load":
-        return [
-            Spot(Where.MOTOR, i) if a == structure.motor[i] else Spot(Where.MASS, a)
-            for i, a in enumerate(structure.tip)
-        ]
-    return [Spot(Where.MASS, a) for a in structure.inner if a < sum(structure.sizes)]
+    axes = tuple(str(i) for i in range(structure.motors))
+    return [spot_at(structure, place) for place in law.places(ChainStructure(structure.sizes, axes))]
+
+
+def spot_at(structure: Structure, place: Place) -> Spot:
+    """The spot of a place of the chains."""
+    if place.other >= 0:
+        return Spot(Where.PAIR, place.axis, place.other)
+    if place.kind == "spring":
+        return Spot(Where.SPRING, sum(structure.sizes[: place.axis]) - place.axis + place.number - 1)
+    if place.number > 1:
+        return Spot(Where.MASS, structure.motor[place.axis] + place.number - 1)
+    return Spot(Where.MOTOR, place.axis)
 
 
 def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
-    """All laws at all places and shapes that do not stand yet."""
-    taken = {p.key for p in now.hypothesis.laws}
-    return [
-        PlacedLaw(law, spot, shape)
-        for law in laws
-        if law.least_axes <= now.hypothesis.structure.motors
-        for spot in spots_of(law, now.hypothesis.structure)
-        if law.several or (law.cause, spot) not in taken
-        for shape in law.shapes(now.motions.flat(spot))
-    ]
+    """All laws at all places and shapes that do not stand yet, nor within another."""
+    standing: dict[Spot, list[PlacedLaw]] = {}
+    for placed in now.hypothesis.laws:
+        standing.setdefault(placed.spot, []).append(placed)
+    out = []
+    for law in laws:
+        for spot in spots_of(law, now.hypothesis.structure):
+            here = standing.get(spot, [])
+            alike = [p for p in here if p.law.cause == law.cause]
+            within = any(isinstance(law, p.law.contains) for p in here)
+            if within or (alike and not law.several):
+                continue
+            number = 1 + max((p.number for p in alike), default=-1)
+            shapes = law.shapes(now.motions.flat(spot))
+            out += [PlacedLaw(law, spot, shape, number) for shape in shapes]
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +108,33 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
         vector = vector_of(now.hypothesis.structure, placed.spot)[:, None]
         columns = []
         for work, wave in zip(now.fit.value.work, lines, strict=True):
-            reach = along(work.condensed.motion, vector)
+            reach = (
+                work.condensed.stiffness[:, :, placed.spot.number, None]
+                if placed.law.reads
+                else along(work.condensed.motion, vector)
+            )
             columns.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
         own, pull = background.beside(columns)
-        out.append(float(pull @ solve_scaled(own, pull)))
+        out.append(bounded_fall(own, pull, placed.law.limits(now.motions.flat(placed.spot))))
     return np.array(out)
+
+
+def bounded_fall(own: Float64, pull: Float64, limits: Sequence[tuple[float, float]]) -> float:
+    """Largest −2·pull·β − βᵀ·own·β with β within its limits: one at a time the worst violator is put at
+    its bound."""
+    low, high = np.array(limits).T
+    beta, free = np.zeros(pull.size), np.ones(pull.size, dtype=bool)
+    while free.any():
+        beta[free] = -solve_scaled(
+            own[np.ix_(free, free)], pull[free] + own[np.ix_(free, ~free)] @ beta[~free]
+        )
+        bound = np.clip(beta, low, high)
+        beyond = np.abs(beta - bound) * np.sqrt(np.diag(own))
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 0.0:
+            break
+        beta[worst], free[worst] = bound[worst], False
+    return float(-2.0 * pull @ beta - beta @ own @ beta)
 
 
 def solve_scaled(own: Float64, pull: Float64) -> Float64:
