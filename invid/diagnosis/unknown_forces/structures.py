@@ -19,8 +19,9 @@ from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.numerics.arrays import Float64
 
-LEAST_FALL = 6.0
-"""First-order fall of −2 ln L below which nothing is fitted."""
+LEAST_FALL = 20.0
+"""First-order fall of −2 ln L below which nothing is fitted: half of what a cause has to bring on the records
+fitted."""
 STARTS = 2
 """Starts that are fitted."""
 SMALL, SHARES = 0.03, (0.1, 0.35)
@@ -86,7 +87,7 @@ class AddedMass(Addition):
         host, at = self.ends(wider)
         whole = float(now.numbers.plant.of_kind(Kind.MASS)[host])
         out = []
-        for peak in looked.peaks([(host, host)]):
+        for peak in looked.peaks([(host, host)], LEAST_FALL):
             for share in _shares(float(peak.sizes[0]) / whole):
                 mass = share * whole
                 values = _spring(peak, mass, Element(Kind.SPRING, host, at))
@@ -187,7 +188,7 @@ class Base(Addition):
         inertia = load_inertia(now.hypothesis.structure, now.numbers.plant.values)
         mass = float(np.exp(np.log(np.diag(inertia)).mean()))
         out = []
-        for peak in looked.peaks(looked.loads):
+        for peak in looked.peaks(looked.loads, LEAST_FALL):
             matrix = np.zeros(inertia.shape)
             matrix[np.triu_indices(inertia.shape[0])] = peak.sizes
             size, direction = np.linalg.eigh(matrix, UPLO="U")
@@ -271,7 +272,7 @@ def expected(found: Supposed) -> float:
 
 
 def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
-    """The fit with an addition; none where no start has a value.
+    """A short fit with an addition; none where no start has a value.
 
     The best starts of the scan compete with those of continued fractions where the fit is not home: a scan at
     numbers that are bent cannot judge them.
@@ -285,10 +286,8 @@ def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
             with suppress(np.linalg.LinAlgError):
                 pool.append(now.in_structure(moved, values, 0))
         tried += [f.refit(iterations=6) for f in sorted(pool, key=expected)[:STARTS]]
-    for iterations, kept in ((12, 2), (25, 1)):
-        best = sorted(tried, key=lambda f: f.total)[:kept]
-        tried = [f.refit(iterations=iterations) for f in best]
-    return tried[0] if tried else None
+    best = sorted(tried, key=lambda f: f.total)[:STARTS]
+    return min((f.refit(iterations=12) for f in best), key=lambda f: f.total, default=None)
 
 
 def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
