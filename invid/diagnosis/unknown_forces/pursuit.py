@@ -65,10 +65,12 @@ class Trial:
 
     @property
     def merit(self) -> float:
-        """The fall less what the numbers of a base cost that the mode of one load has not: of two that do as
-        well the simpler one is taken."""
-        spare = self.found.hypothesis.structure.base and not self.base.hypothesis.structure.base
-        return self.fall - spare * NUMBER * (self.found.hypothesis.structure.motors - 1)
+        """The fall less what the numbers of a base cost that the mode of one load has not, and of a mode less
+        that of one: of two that do as well the simpler one is taken, first of all a longer chain."""
+        price = NUMBER if isinstance(self.addition, Mode) else 0.0
+        if isinstance(self.addition, Base):
+            price = NUMBER * self.found.hypothesis.structure.motors
+        return self.fall - price
 
 
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
