@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.identification.first_plants import fraction_plants, random_plants
+from invid.identification.first_plants import fraction_plants, masses_seen, random_plants
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
@@ -22,8 +22,6 @@ RANDOM = 12
 """Random splits: of one alone one in three comes home."""
 ROUNDS = ((6, 4), (12, 2), (40, 1))
 """Iterations of each round, and how many of each class go on."""
-MOST_MASSES = 8
-"""Masses of an axis beyond which none are sought."""
 PRICE_OF_MASS = 60.0
 """Fall of −2 ln L on all records for one more mass: Schwarz's price of its three numbers is 25; the rest is
 what the form of friction leaves (empirical)."""
@@ -99,23 +97,26 @@ def _shaken(now: Supposed, rng: np.random.Generator) -> Numbers:
 
 
 def begin_open(bench: Bench, motors: int, kept: Bench | None = None) -> Supposed:
-    """The fit of as many masses as the records ask for, one axis after another or all at once."""
-    now = begin(bench, Structure((1,) * motors), kept)
-    while max(now.hypothesis.structure.sizes) < MOST_MASSES and not budget.is_left_out("further masses"):
-        sizes = now.hypothesis.structure.sizes
-        wider = [tuple(n + (i == k) for k, n in enumerate(sizes)) for i in range(motors)]
-        wider += [tuple(n + 1 for n in sizes)] if motors > 1 else []
-        tried = []
-        for one in wider:
-            with suppress(np.linalg.LinAlgError):
-                tried.append(begin(bench, Structure(one), kept))
-        best = min(tried, key=lambda f: f.total, default=now)
-        more = sum(best.hypothesis.structure.sizes) - sum(sizes)
-        falls = now.total - best.total, now.kept_total - best.kept_total
-        if sum(falls) < more * PRICE_OF_MASS or min(falls) < 0.0:
+    """The fit of as many masses as each motor's own stiffness shows.
+
+    Where that is not home, of one more on an axis or on all, if that is: else laws may be missing as well as
+    masses, and the search has both.
+    """
+    sizes = tuple(masses_seen(bench.stacks, m) for m in range(motors))
+    now = begin(bench, Structure(sizes), kept)
+    if is_settled(now):
+        return now
+    wider = {tuple(n + (i == k) for k, n in enumerate(sizes)) for i in range(motors)}
+    wider.add(tuple(n + 1 for n in sizes))
+    tried = []
+    for structure in map(Structure, sorted(wider)):
+        if budget.is_left_out("further masses"):
             break
-        now = best
-    return now
+        tried.append(_contest((bench, kept), structure, fraction_plants(bench.stacks, structure)))
+    best = min((f for f in tried if f is not None and is_settled(f)), key=lambda f: f.total, default=now)
+    more = sum(best.hypothesis.structure.sizes) - sum(sizes)
+    pays = now.total - best.total > more * PRICE_OF_MASS and best.kept_total < now.kept_total
+    return best if pays else now
 
 
 def _contest(benches: Benches, structure: Structure, plants: Sequence[Plant]) -> Supposed | None:

@@ -14,7 +14,7 @@ from invid.diagnosis.unknown_forces.backward import Worth, worths
 from invid.diagnosis.unknown_forces.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
 from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
-from invid.diagnosis.unknown_forces.structures import additions_of, without
+from invid.diagnosis.unknown_forces.structures import additions_of, with_masses_seen, without
 from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
@@ -85,8 +85,9 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
             f"{recording.source}: {error}; check signs, units and the number of masses"
         ) from None
     pursued = pursue(first, supposed_laws(linear=recording.linear), growing=sizes is None)
-    found = tuple(worths(pursued.end))
-    end = only(pursued.end, found)
+    last = with_masses_seen(pursued.end)
+    found = tuple(worths(last))
+    end = only(last, found)
     return ElasticSearch(recording, pursued, end, found, without_causes(end), tuple(place_forces(end)))
 
 
@@ -140,9 +141,20 @@ def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagn
         complete=not sure,
         explained=explained if findings else None,
         left=left,
-        warnings=[],
+        warnings=fewer_masses_warnings(sizes, masses),
         details={"value": found.end.total},
     )
+
+
+def fewer_masses_warnings(declared: Sequence[int] | None, found: Sequence[int]) -> list[str]:
+    """What is said where fewer masses than declared are seen."""
+    if declared is None or tuple(declared) == tuple(found):
+        return []
+    said, seen = (", ".join(str(n) for n in each) for each in (declared, found))
+    return [
+        f"masses {said} were declared, but {seen} explain the records and no further one is seen, so these "
+        "are what the model has: declare them, or excite higher frequencies to see more"
+    ]
 
 
 def residuals(recording: Recording, before: AxisMissing, after: AxisMissing) -> list[AxisResidual]:

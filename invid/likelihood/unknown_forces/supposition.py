@@ -90,6 +90,7 @@ class Motions:
     ) -> None:
         self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
         self._known: dict[Spot, list[list[SpotMotion]]] = {}
+        self.lines: dict[tuple[SupposedLaw, Spot, Shape, int], list[Complex128]] = {}
 
     def renewed(self, problem: Problem, value: Value, laws: Sequence[PlacedLaw]) -> Motions:
         """Smoothed at a fit, motors where ``laws`` of their readings say that they stand."""
@@ -114,6 +115,10 @@ class Motions:
             at = moved.spot(spot)
             if at is not None:
                 out._known[at] = motion
+        for (law, spot, shape, every), lines in self.lines.items():
+            at = moved.spot(spot)
+            if at is not None:
+                out.lines[law, at, shape, every] = lines
         return out
 
     def _all_known(self) -> dict[Spot, list[list[SpotMotion]]]:
@@ -219,15 +224,18 @@ class Bench:
     ) -> list[Complex128]:
         """(R, F, L) of each stack; on every ``every``-th instant of the motion."""
         at = placed.shape if shape is None else shape
-        return [
-            np.array(
-                [
-                    r.lines(placed.law.waves(m.every(every), at))
-                    for r, m in zip(stack.records, moved, strict=True)
-                ]
-            )
-            for stack, moved in zip(self.stacks, motions.of(placed.spot), strict=True)
-        ]
+        key = placed.law, placed.spot, at, every
+        if key not in motions.lines:
+            motions.lines[key] = [
+                np.array(
+                    [
+                        r.lines(placed.law.waves(m.every(every), at))
+                        for r, m in zip(stack.records, moved, strict=True)
+                    ]
+                )
+                for stack, moved in zip(self.stacks, motions.of(placed.spot), strict=True)
+            ]
+        return motions.lines[key]
 
 
 def _wide(placed: PlacedLaw, motions: Motions, coefficient: int, number: int) -> Complex128:
