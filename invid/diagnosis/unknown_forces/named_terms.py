@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from invid.diagnosis.unknown_forces.structures import Addition, Mode, base_of
 from invid.effects.laws.moving_base import SHARE
 from invid.effects.registry import BY_CAUSE
-from invid.effects.supposed_laws import LawPlace
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -162,14 +161,17 @@ class TermWriter:
         stiffness = 1.0
         if placed.spot.where is Where.SPRING:
             stiffness = float(self.now.numbers.plant.of_kind(Kind.SPRING)[placed.spot.number])
-        place = LawPlace(int(element.split()[-1]), stiffness)
 
         def size(name: str) -> Callable[[Float64], float]:
-            return lambda v: placed.law.parameters(v[:count], tuple(v[count:]), place)[name]
+            return lambda v: placed.law.parameters(v[:count], tuple(v[count:]), stiffness)[name]
 
-        names = placed.law.parameters(np.ones(count), placed.shape, place)
+        names = placed.law.parameters(np.ones(count), placed.shape, stiffness)
         sizes = {name: (size(name), [*indices, *shapes]) for name in names}
-        return self._term(placed.law.cause, axis, sizes, element=element)
+        term = self._term(placed.law.cause, axis, sizes, element=element)
+        if not placed.law.counts:
+            return term
+        number = Estimate(float(element.split()[-1]), None, self._unit(placed.law.cause, placed.law.counts))
+        return replace(term, parameters={placed.law.counts: number, **term.parameters})
 
     def addition(self, addition: Addition) -> EffectTerm:
         """Term of what the structure has besides its chains."""

@@ -10,7 +10,7 @@ import numpy as np
 from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import candidates, score
 from invid.diagnosis.unknown_forces.structures import Addition, add, additions
-from invid.effects.supposed_laws import Backlash, SupposedLaw
+from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
@@ -188,7 +188,7 @@ NEARLY_AS_WELL = 0.15
 
 def pursue(
     now: Supposed,
-    laws: Sequence[SupposedLaw],
+    laws: Sequence[SupposedLaw] = SUPPOSED,
     say: Say = lambda _: None,
     rounds: int = 8,
     *,

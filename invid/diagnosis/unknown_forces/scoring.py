@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.effects.effect import Effect
 from invid.effects.supposed_laws import SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.slope import whitened_rows
-from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, vector_of
+from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, axis_of, vector_of
 from invid.likelihood.unknown_forces.value import along
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
@@ -59,6 +60,25 @@ def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
             shapes = law.shapes(now.motions.flat(spot))
             out += [PlacedLaw(law, spot, shape, number) for shape in shapes]
     return out
+
+
+def look_alikes(now: Supposed, cause: Effect, spot: Spot, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
+    """Laws on the axis of ``spot`` for which a cause there is easily mistaken, at all shapes.
+
+    ``now`` is the hypothesis without the cause. The same cause elsewhere on the axis is one of them.
+    """
+    structure = now.hypothesis.structure
+    alike = [
+        law
+        for law in laws
+        if law.cause == cause.cause or law.cause in cause.looks_like or cause.cause in law.effect.looks_like
+    ]
+    return [
+        p
+        for p in candidates(now, alike)
+        if axis_of(structure, p.spot) == axis_of(structure, spot)
+        and (p.law.cause, p.spot) != (cause.cause, spot)
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,14 +56,6 @@ Shape = tuple[float, ...]
 Bounds = list[tuple[float, float]]
 
 
-@dataclass(frozen=True)
-class LawPlace:
-    """What a law's parameters need of its place: its number in the chain, the stiffness of a spring there."""
-
-    number: int
-    stiffness: float = 1.0
-
-
 class SupposedLaw(ABC):
     """One law of the search."""
 
@@ -86,6 +78,8 @@ class SupposedLaw(ABC):
     """Parts of the friction of its axis' motor that it takes the place of."""
     beside: tuple[str, ...] = ()
     """Parts of the friction of its axis' motor whose coefficients its parameters need, after its own."""
+    counts: str = ""
+    """The parameter that is the number of its place, where one is."""
     contains: tuple[type[SupposedLaw], ...] = ()
     """Laws of the same place that it takes the place of."""
 
@@ -106,8 +100,8 @@ class SupposedLaw(ABC):
         """Bounds of each coefficient."""
         return [(low, np.inf) for low in self.low]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
-        """The contract's parameters."""
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        """The contract's parameters; ``stiffness`` is that of the spring at its place."""
         return {self.main: float(coefficients[0])}
 
     def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:

@@ -97,13 +97,13 @@ class Motions:
         names = [c.name for c in problem.columns]
         for placed in laws:
             if placed.law.reads:
-                size = value.coefficients[[names.index((*placed.key, i)) for i in range(len(placed.law.low))]]
+                own = [names.index((*placed.key, i)) for i in range(len(placed.law.low))]
                 out._known[placed.spot] = [
                     [
-                        _standing(new, placed.law.waves(old, placed.shape) @ size)
-                        for new, old in zip(*both, strict=True)
+                        _standing(new, placed.law.waves(old, placed.shape) @ value.coefficients[own])
+                        for new, old in zip(*stack, strict=True)
                     ]
-                    for both in zip(out.of(placed.spot), self.of(placed.spot), strict=True)
+                    for stack in zip(out.of(placed.spot), self.of(placed.spot), strict=True)
                 ]
         return out
 

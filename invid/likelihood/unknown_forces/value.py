@@ -47,9 +47,9 @@ class Column:
 
     ``vector`` (n,) is its place and ``lines`` its transform (R, F) in every stack. ``wide`` gives the
     transform on all lines of a stack up to where motion is known. ``damps``: the motor at which it is viscous
-    friction, which belongs to the loop of plant and hold. ``reads``: the motor that stands by ``lines`` beyond
-    its reading, instead of a force. ``scales``: the motor whose torque it multiplies by one plus its
-    coefficient.
+    friction, which belongs to the loop of plant and hold. ``reads``: the motor that stands by ``lines``
+    beyond its reading, instead of a force. ``scales``: the motor whose torque it
+    multiplies by one plus its coefficient.
     """
 
     name: Hashable
