@@ -44,6 +44,11 @@ class Quantities:
         where = np.flatnonzero(self.around.free == at)
         return self.around.numbers + int(where[0]) if where.size else None
 
+    def fitted(self, name: object) -> float:
+        """A law's coefficient."""
+        names = [c.name for c in self.now.fit.problem.columns]
+        return float(self.now.fit.value.coefficients[names.index(name)])
+
     def shape(self, name: object) -> int:
         """Index of a shape."""
         names = [s.name for s in self.around.shapes]
@@ -157,13 +162,17 @@ class TermWriter:
         indices = [self.known.coefficient((*placed.key, i)) for i in range(len(placed.law.low))]
         indices += [self.known.coefficient((Part(part), axis)) for part in placed.law.beside]
         count = len(indices)
+        at_bound = np.zeros(count)
+        for i in range(len(placed.law.low)):
+            if indices[i] is None:
+                at_bound[i] = self.known.fitted((*placed.key, i))
         shapes = [self.known.shape((number, i)) for i in range(len(placed.shape))]
         stiffness = 1.0
         if placed.spot.where is Where.SPRING:
             stiffness = float(self.now.numbers.plant.of_kind(Kind.SPRING)[placed.spot.number])
 
         def size(name: str) -> Callable[[Float64], float]:
-            return lambda v: placed.law.parameters(v[:count], tuple(v[count:]), stiffness)[name]
+            return lambda v: placed.law.parameters(v[:count] + at_bound, tuple(v[count:]), stiffness)[name]
 
         names = placed.law.parameters(np.ones(count), placed.shape, stiffness)
         sizes = {name: (size(name), [*indices, *shapes]) for name in names}

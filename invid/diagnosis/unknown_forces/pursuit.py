@@ -182,8 +182,21 @@ class Pursued:
     """Taken, and beside it what did nearly as well."""
 
 
+TO_THE_END = 20
+"""Most iterations of a trial that comes near the best."""
 NEARLY_AS_WELL = 0.15
 """Share of the fall of the cause taken that a rival may miss and is looked at again at the end."""
+
+
+def finish(trials: Sequence[Trial]) -> list[Trial]:
+    """The trials, the best first; those that come near the best are fitted to the end before they are
+    compared."""
+    best = max((t.merit for t in trials), default=0.0)
+    close = [t for t in trials if t.merit > best - max(NEARLY_AS_WELL * best, LEAST_FITTED)]
+    if len(close) > 1:
+        ended = {id(t): replace(t, found=t.found.refit(iterations=TO_THE_END)) for t in close}
+        trials = [ended.get(id(t), t) for t in trials]
+    return sorted(trials, key=lambda t: -t.merit)
 
 
 def pursue(
@@ -223,7 +236,7 @@ def pursue(
         if best < 2000.0 or now.inner_strength > LOST:
             trials += try_structures(now, growing=growing)
         trials += try_channels(now)
-        trials.sort(key=lambda t: -t.merit)
+        trials = finish(trials)
         say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
         taken = next((t for t in trials if pays(*role_falls(t.base, t.found))), None)
         if taken is None:

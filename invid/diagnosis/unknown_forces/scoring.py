@@ -128,12 +128,14 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
         vector = vector_of(now.hypothesis.structure, placed.spot)[:, None]
         columns = []
         for work, wave in zip(now.fit.value.work, lines, strict=True):
-            reach = (
-                work.condensed.stiffness[:, :, placed.spot.number, None]
-                if placed.law.reads
-                else along(work.condensed.motion, vector)
-            )
-            columns.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
+            if placed.law.scales:
+                torque = -now.numbers.timing.acting(work.stack)[:, :, placed.spot.number]
+                rows = torque[..., None, None] * np.eye(work.shape[2])[placed.spot.number][:, None]
+            elif placed.law.reads:
+                rows = wave[:, :, None] * work.condensed.stiffness[:, :, placed.spot.number, None]
+            else:
+                rows = wave[:, :, None] * along(work.condensed.motion, vector)
+            columns.append(whitened_rows(work, rows).reshape(-1, wave.shape[2]))
         own, pull = background.beside(columns)
         out.append(bounded_fall(own, pull, placed.law.limits(now.motions.flat(placed.spot))))
     return np.array(out)

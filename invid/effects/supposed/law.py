@@ -73,7 +73,7 @@ class SupposedLaw(ABC):
     reads = False
     """Whether its waves are by how much its motor stands beyond its reading, and no force."""
     scales = False
-    """Whether it multiplies the torque of its motor."""
+    """Whether it multiplies the torque of its motor, and has no wave of its own."""
     covers: frozenset[str] = frozenset()
     """Parts of the friction of its axis' motor that it takes the place of."""
     beside: tuple[str, ...] = ()

@@ -114,8 +114,7 @@ class TorqueGain(SupposedLaw):
     scales = True
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        torque = np.zeros(motion.position.size) if motion.torque is None else motion.torque
-        return -torque[:, None]
+        return np.zeros((motion.position.size, 1))
 
     def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
         return [(-0.5, 1.0)]

@@ -21,7 +21,7 @@ from invid.likelihood.unknown_forces.forces import colours, missing_noise
 from invid.likelihood.unknown_forces.plant import Kind, Plant
 from invid.likelihood.unknown_forces.slope import ends_of
 from invid.likelihood.unknown_forces.stack import Stack
-from invid.likelihood.unknown_forces.value import Problem, Value, along
+from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -96,10 +96,10 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
             lines = column.wide(number)
             if column.reads >= 0:
                 stands = stands + coefficient * lines[..., None] * np.eye(stands.shape[2])[column.reads]
-            else:
+            elif column.scales < 0:
                 named = named + coefficient * lines[..., None] * column.vector
     missing = ((stiffness @ stands[..., None]) + (motion @ named[..., None]))[..., 0]
-    missing = missing - numbers.timing.acting(wide)
+    missing = missing - numbers.timing.acting(wide) * torque_scales(problem, value.coefficients)
     white = (noise.whitener @ missing[..., None])[..., 0]
     solved = (noise.whitener.conj().transpose(0, 2, 1) @ white[..., None])[..., 0]
     force = power * (reach.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
