@@ -179,8 +179,8 @@ class TermWriter:
         term = self._term(placed.law.cause, axis, sizes, element=element)
         if not placed.law.counts:
             return term
-        number = Estimate(float(element.split()[-1]), None, self._unit(placed.law.cause, placed.law.counts))
-        return replace(term, parameters={placed.law.counts: number, **term.parameters})
+        counted = Estimate(float(element.split()[-1]), None, self._unit(placed.law.cause, placed.law.counts))
+        return replace(term, parameters={placed.law.counts: counted, **term.parameters})
 
     def addition(self, addition: Addition) -> EffectTerm:
         """Term of what the structure has besides its chains."""

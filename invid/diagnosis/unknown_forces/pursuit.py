@@ -221,7 +221,7 @@ def pursue(
         looked = candidates(now, laws)
         falls = score(now, looked)
         trials: list[Trial] = []
-        tried: set[tuple[str, Spot]] = set()
+        tried: set[tuple[str, Spot, int]] = set()
         for k in np.argsort(-falls):
             placed = looked[int(k)]
             if falls[k] < 6.0 or len(tried) >= REFINED:

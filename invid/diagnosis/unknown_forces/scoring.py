@@ -97,12 +97,13 @@ class Background:
     def of(cls, now: Supposed) -> Background:
         """At a fit, with strengths as they are."""
         value, joint = now.fit.value, now.fit.slope.joint
-        size = np.sqrt(np.diag(joint)) + 1e-300
+        size: Float64 = np.sqrt(np.diag(joint)) + 1e-300
+        inverse: Float64 = np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size))
         return cls(
             tuple(joint_rows(now, k) for k in range(len(value.work))),
             tuple((w.missing + w.laws @ value.coefficients).ravel() for w in value.work),
             size,
-            np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size)),
+            inverse,
         )
 
     def beside(self, columns: Sequence[Float64]) -> tuple[Float64, Float64]:

@@ -12,6 +12,7 @@ from invid.effects.catalogue.coulomb_friction import CoulombFriction
 from invid.effects.catalogue.presliding_friction import PreslidingFriction
 from invid.effects.catalogue.stribeck_friction import StribeckFriction
 from invid.effects.catalogue.viscous_friction import ViscousFriction
+from invid.effects.effect import Effect
 from invid.effects.laws.slider import slide
 from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw, extent
 from invid.model.parameters import ChainStructure
@@ -38,7 +39,8 @@ class InnerViscous(InnerLaw):
 class InnerDry(InnerLaw):
     """Dry friction of a mass behind the motor; shape ln(width of its turn)."""
 
-    effect, low = CoulombFriction(), (0.0,)
+    effect: Effect = CoulombFriction()
+    low: tuple[float, ...] = (0.0,)
     FIRST, LEAST, MOST = 0.02, 2e-3, 0.3
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:

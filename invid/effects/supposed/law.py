@@ -24,8 +24,8 @@ class SpotMotion:
     side.
 
     Of a spring the position is its deflection. ``time`` is the recording's clock [s], which began at
-    ``origin``; ``torque`` the torque that acts there, of motors alone; ``stiffness`` that of the spring at a
-    place, where a fit has said it.
+    ``origin``; ``torque`` the torque that acts there, of motors alone; ``own`` the stiffness of the spring
+    or the mass at the place, where a fit has said it.
     """
 
     position: Float64
@@ -33,7 +33,7 @@ class SpotMotion:
     angle: Float64
     time: Float64
     torque: Float64 | None = None
-    stiffness: float | None = None
+    own: float | None = None
     origin: float = 0.0
 
     @cached_property

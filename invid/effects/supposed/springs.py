@@ -42,7 +42,7 @@ class Backlash(SupposedLaw):
         return np.stack((-np.clip(motion.position, -half, half), -motion.velocity * inside), axis=1)
 
     def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
-        own = motions[0].stiffness
+        own = motions[0].own
         if own is None:
             return super().limits(motions)
         return [(self.OWN[0] * own, self.OWN[1] * own), (-np.inf, np.inf)]

@@ -18,6 +18,7 @@ class PayloadChange(SupposedLaw):
 
     effect, main = PayloadEffect(), "mass"
     shape_step = 0.05
+    MOST = 5.0
     WITHIN = (0.1, 0.3, 0.5, 0.7, 0.9)
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
@@ -39,6 +40,11 @@ class PayloadChange(SupposedLaw):
     def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         return {"mass": float(coefficients[0]), "time": float(shape[0])}
 
+    def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
+        """What goes is less than the load; what comes may be several times as much."""
+        own = motions[0].own
+        return super().limits(motions) if own is None else [(-0.9 * own, self.MOST * own)]
+
 
 def _spans(motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
     return sorted({(float(m.time[0]), float(m.time[-1])) for m in motions})
@@ -53,3 +59,11 @@ class ParameterDrift(SupposedLaw):
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         force: Float64 = (motion.position * (motion.time - motion.origin))[:, None]
         return force
+
+    def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
+        """A spring that drifts by more than itself stands for another one."""
+        own = motions[0].own
+        if own is None:
+            return super().limits(motions)
+        most = own / max(float(m.time[-1] - m.origin) for m in motions)
+        return [(-most, most)]

@@ -153,10 +153,10 @@ class Motions:
         first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
         position, velocity = self.smoothed[number].over_time(vector)
         angle = self.smoothed[number].over_time(unit[first])[0]
-        springs = self.smoothed[number].springs
-        stiffness = float(springs[spot.number]) if spot.where is Where.SPRING else None
+        kind = {Where.SPRING: Kind.SPRING, Where.MASS: Kind.MASS}.get(spot.where)
+        own = None if kind is None else float(self.smoothed[number].plant.of_kind(kind)[spot.number])
         return [
-            SpotMotion(q, v, a, t, stiffness=stiffness, origin=r.origin)
+            SpotMotion(q, v, a, t, own=own, origin=r.origin)
             for q, v, a, t, r in zip(position, velocity, angle, clocks, records, strict=True)
         ]
 

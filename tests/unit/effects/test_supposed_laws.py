@@ -44,11 +44,12 @@ def test_a_law_has_waves_bounds_and_parameters_that_fit_each_other(law: Supposed
     assert shapes
     for shape in shapes:
         waves = law.waves(moved[0], shape)
-        assert waves.shape == (moved[0].time.size, len(law.low)) and np.isfinite(waves).all()
+        assert waves.shape == (moved[0].time.size, len(law.low))
+        assert np.isfinite(waves).all()
         assert len(bounds) == len(shape)
         for value, (low, high) in zip(shape, bounds, strict=True):
             assert low - 1e-9 <= value <= high + 1e-9
-    assert [low for low, _ in law.limits([moved[0]])] != [] and len(law.limits(moved)) == len(law.low)
+    assert len(law.limits(moved)) == len(law.low)
     sizes = np.ones(len(law.low) + len(law.beside))
     names = {*law.parameters(sizes, shapes[0], 500.0), *([law.counts] if law.counts else [])}
     assert names == set(law.effect.parameters) - set(law.effect.optional)
@@ -59,7 +60,8 @@ def test_every_law_stands_where_its_cause_may_and_those_of_one_cause_share_its_p
     structure = Structure((1, 3, 2))
     for cause in {law.cause for law in LAWS}:
         spots = [s for law in LAWS if law.cause == cause for s in spots_of(law, structure)]
-        assert spots and len(set(spots)) == len(spots)
+        assert spots
+        assert len(set(spots)) == len(spots)
 
 
 def test_linear_axes_have_no_law_of_the_angle() -> None:
@@ -71,7 +73,12 @@ def test_linear_axes_have_no_law_of_the_angle() -> None:
 
 def test_friction_by_direction_is_told_from_its_parts() -> None:
     law = next(law for law in SUPPOSED if {"dry", "viscous", "offset"} == set(law.beside))
-    true = {"coulomb_positive": 1.3, "coulomb_negative": 0.4, "viscous_positive": 0.7, "viscous_negative": 0.2}
+    true = {
+        "coulomb_positive": 1.3,
+        "coulomb_negative": 0.4,
+        "viscous_positive": 0.7,
+        "viscous_negative": 0.2,
+    }
     parts = np.array([0.25, 0.85, 0.45, 0.45])  # even, dry, viscous, constant
     assert law.parameters(parts, (), 1.0) == pytest.approx(true)
     moved = motions()[0]
