@@ -9,8 +9,9 @@ import numpy as np
 
 from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import candidates, score
-from invid.diagnosis.unknown_forces.structures import Addition, add, additions
+from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
 from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
+from invid.identification.contest import shaken
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
@@ -162,15 +163,27 @@ def try_channels(now: Supposed) -> list[Trial]:
 
 
 def try_structures(now: Supposed, *, growing: bool) -> list[Trial]:
-    """A mode, a base, one more mass of a chain, each where a scan over frequency says that it may be."""
+    """A mode, a base, one more mass of a chain, each where a scan over frequency says that it may be.
+
+    The mode of one load is a base as well; so a base has to do better than the mode that is nearest to it.
+    """
     looked = Scan(now)
     structure = now.hypothesis.structure
-    out = []
+    trials = []
     for addition in additions(now, looked, growing=growing):
         found = add(now, addition, looked)
-        if found is not None and addition.is_real(found):
-            out.append(Trial(addition.cause, addition.spot(structure), found, now, addition=addition))
-    return out
+        if found is not None:
+            trials.append(Trial(addition.cause, addition.spot(structure), found, now, addition=addition))
+    for trial in [t for t in trials if isinstance(t.addition, Base)]:
+        nearest = as_mode(trial.found)
+        if nearest is not None:
+            mode = Mode(nearest.hypothesis.structure.modes[-1])
+            trials.append(Trial(mode.cause, mode.spot(structure), nearest, now, addition=mode))
+    real = [t for t in trials if t.addition is not None and t.addition.is_real(t.found)]
+    best = max(real, key=lambda t: t.merit, default=None)
+    if best is not None and best.fall > LEAST_FITTED:
+        real[real.index(best)] = replace(best, found=shaken(best.found, np.random.default_rng(1)))
+    return real
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.unknown_forces.resonances import BAND, Resonance, Scan, top
+from invid.diagnosis.unknown_forces.resonances import BAND, DAMPING, Resonance, Scan, top
+from invid.identification.contest import is_settled
+from invid.identification.first_plants import fraction_chains
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import LARGEST_STEP
 from invid.likelihood.unknown_forces.forces import Spot, Where
@@ -24,6 +26,10 @@ STARTS = 2
 SMALL, SHARES = 0.03, (0.1, 0.35)
 """Masses of a mode over its host's, and of the loads' inertia of a base, to start from beside that of first
 order, where that is no longer small."""
+FRACTIONS = 2
+"""Continued fractions of a chain with one mass more to start from."""
+STRONG = 0.1
+"""Unknown force over the strongest from which on an axis may have one mass more."""
 HEAVIEST_MODE = 2.0
 """Most mass of a mode over its chain's."""
 SURE = 0.5
@@ -54,6 +60,10 @@ class Addition(ABC):
     def starts(self, now: Supposed, looked: Scan) -> list[Values]:
         """Its values at the peaks of a scan."""
 
+    def fractions(self, now: Supposed) -> list[Values]:
+        """Its values, and those of the chain that it belongs to, by what does not know the fit."""
+        return []
+
     @abstractmethod
     def is_real(self, now: Supposed) -> bool:
         """Return whether records can show what was found."""
@@ -82,6 +92,25 @@ class AddedMass(Addition):
                 values = _spring(peak, mass, Element(Kind.SPRING, host, at))
                 values |= {Element(Kind.MASS, at): mass, Element(Kind.MASS, host): whole - mass}
                 out.append(values | self.carried(now, wider, share))
+        return out
+
+    def fractions(self, now: Supposed) -> list[Values]:
+        """Values of the whole chain with the mass at its end, by continued fractions."""
+        wider = self.within(now.hypothesis.structure)
+        host, at = self.ends(wider)
+        axis, plant = wider.axis_of(host), now.numbers.plant
+        first = wider.motor[axis]
+        chain = [*(i for i in range(first, host + 1)), at]
+        if host != first + now.hypothesis.structure.sizes[axis] - 1:
+            return []
+        out = []
+        for masses, springs in fraction_chains(now.bench.stacks, axis, len(chain), FRACTIONS):
+            values = {Element(Kind.MASS, i): float(m) for i, m in zip(chain, masses, strict=True)}
+            for a, b, m, k in zip(chain[:-1], chain[1:], masses[1:], springs, strict=True):
+                peak = Resonance(float(np.sqrt(k / m)), DAMPING, 0.0, masses)
+                values |= _spring(peak, float(m), Element(Kind.SPRING, a, b))
+            share = float(masses[-1]) / plant.of_kind(Kind.MASS)[host]
+            out.append(values | self.carried(now, wider, min(share, 1.0)))
         return out
 
     def carried(self, now: Supposed, wider: Structure, share: float) -> Values:
@@ -242,20 +271,29 @@ def expected(found: Supposed) -> float:
 
 
 def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
-    """The fit with an addition, from its best starts; none where none has a value."""
+    """The fit with an addition; none where no start has a value.
+
+    The best starts of the scan compete with those of continued fractions where the fit is not home: a scan at
+    numbers that are bent cannot judge them.
+    """
     structure = now.hypothesis.structure
     moved = Correspondence.of(structure, addition.within(structure))
-    pool = []
-    for values in addition.starts(now, looked):
-        with suppress(np.linalg.LinAlgError):
-            pool.append(now.in_structure(moved, values, 0))
-    pool = sorted(pool, key=expected)[:STARTS]
-    tried = sorted((f.refit(iterations=6) for f in pool), key=lambda f: f.total)
-    return tried[0].refit(iterations=25) if tried else None
+    tried = []
+    for starts in (addition.starts(now, looked), [] if is_settled(now) else addition.fractions(now)):
+        pool = []
+        for values in starts:
+            with suppress(np.linalg.LinAlgError):
+                pool.append(now.in_structure(moved, values, 0))
+        tried += [f.refit(iterations=6) for f in sorted(pool, key=expected)[:STARTS]]
+    for iterations, kept in ((12, 2), (25, 1)):
+        best = sorted(tried, key=lambda f: f.total)[:kept]
+        tried = [f.refit(iterations=iterations) for f in best]
+    return tried[0] if tried else None
 
 
 def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
-    """What is worth a fit: hosts by the falls of the scan, a base where there are several loads.
+    """What is worth a fit: hosts by the falls of the scan, loads of axes on which an unknown force is strong,
+    a base where there are several loads.
 
     From one motor no host can be told from another. Where the number of masses is not known (``growing``) a
     chain may be longer.
@@ -267,12 +305,55 @@ def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
     falls = {h: looked.fall([(h, h)]) for h in hosts}
     best = max([LEAST_FALL, *falls.values()])
     leaders = sorted((h for h in hosts if falls[h] > NEARLY * best), key=lambda h: -falls[h])[:HOSTS]
+    bent = [structure.load[axis] for axis in axes_with_force(now)]
+    leaders += [h for h in bent if h in hosts and h not in leaders]
     longer = [h for h in leaders if growing and h in structure.load]
     out: list[Addition] = [FurtherMass(structure.load.index(h)) for h in longer]
     out += [Mode(h) for h in leaders if not growing or structure.motors > 1]
     if structure.motors > 1 and not structure.base and looked.fall(looked.loads) > LEAST_FALL:
         out.append(Base())
     return out
+
+
+def axes_with_force(now: Supposed) -> list[int]:
+    """Axes with an unknown force behind the motor that is no tenth of the strongest; none where none
+    counts."""
+    if is_settled(now):
+        return []
+    structure = now.hypothesis.structure
+    out: list[int] = []
+    for rms, spot in now.strength:
+        if spot.where is Where.MOTOR or rms < STRONG * now.inner_strength:
+            continue
+        if spot.where is Where.PAIR:
+            out += [spot.number, spot.other]
+        else:
+            link = spot.where is Where.SPRING
+            out.append(structure.axis_of(structure.links[spot.number][0] if link else spot.number))
+    return list(dict.fromkeys(out))
+
+
+def as_mode(now: Supposed) -> Supposed | None:
+    """The mode of one load that is nearest to a base, fitted; none where that load has one."""
+    structure, plant = now.hypothesis.structure, now.numbers.plant
+    forces = plant.of_kind(Kind.COUPLING)[-structure.motors :]
+    axis = int(np.argmax(np.abs(forces) / plant.of_kind(Kind.MASS)[list(structure.load)]))
+    mode = Mode(structure.load[axis])
+    if mode.host in structure.modes:
+        return None
+    wider = mode.within(replace(structure, base=False))
+    host, at = mode.ends(wider)
+    mass, spring, damper = (float(plant.of_kind(k)[-1]) for k in (Kind.MASS, Kind.SPRING, Kind.DAMPER))
+    share = float(forces[axis]) / mass
+    values = {
+        Element(Kind.MASS, at): share**2 * mass,
+        Element(Kind.MASS, host): float(plant.of_kind(Kind.MASS)[host]) - share**2 * mass,
+        Element(Kind.SPRING, host, at): share**2 * spring,
+        Element(Kind.DAMPER, host, at): share**2 * damper,
+    }
+    with suppress(np.linalg.LinAlgError):
+        return now.in_structure(Correspondence.of(structure, wider), values, 31)
+    return None
 
 
 def without(now: Supposed, addition: Addition) -> Supposed:

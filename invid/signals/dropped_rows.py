@@ -1,4 +1,4 @@
-"""Rule: dropped samples, rows that repeat the one before more often than noise explains."""
+"""Dropped samples: rows that repeat the one before more often than noise explains."""
 
 from __future__ import annotations
 
@@ -10,18 +10,9 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.special import erfinv
 
-from invid.diagnosis.outcome import describe_remainder, explained_share, verdict_of
-from invid.diagnosis.validation import split_records
-from invid.effects.registry import BY_CAUSE
-from invid.effects.units import unit_of
-from invid.likelihood.joint_fit import JointFit, evaluate_held_out
-from invid.likelihood.null_test import rms_torque
-from invid.model.diagnosis_document import Diagnosis, Finding, Verdict
-from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import Bool, Float64
 from invid.numerics.distributions import binomial_sf
 from invid.recording.model import Experiment, Recording
-from invid.signals.spectra import all_spectra
 
 FALSE_ALARM = 1e-4
 """Chance, over all axes, that repeated rows of an intact recording are called dropped (statistical)."""
@@ -179,63 +170,3 @@ def interpolate_dropped_rows(recording: Recording, dropped: Sequence[DroppedRows
 def _interpolate(time: Float64, values: Float64, kept: np.ndarray, at: np.ndarray) -> Float64:
     out: Float64 = CubicSpline(time[kept], values[kept])(time[at])
     return out
-
-
-def rms_before_repair(recording: Recording, base: JointFit) -> dict[str, float]:
-    """Rms missing torque of every axis on the held-out records as they were recorded."""
-    spectra = all_spectra(recording)
-    _, held, _ = split_records(recording, spectra)
-    evaluation = evaluate_held_out(base, held)
-    return {axis: rms_torque(evaluation, i)[0] for i, axis in enumerate(recording.axes)}
-
-
-def add_dropped_rows_finding(
-    result: Diagnosis, recording: Recording, dropped: Sequence[DroppedRows], before: dict[str, float]
-) -> Diagnosis:
-    """The diagnosis of the repaired recording, with the dropped samples as a finding of their own."""
-    if not dropped:
-        return result
-    residual = tuple(replace(r, before=max(before[r.axis], r.after)) for r in result.residual)
-    explained = explained_share(residual)
-    findings = []
-    known = {e.axis for e in result.model.effects if e.cause == "dropped_samples"}
-    for d in dropped:
-        if recording.axes[d.axis] in known:
-            continue
-        own = next(r for r in residual if r.axis == recording.axes[d.axis])
-        term = EffectTerm(
-            "dropped_samples", own.axis, {"fraction": Estimate(d.fraction, d.std, unit_of("ratio", False))}
-        )
-        findings.append(
-            Finding(
-                effect=term,
-                confidence=0.99,
-                before=own.before,
-                after=own.after,
-                fraction=explained,
-                sentence=(
-                    f"Axis {own.axis}: {100 * d.fraction:.2g} % of the samples were lost and the one before "
-                    f"was repeated. {BY_CAUSE['dropped_samples'].check}"
-                ),
-            )
-        )
-    if not findings:
-        return replace(result, residual=residual, explained_fraction=explained)
-    complete = result.verdict in (Verdict.CONSISTENT, Verdict.EXPLAINED)
-    verdict = verdict_of(residual, explained, named=True, missing=True, complete=complete)
-    left = result.unexplained
-    if left is None and verdict is not Verdict.EXPLAINED:
-        left = describe_remainder(residual, explained)
-    kept = [s for s in result.sentences if result.verdict is not Verdict.CONSISTENT]
-    if left is not None and left is not result.unexplained:
-        kept.append(left.sentence)
-    return replace(
-        result,
-        verdict=verdict,
-        unexplained=left,
-        residual=residual,
-        explained_fraction=explained,
-        findings=(*findings, *result.findings),
-        model=result.model.extended(*(f.effect for f in findings)),
-        sentences=(*(f.sentence for f in findings), *kept),
-    )
