@@ -30,7 +30,7 @@ from invid.model.document import EffectTerm, Model, parameter_vector, std_by_nam
 from invid.numerics import budget
 from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording, Role
-from invid.signals.record import Record, make_record
+from invid.signals.record import Record, make_record, read_holds
 
 SURE_RISE = 30.0
 """Rise of −2 ln L beyond a cause's price at which its confidence comes within a hundredth of one."""
@@ -56,10 +56,8 @@ def records_of(recording: Recording) -> list[Record]:
     tops = [float(e.frequencies_hz.max()) for e in recording.experiments if e.frequencies_hz.size]
     top = max(tops, default=None)
     origin = min(float(e.time[0]) for e in recording.experiments)
-    return [
-        replace(make_record(e, recording.encoder_resolution, top), origin=origin)
-        for e in recording.experiments
-    ]
+    records = [make_record(e, recording.encoder_resolution, top) for e in recording.experiments]
+    return read_holds(recording.experiments, [replace(r, origin=origin) for r in records])
 
 
 def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> ElasticSearch:

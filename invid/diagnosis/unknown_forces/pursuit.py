@@ -10,7 +10,7 @@ import numpy as np
 from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import candidates, score
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
-from invid.effects.supposed_laws import Backlash, SupposedLaw
+from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.identification.contest import shaken
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
@@ -204,13 +204,26 @@ class Pursued:
     """Taken, and beside it what did nearly as well."""
 
 
+TO_THE_END = 20
+"""Most iterations of a trial that comes near the best."""
 NEARLY_AS_WELL = 0.15
 """Share of the fall of the cause taken that a rival may miss and is looked at again at the end."""
 
 
+def finish(trials: Sequence[Trial]) -> list[Trial]:
+    """The trials, the best first; those that come near the best are fitted to the end before they are
+    compared."""
+    best = max((t.merit for t in trials), default=0.0)
+    close = [t for t in trials if t.merit > best - max(NEARLY_AS_WELL * best, LEAST_FITTED)]
+    if len(close) > 1:
+        ended = {id(t): replace(t, found=t.found.refit(iterations=TO_THE_END)) for t in close}
+        trials = [ended.get(id(t), t) for t in trials]
+    return sorted(trials, key=lambda t: -t.merit)
+
+
 def pursue(
     now: Supposed,
-    laws: Sequence[SupposedLaw],
+    laws: Sequence[SupposedLaw] = SUPPOSED,
     say: Say = lambda _: None,
     rounds: int = 8,
     *,
@@ -230,7 +243,7 @@ def pursue(
         looked = candidates(now, laws)
         falls = score(now, looked)
         trials: list[Trial] = []
-        tried: set[tuple[str, Spot]] = set()
+        tried: set[tuple[str, Spot, int]] = set()
         for k in np.argsort(-falls):
             placed = looked[int(k)]
             if falls[k] < 6.0 or len(tried) >= REFINED:
@@ -245,7 +258,7 @@ def pursue(
         if best < 2000.0 or now.inner_strength > LOST:
             trials += try_structures(now, best, growing=growing)
         trials += try_channels(now)
-        trials.sort(key=lambda t: -t.merit)
+        trials = finish(trials)
         say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
         taken = next((t for t in trials if pays(*role_falls(t.base, t.found))), None)
         if taken is None:

@@ -24,8 +24,8 @@ class SpotMotion:
     side.
 
     Of a spring the position is its deflection. ``time`` is the recording's clock [s], which began at
-    ``origin``; ``torque`` the torque that acts there, of motors alone; ``stiffness`` that of the spring at a
-    place, where a fit has said it.
+    ``origin``; ``torque`` the torque that acts there, of motors alone; ``own`` the stiffness of the spring
+    or the mass at the place, where a fit has said it.
     """
 
     position: Float64
@@ -33,7 +33,7 @@ class SpotMotion:
     angle: Float64
     time: Float64
     torque: Float64 | None = None
-    stiffness: float | None = None
+    own: float | None = None
     origin: float = 0.0
 
     @cached_property
@@ -56,14 +56,6 @@ Shape = tuple[float, ...]
 Bounds = list[tuple[float, float]]
 
 
-@dataclass(frozen=True)
-class LawPlace:
-    """What a law's parameters need of its place: its number in the chain, the stiffness of a spring there."""
-
-    number: int
-    stiffness: float = 1.0
-
-
 class SupposedLaw(ABC):
     """One law of the search."""
 
@@ -81,11 +73,13 @@ class SupposedLaw(ABC):
     reads = False
     """Whether its waves are by how much its motor stands beyond its reading, and no force."""
     scales = False
-    """Whether it multiplies the torque of its motor."""
+    """Whether it multiplies the torque of its motor, and has no wave of its own."""
     covers: frozenset[str] = frozenset()
     """Parts of the friction of its axis' motor that it takes the place of."""
     beside: tuple[str, ...] = ()
     """Parts of the friction of its axis' motor whose coefficients its parameters need, after its own."""
+    counts: str = ""
+    """The parameter that is the number of its place, where one is."""
     contains: tuple[type[SupposedLaw], ...] = ()
     """Laws of the same place that it takes the place of."""
 
@@ -106,8 +100,8 @@ class SupposedLaw(ABC):
         """Bounds of each coefficient."""
         return [(low, np.inf) for low in self.low]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
-        """The contract's parameters."""
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        """The contract's parameters; ``stiffness`` is that of the spring at its place."""
         return {self.main: float(coefficients[0])}
 
     def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:

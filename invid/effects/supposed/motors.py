@@ -14,7 +14,6 @@ from invid.effects.catalogue.torque_gain import TorqueGain as GainEffect
 from invid.effects.catalogue.torque_saturation import TorqueSaturation as SaturationEffect
 from invid.effects.supposed.law import (
     Bounds,
-    LawPlace,
     Shape,
     SpotMotion,
     SupposedLaw,
@@ -46,7 +45,7 @@ class Cogging(SupposedLaw):
     def bounds(self, motions: Sequence[SpotMotion]) -> Bounds:
         return [(float(np.log(max(self.LEAST / travel(motions), 1.5))), float(np.log(2000.0)))]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         torque, phase = amplitude_and_phase(coefficients)
         return {"torque": torque, "cycles_per_rev": float(np.exp(shape[0])), "phase": phase}
 
@@ -64,7 +63,7 @@ class Gravity(SupposedLaw):
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return sinusoid(motion.position, 1.0)
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         torque, angle = amplitude_and_phase(coefficients)
         return {"torque": torque, "angle": angle}
 
@@ -81,7 +80,7 @@ class EncoderEccentricity(SupposedLaw):
     def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
         return [(-0.5, 0.5), (-0.5, 0.5)]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         amplitude, phase = amplitude_and_phase(coefficients)
         return {"amplitude": amplitude, "phase": phase}
 
@@ -104,7 +103,7 @@ class TorqueSaturation(SupposedLaw):
         top = max(float(np.abs(m.torque).max()) for m in motions if m.torque is not None)
         return [(float(np.log(0.2 * top)), float(np.log(0.98 * top)))]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         return {"limit": float(np.exp(shape[0]))}
 
 
@@ -115,11 +114,10 @@ class TorqueGain(SupposedLaw):
     scales = True
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        torque = np.zeros(motion.position.size) if motion.torque is None else motion.torque
-        return -torque[:, None]
+        return np.zeros((motion.position.size, 1))
 
     def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
         return [(-0.5, 1.0)]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         return {"gain": 1.0 + float(coefficients[0])}

@@ -98,13 +98,13 @@ class Motions:
         names = [c.name for c in problem.columns]
         for placed in laws:
             if placed.law.reads:
-                size = value.coefficients[[names.index((*placed.key, i)) for i in range(len(placed.law.low))]]
+                own = [names.index((*placed.key, i)) for i in range(len(placed.law.low))]
                 out._known[placed.spot] = [
                     [
-                        _standing(new, placed.law.waves(old, placed.shape) @ size)
-                        for new, old in zip(*both, strict=True)
+                        _standing(new, placed.law.waves(old, placed.shape) @ value.coefficients[own])
+                        for new, old in zip(*stack, strict=True)
                     ]
-                    for both in zip(out.of(placed.spot), self.of(placed.spot), strict=True)
+                    for stack in zip(out.of(placed.spot), self.of(placed.spot), strict=True)
                 ]
         return out
 
@@ -158,10 +158,10 @@ class Motions:
         first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
         position, velocity = self.smoothed[number].over_time(vector)
         angle = self.smoothed[number].over_time(unit[first])[0]
-        springs = self.smoothed[number].springs
-        stiffness = float(springs[spot.number]) if spot.where is Where.SPRING else None
+        kind = {Where.SPRING: Kind.SPRING, Where.MASS: Kind.MASS}.get(spot.where)
+        own = None if kind is None else float(self.smoothed[number].plant.of_kind(kind)[spot.number])
         return [
-            SpotMotion(q, v, a, t, stiffness=stiffness, origin=r.origin)
+            SpotMotion(q, v, a, t, own=own, origin=r.origin)
             for q, v, a, t, r in zip(position, velocity, angle, clocks, records, strict=True)
         ]
 
