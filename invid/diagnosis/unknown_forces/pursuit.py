@@ -65,8 +65,8 @@ class Trial:
 
     @property
     def merit(self) -> float:
-        """The fall less what the numbers of a base cost that the mode of one load has not, of a mode less that
-        of one, and of a law less that of its first: of two that do as well the simpler one is taken."""
+        """The fall less what the numbers of a base cost that the mode of one load has not, of a mode less
+        that of one, of a law less that of its first: of two that do as well the simpler one is taken."""
         numbers = 0
         if isinstance(self.addition, Mode):
             numbers = 1
