@@ -6,11 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invid.diagnosis.unknown_forces.named_terms import axis_and_element
+from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.descent import fit
-from invid.likelihood.unknown_forces.forces import Spot
+from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.value import Value, missing_torque
+from invid.model.diagnosis_document import ForceAt
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
+from invid.recording.model import Recording
 
 SURE = 40.0
 """Rise of −2 ln L without a strength from which something acts at its place: at 1 % false alarms over
@@ -57,8 +63,8 @@ class PlaceForce:
         return self.rise > SURE
 
 
-def place_forces(found: Supposed, most: int = 4) -> list[PlaceForce]:
-    """The strongest unknown forces, each with what its absence costs."""
+def place_forces(found: Supposed, most: int = 4) -> tuple[PlaceForce, ...]:
+    """The strongest unknown forces, each with what its absence costs; BudgetSpent where none is told."""
     out = []
     problem = found.fit.problem
     for rms, spot in found.strength[:most]:
@@ -67,5 +73,29 @@ def place_forces(found: Supposed, most: int = 4) -> list[PlaceForce]:
         strength[number] = problem.least
         closed = replace(problem, shut=np.array([*problem.shut, number]))
         without = fit(closed, replace(found.numbers, strength=strength), 8)
+        budget.check()
         out.append(PlaceForce(spot, rms, without.total - found.total))
-    return out
+    return tuple(out)
+
+
+Place = tuple[int, str, int | None]
+"""Axis, the contract's element, and the second axis of a place between two."""
+
+
+def place_of(structure: Structure, spot: Spot) -> Place:
+    """Where a force acts, in the contract's terms; between two loads the element is the first's."""
+    if spot.where is Where.PAIR:
+        return spot.number, f"mass {structure.sizes[spot.number]}", spot.other
+    return (*axis_and_element(structure, spot), None)
+
+
+def forces_at(bare: Supposed, end: Supposed, recording: Recording) -> tuple[ForceAt, ...]:
+    """The force at every place that is in no law, without causes and with them, the largest left first."""
+    before = {place_of(bare.hypothesis.structure, s): rms for rms, s in bare.strength}
+    unit, axes = unit_of("torque", recording.linear), recording.axes
+    out = []
+    for rms, spot in end.strength:
+        axis, element, other = place = place_of(end.hypothesis.structure, spot)
+        second = None if other is None else axes[other]
+        out.append(ForceAt(axes[axis], element, second, unit, before.get(place, 0.0), rms))
+    return tuple(out)

@@ -42,6 +42,8 @@ LOST = 0.2
 """Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
 
 Say = Callable[[str], None]
+Tell = Callable[[Supposed, float], None]
+"""Given what is found so far, and the share of the search that lies behind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,13 +258,18 @@ NEARLY_AS_WELL = 0.15
 
 
 def pursue(
-    now: Supposed, laws: Sequence[SupposedLaw] = SUPPOSED, say: Say = lambda _: None, rounds: int = 8
+    now: Supposed,
+    laws: Sequence[SupposedLaw] = SUPPOSED,
+    say: Say = lambda _: None,
+    tell: Tell = lambda _, __: None,
+    rounds: int = 8,
 ) -> Pursued:
     """Causes taken one after another, each the one that lowers −2 ln L most, until none pays its price."""
     rivals: list[tuple[Trial, Trial]] = []
     now = reshape(scan_friction(now))
     say(f"null {now.total:.1f} inner {now.inner_strength:.2f}")
-    for _ in range(rounds):
+    for number in range(rounds):
+        tell(now, number / rounds)
         if budget.is_left_out("further causes"):
             break
         now = now.renewed(3)
@@ -274,7 +281,7 @@ def pursue(
             placed = looked[int(k)]
             if falls[k] < 6.0 or len(tried) >= REFINED:
                 break
-            if placed.key in tried:
+            if placed.key in tried or budget.is_left_out("further causes"):
                 continue
             tried.add(placed.key)
             found = try_law(now, placed)
