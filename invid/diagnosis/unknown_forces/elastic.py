@@ -14,6 +14,7 @@ from invid.diagnosis.outcome import (
     finding_of,
     limit_unfinished_search,
 )
+from invid.diagnosis.thresholds import MOST
 from invid.diagnosis.unknown_forces.fitted_model import model_of
 from invid.diagnosis.unknown_forces.left_over import AxisMissing, axis_missing, forces_at
 from invid.diagnosis.unknown_forces.limits import ruled_out
@@ -49,8 +50,8 @@ def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagn
     before, after = axis_missing(found.bare), axis_missing(found.end)
     residual = residuals(recording, before, after)
     budget.tell("rivals of the causes", 0.9)
-    causes = named_causes(found, before, after)
     explained = explained_share(residual)
+    causes = named_causes(found, before, after, explained)
     masses = found.end.hypothesis.structure.sizes
     sure = {f.spot for f in found.forces if f.is_sure}
     findings = [finding_of(c, explained, masses, recording.axes, at_noise=not sure) for c in causes]
@@ -123,22 +124,30 @@ def _with_table(found: ElasticSearch, placed: PlacedLaw, term: EffectTerm) -> Ef
     return replace(term, table=placed.law.law.table(value, covariance, linear=found.recording.linear))
 
 
-def named_causes(found: ElasticSearch, before: AxisMissing, after: AxisMissing) -> list[Cause]:
-    """Every cause that stays, with its share of what was missing and how sure it is."""
+def named_causes(
+    found: ElasticSearch, before: AxisMissing, after: AxisMissing, explained: float
+) -> list[Cause]:
+    """Every cause that stays, with its share of what is ``explained`` and how sure it is.
+
+    Where that is less than half of what was missing, a cause at whose very place something without a name acts
+    is none: it is a part of that.
+    """
     axes = found.recording.axes
-    whole = max(found.bare.total - found.end.total, 1.0)
     contested = contests(found.end, found.worths, found.pursued, axes)
-    out = []
-    for term in named_terms(found):
+    terms, out = named_terms(found), []
+    whole = max(sum(t.rise for t in terms), 1.0)
+    for term in terms:
         axis = axes.index(term.effect.axis)
         contest = contested.get(term.key, SURE)
         is_part = is_part_of_more(term.key, found.forces)
+        if is_part and explained < MOST:
+            continue
         out.append(
             Cause(
                 term.effect,
                 float(before.missing[axis]),
                 float(after.missing[axis]),
-                float(np.clip(term.rise / whole, 0.0, 1.0)),
+                explained * term.rise / whole,
                 contest.share,
                 contest.alternatives,
                 doubts=(BESIDE_MORE,) if is_part else (),

@@ -22,6 +22,9 @@ SURE = 40.0
 """Rise of −2 ln L without a strength from which something acts at its place: at 1 % false alarms over
 thirty places chance alone gives 13; the rest is friction's own shape (empirical: nulls of another hand)."""
 
+LOUD = 10.0
+"""Sensors' noise of a line over its median from which the line says nothing (empirical)."""
+
 
 @dataclass(frozen=True, eq=False)
 class AxisMissing:
@@ -32,8 +35,8 @@ class AxisMissing:
 
 
 def axis_missing(found: Supposed) -> AxisMissing:
-    """On the records kept out, else on those fitted: rms over lines on which torque stands above the
-    sensors."""
+    """On the records kept out, else on those fitted: rms over the informative lines, on which torque stands
+    above the sensors, and not those where the plant multiplies the encoders' noise."""
     value: Value = found.kept_value or found.fit.value
     motors = found.hypothesis.structure.motors
     power, floor, count = np.zeros(motors), np.zeros(motors), 0
@@ -42,7 +45,8 @@ def axis_missing(found: Supposed) -> AxisMissing:
         stiffness = work.condensed.stiffness
         sensors = (np.abs(stiffness) ** 2 * stack.position_noise).sum(axis=2) + stack.torque_noise
         torque = (np.abs(stack.parts.sum(axis=0)) ** 2).mean(axis=(0, 1))
-        use = (sensors < torque) * stack.weight[:, None]
+        use = (sensors < torque) & (sensors <= LOUD * np.median(sensors, axis=0))
+        use = use * stack.weight[:, None]
         power += ((np.abs(missing_torque(value, k)) ** 2) * use).sum(axis=(0, 1)) / 2.0
         floor += stack.count * (sensors * use).sum(axis=0) / 2.0
         count += stack.count

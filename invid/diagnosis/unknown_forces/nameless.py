@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.thresholds import FLOOR
+from invid.diagnosis.thresholds import EXPLAINED, FLOOR
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, axis_missing, place_of
 from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.pursuit import pays, role_falls
@@ -43,9 +43,6 @@ FIRST, FIRST_OF_TWO, ROUNDS = 6, 15, 3
 anew (empirical)."""
 FITTED = 3
 """Laws of the scores that are fitted (empirical, for the time)."""
-NEARLY_ALL = 0.98
-"""Share of what is missing on its axis that a law takes that does not bring it to the noise (empirical): what
-takes less may be a part of any law."""
 SIMPLER = 30.0
 """Rise of −2 ln L at which a law stands for its place's friction as well: Schwarz's price of three numbers."""
 AT_MASS, AT_SPRING = ("velocity", "position"), ("deflection", "deflection rate")
@@ -222,10 +219,12 @@ def _is_at_noise(found: Supposed, axis: int) -> bool:
 
 
 def _takes_nearly_all(now: Supposed, found: Supposed, axis: int) -> bool:
+    """Whether a law brings its axis to the noise, or takes nine tenths of what is missing there on records kept
+    out: what takes less may be a part of any law."""
     before, after = axis_missing(now), axis_missing(found)
     left = after.missing[axis] ** 2 - after.floor[axis] ** 2
     whole = before.missing[axis] ** 2 - before.floor[axis] ** 2
-    return _is_at_noise(found, axis) or bool(left <= (1.0 - NEARLY_ALL) * whole)
+    return _is_at_noise(found, axis) or bool(left <= (1.0 - EXPLAINED) * whole)
 
 
 def _is_law_known(found: Supposed) -> bool:
