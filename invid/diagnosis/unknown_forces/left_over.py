@@ -8,7 +8,7 @@ import numpy as np
 
 from invid.diagnosis.unknown_forces.named_terms import axis_and_element
 from invid.effects.units import unit_of
-from invid.likelihood.unknown_forces.descent import fit
+from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.supposition import Supposed
@@ -22,6 +22,8 @@ SURE = 40.0
 """Rise of −2 ln L without a strength from which something acts at its place: at 1 % false alarms over
 thirty places chance alone gives 13; the rest is friction's own shape (empirical: nulls of another hand)."""
 
+MOST = 4
+"""Strongest places of unknown forces that are weighed."""
 LOUD = 10.0
 """Sensors' noise of a line over its median from which the line says nothing (empirical)."""
 
@@ -67,19 +69,34 @@ class PlaceForce:
         return self.rise > SURE
 
 
-def place_forces(found: Supposed, most: int = 4) -> tuple[PlaceForce, ...]:
-    """The strongest unknown forces, each with what its absence costs; BudgetSpent where none is told."""
-    out = []
+def at_their_places(found: Supposed, rounds: int = 3) -> Supposed:
+    """The same with strengths where −2 ln L is lower: a force that a fit began at a wrong place stays there,
+    since strengths move by factors, though elsewhere it explains more."""
+    for _ in range(rounds):
+        tried = [_closed(found, spot) for _, spot in found.strength[:MOST]]
+        best = min(tried, key=lambda f: f.total)
+        if best.total > found.total - 1.0:
+            break
+        found = found.refit(numbers=best.numbers)
+    return found
+
+
+def _closed(found: Supposed, spot: Spot) -> Fit:
+    """The fit with no unknown force at a place."""
     problem = found.fit.problem
-    for rms, spot in found.strength[:most]:
-        number = problem.spots.number[spot]
-        strength = found.numbers.strength.copy()
-        strength[number] = problem.least
-        closed = replace(problem, shut=np.array([*problem.shut, number]))
-        without = fit(closed, replace(found.numbers, strength=strength), 8)
-        budget.check()
-        out.append(PlaceForce(spot, rms, without.total - found.total))
-    return tuple(out)
+    number = problem.spots.number[spot]
+    strength = found.numbers.strength.copy()
+    strength[number] = problem.least
+    closed = replace(problem, shut=np.array([*problem.shut, number]))
+    without = fit(closed, replace(found.numbers, strength=strength), 8)
+    budget.check()
+    return without
+
+
+def place_forces(found: Supposed) -> tuple[PlaceForce, ...]:
+    """The strongest unknown forces, each with what its absence costs; BudgetSpent where none is told."""
+    strongest = found.strength[:MOST]
+    return tuple(PlaceForce(s, rms, _closed(found, s).total - found.total) for rms, s in strongest)
 
 
 Place = tuple[int, str, int | None]

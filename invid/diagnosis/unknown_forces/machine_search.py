@@ -13,7 +13,7 @@ from typing import TypeGuard
 import numpy as np
 
 from invid.diagnosis.unknown_forces.backward import Worth, first_order_worths, without_mode, worths
-from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_forces
+from invid.diagnosis.unknown_forces.left_over import PlaceForce, at_their_places, place_forces
 from invid.diagnosis.unknown_forces.named_terms import axis_and_element
 from invid.diagnosis.unknown_forces.nameless import add_laws
 from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
@@ -78,10 +78,11 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
     is_cut_short = CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
         budget.tell("weighing each cause", 0.0)
-        found, named = budget.or_else(
+        found, weighed = budget.or_else(
             "what each cause is worth", lambda: _weighed(pursued.end), _by_first_order(pursued.end)
         )
     budget.tell("what is left", 0.85)
+    named = budget.or_else("what is left at each place", lambda: at_their_places(weighed), weighed)
     forces_named = budget.or_else("what is left at each place", lambda: place_forces(named), ())
     end, forces = named, forces_named
     with_law = budget.or_else("a law without a name", lambda: add_laws(named, forces_named), None)
