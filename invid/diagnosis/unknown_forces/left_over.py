@@ -22,6 +22,9 @@ SURE = 40.0
 """Rise of −2 ln L without a strength from which something acts at its place: at 1 % false alarms over
 thirty places chance alone gives 13; the rest is friction's own shape (empirical: nulls of another hand)."""
 
+IMPERFECT = 0.03
+"""Share of what acts at a place that a named cause may leave there since its law is not quite the machine's
+(empirical: friction at reversals in chains of another integrator leaves a sixtieth)."""
 MOST = 4
 """Strongest places of unknown forces that are weighed."""
 LOUD = 10.0
@@ -57,16 +60,17 @@ def axis_missing(found: Supposed) -> AxisMissing:
 
 @dataclass(frozen=True, eq=False)
 class PlaceForce:
-    """Unknown force at a place [N·m rms], and the rise of −2 ln L without it."""
+    """Unknown force at a place [N·m rms], the rise of −2 ln L without it, and the force there without causes."""
 
     spot: Spot
     rms: float
     rise: float
+    before: float
 
     @property
     def is_sure(self) -> bool:
-        """Whether something acts there."""
-        return self.rise > SURE
+        """Whether something acts there that is not the imperfect shape of what is named."""
+        return self.rise > SURE and self.rms > IMPERFECT * self.before
 
 
 def at_their_places(found: Supposed, rounds: int = 3) -> Supposed:
@@ -93,10 +97,16 @@ def _closed(found: Supposed, spot: Spot) -> Fit:
     return without
 
 
-def place_forces(found: Supposed) -> tuple[PlaceForce, ...]:
-    """The strongest unknown forces, each with what its absence costs; BudgetSpent where none is told."""
-    strongest = found.strength[:MOST]
-    return tuple(PlaceForce(s, rms, _closed(found, s).total - found.total) for rms, s in strongest)
+def place_forces(found: Supposed, bare: Supposed) -> tuple[PlaceForce, ...]:
+    """The strongest unknown forces, each with what its absence costs; BudgetSpent where none is told.
+
+    ``bare``: the plant without causes.
+    """
+    before = {s: rms for rms, s in bare.strength}
+    return tuple(
+        PlaceForce(s, rms, _closed(found, s).total - found.total, before.get(s, 0.0))
+        for rms, s in found.strength[:MOST]
+    )
 
 
 Place = tuple[int, str, int | None]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.thresholds import COMPETES
+from invid.diagnosis.thresholds import COMPETES, EXPLAINED
 from invid.diagnosis.unknown_forces.backward import FRICTION, Worth
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, axis_missing
 from invid.diagnosis.unknown_forces.named_terms import axis_and_element
@@ -178,6 +178,7 @@ def _within_reach(less: Supposed, own: PlacedLaw | None, looked: Sequence[Placed
 
 
 def is_part_of_more(key: Hashable, forces: Sequence[PlaceForce]) -> bool:
-    """Whether something without a name is sure to act at a cause's very place: the cause may be a part of it."""
-    spot = _spot_of(key)
-    return any(f.is_sure and f.spot == spot for f in forces)
+    """Whether something without a name is sure to act at a cause's very place, and is more than a tenth (of the
+    power) of what acts there without any cause: the cause may be a part of it."""
+    spot, least = _spot_of(key), np.sqrt(1.0 - EXPLAINED)
+    return any(f.is_sure and f.spot == spot and f.rms > least * f.before for f in forces)
