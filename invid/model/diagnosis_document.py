@@ -235,8 +235,8 @@ class Diagnosis:
     ruled_out: tuple[RuledOut, ...] = ()
     """What the recording would have shown, by cause and place; empty where the verdict is unexplained."""
     forces: tuple[ForceAt, ...] = ()
-    """What acts at each place and is in no law, elastic machines alone; the largest ``after`` is where something
-    is left."""
+    """What acts at each place and is in no law, elastic machines alone; most is left where ``after`` is
+    largest."""
     against: Mapping[str, Any] | None = None
     """What a user's own simulator gets wrong here (docs/how-to/against.md)."""
 

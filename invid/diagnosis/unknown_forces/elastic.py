@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from invid.diagnosis.outcome import (
     Cause,
     assemble_diagnosis,

@@ -107,7 +107,9 @@ def _facts(end: Supposed, axes: tuple[str, ...], left: AxisMissing) -> dict[str,
     rows = [w.missing + w.laws @ value.coefficients for w in value.work]
     count = sum(r.size for r in rows) - end.numbers.x.size - int(value.free.sum())
     torque = np.mean([np.nanvar(r.torque_wave, axis=0) for s in end.bench.stacks for r in s.records], axis=0)
-    missed = float((np.maximum(left.missing**2 - left.floor**2, 0.0)).sum() / max(float(torque.sum()), 1e-300))
+    missed = float(
+        (np.maximum(left.missing**2 - left.floor**2, 0.0)).sum() / max(float(torque.sum()), 1e-300)
+    )
     return {
         "value": end.total,
         "chi2": float(sum((r**2).sum() for r in rows)),

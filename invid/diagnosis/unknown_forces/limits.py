@@ -315,7 +315,9 @@ class Screen:
         """The largest size that makes sense of a torque; infinite of others."""
         if kind != "torque":
             return np.inf
-        return max(float(np.abs(r.torque_wave[:, axis]).max()) for s in self.end.bench.stacks for r in s.records)
+        return max(
+            float(np.abs(r.torque_wave[:, axis]).max()) for s in self.end.bench.stacks for r in s.records
+        )
 
     def reverses(self, spot: Spot) -> bool:
         """Whether the motion at a place goes both ways in any record."""

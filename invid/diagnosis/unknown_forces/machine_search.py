@@ -92,9 +92,7 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
             "what each cause is worth", lambda: _weighed(with_law), _by_first_order(with_law)
         )
         forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), ())
-    return ElasticSearch(
-        recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short
-    )
+    return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 
 def first_fit(recording: Recording, sizes: Sequence[int] | None) -> Supposed:

@@ -121,7 +121,9 @@ def _instead(now: Supposed, spot: Spot, over: str) -> Hypothesis | None:
     no such cause."""
     was = now.hypothesis
     laws = tuple(
-        p for p in was.laws if p.spot != spot or p.law.cause == NAMELESS or not is_like_law(BY_CAUSE[p.law.cause], over)
+        p
+        for p in was.laws
+        if p.spot != spot or p.law.cause == NAMELESS or not is_like_law(BY_CAUSE[p.law.cause], over)
     )
     absent = was.absent
     if over == "velocity" and spot.where is Where.MOTOR:

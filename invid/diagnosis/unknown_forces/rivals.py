@@ -11,7 +11,7 @@ from invid.diagnosis.thresholds import COMPETES, EXPLAINED
 from invid.diagnosis.unknown_forces.backward import FRICTION, Worth
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, axis_missing
 from invid.diagnosis.unknown_forces.named_terms import axis_and_element
-from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, role_falls, try_law
+from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound, role_falls, try_law
 from invid.diagnosis.unknown_forces.scoring import score, spots_of
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_of
-from invid.effects.units import unit_of
 from invid.effects.supposed_laws import SpotMotion
+from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.smoother import SmoothedStack
 from invid.likelihood.unknown_forces.supposition import Supposed
@@ -69,7 +69,9 @@ def record_forces(found: Supposed, spot: Spot) -> list[RecordForce]:
     number = found.fit.problem.spots.number[spot]
     motions = iter(found.motions.flat(spot))
     smoothed = found.smoothed().motions.smoothed
-    return [_of_record(stack, k, number, next(motions)) for stack in smoothed for k in range(stack.stack.count)]
+    return [
+        _of_record(stack, k, number, next(motions)) for stack in smoothed for k in range(stack.stack.count)
+    ]
 
 
 def _of_record(stack: SmoothedStack, k: int, number: int, motion: SpotMotion) -> RecordForce:
