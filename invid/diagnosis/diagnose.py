@@ -4,43 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
-from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
+from invid.diagnosis.lost_samples import with_lost_samples
 from invid.diagnosis.rigid import diagnose_trajectory
-from invid.diagnosis.rules.dropped_rows import (
-    find_dropped_rows,
-    interpolate_dropped_rows,
-)
-from invid.diagnosis.rules.own_evidence import keep_independent_causes
-from invid.diagnosis.selection import Selection
-from invid.effects.units import unit_of
+from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
-from invid.likelihood.joint_fit import JointFit
-from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, RuledOut
-from invid.model.document import EffectTerm, Model
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import Model
 from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.recording.still_axes import masses_of_moving
+from invid.signals.dropped_rows import find_dropped_rows, interpolate_dropped_rows
 from invid.signals.plausibility import check_units
 from invid.signals.repair import repair
-from invid.signals.spectral_record import SpectralRecord
-
-NOTABLE_SHARE = 0.1
-"""Share of a hold inside the drive from which a warning says so (empirical)."""
 
 TIME_TO_IDENTIFY, TIME_TO_SEARCH = 0.5, 0.85
 """Share of the budget for the identification, and of the rest for the search; what remains is for the
 simulation over time and the sentences (empirical)."""
-
-GIVEN_MODEL_PREFIX = "the model given, of its own recording: "
-"""Prefix of warnings that come from the identification of a model made from other data."""
 
 
 def diagnose(
@@ -108,51 +94,15 @@ def _diagnose_clean(
         )
     else:
         check_units(model, recording)
-    result = diagnose_elastic(repaired, sizes)
-    return result
+    return with_lost_samples(diagnose_elastic(repaired, sizes), recording, dropped)
 
 
-def _requested_sizes(recording, masses):
+def _requested_sizes(
+    recording: Recording, masses: Sequence[int] | Literal["auto"] | None
+) -> tuple[int, ...] | None:
+    """Masses of each axis as asked for or recorded; ``None`` where the data are to choose."""
     wanted = recording.masses_per_axis if masses is None else masses
     return None if wanted is None or isinstance(wanted, str) else tuple(wanted)
-
-
-def _without_the_rest(
-    found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
-) -> Selection:
-    """What may be named of causes that explain too little together; all of them where no time is left to
-    tell."""
-    alone = partial(keep_independent_causes, found, train, held)
-    independent = budget.or_else("own evidence", alone, None)
-    if independent is not None:
-        return independent.widen_by_remainder()
-    return replace(found, is_cut_short=found.is_cut_short or budget.is_spent())
-
-
-def _without_found(
-    limits: Sequence[RuledOut], findings: Sequence[Finding], identified: Sequence[EffectTerm]
-) -> tuple[RuledOut, ...]:
-    """The limits of what is neither found, nor an alternative, nor in the identification of the recording."""
-    said: list[EffectTerm | Alternative] = [*identified, *(f.effect for f in findings)]
-    said += [a for f in findings for a in f.alternatives]
-    found = {(x.cause, x.axis, x.element, x.other_axis) for x in said}
-    return tuple(r for r in limits if (r.cause, r.axis, r.element, r.other_axis) not in found)
-
-
-def hold_timing_warnings(final: JointFit, recording: Recording) -> list[str]:
-    """Warnings about holds whose timing no record shows and that the fit places before the command."""
-    layout, warnings = final.layout, []
-    for hold, share in zip(layout.holds, final.p[layout.hold_slice], strict=True):
-        friction = 0.5 * layout.step * float(share) * hold.stiffness
-        if hold.damping or share < NOTABLE_SHARE:
-            continue
-        unit = unit_of("damping", recording.linear)
-        warnings.append(
-            f"{recording.axes[hold.axis]}: its hold is taken to act up to half a sample before the command, "
-            f"as fits best; viscous friction of {friction:.2g} {unit} at its motor would look alike: record "
-            "the demanded torque, or drive the axis without a hold, to tell"
-        )
-    return warnings
 
 
 __all__ = ["diagnose"]

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from invid.effects.effect import Effect, Experiment, ForceEffect, ImpedanceEffect, PlaceMotion
+    from invid.effects.effect import Effect, Experiment, PlaceMotion
     from invid.effects.elements import ForceLaw, Law, ModelPlace, StaticLaw
     from invid.effects.laws.empirical_law import spline_law, surface_law
     from invid.effects.motion_effect import MotionEffect
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Effect": "effect",
     "Experiment": "effect",
-    "ForceEffect": "effect",
     "ForceLaw": "elements",
-    "ImpedanceEffect": "effect",
     "Law": "elements",
     "ModelPlace": "elements",
     "MotionEffect": "motion_effect",
@@ -39,9 +37,7 @@ _HOMES = {
 __all__ = [
     "Effect",
     "Experiment",
-    "ForceEffect",
     "ForceLaw",
-    "ImpedanceEffect",
     "Law",
     "ModelPlace",
     "MotionEffect",

@@ -164,7 +164,7 @@ def _check_words(effect: Effect, refuse: Refuse) -> None:
     if not isinstance(one, Experiment) or not one.text:
         refuse("separating", "separating is missing; write separating = Experiment(kind, words), kind one of "
                f"{_listed(Experiment.KINDS)}")  # fmt: skip
-    for name, kind in (("sizes", Size), ("looks_like", str), ("parts", str)):
+    for name, kind in (("sizes", Size), ("looks_like", str)):
         found = getattr(effect, name)
         if not isinstance(found, tuple) or not all(isinstance(f, kind) for f in found):
             refuse(name, f"{name} is {found!r}; it is a tuple of {kind.__name__}, one of them as (x,)")
@@ -181,7 +181,7 @@ def _check_parameters(effect: Effect, refuse: Refuse) -> None:
         refuse("numbers", "it has no parameters; give numbers = (Parameter(name, unit),)")
     if not effect.parameters:
         refuse("parameters", "it has no parameters; give parameters = {name: unit}")
-    for p in numbers if type(effect).grid is MotionEffect.grid else ():
+    for p in numbers if getattr(type(effect), "starts", None) is MotionEffect.starts else ():
         if not p.linear and not p.starts:
             refuse("numbers", f"parameter {p.name!r}: linear=False asks for starts, values to begin from")
     names = [p.name for p in numbers]

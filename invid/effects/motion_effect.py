@@ -13,14 +13,11 @@ from itertools import product
 
 import numpy as np
 
-from invid.effects.effect import ForceEffect, PlaceMotion
+from invid.effects.effect import Effect, PlaceMotion
 from invid.effects.elements import Element, ModelPlace, StaticLaw
-from invid.effects.motion import View, rms
 from invid.effects.parameter import Parameter
 from invid.effects.units import unit_of
-from invid.model.place import Place
 from invid.numerics.arrays import Float64
-from invid.signals.standstill import sign_threshold
 
 OF_MOTION = ("velocity", "position", "deflection", "deflection rate")
 """Quantities over which a law can be simulated from a table."""
@@ -30,7 +27,7 @@ PAIRS = (("velocity", "position"), ("deflection", "deflection rate"))
 """Two of them that a law may depend on at once."""
 
 
-class MotionEffect(ForceEffect):
+class MotionEffect(Effect):
     """A resistance that follows from position, velocity and time at its place.
 
     A subclass gives ``cause``, ``title``, ``check``, ``family``, ``over``, ``numbers``, ``separating``,
@@ -57,34 +54,6 @@ class MotionEffect(ForceEffect):
             for p in self.nonlinear
         ]
         return list(product(*scaled))
-
-    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
-        pattern = place.pattern(views[0].structure)
-        sizes = (rms([v.wave(pattern) for v in views]), rms([v.velocity(pattern) for v in views]))
-        starts = self.starts(*(max(s, 1e-300) for s in sizes))
-        return [
-            tuple(float(np.log(s)) if log else s for s, log in zip(one, self.logarithmic, strict=True))
-            for one in starts
-        ]
-
-    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        out = []
-        for p in self.nonlinear:
-            low, high = p.low, p.high
-            if p.logarithmic:
-                low = float(np.log(low)) if low > 0 else -np.inf
-                high = float(np.log(high)) if np.isfinite(high) else np.inf
-            out.append((low, high))
-        return out
-
-    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
-        pattern = place.pattern(view.structure)
-        v = view.velocity(pattern)
-        noise = float(view.record.velocity_noise[place.axis])
-        time = view.record.start_time + view.record.wave_time
-        motion = PlaceMotion(view.wave(pattern), v, time, rest=2.0 * sign_threshold(v, noise))
-        units = [float(np.exp(s)) if log else s for s, log in zip(shape, self.logarithmic, strict=True)]
-        return self.resistance(motion, units)
 
     def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
         return self.resistance(motion, shape)

@@ -20,7 +20,6 @@ from invid.likelihood.nuisance.torque_lags import (
     COULOMB_SIGMA,
     TORQUE_LAG,
     add_coulomb_columns,
-    add_weight_columns,
     fit_reversal_lags,
     fit_torque_lags,
 )
@@ -168,46 +167,6 @@ def fit_structure(
         explained,
         {**_facts(problem, solution, excess), "holds": {**holds, **early_holds}, "hold_timing": timing},
     )
-
-
-def nearest_minima(
-    spectra: Sequence[LineSpectra],
-    structure: ChainStructure,
-    starts: Iterable[CoupledChains],
-    *,
-    turning: bool,
-    most: int,
-) -> list[CoupledChains]:
-    """The chains, ``most`` at most, of the different minima that the starts lead to, the nearest first.
-
-    What no linear structure holds decides between minima that are nearly as good; only a fit with it tells
-    which is the machine's. ``turning``: beside a weight on every axis that turns far.
-    """
-    problem = add_coulomb_columns(problem_from_spectra(structure, spectra), spectra)
-    problem = add_weight_columns(problem, spectra) if turning else problem
-    wide = tempered(problem, NOISE_SHARES[0])
-    led = [
-        gauss_newton(wide, problem.start(problem.structure.vector(s)), iterations=15, tolerance=0.1)
-        for s in starts
-    ]
-    ends = []
-    for found in _distinct(led)[:most]:
-        if budget.is_spent():
-            break
-        p = found.p
-        for share in NOISE_SHARES[1:]:
-            p = gauss_newton(tempered(problem, share), p, iterations=15, tolerance=0.1).p
-        ends.append(gauss_newton(problem, p, iterations=30))
-    return [problem.structure.chains(s.p[: structure.count]) for s in _distinct(ends)]
-
-
-def _distinct(solutions: Sequence[Solution]) -> list[Solution]:
-    """One solution of each minimum, the nearest first."""
-    out: list[Solution] = []
-    for found in sorted(solutions, key=lambda s: s.chi2):
-        if not out or found.chi2 > (1.0 + SAME_MINIMUM) * out[-1].chi2:
-            out.append(found)
-    return out
 
 
 def is_costly_to_start(sizes: Sequence[int]) -> bool:

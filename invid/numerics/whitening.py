@@ -1,4 +1,4 @@
-"""Rows of unit variance from complex lines with a noise covariance, and back."""
+"""Rows of unit variance from complex lines with a noise covariance."""
 
 from __future__ import annotations
 
@@ -17,27 +17,10 @@ def whitener(covariance: Complex128) -> Complex128:
     return root
 
 
-def unwhitener(root: Complex128) -> Complex128:
-    """(F, M, M) inverse of a whitener, identity on lines that it switches off."""
-    off = np.abs(root).sum(axis=(1, 2)) == 0
-    out = root.copy()
-    out[off] = np.eye(root.shape[1])
-    inverse: Complex128 = np.asarray(np.linalg.inv(out), dtype=np.complex128)
-    return inverse
-
-
 def stack(values: Complex128) -> Float64:
     """(F, M, n) complex to (2FM, n) real rows."""
     flat = values.reshape(-1, values.shape[-1])
     return np.concatenate((flat.real, flat.imag))
-
-
-def unstack(back: Complex128, rows: Float64, shape: tuple[int, ...]) -> Complex128:
-    """(2FM,) whitened rows to (F, M) = ``shape`` complex, through the unwhitener ``back``."""
-    half = rows.size // 2
-    white = (rows[:half] + 1j * rows[half:]).reshape(shape)
-    out: Complex128 = (back @ white[..., None])[..., 0]
-    return out
 
 
 def factored(columns: Float64) -> tuple[Float64, Float64]:
@@ -61,8 +44,3 @@ def factored(columns: Float64) -> tuple[Float64, Float64]:
     left, size, right = np.linalg.svd(scaled, full_matrices=False)
     seen = size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)  # no rows: rank 0
     return left[:, seen], right[seen].T / size[seen] / scale[:, None]
-
-
-def orthonormal(columns: Float64) -> Float64:
-    """(rows, rank) basis of what the columns span."""
-    return factored(columns)[0]

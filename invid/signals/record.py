@@ -80,6 +80,8 @@ class Record:
         Number of periods in the span; 0 where it has none.
     top_hz
         Highest excited frequency.
+    origin
+        Time at which the recording begins [s].
     """
 
     key: str
@@ -101,6 +103,7 @@ class Record:
     torque_wave: Float64
     periods: int
     top_hz: float
+    origin: float = 0.0
 
     @cached_property
     def omega(self) -> Float64:

@@ -30,7 +30,7 @@ from invid.effects.elements import (
     StaticLaw,
     TorqueChannel,
 )
-from invid.effects.laws.sign import ROUNDING
+from invid.effects.laws.dry_friction import ROUNDING
 from invid.errors import ModelError
 from invid.exchange.linear_plant import effect_name
 from invid.model.chains import CoupledChains

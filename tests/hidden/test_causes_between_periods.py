@@ -7,10 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from invid.diagnosis.confidence import parameter_estimates
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.search_pass import run_search_pass
-from invid.model.document import Model, std_by_name
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make, make_case
@@ -22,20 +19,13 @@ def test_a_drift_of_two_periods_is_no_tone_between_two_lines() -> None:
         "parameter_drift", (0, 1), {"rate": -0.3}, seed=11, masses=(2,), noise=0.003, drive="smooth",
         periods=2, moves=False, from_rest=False, torque_quantised=False,
     )  # fmt: skip
-    chains = truth.chains
-    # A start of the linear parameters, as an identification would give it.
-    found = run_search_pass(recording, Model("test", "refined", chains, std_by_name(chains, {})))
-    assert not found.tones
-    (step,) = found.selection.steps
-    assert step.chosen.term.effect.cause == "parameter_drift"
-    assert float(step.chosen.x[0]) == pytest.approx(-0.3, rel=0.01)
-    assert step.chosen.cost < 1.2 * step.chosen.dof
-    sizes = parameter_estimates(step.chosen, 0, linear=False)
-    assert (sizes["parameter"].value, sizes["parameter"].std) == (
-        1.0,
-        0.0,
-    )  # which spring: chosen, not fitted
-    assert sizes["rate"].std
+    found = diagnose(recording)
+    (drift,) = found.findings
+    assert drift.cause == "parameter_drift"
+    rate = drift.parameters["rate"]
+    assert rate.value == pytest.approx(truth.effects[0].parameters["rate"], rel=0.01)
+    assert rate.std
+    assert found.residual[0].after < 1.2 * found.residual[0].floor
 
 
 def test_a_limit_that_the_validation_stays_below_is_named() -> None:

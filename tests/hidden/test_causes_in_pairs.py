@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.diagnosis.confidence import _amplitude_variance
 from invid.diagnosis.diagnose import diagnose
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -35,20 +34,6 @@ def test_a_limit_that_cuts_a_held_demand_beside_a_hold_that_goes_on_is_known_as_
     assert result.outcome == "right", result.named
     assert result.size_sigmas is not None
     assert abs(result.size_sigmas) < 3.0
-
-
-def test_the_deviation_of_an_amplitude_covers_what_its_unknown_quadrature_may_add() -> None:
-    covariance = np.array([[0.04, 0.001], [0.001, 1e-4]])
-    std = float(np.sqrt(_amplitude_variance(np.array([0.0, 1.0]), covariance)))
-    drawn = np.random.default_rng(1).multivariate_normal([0.0, 1.0], covariance, size=20000)
-    away = np.abs(np.hypot(*drawn.T) - 1.0)
-    assert np.mean(away < 3.0 * std) > 0.99
-    assert std < 0.1  # three of them are 0.2, the quadrature's three deviations 0.17
-
-
-def test_the_deviation_of_an_amplitude_known_in_both_directions_is_that_along_it() -> None:
-    std = float(np.sqrt(_amplitude_variance(np.array([0.0, 1.0]), np.diag([1e-6, 4e-6]))))
-    assert abs(std / 2e-3 - 1.0) < 1e-3
 
 
 def _bearing(recording: Recording, torque: list[float]) -> Recording:

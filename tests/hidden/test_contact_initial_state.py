@@ -5,14 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from hidden.generator import make_case
 from invid.diagnosis.diagnose import diagnose
-from invid.effects.laws.slider import depends_on_start, slide
 
 
 def test_presliding_friction_is_found_where_a_weak_record_begins_with_the_contact_under_tension() -> None:
@@ -39,12 +37,3 @@ def test_a_contact_that_never_slides_both_ways_in_a_period_may_hold_any_constant
     assert (finding.effect.cause, finding.effect.axis) == ("presliding_friction", true.axis)
     assert finding.effect.element == true.element
     assert finding.effect.parameters["torque"].value == pytest.approx(true.parameters["torque"], rel=0.02)
-
-
-def test_a_slider_that_never_gives_way_keeps_where_it_stood() -> None:
-    x = 0.3 * np.sin(np.linspace(0.0, 5.0, 200))
-    assert depends_on_start(x, 2.0, periodic=True)
-    assert not depends_on_start(x, 0.1, periodic=True)
-    assert depends_on_start(x, 0.1, periodic=False)
-    assert slide(x, 2.0, periodic=False, start=0.5) == pytest.approx(1.0 + x)
-    assert slide(x, 2.0, periodic=False, start=0.95).max() == pytest.approx(2.0)

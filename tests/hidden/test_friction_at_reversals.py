@@ -7,8 +7,8 @@ import pytest
 from hidden.generator import make, make_case
 from hidden.scoring import score
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.rules.dropped_rows import find_dropped_rows
 from invid.model.diagnosis_document import Verdict
+from invid.signals.dropped_rows import find_dropped_rows
 
 
 @pytest.mark.parametrize("seed", [2, 3])

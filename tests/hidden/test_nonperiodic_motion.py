@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from invid.diagnosis.diagnose import diagnose
-from invid.likelihood.prepare_records import spectral_record
 from invid.model.diagnosis_document import Verdict
 from invid.recording import Role
 from invid.recording.model import Experiment, Kind, Recording
-from invid.signals.spectra import spectra_of
 
 STEP, PERIOD, PERIODS, SUB = 0.002, 2048, 2, 20
 MASSES, SPRING, DAMPER = (0.134, 0.041), 400.0, 0.08
@@ -84,16 +82,3 @@ def test_a_ripple_over_which_the_axis_wanders_is_followed_period_by_period() -> 
     assert value("phase") == pytest.approx(PHASE, abs=0.03)
     assert grease.effect.value("coefficient") == pytest.approx(DRAG, rel=0.05)
     assert found.verdict is Verdict.EXPLAINED
-
-
-def test_a_period_that_stands_alone_is_where_the_motor_was() -> None:
-    """Without the drift of the record the ripple of each period had another phase."""
-    recording = _recording(RIPPLE)
-    experiment = recording.experiments[0]
-    spectra = spectra_of(experiment, drop_transient=False)
-    for k in range(PERIODS):
-        record = spectral_record(spectra, experiment, slice(k, k + 1), alone=True)
-        there = experiment.position[k * PERIOD : (k + 1) * PERIOD, 0]
-        wave = record.motor_wave[:, 0]
-        own = np.interp(np.arange(wave.size) * record.wave_step, np.arange(PERIOD) * STEP, there)
-        assert np.sqrt(np.mean((wave - own) ** 2)) < 3e-5

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.unknown_forces.pursuit import PRICE, pays, restructured, role_falls
-from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.diagnosis.unknown_forces.pursuit import PRICE, pays, role_falls
+from invid.diagnosis.unknown_forces.structures import additions_of, without
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import curvature, reshape
-from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.numerics import budget
 
 PRICE_OF_FRICTION = 25.0
@@ -70,8 +70,7 @@ def worths(now: Supposed) -> list[Worth]:
         absent = now.hypothesis.absent | {(Channel.DELAY, axis)}
         less = replace(now.hypothesis, channels=now.hypothesis.channels - {(channel, axis)}, absent=absent)
         out.append(_worth(now, channel.value, (channel, axis), now.refit(less, iterations=15)))
-    for branch in structure.modes:
-        out.append(_worth(now, "extra_mode", ("mode", branch), without_mode(now, branch)))
+    out += [_worth(now, a.cause, a, without(now, a)) for a in additions_of(structure)]
     return out
 
 
@@ -103,42 +102,10 @@ def first_order_worths(now: Supposed) -> list[Worth]:
             add(cause, (part, motor), [(part, motor)])
     sure = 2.0 * PRICE
     fixed: list[tuple[str, Hashable]] = [(c.value, (c, a)) for c, a in now.hypothesis.channels]
-    fixed += [("extra_mode", ("mode", b)) for b in now.hypothesis.structure.modes]
+    fixed += [(a.cause, a) for a in additions_of(now.hypothesis.structure)]
     return [*out, *(Worth(cause, key, sure, (sure, sure)) for cause, key in fixed)]
 
 
 def _without(now: Supposed, name: Hashable) -> Supposed:
     hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | {name})
     return reshape(now.refit(hypothesis, iterations=10), 1)
-
-
-def without_mode(now: Supposed, branch: int) -> Supposed:
-    """The fit with a mode's mass put back on its load."""
-    structure, plant = now.hypothesis.structure, now.numbers.plant
-    number = structure.modes.index(branch)
-    fewer = Structure(structure.sizes, tuple(b for b in structure.modes if b != branch))
-    at, link = sum(structure.sizes) + number, len(structure.links) - len(structure.modes) + number
-    mass = plant.of_kind(Kind.MASS).copy()
-    mass[structure.load[branch]] += mass[at]
-    values = np.concatenate(
-        (
-            np.delete(mass, at),
-            np.delete(plant.of_kind(Kind.SPRING), link),
-            np.delete(plant.of_kind(Kind.DAMPER), link),
-            plant.of_kind(Kind.COUPLING),
-            plant.of_kind(Kind.LOAD_SPRING),
-        )
-    )
-    laws = tuple(p for p in (_moved(p, at, link) for p in now.hypothesis.laws) if p is not None)
-    numbers = replace(now.numbers, plant=Plant.of_values(fewer, values))
-    return restructured(now, replace(now.hypothesis, structure=fewer, laws=laws), numbers, 25)
-
-
-def _moved(placed: PlacedLaw, mass: int, link: int) -> PlacedLaw | None:
-    """A law in the structure without a mass and its spring; none where it stood there."""
-    gone = link if placed.spot.where is Where.SPRING else mass
-    if placed.spot.where is Where.MOTOR or placed.spot.number < gone:
-        return placed
-    if placed.spot.number == gone:
-        return None
-    return replace(placed, spot=Spot(placed.spot.where, placed.spot.number - 1))

@@ -20,6 +20,7 @@ from invid.diagnosis.unknown_forces.machine_search import ElasticSearch, search_
 from invid.diagnosis.unknown_forces.named_terms import TermWriter
 from invid.diagnosis.unknown_forces.nameless import SmoothLaw, coefficients_of
 from invid.diagnosis.unknown_forces.rivals import Contest, contests, is_part_of_more
+from invid.diagnosis.unknown_forces.structures import additions_of
 from invid.diagnosis.unknown_forces.unexplained import describe_left
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -106,11 +107,7 @@ def named_terms(found: ElasticSearch) -> list[NamedTerm]:
             terms.append(NamedTerm(term, key, stays[key]))
     terms += [NamedTerm(writer.load_spring(p), p, stays[p]) for p in structure.pairs if p in stays]
     terms += [NamedTerm(writer.channel(*c), c, stays[c]) for c in end.hypothesis.channels if c in stays]
-    terms += [
-        NamedTerm(writer.mode(b), ("mode", b), stays["mode", b])
-        for b in structure.modes
-        if ("mode", b) in stays
-    ]
+    terms += [NamedTerm(writer.addition(a), a, stays[a]) for a in additions_of(structure) if a in stays]
     return terms
 
 
@@ -131,7 +128,7 @@ def named_causes(
     is none: it is a part of that.
     """
     axes = found.recording.axes
-    contested = contests(found.end, found.worths, found.pursued, axes)
+    contested = contests(found.end, found.worths, found.pursued, found.recording)
     terms, out = named_terms(found), []
     whole = max(sum(t.rise for t in terms), 1.0)
     for term in terms:

@@ -20,12 +20,21 @@ import numpy as np
 from invid.diagnosis.sentences import ruled_out_sentence
 from invid.diagnosis.unknown_forces.backward import FRICTION, PRICE_OF_FRICTION
 from invid.diagnosis.unknown_forces.machine_search import ElasticSearch
+from invid.diagnosis.unknown_forces.named_terms import axis_and_element
 from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.pursuit import LEAST_FITTED, LEAST_KEPT, PRICE
-from invid.diagnosis.unknown_forces.scoring import spots_of
+from invid.diagnosis.unknown_forces.scoring import spot_at, spots_of
 from invid.effects.effect import Effect
 from invid.effects.registry import effects
-from invid.effects.supposed_laws import SUPPOSED, Backlash, InnerDry, Shape, SupposedLaw, TorqueSaturation
+from invid.effects.supposed_laws import (
+    Backlash,
+    InnerDry,
+    LawPlace,
+    Shape,
+    SupposedLaw,
+    TorqueSaturation,
+    supposed_laws,
+)
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -129,8 +138,8 @@ def _limit_of(effect: Effect, place: Place, screen: Screen, made: RuledOut) -> R
 
 def _limits(effect: Effect, place: Place, screen: Screen) -> Iterator[Limit | None]:
     """The limit at every shape of a cause that the search may find there; ``None`` where it is not seen."""
-    for law in SUPPOSED:
-        spot = screen.spot_of(place)
+    spot = spot_at(screen.structure, place)
+    for law in screen.laws:
         if law.cause == effect.cause and spot in spots_of(law, screen.structure):
             yield from screen.of_law(law, spot, effect.main)
     motor = place.kind == "mass" and place.number == 1
@@ -154,6 +163,7 @@ class Screen:
         self.end, self.recording = end, recording
         self.structure = end.hypothesis.structure
         self.rows = Rows(end)
+        self.laws = supposed_laws(linear=recording.linear)
         self._open: dict[frozenset[object], Screen] = {}
 
     @cached_property
@@ -178,16 +188,6 @@ class Screen:
             sizes.append(float(np.sqrt(lost / (own * part))))
         return max(sizes)
 
-    def spot_of(self, place: Place) -> Spot | None:
-        """Where a place of the catalogue is; ``None`` for one that is no place of a force."""
-        first = self.structure.motor[place.axis]
-        if place.kind == "spring":
-            pair = (first + place.number - 1, first + place.number)
-            return Spot(Where.SPRING, self.structure.links.index(pair))
-        if place.kind == "axis" or place.number == 1:
-            return Spot(Where.MOTOR, place.axis)
-        return Spot(Where.MASS, first + place.number - 1) if place.kind == "mass" else None
-
     def of_law(self, law: SupposedLaw, spot: Spot, main: str) -> Iterator[Limit | None]:
         """Limits of a law at its shapes."""
         shapes = law.shapes(self.end.motions.flat(spot))
@@ -196,18 +196,26 @@ class Screen:
             return
         for shape in shapes:
             placed = PlacedLaw(law, spot, shape)
-            left = self.rows.of_law(placed)
-            felt = self.rows.felt(self.end.bench.law_lines(placed, self.end.motions), self._vector(spot))
-            own, vectors = np.linalg.eigh(left.T @ left)
-            whole = float(((felt @ vectors[:, 0]) ** 2).sum())
-            if not own[0] > UNSEEN**2 * whole:
+            left, felt = self.rows.of_law(placed), self.rows.felt_of(placed)
+            own, direction = _least_seen(left, only_last=bool(law.contains))
+            if not own > UNSEEN**2 * float(((felt @ direction) ** 2).sum()):
                 yield None
                 continue
-            size = self.size_seen(float(own[0]), PRICE)
-            values = law.parameters(size * np.abs(vectors[:, 0]), shape, self._stiffness(spot))
-            parameter = main if main in values else law.main
-            none = law.parameters(np.zeros(own.size), shape, 1.0)[parameter]  # of a gain it is one
-            yield Limit(parameter, abs(values.pop(parameter) - none), values)
+            coefficients = self.size_seen(own, PRICE) * np.abs(direction)
+            yield self._limit(placed, coefficients, main)
+
+    def _limit(self, placed: PlacedLaw, coefficients: Float64, main: str) -> Limit:
+        """The size of a law over none: of a gain from one, of friction by direction over plain friction."""
+        _, element = axis_and_element(self.structure, placed.spot)
+        place = LawPlace(int(element.split()[-1]), self._stiffness(placed.spot))
+        beside = np.zeros(len(placed.law.beside))
+        values, none = (
+            placed.law.parameters(np.concatenate((c, beside)), placed.shape, place)
+            for c in (coefficients, 0.0 * coefficients)
+        )
+        grown = [n for n in values if values[n] != none[n]]
+        parameter = main if main in grown else grown[0]
+        return Limit(parameter, abs(values.pop(parameter) - none[parameter]), values)
 
     def _of_knee(self, law: SupposedLaw, spot: Spot, main: str) -> Limit | None:
         """The smallest (or, of a limit of the torque, the largest) knee on the grid that is seen."""
@@ -282,10 +290,7 @@ class Screen:
 
     def of_mode(self, place: Place, parameter: str) -> Iterator[Limit | None]:
         """Limits of a further mass on a spring at a mass, at frequencies in the band."""
-        spot = self.spot_of(place)
-        if spot is None:
-            return
-        vector, fit = self._vector(spot), self.end.fit
+        vector, fit = self._vector(spot_at(self.structure, place)), self.end.fit
         top = 2 * np.pi * max(r.top_hz for s in self.end.bench.stacks for r in s.records)
         moved = [inner_motion(fit.problem, fit.value, k) @ vector for k in range(len(fit.value.work))]
         for band in MODE_BANDS:
@@ -329,6 +334,17 @@ class Screen:
         return self._stiffness(spot) * max(float(np.abs(w).max()) for w in waves)
 
 
+def _least_seen(left: Float64, *, only_last: bool) -> tuple[float, Float64]:
+    """|y|² of a law of size one and its coefficients, where it shows least; with ``only_last`` of what its last
+    coefficient has beyond the others."""
+    own, vectors = np.linalg.eigh(left.T @ left)
+    if not only_last:
+        return float(own[0]), vectors[:, 0]
+    others = np.linalg.qr(left[:, :-1])[0]
+    beyond = left[:, -1] - others @ (others.T @ left[:, -1])
+    return float(beyond @ beyond), np.eye(left.shape[1])[-1]
+
+
 def _crossing(parameter: str, falls: Sequence[tuple[float, float]]) -> Limit | None:
     """The size between those of a grid at which the fall is what is asked for; ``None`` where none is.
 
@@ -353,8 +369,8 @@ def _why_never(effect: Effect, place: Place, screen: Screen) -> str | None:
     span = max(float(np.ptp(e.position[:, axis])) for e in recording.experiments)
     if span <= STANDS * counts:
         return "the axis never moved"
-    spot, laws = screen.spot_of(place), [law for law in SUPPOSED if law.cause == effect.cause]
-    if spot is not None and spot.where is Where.SPRING:
+    spot, laws = spot_at(screen.structure, place), [law for law in screen.laws if law.cause == effect.cause]
+    if spot.where is Where.SPRING:
         bent = screen.bent(spot)
         if bent == 0.0:
             return "the spring was never loaded"
@@ -362,6 +378,6 @@ def _why_never(effect: Effect, place: Place, screen: Screen) -> str | None:
         if carried > bent and any(isinstance(law, Backlash) for law in laws):
             return "it was never unloaded"
     is_dry = any(isinstance(law, InnerDry) for law in laws) or (Part.RISE, effect.cause) in FRICTION
-    if spot is not None and is_dry and not screen.reverses(spot):
+    if is_dry and not screen.reverses(spot):
         return "the motion never reversed"
     return UNTOLD if effect.family == "linear" else None

@@ -12,11 +12,13 @@ from typing import TypeGuard
 
 import numpy as np
 
-from invid.diagnosis.unknown_forces.backward import Worth, first_order_worths, without_mode, worths
+from invid.diagnosis.unknown_forces.backward import Worth, first_order_worths, worths
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, at_their_places, place_forces
 from invid.diagnosis.unknown_forces.named_terms import axis_and_element
 from invid.diagnosis.unknown_forces.nameless import add_laws
 from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
+from invid.diagnosis.unknown_forces.structures import additions_of, without
+from invid.effects.supposed_laws import supposed_laws
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.contest import begin, begin_open
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -57,7 +59,11 @@ def records_of(recording: Recording) -> list[Record]:
     """The experiments as records on lines up to the highest frequency that any of them excites."""
     tops = [float(e.frequencies_hz.max()) for e in recording.experiments if e.frequencies_hz.size]
     top = max(tops, default=None)
-    return [make_record(e, recording.encoder_resolution, top) for e in recording.experiments]
+    origin = min(float(e.time[0]) for e in recording.experiments)
+    return [
+        replace(make_record(e, recording.encoder_resolution, top), origin=origin)
+        for e in recording.experiments
+    ]
 
 
 def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> ElasticSearch:
@@ -74,7 +80,7 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
         budget.tell("looking for causes", share)
 
     with budget.use_share(TIME_TO_PURSUE, 0.3, 0.75):
-        pursued = pursue(first, tell=tell)
+        pursued = pursue(first, supposed_laws(linear=recording.linear), tell=tell, growing=sizes is None)
     is_cut_short = CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
         budget.tell("weighing each cause", 0.0)
@@ -137,9 +143,9 @@ def _by_first_order(now: Supposed) -> tuple[tuple[Worth, ...], Supposed]:
 
 def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
     """The hypothesis with the causes that pay, fitted."""
-    for branch in now.hypothesis.structure.modes:
-        if any(w.key == ("mode", branch) and not w.stays for w in found):
-            now = without_mode(now, branch)
+    for addition in additions_of(now.hypothesis.structure):
+        if any(w.key == addition and not w.stays for w in found):
+            now = without(now, addition)
     gone = {w.key for w in found if not w.stays}
     # Friction that rises at slow speed rises above dry friction.
     gone -= {(Part.DRY, w.key[1]) for w in found if w.stays and _is_rise(w.key)}
@@ -159,8 +165,8 @@ def _is_rise(key: Hashable) -> TypeGuard[tuple[Part, int]]:
 
 def without_causes(now: Supposed) -> Supposed:
     """The plant alone, fitted to the same records."""
-    for branch in now.hypothesis.structure.modes:
-        now = without_mode(now, branch)
+    for addition in additions_of(now.hypothesis.structure):
+        now = without(now, addition)
     names = {c.name for c in now.fit.problem.columns}
     on_time = {(Channel.DELAY, axis) for _, axis in now.hypothesis.channels}
     absent = frozenset(now.hypothesis.absent | names | on_time | set(now.hypothesis.structure.pairs))

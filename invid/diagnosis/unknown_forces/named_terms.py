@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.diagnosis.unknown_forces.structures import Addition, Mode, base_of
+from invid.effects.laws.moving_base import SHARE
 from invid.effects.registry import BY_CAUSE
+from invid.effects.supposed_laws import LawPlace
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -86,7 +89,7 @@ def axis_and_element(structure: Structure, spot: Spot) -> tuple[int, str]:
     first = structure.links[spot.number][0] if spot.where is Where.SPRING else spot.number
     axis = structure.axis_of(first)
     if first >= sum(structure.sizes):
-        return axis, f"mass {structure.sizes[axis] + 1}"
+        return axis, "base" if first - sum(structure.sizes) == len(structure.modes) else "mode"
     number = first - structure.motor[axis] + 1
     return axis, f"{'spring' if spot.where is Where.SPRING else 'mass'} {number}"
 
@@ -100,7 +103,7 @@ class TermWriter:
         self.structure = now.hypothesis.structure
 
     def _unit(self, cause: str, parameter: str) -> str | None:
-        return unit_of(BY_CAUSE[cause].parameters[parameter], self.linear)
+        return unit_of(BY_CAUSE[cause].parameters.get(parameter, "ratio"), self.linear)
 
     def _term(
         self,
@@ -117,6 +120,13 @@ class TermWriter:
 
     def friction(self, motor: int, parts: frozenset[Part]) -> list[EffectTerm]:
         """Terms of a motor's friction for the parts that stay."""
+        named = {
+            Part(part)
+            for placed in self.now.hypothesis.laws
+            if axis_and_element(self.structure, placed.spot)[0] == motor
+            for part in placed.law.beside
+        }
+        parts = parts - named
         dry, rise, viscous = (self.known.coefficient((p, motor)) for p in (Part.DRY, Part.RISE, Part.VISCOUS))
         out = []
         if Part.RISE in parts:
@@ -144,34 +154,62 @@ class TermWriter:
     def law(self, placed: PlacedLaw) -> EffectTerm:
         """Term of a law."""
         number = self.now.hypothesis.laws.index(placed)
-        indices: list[int | None] = [
-            self.known.coefficient((placed.law.cause, placed.spot, i)) for i in range(len(placed.law.low))
-        ]
+        axis, element = axis_and_element(self.structure, placed.spot)
+        indices = [self.known.coefficient((*placed.key, i)) for i in range(len(placed.law.low))]
+        indices += [self.known.coefficient((Part(part), axis)) for part in placed.law.beside]
         count = len(indices)
         shapes = [self.known.shape((number, i)) for i in range(len(placed.shape))]
-        axis, element = axis_and_element(self.structure, placed.spot)
         stiffness = 1.0
         if placed.spot.where is Where.SPRING:
             stiffness = float(self.now.numbers.plant.of_kind(Kind.SPRING)[placed.spot.number])
+        place = LawPlace(int(element.split()[-1]), stiffness)
 
         def size(name: str) -> Callable[[Float64], float]:
-            return lambda v: placed.law.parameters(v[:count], tuple(v[count:]), stiffness)[name]
+            return lambda v: placed.law.parameters(v[:count], tuple(v[count:]), place)[name]
 
-        names = placed.law.parameters(np.ones(count), placed.shape, stiffness)
+        names = placed.law.parameters(np.ones(count), placed.shape, place)
         sizes = {name: (size(name), [*indices, *shapes]) for name in names}
         return self._term(placed.law.cause, axis, sizes, element=element)
 
-    def mode(self, branch: int) -> EffectTerm:
-        """Term of a mode behind a load."""
+    def addition(self, addition: Addition) -> EffectTerm:
+        """Term of what the structure has besides its chains."""
+        return self._mode(addition) if isinstance(addition, Mode) else self._base(addition.cause)
+
+    def _mode(self, mode: Mode) -> EffectTerm:
         structure = self.structure
-        number = structure.modes.index(branch)
-        mass = structure.index(Kind.MASS).start + sum(structure.sizes) + number
-        spring = structure.index(Kind.SPRING).start + len(structure.links) - len(structure.modes) + number
+        host, at = mode.ends(structure)
+        link = structure.links.index((host, at))
+        mass, spring, damper = (
+            structure.index(kind).start + number
+            for kind, number in ((Kind.MASS, at), (Kind.SPRING, link), (Kind.DAMPER, link))
+        )
         sizes: Sizes = {
             "mass": (lambda v: float(np.exp(v[0])), [mass]),
             "stiffness": (lambda v: float(np.exp(v[0])), [spring]),
+            "damping_ratio": (
+                lambda v: 0.5 * float(np.exp(v[2] - 0.5 * (v[0] + v[1]))),
+                [mass, spring, damper],
+            ),
         }
-        return self._term("extra_mode", branch, sizes, element=f"mass {structure.sizes[branch]}")
+        axis = structure.axis_of(host)
+        return self._term(mode.cause, axis, sizes, element=f"mass {host - structure.motor[axis] + 1}")
+
+    def _base(self, cause: str) -> EffectTerm:
+        plant, structure = self.now.numbers.plant, self.structure
+        known = list(range(plant.x.size))
+
+        def of(size: Callable[[dict[str, float], Float64], float]) -> Callable[[Float64], float]:
+            return lambda v: size(*base_of(structure, plant.moved(v).values))
+
+        def part(name: str) -> Callable[[Float64], float]:
+            return of(lambda own, _: own[name])
+
+        def share(axis: int) -> Callable[[Float64], float]:
+            return of(lambda _, shares: float(shares[axis]))
+
+        sizes: Sizes = {name: (part(name), [*known]) for name in ("mass", "stiffness", "damping_ratio")}
+        sizes |= {f"{SHARE}{i + 1}": (share(i), [*known]) for i in range(structure.motors)}
+        return self._term(cause, 0, sizes)
 
     def load_spring(self, pair: tuple[int, int]) -> EffectTerm:
         """Term of a spring between two loads."""

@@ -20,7 +20,6 @@ from invid.diagnosis.unknown_forces.pursuit import pays, role_falls
 from invid.effects.effect import PlaceMotion
 from invid.effects.laws.empirical_law import (
     KNOTS,
-    NAMELESS,
     EmpiricalLaw,
     is_known,
     is_like_law,
@@ -28,8 +27,7 @@ from invid.effects.laws.empirical_law import (
     most_knots,
 )
 from invid.effects.motion_effect import OF_RATE, PAIRS
-from invid.effects.registry import BY_CAUSE
-from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed_laws import LawPlace, Shape, SpotMotion, SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import curvature
@@ -51,18 +49,14 @@ AT_MASS, AT_SPRING = ("velocity", "position"), ("deflection", "deflection rate")
 class SmoothLaw(SupposedLaw):
     """A law without a name as the search supposes it: the shapes of a spline, each with its size."""
 
-    cause = NAMELESS
-    several = False
-
     def __init__(self, law: EmpiricalLaw) -> None:
-        self.law = law
+        self.effect = self.law = law
         self.low = law.lower
-        self.at = "spring" if law.over in AT_SPRING else "mass"
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return self.law.resistance(PlaceMotion(motion.position, motion.velocity, motion.time), ())
 
-    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
         return {"torque": float(np.abs(self.law.splines @ coefficients).max())}
 
 
@@ -100,7 +94,9 @@ def _choices(now: Supposed, axis: int, quantities: Sequence[tuple[str, str]]) ->
     structure, out = now.hypothesis.structure, []
     for over, across in quantities:
         for spot in now.fit.problem.spots.spots:
-            if place_of(structure, spot)[0] != axis or (over in AT_SPRING) is not _is_between(spot):
+            at, element, other = place_of(structure, spot)
+            is_of_chain = other is None and element.startswith(("mass", "spring"))
+            if at != axis or not is_of_chain or (over in AT_SPRING) is not _is_between(spot):
                 continue
             budget.check()
             instead = _instead(now, spot, over)
@@ -113,7 +109,7 @@ def _choices(now: Supposed, axis: int, quantities: Sequence[tuple[str, str]]) ->
 
 
 def _is_between(spot: Spot) -> bool:
-    return spot.where in (Where.SPRING, Where.PAIR)
+    return spot.where is Where.SPRING
 
 
 def _instead(now: Supposed, spot: Spot, over: str) -> Hypothesis | None:
@@ -123,7 +119,7 @@ def _instead(now: Supposed, spot: Spot, over: str) -> Hypothesis | None:
     laws = tuple(
         p
         for p in was.laws
-        if p.spot != spot or p.law.cause == NAMELESS or not is_like_law(BY_CAUSE[p.law.cause], over)
+        if p.spot != spot or isinstance(p.law, SmoothLaw) or not is_like_law(p.law.effect, over)
     )
     absent = was.absent
     if over == "velocity" and spot.where is Where.MOTOR:

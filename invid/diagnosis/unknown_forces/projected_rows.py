@@ -48,8 +48,18 @@ class Rows:
 
     def of_law(self, placed: PlacedLaw) -> Float64:
         """(rows, k) of a law, one a coefficient."""
-        vector = vector_of(self.now.hypothesis.structure, placed.spot)
-        return self.of_force(self.now.bench.law_lines(placed, self.now.motions), vector)
+        return self.project(self.felt_of(placed))
+
+    def felt_of(self, placed: PlacedLaw) -> Float64:
+        """(rows, k) of a law with nothing projected out."""
+        lines = self.now.bench.law_lines(placed, self.now.motions)
+        if not placed.law.reads:
+            return self.felt(lines, vector_of(self.now.hypothesis.structure, placed.spot))
+        out = []
+        for work, wave in zip(self.now.fit.value.work, lines, strict=True):
+            reach = work.condensed.stiffness[:, :, placed.spot.number, None]
+            out.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
+        return np.concatenate(out)
 
     def of_force(self, lines: list[Complex128], vector: Float64) -> Float64:
         """(rows, k) of forces with lines (R, F, k) of each stack along ``vector`` (n,)."""

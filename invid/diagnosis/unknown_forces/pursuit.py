@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import candidates, score
-from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
+from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
+from invid.effects.supposed_laws import Backlash, SupposedLaw
+from invid.identification.contest import shaken
 from invid.likelihood.unknown_forces.forces import Spot, Where
-from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
-from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, PlacedLaw, Supposed, carry_over
+from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
 from invid.likelihood.unknown_forces.timing import EXPECTED_DELAY
-from invid.likelihood.unknown_forces.value import Numbers
 from invid.numerics import budget
 
 PRICE, LEAST_FITTED, LEAST_KEPT = 120.0, 40.0, 10.0
@@ -25,13 +26,10 @@ Schwarz's price of its numbers, and of the places and shapes looked at, is about
 of friction and the grid of motion leave (empirical: false falls of up to 60 of −ln L in sixty rounds of whole
 cells of another hand).
 """
+NUMBER = 10.0
+"""Schwarz's price of one number and ten thousand rows."""
 REFINED = 4
 """Leaders of the scores that are fitted."""
-MODE_SHARES, MODE_BANDS, MODE_STARTS = (0.2, 0.45), (0.2, 0.3, 0.42, 0.58, 0.8, 1.1), 3
-"""Starts of one more mass: its share of its load, its frequency over the highest excited one; how many are
-fitted."""
-MODE_MASS, MODE_BAND = (0.02, 2.0), (0.04, 1.6)
-"""Bounds of its mass over its chain's and of its frequency over the highest excited one."""
 OWN_STIFFNESS = (0.7, 1.4)
 """Bounds of a gap's coefficient over its spring's stiffness."""
 UNBENT = 0.2
@@ -57,11 +55,23 @@ class Trial:
     """The hypothesis without it."""
     placed: PlacedLaw | None = None
     """The law, where it is one."""
+    addition: Addition | None = None
+    """What is added to the structure, where it is that."""
 
     @property
     def fall(self) -> float:
         """Fall of −2 ln L."""
         return self.base.total - self.found.total
+
+    @property
+    def merit(self) -> float:
+        """The fall less what the numbers cost that a law of one coefficient, or the mode of one load, has
+        not: of two that do as well the simpler one is taken."""
+        spare = self.found.hypothesis.structure.base and not self.base.hypothesis.structure.base
+        numbers = spare * (self.found.hypothesis.structure.motors - 1)
+        if self.placed is not None:
+            numbers += len(self.placed.law.low) + len(self.placed.shape) - 1
+        return self.fall - NUMBER * numbers
 
 
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
@@ -101,19 +111,17 @@ def is_sound(found: Supposed) -> bool:
 
 def try_law(now: Supposed, placed: PlacedLaw) -> Supposed:
     """The hypothesis with one law more, its shape and all numbers at their best."""
-    found = now.refit(replace(now.hypothesis, laws=(*now.hypothesis.laws, placed)), iterations=5)
+    found = now.refit(now.hypothesis.plus(placed), iterations=5)
     for _ in range(2):
         found = reshape(found, 2)
-        found = found.renewed(5) if placed.spot.where is not Where.MOTOR else found
+        found = found.renewed(5) if placed.needs_fit else found
     return found
 
 
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Inner motion, shapes and numbers in turn until the value stands."""
     for _ in range(rounds):
-        moved = reshape(
-            now.renewed() if any(p.spot.where is not Where.MOTOR for p in now.hypothesis.laws) else now
-        )
+        moved = reshape(now.renewed() if any(p.needs_fit for p in now.hypothesis.laws) else now)
         gained = now.total - moved.total
         if gained > 0:
             now = moved
@@ -146,102 +154,38 @@ def try_channels(now: Supposed) -> list[Trial]:
                 replace(now.hypothesis, channels=now.hypothesis.channels | {(channel, axis)}), iterations=15
             )
             if channel is Channel.LAG:
+                punctual = found.numbers.timing.punctual(axis)
                 found = found.refit(
                     replace(found.hypothesis, absent=found.hypothesis.absent | {(Channel.DELAY, axis)}),
+                    replace(found.numbers, timing=punctual),
                     iterations=15,
                 )
             out.append(Trial(channel.value, spot, found, without))
     return out
 
 
-def try_modes(now: Supposed) -> list[Trial]:
-    """One more mass behind each load on whose axis something unknown acts behind the motor."""
-    out = []
-    top = 2 * np.pi * now.bench.stacks[0].records[0].top_hz
+def try_structures(now: Supposed, *, growing: bool) -> list[Trial]:
+    """A mode, a base, one more mass of a chain, each where a scan over frequency says that it may be.
+
+    The mode of one load is a base as well; so a base has to do better than the mode that is nearest to it.
+    """
+    looked = Scan(now)
     structure = now.hypothesis.structure
-    shaken = _axes_with_force(now)
-    for branch in range(structure.motors):
-        if branch in structure.modes or structure.sizes[branch] < 2 or branch not in shaken:
-            continue
-        pool = [with_mode(now, branch, share, band * top) for share in MODE_SHARES for band in MODE_BANDS]
-        starts = []
-        for hypothesis, numbers in pool:
-            with suppress(np.linalg.LinAlgError):
-                starts.append(restructured(now, hypothesis, numbers, 0))
-        starts = sorted(starts, key=lambda f: f.total)[:MODE_STARTS]
-        found = sorted((f.refit(iterations=6) for f in starts), key=lambda f: f.total)
-        if not found:
-            continue
-        best = found[0].refit(iterations=25)
-        if mode_is_real(best, branch, top):
-            out.append(Trial("extra_mode", Spot(Where.MOTOR, branch), best, now))
-    return out
-
-
-def _axes_with_force(now: Supposed) -> set[int]:
-    """Axes that have an unknown force behind the motor of a tenth of the strongest, or more."""
-    structure = now.hypothesis.structure
-    least = 0.1 * now.inner_strength
-    out: set[int] = set()
-    for rms, spot in now.strength:
-        if rms < least or spot.where is Where.MOTOR:
-            continue
-        if spot.where is Where.PAIR:
-            out |= {spot.number, spot.other}
-        else:
-            out.add(
-                structure.axis_of(
-                    structure.links[spot.number][0] if spot.where is Where.SPRING else spot.number
-                )
-            )
-    return out
-
-
-def with_mode(now: Supposed, branch: int, share: float, frequency: float) -> tuple[Hypothesis, Numbers]:
-    """A hypothesis with a share of a chain's load behind one more spring that alone swings at
-    ``frequency``."""
-    structure, plant = now.hypothesis.structure, now.numbers.plant
-    wider = Structure(structure.sizes, (*structure.modes, branch))
-    load = structure.load[branch]
-    mass, spring, damper = (plant.of_kind(k) for k in (Kind.MASS, Kind.SPRING, Kind.DAMPER))
-    whole = mass[load]
-    masses = np.append(mass, whole * share)
-    masses[load] = whole * (1 - share)
-    stiffness = frequency**2 * whole * share * (1 - share)
-    values = np.concatenate(
-        (
-            masses,
-            np.append(spring, stiffness),
-            np.append(damper, 0.02 * stiffness / frequency),
-            plant.of_kind(Kind.COUPLING),
-            plant.of_kind(Kind.LOAD_SPRING),
-        )
-    )
-    numbers = replace(now.numbers, plant=Plant.of_values(wider, values))
-    return replace(now.hypothesis, structure=wider), numbers
-
-
-def restructured(now: Supposed, hypothesis: Hypothesis, numbers: Numbers, iterations: int) -> Supposed:
-    """The fit of another structure; its inner motion is that of the places both have."""
-    return now.in_structure(hypothesis.structure).refit(
-        hypothesis, carry_over(numbers, now.fit.problem.spots), iterations
-    )
-
-
-def mode_is_real(found: Supposed, branch: int, top: float) -> bool:
-    """Return whether a mode's mass and frequency are within what records can show."""
-    plant = found.numbers.plant
-    structure = plant.structure
-    at = sum(structure.sizes) + structure.modes.index(branch)
-    mass = plant.of_kind(Kind.MASS)
-    spring = plant.of_kind(Kind.SPRING)[
-        len(structure.links) - len(structure.modes) + structure.modes.index(branch)
-    ]
-    chain = mass[structure.motor[branch] : structure.load[branch] + 1].sum()
-    return bool(
-        MODE_MASS[0] < mass[at] / chain < MODE_MASS[1]
-        and MODE_BAND[0] < np.sqrt(spring / mass[at]) / top < MODE_BAND[1]
-    )
+    trials = []
+    for addition in additions(now, looked, growing=growing):
+        found = add(now, addition, looked)
+        if found is not None:
+            trials.append(Trial(addition.cause, addition.spot(structure), found, now, addition=addition))
+    for trial in [t for t in trials if isinstance(t.addition, Base)]:
+        nearest = as_mode(trial.found)
+        if nearest is not None:
+            mode = Mode(nearest.hypothesis.structure.modes[-1])
+            trials.append(Trial(mode.cause, mode.spot(structure), nearest, now, addition=mode))
+    real = [t for t in trials if t.addition is not None and t.addition.is_real(t.found)]
+    best = max(real, key=lambda t: t.merit, default=None)
+    if best is not None and best.fall > LEAST_FITTED:
+        real[real.index(best)] = replace(best, found=shaken(best.found, np.random.default_rng(1)))
+    return real
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,12 +203,17 @@ NEARLY_AS_WELL = 0.15
 
 def pursue(
     now: Supposed,
-    laws: Sequence[SupposedLaw] = SUPPOSED,
+    laws: Sequence[SupposedLaw],
     say: Say = lambda _: None,
     tell: Tell = lambda _, __: None,
     rounds: int = 8,
+    *,
+    growing: bool = False,
 ) -> Pursued:
-    """Causes taken one after another, each the one that lowers −2 ln L most, until none pays its price."""
+    """Causes taken one after another, each the one that lowers −2 ln L most, until none pays its price.
+
+    ``growing``: the number of masses is not known, and chains may become longer.
+    """
     rivals: list[tuple[Trial, Trial]] = []
     now = reshape(scan_friction(now))
     say(f"null {now.total:.1f} inner {now.inner_strength:.2f}")
@@ -289,9 +238,9 @@ def pursue(
                 trials.append(Trial(placed.law.cause, placed.spot, found, now, placed))
         best = max((t.fall for t in trials), default=0.0)
         if best < 2000.0 or now.inner_strength > LOST:
-            trials += try_modes(now)
+            trials += try_structures(now, growing=growing)
         trials += try_channels(now)
-        trials.sort(key=lambda t: -t.fall)
+        trials.sort(key=lambda t: -t.merit)
         say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
         taken = next((t for t in trials if pays(*role_falls(t.base, t.found))), None)
         if taken is None:

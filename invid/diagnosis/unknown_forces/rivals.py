@@ -11,16 +11,18 @@ from invid.diagnosis.thresholds import COMPETES, EXPLAINED
 from invid.diagnosis.unknown_forces.backward import FRICTION, Worth
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, axis_missing
 from invid.diagnosis.unknown_forces.named_terms import axis_and_element
+from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound, role_falls, try_law
 from invid.diagnosis.unknown_forces.scoring import score, spots_of
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE
-from invid.effects.supposed_laws import SUPPOSED
+from invid.effects.supposed_laws import supposed_laws
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, PlacedLaw, Supposed
 from invid.model.diagnosis_document import Alternative
 from invid.numerics import budget
+from invid.recording.model import Recording
 
 SOFTER = 4.0
 """Divisor of a rise of −2 ln L in the exponent of the odds: two by definition, and two more since likelihood
@@ -43,7 +45,8 @@ class Contest:
 
 @dataclass(frozen=True, eq=False)
 class _Rival:
-    """A cause in the place of another: rise of −2 ln L on all records, missing torque of all axes [N·m]."""
+    """A cause in the place of another: rise of −2 ln L on all records, with Schwarz's price of its further
+    numbers, and the missing torque of all axes [N·m]."""
 
     cause: str
     spot: Spot
@@ -52,18 +55,18 @@ class _Rival:
 
 
 def contests(
-    end: Supposed, worths: Sequence[Worth], pursued: Pursued, axes: Sequence[str]
+    end: Supposed, worths: Sequence[Worth], pursued: Pursued, recording: Recording
 ) -> dict[Hashable, Contest]:
     """By the key of each cause that stays: how sure it is, and its alternatives."""
     out: dict[Hashable, Contest] = {}
     stays = [w for w in worths if w.stays]
     for worth in stays:
-        rivals = [] if worth.cause == NAMELESS else _rivals_of(end, worth, pursued)
+        rivals = [] if worth.cause == NAMELESS else _rivals_of(end, worth, pursued, linear=recording.linear)
         close = [r for r in rivals if r.worse < COMPETES]
         # The cause against none, and against each rival.
         odds = np.exp(-np.clip([worth.rise, *(r.worse for r in rivals)], 0.0, 200.0) / SOFTER)
         said = tuple(
-            Alternative(r.cause, axes[axis], element, r.missing)
+            Alternative(r.cause, recording.axes[axis], element, r.missing)
             for r in close
             for axis, element in (axis_and_element(end.hypothesis.structure, r.spot),)
         )
@@ -71,34 +74,41 @@ def contests(
     return out
 
 
-def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued) -> list[_Rival]:
+def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[_Rival]:
     """Every rival that was fitted in a cause's place."""
     without = _hypothesis_without(end.hypothesis, worth.key)
     if without is None or budget.is_left_out(WHAT):
         return _in_the_search(worth, pursued)
     less = end.refit(without, iterations=10)
-    rivals = []
     own = next((p for p in end.hypothesis.laws if p.key == worth.key), None)
-    for placed in _within_reach(less, own, _candidates(end, worth, pursued)):
+    price = Rows(end).price
+    rivals: list[tuple[str, Spot, float, Supposed]] = []
+    for placed in _within_reach(less, own, _candidates(end, worth, pursued, linear=linear)):
         if budget.is_left_out(WHAT):
             break
-        rivals.append((placed.law.cause, placed.spot, try_law(less, placed)))
+        more = price * (_numbers(placed) - (1 if own is None else _numbers(own)))
+        rivals.append((placed.law.cause, placed.spot, more, try_law(less, placed)))
     if isinstance(worth.key, tuple) and isinstance(worth.key[0], Channel):
         channel, axis = worth.key
         other = next(c for c in Channel if c is not channel)
         swapped = replace(less.hypothesis, channels=less.hypothesis.channels | {(other, axis)})
         swapped = replace(swapped, absent=swapped.absent - {(Channel.DELAY, axis)})
-        rivals.append((other.value, Spot(Where.MOTOR, axis), less.refit(swapped, iterations=15)))
+        found = less.refit(swapped, iterations=15)
+        rivals.append((other.value, Spot(Where.MOTOR, axis), 0.0, found))
     return [
         _Rival(
             cause,
             spot,
-            sum(role_falls(found, end)),
+            sum(role_falls(found, end)) + more,
             float(np.sqrt((axis_missing(found).missing ** 2).mean())),
         )
-        for cause, spot, found in rivals
+        for cause, spot, more, found in rivals
         if is_sound(found)
     ]
+
+
+def _numbers(placed: PlacedLaw) -> int:
+    return len(placed.law.low) + len(placed.shape)
 
 
 def _in_the_search(worth: Worth, pursued: Pursued) -> list[_Rival]:
@@ -128,18 +138,19 @@ def _hypothesis_without(was: Hypothesis, key: Hashable) -> Hypothesis | None:
     return None
 
 
-def _candidates(end: Supposed, worth: Worth, pursued: Pursued) -> list[PlacedLaw]:
+def _candidates(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[PlacedLaw]:
     """Laws that may stand for a cause: its look-alikes at its place, and what came close in the search."""
     spot = _spot_of(worth.key)
     if spot is None:
         return []
+    taken = {(p.law.cause, p.spot) for p in end.hypothesis.laws}
+    laws = supposed_laws(linear=linear)
     alike = {*BY_CAUSE[worth.cause].looks_like}
-    alike |= {law.cause for law in SUPPOSED if worth.cause in BY_CAUSE[law.cause].looks_like}
-    taken = {p.key for p in end.hypothesis.laws}
+    alike |= {law.cause for law in laws if worth.cause in law.effect.looks_like}
     friction = {(cause, part) for part, cause in FRICTION}
     out = [
         PlacedLaw(law, spot, shape)
-        for law in SUPPOSED
+        for law in laws
         if law.cause in alike
         and (law.cause, spot) not in taken
         and spot in spots_of(law, end.hypothesis.structure)
@@ -150,7 +161,7 @@ def _candidates(end: Supposed, worth: Worth, pursued: Pursued) -> list[PlacedLaw
         rival.placed
         for won, rival in pursued.rivals
         if won.placed is not None and won.placed.key == worth.key and rival.placed is not None
-        if rival.placed.key not in taken
+        if (rival.placed.law.cause, rival.placed.spot) not in taken
     ]
 
 

@@ -4,6 +4,7 @@ order."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.slope import whitened_rows
 from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, vector_of
 from invid.likelihood.unknown_forces.value import along
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
 from invid.numerics.arrays import Float64
 
 COARSE = 4
@@ -24,55 +27,118 @@ ALIKE = 1e-6
 
 def spots_of(law: SupposedLaw, structure: Structure) -> list[Spot]:
     """Where a law may stand."""
-    if law.at == "motor":
-        return [Spot(Where.MOTOR, i) for i in range(structure.motors)]
-    if law.at == "spring":
-        return [Spot(Where.SPRING, k) for k in range(len(structure.links))]
-    if law.at == "load":
-        return [
-            Spot(Where.MOTOR, i) if a == structure.motor[i] else Spot(Where.MASS, a)
-            for i, a in enumerate(structure.tip)
-        ]
-    return [Spot(Where.MASS, a) for a in structure.inner]
+    axes = tuple(str(i) for i in range(structure.motors))
+    return [spot_at(structure, place) for place in law.places(ChainStructure(structure.sizes, axes))]
+
+
+def spot_at(structure: Structure, place: Place) -> Spot:
+    """The spot of a place of the chains."""
+    if place.other >= 0:
+        return Spot(Where.PAIR, place.axis, place.other)
+    if place.kind == "spring":
+        return Spot(Where.SPRING, sum(structure.sizes[: place.axis]) - place.axis + place.number - 1)
+    if place.number > 1:
+        return Spot(Where.MASS, structure.motor[place.axis] + place.number - 1)
+    return Spot(Where.MOTOR, place.axis)
 
 
 def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
-    """All laws at all places and shapes that do not stand yet."""
-    taken = {p.key for p in now.hypothesis.laws}
-    return [
-        PlacedLaw(law, spot, shape)
-        for law in laws
-        if law.least_axes <= now.hypothesis.structure.motors
-        for spot in spots_of(law, now.hypothesis.structure)
-        if law.several or (law.cause, spot) not in taken
-        for shape in law.shapes(now.motions.flat(spot))
-    ]
+    """All laws at all places and shapes that do not stand yet, nor within another."""
+    standing: dict[Spot, list[PlacedLaw]] = {}
+    for placed in now.hypothesis.laws:
+        standing.setdefault(placed.spot, []).append(placed)
+    out = []
+    for law in laws:
+        for spot in spots_of(law, now.hypothesis.structure):
+            here = standing.get(spot, [])
+            alike = [p for p in here if p.law.cause == law.cause]
+            within = any(isinstance(law, p.law.contains) for p in here)
+            if within or (alike and not law.several):
+                continue
+            number = 1 + max((p.number for p in alike), default=-1)
+            shapes = law.shapes(now.motions.flat(spot))
+            out += [PlacedLaw(law, spot, shape, number) for shape in shapes]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What else a fit moves: by how much −2 ln L falls with columns beside it, all else moving to first
+    order."""
+
+    rows: tuple[Float64, ...]
+    """(rows, p + J') of each stack."""
+    left: tuple[Float64, ...]
+    """(rows,) missing torque of each stack."""
+    size: Float64
+    inverse: Float64
+
+    @classmethod
+    def of(cls, now: Supposed) -> Background:
+        """At a fit, with strengths as they are."""
+        value, joint = now.fit.value, now.fit.slope.joint
+        size = np.sqrt(np.diag(joint)) + 1e-300
+        return cls(
+            tuple(joint_rows(now, k) for k in range(len(value.work))),
+            tuple((w.missing + w.laws @ value.coefficients).ravel() for w in value.work),
+            size,
+            np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size)),
+        )
+
+    def beside(self, columns: Sequence[Float64]) -> tuple[Float64, Float64]:
+        """(k, k) and (k,): what of whitened columns (rows, k) of each stack nothing else explains, and their
+        pull."""
+        count = columns[0].shape[1]
+        own, cross, pull = np.zeros((count, count)), np.zeros((self.size.size, count)), np.zeros(count)
+        for rows, rest, flat in zip(self.rows, self.left, columns, strict=True):
+            own += flat.T @ flat
+            cross += rows.T @ flat
+            pull += flat.T @ rest
+        cross = cross / self.size[:, None]
+        return own - cross.T @ self.inverse @ cross + ALIKE * np.diag(np.diag(own) + 1e-300), pull
 
 
 def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
     """(k,) falls of −2 ln L by each law with strengths as they are."""
-    value = now.fit.value
-    base = [joint_rows(now, k) for k in range(len(value.work))]
-    joint = now.fit.slope.joint
-    size = np.sqrt(np.diag(joint)) + 1e-300
-    inverse = np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size))
-    left = [(w.missing + w.laws @ value.coefficients).ravel() for w in value.work]
+    background = Background.of(now)
     out = []
     for placed in laws:
         every = COARSE if placed.law.coarse else 1
         lines = now.bench.law_lines(placed, now.motions, every=every)
         vector = vector_of(now.hypothesis.structure, placed.spot)[:, None]
-        count = lines[0].shape[2]
-        own, cross, pull = np.zeros((count, count)), np.zeros((size.size, count)), np.zeros(count)
-        for work, rows, rest, wave in zip(value.work, base, left, lines, strict=True):
-            reach = along(work.condensed.motion, vector)
-            flat = whitened_rows(work, wave[:, :, None] * reach).reshape(-1, count)
-            own += flat.T @ flat
-            cross += rows.T @ flat
-            pull += flat.T @ rest
-        cross = cross / size[:, None]
-        unit = np.sqrt(np.diag(own)) + 1e-300
-        rest_own = (own - cross.T @ inverse @ cross) / unit[:, None] / unit
-        pull = pull / unit
-        out.append(float(pull @ np.linalg.solve(rest_own + ALIKE * np.eye(count), pull)))
+        columns = []
+        for work, wave in zip(now.fit.value.work, lines, strict=True):
+            reach = (
+                work.condensed.stiffness[:, :, placed.spot.number, None]
+                if placed.law.reads
+                else along(work.condensed.motion, vector)
+            )
+            columns.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
+        own, pull = background.beside(columns)
+        out.append(bounded_fall(own, pull, placed.law.limits(now.motions.flat(placed.spot))))
     return np.array(out)
+
+
+def bounded_fall(own: Float64, pull: Float64, limits: Sequence[tuple[float, float]]) -> float:
+    """Largest −2·pull·β − βᵀ·own·β with β within its limits: one at a time the worst violator is put at
+    its bound."""
+    low, high = np.array(limits).T
+    beta, free = np.zeros(pull.size), np.ones(pull.size, dtype=bool)
+    while free.any():
+        beta[free] = -solve_scaled(
+            own[np.ix_(free, free)], pull[free] + own[np.ix_(free, ~free)] @ beta[~free]
+        )
+        bound = np.clip(beta, low, high)
+        beyond = np.abs(beta - bound) * np.sqrt(np.diag(own))
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 0.0:
+            break
+        beta[worst], free[worst] = bound[worst], False
+    return float(-2.0 * pull @ beta - beta @ own @ beta)
+
+
+def solve_scaled(own: Float64, pull: Float64) -> Float64:
+    """Solution of a positive system whose unknowns have units of their own."""
+    unit = np.sqrt(np.diag(own)) + 1e-300
+    out: Float64 = np.linalg.solve(own / unit[:, None] / unit, pull / unit) / unit
+    return out

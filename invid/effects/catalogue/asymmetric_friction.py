@@ -7,17 +7,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.sign import DryLaw, even_law, excess_law, sign_law, stribeck_decay
-from invid.effects.motion import View, rms
+from invid.effects.laws.dry_friction import stribeck_decay
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, asymmetric_share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
 from invid.numerics.arrays import Float64
 
 
-class AsymmetricFriction(DryLaw):
+class AsymmetricFriction(Effect):
     """Coulomb and viscous friction of their own for each direction."""
 
     cause = "asymmetric_friction"
@@ -26,7 +25,6 @@ class AsymmetricFriction(DryLaw):
     separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
     looks_like = ("coulomb_friction", "viscous_friction", "torque_offset")
-    parts = ("dry", "viscous")
     over = "velocity"
     sizes = (Size(FRICTION, asymmetric_share, 0.15, 0.30, JOINT_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {
@@ -44,20 +42,9 @@ class AsymmetricFriction(DryLaw):
     lower: tuple[float, ...] = (0.0,) * 4
     upper: tuple[float, ...] = (np.inf,) * 4
     main = "coulomb_positive"
-    smeared = True
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
-
-    def resistance_at(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
-        sign = sign_law(v, soft)
-        # Of a joint that turns over gradually neither direction's friction acts at rest.
-        whole = even_law(v, soft) if self.rounding > 0.0 else 1.0
-        up, down = 0.5 * (whole + sign), -0.5 * (whole - sign)
-        return np.stack([up, down, np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1)
-
-    def resists(self, v: Float64, x: Sequence[float]) -> Float64:
-        return np.where(v > 0, x[0] + x[2] * v, x[3] * v - x[1])
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         speed = p.get("low_speed_velocity", 0.0)
@@ -87,35 +74,3 @@ class AsymmetricFriction(DryLaw):
             near = stribeck_decay(v, shape)
             columns += [forward * near, -(1 - forward) * near]
         return np.stack(columns, axis=1)
-
-
-class AsymmetricStribeck(AsymmetricFriction):
-    """Asymmetric friction with more of it at slow speed, exp(−(θ̇/low_speed_velocity)²), in each
-    direction.
-    """
-
-    parameters: ClassVar[Mapping[str, str]] = {
-        **AsymmetricFriction.parameters,
-        "low_speed_positive": "torque",
-        "low_speed_negative": "torque",
-        "low_speed_velocity": "velocity",
-    }
-    coefficients = (*AsymmetricFriction.coefficients, "low_speed_positive", "low_speed_negative")
-    lower, upper = (0.0,) * 6, (np.inf,) * 6
-    shapes, logarithmic = ("low_speed_velocity",), (True,)
-
-    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
-        return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
-
-    def resistance_at(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
-        width = float(np.exp(shape[0]))
-        odd = excess_law(v, soft, width)
-        even = even_law(v, soft) * np.exp(-((v / width) ** 2))
-        slow = np.stack([0.5 * (even + odd), -0.5 * (even - odd)], axis=1)
-        return np.concatenate((super().resistance_at(v, soft, ()), slow), axis=1)
-
-    def resists(self, v: Float64, x: Sequence[float]) -> Float64:
-        near = np.exp(-((v / np.exp(x[6])) ** 2))
-        out: Float64 = super().resists(v, x) + near * np.where(v > 0, x[4], -x[5])
-        return out

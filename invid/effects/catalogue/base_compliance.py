@@ -21,8 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.catalogue.extra_mode import MOST_BEYOND_BAND, excited_band, frequency_grid
-from invid.effects.effect import Experiment, ImpedanceEffect
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedBase, Element, ModelPlace
 from invid.effects.laws.moving_base import (
     SHARE,
@@ -32,23 +31,15 @@ from invid.effects.laws.moving_base import (
     shares_of,
     unit_direction,
 )
-from invid.effects.motion import View, along
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_base
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm
 from invid.model.parameters import ChainStructure
-from invid.model.place import Pattern, Place
-from invid.numerics.arrays import Complex128, Float64
-
-HEAVIEST = 1000.0
-"""Most mass of the body over that of its heaviest load: what moves a thousandth as far as its load is no base
-that gives way (physical)."""
-LEAST_FREE = 1e-6
-"""Least mass of the body over that with its loads: below, the loads alone are more than what moves
-(physical)."""
+from invid.model.place import Place
+from invid.numerics.arrays import Float64
 
 
-class BaseCompliance(ImpedanceEffect):
+class BaseCompliance(Effect):
     """The body under all loads on a spring (and a light damper) to ground; shapes: frequency, damping and
     direction."""
 
@@ -61,12 +52,10 @@ class BaseCompliance(ImpedanceEffect):
     family = "structure"
     looks_like = ("extra_mode", "coupling_stiffness")
     home = "base"
-    least_axes = 2  # on one axis it stands beside each extra mode as its alternative
     sizes = (Size(RESONANCE, resonance_change(with_base)),)
     coefficients = ("coupled_mass",)
     lower, upper = (0.0,), (np.inf,)
     main = "stiffness"
-    along_pattern = False
     parameters: ClassVar[Mapping[str, str]] = {
         "mass": "mass",
         "stiffness": "stiffness",
@@ -98,55 +87,6 @@ class BaseCompliance(ImpedanceEffect):
     def places(self, structure: ChainStructure) -> list[Place]:
         return [Place("base", 0)]
 
-    def most_places(self, structure: ChainStructure) -> int:
-        return 1
-
-    def pattern(self, structure: ChainStructure, place: Place, x: Sequence[float]) -> Pattern:
-        angles = np.asarray(x[3:], dtype=float)
-        if angles.size != structure.motors - 1:
-            return place.pattern(structure)
-        weights = unit_direction(angles)
-        return tuple((int(at), float(u)) for at, u in zip(structure.end_dofs, weights, strict=True))
-
-    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
-        patterns = tuple(((int(at), 1.0),) for at in views[0].structure.end_dofs)
-        lines = frequency_grid(views, patterns)
-        directions = [tuple(angles_of(d)) for d in _directions(_inertia_in(views[0]))]
-        return [(float(np.log(w)), float(np.log(0.02)), *d) for w in lines for d in directions]
-
-    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        low, high = excited_band(views)
-        return [
-            (float(np.log(low)), float(np.log(MOST_BEYOND_BAND * high))),
-            (float(np.log(1e-3)), float(np.log(0.2))),
-            *[(-np.inf, np.inf)] * (self._axes - 1),
-        ]
-
-    def difference(self, view: View, shape: int, value: float) -> float:
-        return 1e-4  # logarithms and angles alike
-
-    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        _, below = _spring_and_rest(view.omega, x)
-        out: Complex128 = -x[0] * view.omega**4 / below
-        return out
-
-    def carries(self, view: View, x: Sequence[float]) -> tuple[Complex128, float]:
-        # The loads' accelerations drive the body: ω²γ/(…) stands where a mass would.
-        _, below = _spring_and_rest(view.omega, x)
-        return (x[0] * view.omega**2 / below).astype(np.complex128), 0.0
-
-    def of_own_jumps(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        # −ω²x + (2/T)(jωΔx + Δv) with x from the body's own balance, as of an extra mode's mass.
-        w = view.omega
-        spring, below = _spring_and_rest(w, x)
-        pattern, size = self.pattern(view.structure, place, x), float(np.sqrt(max(x[0], 0.0)))
-        moved = along(pattern, view.base) * size * w**2 / below
-        bound = 2.0 * np.array([np.linalg.norm(moved), np.linalg.norm(w * moved)])
-        jumps = np.stack((1j * w * float(np.exp(2 * x[1])), spring), axis=-1) * bound
-        out: Complex128 = (2.0 * size / view.record.span) * jumps / below[:, None]
-        out[0] *= 0.5
-        return out
-
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         own = float(np.exp(2 * x[1]))
         direction = unit_direction(np.asarray(x[3:], dtype=float))
@@ -173,17 +113,6 @@ class BaseCompliance(ImpedanceEffect):
         count = sum(name.startswith(SHARE) for name in term.parameters)
         return _law_of(max(count, 1))
 
-    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        # No body is so light that the loads on it weigh more than all that moves.
-        direction = unit_direction(np.asarray(x[3:], dtype=float))
-        inertia = _inertia_in(views[0])
-        if direction.size != inertia.shape[0]:
-            return False
-        if float(x[0] * direction @ np.linalg.solve(inertia, direction)) > 1.0 - LEAST_FREE:
-            return True
-        mass = BaseCompliance(self._axes, inertia).values(x, place)["mass"]
-        return mass > HEAVIEST * float(np.diag(inertia).max())
-
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         chains = at.chains
         inertia = load_inertia(chains)
@@ -200,29 +129,3 @@ class BaseCompliance(ImpedanceEffect):
 def _law_of(axes: int) -> BaseCompliance:
     """The law on a machine of so many axes, one and the same each time."""
     return BaseCompliance(axes)
-
-
-def _spring_and_rest(omega: Float64, x: Sequence[float]) -> tuple[Complex128, Complex128]:
-    """(F,) ω₀² + 2jζω₀ω and that less ω²."""
-    own, zeta = float(np.exp(x[1])), float(np.exp(x[2]))
-    spring: Complex128 = (own**2 + 2j * zeta * own * omega).astype(np.complex128)
-    below: Complex128 = spring - omega**2
-    return spring, below
-
-
-def _inertia_in(view: View) -> Float64:
-    """(M, M) inertia of the loads in the linear plant of a view."""
-    return np.diag(view.masses[list(view.structure.end_dofs)]) + view.couplings
-
-
-def _directions(inertia: Float64) -> list[Float64]:
-    """Forces (M,) on the loads to start from: the body moves as one of the joints does, or as all of them do;
-    it shakes one load alone, or two of them alike or against each other."""
-    count, own = inertia.shape[0], np.diag(np.diag(inertia))
-    out = [*own]
-    if np.abs(inertia - own).max() > 0.0:
-        out += [*inertia]
-    out += [own[i] + sign * own[j] for i in range(count) for j in range(i) for sign in (1.0, -1.0)]
-    if count > 2:
-        out.append(inertia.sum(axis=1))
-    return out

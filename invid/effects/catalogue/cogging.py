@@ -7,17 +7,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect, Experiment, ForceEffect
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.ripple_cycles import cycle_grid, ripples, rotate_phase
-from invid.effects.motion import View, rms
+from invid.effects.laws.ripple import rotate_phase
 from invid.effects.sizes import COGGING_SOURCE, RIPPLE, Size, share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, motor_places
 from invid.numerics.arrays import Float64
 
 
-class Cogging(ForceEffect):
+class Cogging(Effect):
     """Resistance torque·sin(cycles_per_rev·θ + phase) at the motor."""
 
     cause = "cogging"
@@ -39,26 +38,9 @@ class Cogging(ForceEffect):
     lower, upper = (-np.inf,) * 2, (np.inf,) * 2
     shapes, logarithmic = ("cycles_per_rev",), (True,)
     main = "torque"
-    of_motor_motion = True
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return motor_places(structure)
-
-    def stands_beside(self, other: Effect) -> bool:
-        # The poles and the slots of one motor ripple with cycles of their own.
-        return True
-
-    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
-        size = rms([v.wave(place.pattern(v.structure)) for v in views])
-        pattern = place.pattern(views[0].structure)
-        return [(float(np.log(n)),) for n in cycle_grid(size) + ripples(views, pattern, pattern)]
-
-    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        return [(float(np.log(1.5)), float(np.log(2000.0)))]
-
-    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
-        angle = float(np.exp(shape[0])) * view.wave(place.pattern(view.structure))
-        return np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {

@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from invid.effects.effect import Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
-from invid.effects.laws.sign import DryLaw, sign_law
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import AT_LOAD, FRICTION, JOINT_SOURCE, Size, sag, share
 from invid.model.parameters import ChainStructure
@@ -16,7 +15,7 @@ from invid.model.place import Place, mass_places
 from invid.numerics.arrays import Float64
 
 
-class CoulombFriction(DryLaw):
+class CoulombFriction(Effect):
     """Resistance torque·sgn(θ̇)."""
 
     cause = "coulomb_friction"
@@ -25,20 +24,12 @@ class CoulombFriction(DryLaw):
     separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
     looks_like = ("stribeck_friction", "presliding_friction", "asymmetric_friction", "backlash")
-    parts = ("dry",)
     over = "velocity"
     sizes = (Size(FRICTION, share("torque"), 0.15, 0.30, JOINT_SOURCE), Size(AT_LOAD, sag))
     numbers = (Parameter("torque", "torque", low=0.0),)
-    smeared = True
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
-
-    def resistance_at(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
-        return sign_law(v, soft)[:, None]
-
-    def resists(self, v: Float64, x: Sequence[float]) -> Float64:
-        return x[0] * np.sign(v)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sign(x)

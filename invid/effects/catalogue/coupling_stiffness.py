@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from invid.effects.effect import Experiment, ImpedanceEffect
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedSpring, Element, ModelPlace
-from invid.effects.motion import View
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_tie
 from invid.errors import ModelError
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, pair_places
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Float64
 
 
-class CouplingStiffness(ImpedanceEffect):
+class CouplingStiffness(Effect):
     """A spring between the final masses of two axes."""
 
     cause = "coupling_stiffness"
@@ -30,16 +27,9 @@ class CouplingStiffness(ImpedanceEffect):
     over = "deflection"
     sizes = (Size(RESONANCE, resonance_change(with_tie)),)
     numbers = (Parameter("stiffness", "stiffness", low=0.0),)
-    least_axes = 2
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return pair_places(structure)
-
-    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        out: Complex128 = np.full(view.omega.size, x[0], dtype=complex)
-        # Where the axes stand in the record's mean is no deflection: the spring is slack there.
-        out[0] = 0.0
-        return out
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return p["stiffness"] * x

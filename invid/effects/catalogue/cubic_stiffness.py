@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from invid.effects.catalogue.backlash import largest_deflection, spring_index
-from invid.effects.effect import Experiment, ForceEffect, PlaceMotion
+from invid.effects.effect import Effect, Experiment, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, GroundSpring, Law, ModelPlace
-from invid.effects.motion import View
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import STIFFENING_SOURCE, STIFFER, Size, stiffening
 from invid.model.parameters import ChainStructure
@@ -15,7 +13,7 @@ from invid.model.place import Place, spring_places
 from invid.numerics.arrays import Float64
 
 
-class CubicStiffness(ForceEffect):
+class CubicStiffness(Effect):
     """Spring torque coefficient·d³ beside the linear one."""
 
     cause = "cubic_stiffness"
@@ -28,20 +26,9 @@ class CubicStiffness(ForceEffect):
     over = "deflection"
     sizes = (Size(STIFFER, stiffening, 1.0, 2.0, STIFFENING_SOURCE),)
     numbers = (Parameter("coefficient", "cubic"),)
-    answered = True
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)
-
-    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
-        deflection = view.wave(place.pattern(view.structure))[:, None]
-        out: Float64 = deflection * deflection * deflection  # a power takes thirty times as long
-        return out
-
-    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        most = largest_deflection(views, place)
-        # One that softens pulls back less and less; beyond here it would push.
-        return bool(views[0].springs[spring_index(views[0].structure, place)] + x[0] * most**2 <= 0.0)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["coefficient"] * x**3

@@ -7,17 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.catalogue.backlash import spring_index
-from invid.effects.effect import Experiment, ImpedanceEffect
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Drift, Element, ModelPlace
-from invid.effects.motion import View
 from invid.effects.sizes import DRIFTED, RESONANCE, Size, drift, resonance_change, with_drift
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, spring_places
-from invid.numerics.arrays import Complex128
 
 
-class ParameterDrift(ImpedanceEffect):
+class ParameterDrift(Effect):
     """Stiffness of a spring changes by ``rate`` a second, from the start of the recording."""
 
     cause = "parameter_drift"
@@ -34,24 +31,9 @@ class ParameterDrift(ImpedanceEffect):
     coefficients = ("rate",)
     lower, upper = (-np.inf,), (np.inf,)
     main = "rate"
-    steady = False
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)
-
-    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        record = view.record
-        middle = 0.5 * (record.start_time + record.end_time) - view.origin
-        out: Complex128 = np.full(view.omega.size, x[0] * middle, dtype=complex)
-        return out
-
-    def within(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        wave = view.wave(place.pattern(view.structure)) * view.record.wave_time
-        return view.to_lines(x[0] * wave[:, None])[:, 0]
-
-    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        change = abs(x[0]) * max(v.record.end_time - v.origin for v in views)
-        return bool(change >= views[0].springs[spring_index(views[0].structure, place)])
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"parameter": float(place.number), "rate": float(x[0])}

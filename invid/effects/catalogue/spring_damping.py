@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from invid.effects.effect import Experiment, ImpedanceEffect
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedDamper, Element, ModelPlace
-from invid.effects.motion import View
 from invid.effects.parameter import Parameter
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Float64
 
 
-class SpringDamping(ImpedanceEffect):
+class SpringDamping(Effect):
     """Resistance coefficient·ḋ between the masses a spring joins."""
 
     cause = "spring_damping"
@@ -25,16 +22,11 @@ class SpringDamping(ImpedanceEffect):
     family = "linear"
     home = "spring"
     over = "deflection rate"
-    in_chain = True
     numbers = (Parameter("coefficient", "damping", low=0.0),)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         # The damper beside every spring is fitted with the linear parameters: nothing is left to name.
         return []
-
-    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        out: Complex128 = (1j * view.omega * x[0]).astype(np.complex128)
-        return out
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return p["coefficient"] * x

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from invid.effects.effect import Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.laws.slider import SliderEffect
-from invid.effects.motion import View, rms
 from invid.effects.sizes import (
     ARCMIN,
     HYSTERESIS_SOURCE,
@@ -43,14 +40,6 @@ class SpringHysteresis(SliderEffect):
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)
-
-    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
-        size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
-        return [(float(np.log(size * f)),) for f in (0.1, 0.25, 0.5, 1.0)]
-
-    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
-        return [(float(np.log(1e-3 * size)), float(np.log(3.0 * size)))]
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         a, b, _, _ = at.spring()

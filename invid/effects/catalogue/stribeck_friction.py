@@ -7,10 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
-from invid.effects.laws.sign import DryLaw, excess_law, sign_law, stribeck_decay
-from invid.effects.motion import View, rms
+from invid.effects.laws.dry_friction import stribeck_decay
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, share
 from invid.errors import ModelError
 from invid.model.parameters import ChainStructure
@@ -18,7 +17,7 @@ from invid.model.place import Place, mass_places
 from invid.numerics.arrays import Float64
 
 
-class StribeckFriction(DryLaw):
+class StribeckFriction(Effect):
     """Resistance (coulomb + (static − coulomb)·exp(−(θ̇/velocity)²))·sgn(θ̇)."""
 
     cause = "stribeck_friction"
@@ -27,7 +26,6 @@ class StribeckFriction(DryLaw):
     separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
     looks_like = ("coulomb_friction", "presliding_friction", "asymmetric_friction")
-    parts = ("dry",)
     over = "velocity"
     sizes = (Size(FRICTION, share("static", "coulomb"), 0.15, 0.30, JOINT_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {
@@ -39,26 +37,9 @@ class StribeckFriction(DryLaw):
     lower, upper = (0.0, 0.0), (np.inf, np.inf)
     shapes, logarithmic = ("velocity",), (True,)
     main = "coulomb"
-    smeared = True
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
-
-    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
-        size = rms([v.velocity(place.pattern(v.structure)) for v in views])
-        return [(float(np.log(max(size, 1e-300) * f)),) for f in (0.08, 0.16, 0.3, 0.6)]
-
-    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
-        return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
-
-    def resistance_at(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
-        vs = float(np.exp(shape[0]))
-        return np.stack([sign_law(v, soft), excess_law(v, soft, vs)], axis=1)
-
-    def resists(self, v: Float64, x: Sequence[float]) -> Float64:
-        out: Float64 = (x[0] + x[1] * np.exp(-((v / np.exp(x[2])) ** 2))) * np.sign(v)
-        return out
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"static": float(x[0] + x[1]), "coulomb": float(x[0]), "velocity": float(np.exp(x[2]))}

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, TorqueChannel
-from invid.effects.motion import View
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import CONSTANT_SOURCE, SCALE, Size, scale_error
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Float64
 
 
 class TorqueGain(Effect):
@@ -33,36 +30,15 @@ class TorqueGain(Effect):
     over = "torque"
     sizes = (Size(SCALE, scale_error, 0.10, 0.20, CONSTANT_SOURCE),)
     numbers = (Parameter("gain", "ratio", low=-0.95, high=20.0),)
-    least_axes = 2
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return axis_places(structure) if structure.motors > 1 else []
-
-    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
-        out: Complex128 = np.zeros((*view.acting.shape, 1), dtype=complex)
-        out[:, place.axis, 0] = -view.acting[:, place.axis]
-        return out
-
-    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        """Return whether the gain is next to zero: such a torque fits anything that is missing on its
-        axis.
-        """
-        return bool(x[0] <= self.lower[0] + 1e-9)
-
-    def noise_power(
-        self, view: View, place: Place, x: Sequence[float]
-    ) -> tuple[float | Float64, float | Float64]:
-        return 1.0, (1.0 + x[0]) ** 2
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"gain": 1.0 + float(x[0])}
 
     def vector(self, p: Mapping[str, float]) -> list[float]:
         return [p["gain"] - 1.0]
-
-    def most_places(self, structure: ChainStructure) -> int:
-        # A scale common to all axes cannot be seen: only motors − 1 gains are there to be found.
-        return structure.motors - 1
 
     def size_text(self, size: str) -> str:
         return f" (true torque is {size} times the record)"

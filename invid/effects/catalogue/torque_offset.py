@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from invid.effects.effect import Experiment, ForceEffect, PlaceMotion
+from invid.effects.effect import Effect, Experiment, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.motion import View
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import OFFSET, Size, share
 from invid.model.parameters import ChainStructure
@@ -16,7 +15,7 @@ from invid.model.place import Place, motor_places
 from invid.numerics.arrays import Float64
 
 
-class TorqueOffset(ForceEffect):
+class TorqueOffset(Effect):
     """Resistance that does not change."""
 
     cause = "torque_offset"
@@ -34,9 +33,6 @@ class TorqueOffset(ForceEffect):
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return motor_places(structure)
-
-    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
-        return np.ones((view.record.samples, 1))
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return np.full_like(x, p["torque"])

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from invid.effects.effect import Experiment, ImpedanceEffect, PlaceMotion
+from invid.effects.effect import Effect, Experiment, PlaceMotion
 from invid.effects.elements import AddedDamper, Element, ModelPlace
-from invid.effects.motion import View
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import AT_SPEED, JOINT_SOURCE, Size, viscous_share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Float64
 
 
-class ViscousFriction(ImpedanceEffect):
+class ViscousFriction(Effect):
     """Resistance coefficient·θ̇."""
 
     cause = "viscous_friction"
@@ -25,20 +22,12 @@ class ViscousFriction(ImpedanceEffect):
     separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
     looks_like = ("coulomb_friction", "stribeck_friction", "asymmetric_friction")
-    parts = ("viscous",)
     over = "velocity"
     sizes = (Size(AT_SPEED, viscous_share, 0.15, 0.30, JOINT_SOURCE),)
     numbers = (Parameter("coefficient", "damping", low=0.0),)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
-
-    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        out: Complex128 = (1j * view.omega * x[0]).astype(np.complex128)
-        return out
-
-    def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
-        return 0.0, float(x[0])
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return p["coefficient"] * x

@@ -7,8 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import ForceEffect
-from invid.effects.motion import View
+from invid.effects.effect import Effect
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.numerics.compiled import compiled
@@ -36,14 +35,6 @@ def is_closed_motion(x: Float64) -> bool:
     return abs(float(x[-1] - x[0])) < MOST_OPEN * float(np.ptp(x))
 
 
-def depends_on_start(x: Float64, most: float, *, periodic: bool) -> bool:
-    """Return whether a slider's initial state affects its force in a motion (n,).
-
-    One that slides in both directions again and again forgets it.
-    """
-    return float(np.ptp(x)) < 2.0 * most or not (periodic or is_closed_motion(x))
-
-
 def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Float64:
     """(n,) displacement of a slider that slides at ``most``: the periodic state, or from ``start``·``most``.
 
@@ -54,7 +45,7 @@ def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Flo
     return out
 
 
-class SliderEffect(ForceEffect):
+class SliderEffect(Effect):
     """A slider along a pattern: ``torque`` times its displacement over the ``most`` that it gives way at."""
 
     parameters: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness", "torque": "torque"}
@@ -62,17 +53,6 @@ class SliderEffect(ForceEffect):
     lower, upper = (0.0,), (np.inf,)
     shapes, logarithmic = ("most",), (True,)
     main = "torque"
-    answered = True
-    local = False
-
-    def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
-        wave = view.wave(place.pattern(view.structure))
-        return depends_on_start(wave, float(np.exp(x[1])), periodic=not view.record.transient)
-
-    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
-        most, pattern = float(np.exp(shape[0])), place.pattern(view.structure)
-        periodic, start = not view.record.transient, view.starts.get(pattern, 0.0)
-        return slide(view.wave(pattern), most, periodic=periodic, start=start)[:, None] / most
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"stiffness": float(x[0] / np.exp(x[1])), "torque": float(x[0])}

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
-from invid.likelihood.nuisance.friction_columns import coulomb_columns, sign_spectrum
+from invid.likelihood.nuisance.friction_columns import coulomb_columns
 from invid.likelihood.records import add_columns, transfer_parameters, used_lines
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.numerics.arrays import Float64
@@ -28,9 +28,6 @@ TORQUE_LAG = ".torque_lag"
 """Ending of the names of the squares of torque channels' time constants [s²]."""
 LAG_SIGNIFICANCE = 1e-3
 """Significance at which a torque channel is taken to be low-passed (statistical)."""
-LEAST_TURN = 0.03
-"""Standard deviation of a motor's motion from which a weight is told from a spring [rad]: its torque leaves
-the straight line by more than a hundredth."""
 NOISE_LIKE = 1.5
 """χ²/ν below which a fit is at the noise, as for a start (``fit._fit_best_start``)."""
 LAG_FACTOR = 1.3
@@ -69,27 +66,6 @@ def add_coulomb_columns(
     known = dict.fromkeys(lags, (0.0, step / 8.0))
     problem = replace(problem, priors={**problem.priors, **known})
     return add_columns(problem, columns, [f"{names[i]}{COULOMB}" for i in axes] + lags)
-
-
-def add_weight_columns(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]) -> MissingTorqueProblem:
-    """The problem with a weight's two coefficients, as if at the motor, for each axis that turns far enough.
-
-    To a linear chain a weight is a spring, or a light mass on one, and leads to another minimum.
-    """
-    waves = [np.asarray(s.position_wave) for s in spectra]
-    axes = [i for i in range(problem.structure.motors) if max(np.std(w[:, i]) for w in waves) > LEAST_TURN]
-    columns = []
-    for s, wave, block in zip(spectra, waves, problem.blocks, strict=True):
-        used = used_lines(s, everything=block.transient)
-        part = np.zeros((int(used.sum()), problem.structure.motors, 2 * len(axes)), dtype=complex)
-        for at, i in enumerate(axes):
-            both = np.stack((np.sin(wave[:, i]), np.cos(wave[:, i])), axis=1)
-            part[:, i, 2 * at : 2 * at + 2] = sign_spectrum(s, both)[used]
-        columns.append(np.concatenate((block.columns, part), axis=2))
-    names = problem.structure.axes
-    return add_columns(
-        problem, columns, [*problem.column_names, *(f"{names[i]}.weight.{k}" for i in axes for k in (1, 2))]
-    )
 
 
 def fit_reversal_lags(

@@ -52,11 +52,16 @@ class Element:
     a: int
     b: int = -1
 
+    @property
+    def joins_axes(self) -> bool:
+        """Whether it is between two axes, or an axis and the base."""
+        return self.kind in (Kind.COUPLING, Kind.LOAD_SPRING)
+
 
 @dataclass(frozen=True)
 class Structure:
-    """Which parameters a plant has: chains of ``sizes`` masses, one more mass behind the loads of
-    ``modes``, and a ``base`` under all loads on a spring to ground.
+    """Which parameters a plant has: chains of ``sizes`` masses, one more mass on a spring at each of the
+    coordinates ``modes``, and a ``base`` under all loads on a spring to ground.
 
     Coordinates stand chain after chain, then the masses of ``modes``, then the base. All loads are coupled
     through inertia and through springs; the base is coupled to them through inertia.
@@ -95,16 +100,18 @@ class Structure:
     def tip(self) -> tuple[int, ...]:
         """Coordinate of the outermost mass of each chain: its mode's, else its load."""
         tips = list(self.load)
-        for k, branch in enumerate(self.modes):
-            tips[branch] = sum(self.sizes) + k
+        for k, host in enumerate(self.modes):
+            if host in self.load:
+                tips[self.load.index(host)] = sum(self.sizes) + k
         return tuple(tips)
 
     def axis_of(self, coordinate: int) -> int:
-        """The chain to which a mass belongs, that of a mode included."""
+        """The chain to which a mass belongs, that of a mode included; the first for the base."""
         chain = sum(self.sizes)
-        if coordinate >= chain:
-            return self.modes[coordinate - chain]
-        return max(i for i, first in enumerate(self.motor) if first <= coordinate)
+        if coordinate - chain == len(self.modes):
+            return 0
+        host = self.modes[coordinate - chain] if coordinate >= chain else coordinate
+        return max(i for i, first in enumerate(self.motor) if first <= host)
 
     @cached_property
     def links(self) -> tuple[tuple[int, int], ...]:
@@ -114,7 +121,7 @@ class Structure:
             for first, n in zip(self.motor, self.sizes, strict=True)
             for q in range(n - 1)
         ]
-        return (*chain, *((self.load[b], sum(self.sizes) + k) for k, b in enumerate(self.modes)))
+        return (*chain, *((host, sum(self.sizes) + k) for k, host in enumerate(self.modes)))
 
     @cached_property
     def pairs(self) -> tuple[tuple[int, int], ...]:

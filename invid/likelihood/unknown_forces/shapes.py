@@ -23,6 +23,8 @@ WIDTH_BOUNDS, STRIBECK_BOUNDS = (3e-4, 0.1), (0.01, 8.0)
 FALL = 0.5
 """Predicted fall of −2 ln L below which shapes stay."""
 FRICTION_STEP = 0.05
+SHARE_OF_RANGE = 0.01
+"""Largest step of a shape for its derivative, over the range between its bounds."""
 
 
 @dataclass(frozen=True)
@@ -122,13 +124,8 @@ def _law_shape(
 
     def slope(now: Supposed) -> list[Complex128]:
         placed = now.hypothesis.laws[number]
-        step = placed.law.shape_step
-        names = [c.name for c in now.fit.problem.columns]
-        first = (
-            names.index((placed.law.cause, placed.spot, 0))
-            if not placed.law.several
-            else _first_column(now, number)
-        )
+        step = min(placed.law.shape_step, SHARE_OF_RANGE * (bounds[1] - bounds[0]))
+        first = [c.name for c in now.fit.problem.columns].index((*placed.key, 0))
         value = now.fit.value.coefficients[first : first + len(placed.law.low)]
         out = []
         for sign in (1.0, -1.0):
@@ -139,11 +136,6 @@ def _law_shape(
     return ShapeAt(
         (number, shape), get, put, slope, vector_of(structure, now.hypothesis.laws[number].spot), *bounds
     )
-
-
-def _first_column(now: Supposed, number: int) -> int:
-    friction = len(now.hypothesis.friction) * len(Part)
-    return friction + sum(len(p.law.low) for p in now.hypothesis.laws[:number])
 
 
 STRIBECK_GRID = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
@@ -233,7 +225,8 @@ def _step(now: Supposed) -> Supposed | None:
     for share in (1.0, 0.4, 0.1):
         hypothesis = now.hypothesis
         for shape, move in zip(around.shapes, step[-len(around.shapes) :], strict=True):
-            at = shape.get(hypothesis) + share * float(np.clip(move, -LARGEST, LARGEST))
+            most = min(LARGEST, 0.25 * (shape.high - shape.low))
+            at = shape.get(hypothesis) + share * float(np.clip(move, -most, most))
             hypothesis = shape.put(hypothesis, float(np.clip(at, shape.low, shape.high)))
         trial = now.refit(hypothesis, iterations=3)
         if trial.total < now.total:

@@ -6,6 +6,7 @@ laws and ends ask for, and S through dZ = V u uᵀVᵀ and dH = −V u uᵀX b.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ from invid.likelihood.unknown_forces.value import (
     along,
     closed_loop,
     real_rows,
+    torque_scales,
 )
 from invid.numerics.arrays import Complex128, Float64
 
@@ -57,7 +59,7 @@ def slope(problem: Problem, value: Value) -> Slope:
         gradient[:plant] += terms.by_parameter(_covariance_slope(problem, value, work, white, seen, factor))
     prior = 1.0 / problem.spread**2
     gradient += (numbers.x - problem.centre) * prior
-    gradient -= _through_viscous(problem, value, joint, size)
+    gradient -= _through_laws(problem, value, joint, size)
     joint[np.arange(size), np.arange(size)] += prior
     return Slope(gradient, _profiled(joint, size), joint)
 
@@ -81,17 +83,23 @@ def whitened_rows(work: StackWork, lines: Complex128) -> Float64:
     return rows - work.ends @ (work.ends.T @ rows)
 
 
-def _through_viscous(problem: Problem, value: Value, joint: Float64, size: int) -> Float64:
-    """(p,) half the gradient through the loop's viscous friction, whose coefficients follow the numbers."""
+def _through_laws(problem: Problem, value: Value, joint: Float64, size: int) -> Float64:
+    """(p,) half the gradient through laws in the loop (friction, scales), whose coefficients follow the
+    numbers."""
     free = np.flatnonzero(value.free)
     pull = np.zeros(free.size)
+    scales = torque_scales(problem, value.coefficients)
     for work in value.work:
+        stack = work.stack
         loop = closed_loop(problem, work, value.coefficients)
-        if not loop.size:
-            continue
-        answer = np.einsum("rfii->rfi", np.linalg.inv(loop)) * (1j * work.stack.omega * work.turning)[:, None]
-        each = -2.0 * answer.real.sum(axis=(0, 1))
-        pull += [each[problem.columns[j].damps] if problem.columns[j].damps >= 0 else 0.0 for j in free]
+        answer = np.einsum("rfii->rfi", np.linalg.inv(loop)) * work.turning[:, None]
+        damped = -2.0 * (answer * 1j * stack.omega[:, None]).real.sum(axis=(0, 1))
+        scaled = -2.0 * (answer * stack.loop[stack.closed]).real.sum(axis=(0, 1))
+        scaled = scaled - 2.0 * float(work.turning.sum() * (~stack.closed).sum()) / scales
+        for k, j in enumerate(free):
+            column = problem.columns[j]
+            pull[k] += damped[column.damps] if column.damps >= 0 else 0.0
+            pull[k] += scaled[column.scales] if column.scales >= 0 else 0.0
     if not pull.any():
         return np.zeros(size)
     out: Float64 = joint[:size, size:] @ _solve_scaled(joint[size:, size:], pull)
@@ -130,9 +138,18 @@ def named_force(problem: Problem, value: Value, number: int) -> Complex128:
     omega = work.stack.omega
     force = ends[:, None, :n] + 1j * omega[:, None] * ends[:, None, n:]
     for column, coefficient in zip(problem.columns, value.coefficients, strict=True):
-        if coefficient and column.lines[number].ndim == 2:
+        if coefficient and column.reads < 0:
             force = force + coefficient * column.lines[number][..., None] * column.vector
     return force
+
+
+def standing(problem: Problem, value: Value, reading: Complex128, lines: Sequence[Complex128]) -> Complex128:
+    """(R, F, M) where the motors stand by their reading and the laws of it, of ``lines`` (R, F)."""
+    out = reading
+    for column, coefficient, wave in zip(problem.columns, value.coefficients, lines, strict=True):
+        if coefficient and column.reads >= 0:
+            out = out + coefficient * wave[..., None] * np.eye(reading.shape[2])[column.reads]
+    return out
 
 
 def inner_motion(problem: Problem, value: Value, number: int) -> Complex128:
@@ -140,7 +157,8 @@ def inner_motion(problem: Problem, value: Value, number: int) -> Complex128:
     X·force."""
     work = value.work[number]
     motion, receptance = work.condensed.motion, work.condensed.receptance
-    moved = (motion.transpose(0, 2, 1) @ work.stack.position[..., None])[..., 0]
+    stands = standing(problem, value, work.stack.position, [c.lines[number] for c in problem.columns])
+    moved = (motion.transpose(0, 2, 1) @ stands[..., None])[..., 0]
     out: Complex128 = moved - (receptance @ named_force(problem, value, number)[..., None])[..., 0]
     return out
 

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from invid.likelihood.unknown_forces.forces import colours, missing_noise
-from invid.likelihood.unknown_forces.plant import Plant
+from invid.likelihood.unknown_forces.plant import Kind, Plant
 from invid.likelihood.unknown_forces.slope import ends_of
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value, along
@@ -30,7 +30,8 @@ class SmoothedStack:
     """Motion in the records of one stack.
 
     ``lines`` (R, A, n) of every coordinate; ``jump`` (R, n) and ``bend`` (R, n) of its position and
-    velocity from a record's start to its end; ``force`` (R, A, P) unknown forces.
+    velocity from a record's start to its end; ``force`` (R, A, P) unknown forces; ``springs`` the stiffness
+    of every spring.
     """
 
     stack: Stack
@@ -38,6 +39,7 @@ class SmoothedStack:
     jump: Float64
     bend: Float64
     force: Complex128
+    springs: Float64
 
     @cached_property
     def grid(self) -> int:
@@ -94,29 +96,26 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
     ends = ends_of(value, number)
     n = motion.shape[2]
     named = ends[:, None, :n] + 1j * omega[:, None] * ends[:, None, n:]
-    direct: Complex128 = np.zeros(wide.position.shape, dtype=complex)
+    stands = wide.position
     for column, coefficient in zip(problem.columns, value.coefficients, strict=True):
         if coefficient:
             lines = column.wide(number)
-            if lines.ndim == 3:
-                direct += coefficient * lines
+            if column.reads >= 0:
+                stands = stands + coefficient * lines[..., None] * np.eye(stands.shape[2])[column.reads]
             else:
                 named = named + coefficient * lines[..., None] * column.vector
-    missing = direct + ((stiffness @ wide.position[..., None]) + (motion @ named[..., None]))[..., 0]
+    missing = ((stiffness @ stands[..., None]) + (motion @ named[..., None]))[..., 0]
     missing = missing - numbers.timing.acting(wide)
     white = (noise.whitener @ missing[..., None])[..., 0]
     solved = (noise.whitener.conj().transpose(0, 2, 1) @ white[..., None])[..., 0]
     force = power * (reach.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
-    motor = (
-        wide.position
-        - stack.position_noise * (stiffness.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
-    )
+    motor = stands - stack.position_noise * (stiffness.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
     pushed = named - along(force, problem.spots.vectors.T)
     lines = ((motion.transpose(0, 2, 1) @ motor[..., None]) - (condensed.receptance @ pushed[..., None]))[
         ..., 0
     ]
     jump, bend = _jumps(numbers.plant, ends * stack.span / 2.0)
-    return SmoothedStack(stack, lines, jump, bend, force)
+    return SmoothedStack(stack, lines, jump, bend, force, numbers.plant.of_kind(Kind.SPRING))
 
 
 def _jumps(plant: Plant, ends: Float64) -> tuple[Float64, Float64]:

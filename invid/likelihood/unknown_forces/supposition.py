@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property, partial
@@ -10,10 +10,11 @@ from functools import cached_property, partial
 import numpy as np
 
 from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
+from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours
-from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws
-from invid.likelihood.unknown_forces.plant import Kind, Structure
+from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws, Part
+from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.strengths import stronger
@@ -29,11 +30,18 @@ class PlacedLaw:
     law: SupposedLaw
     spot: Spot
     shape: Shape = ()
+    number: int = 0
+    """Of several of its kind at one place."""
 
     @property
-    def key(self) -> tuple[str, Spot]:
+    def key(self) -> tuple[str, Spot, int]:
         """What may stand once."""
-        return self.law.cause, self.spot
+        return self.law.cause, self.spot, self.number
+
+    @property
+    def needs_fit(self) -> bool:
+        """Whether its waves are on motion that a fit has said."""
+        return self.spot.where is not Where.MOTOR or self.law.reads
 
 
 class Channel(Enum):
@@ -59,6 +67,20 @@ class Hypothesis:
     channels: frozenset[tuple[Channel, int]] = frozenset()
     """Axes whose drive is late or lags by more than a sample's convention."""
 
+    @property
+    def covered(self) -> frozenset[Hashable]:
+        """Parts of motors' friction that laws on the same axis take the place of."""
+        return frozenset(
+            (Part(part), axis_of(self.structure, placed.spot))
+            for placed in self.laws
+            for part in placed.law.covers
+        )
+
+    def plus(self, placed: PlacedLaw) -> Hypothesis:
+        """With one law more, in the place of those that it contains."""
+        rest = (p for p in self.laws if p.spot != placed.spot or not isinstance(p.law, placed.law.contains))
+        return replace(self, laws=(*rest, placed))
+
 
 class Motions:
     """Motion at every place of a machine: of motors as measured, elsewhere as smoothed at a fit."""
@@ -69,22 +91,35 @@ class Motions:
         self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
         self._known: dict[Spot, list[list[SpotMotion]]] = {}
 
-    @classmethod
-    def at(cls, found: Fit) -> Motions:
-        """Smoothed at a fit."""
-        problem = found.problem
-        return cls(problem.stacks, found.numbers.plant.structure, smooth(problem, found.value))
+    def renewed(self, problem: Problem, value: Value, laws: Sequence[PlacedLaw]) -> Motions:
+        """Smoothed at a fit, motors where ``laws`` of their readings say that they stand."""
+        out = Motions(self.stacks, value.numbers.plant.structure, smooth(problem, value))
+        names = [c.name for c in problem.columns]
+        for placed in laws:
+            if placed.law.reads:
+                size = value.coefficients[[names.index((*placed.key, i)) for i in range(len(placed.law.low))]]
+                out._known[placed.spot] = [
+                    [
+                        _standing(new, placed.law.waves(old, placed.shape) @ size)
+                        for new, old in zip(*both, strict=True)
+                    ]
+                    for both in zip(out.of(placed.spot), self.of(placed.spot), strict=True)
+                ]
+        return out
 
-    def in_structure(self, structure: Structure) -> Motions:
-        """The same for a structure with one more mass: places keep their numbers, and their motion."""
-        out = Motions(self.stacks, structure, ())
-        out._known = self._all_known()
+    def in_structure(self, moved: Correspondence) -> Motions:
+        """The same for another structure, at the places that both have."""
+        out = Motions(self.stacks, moved.new, ())
+        for spot, motion in self._all_known().items():
+            at = moved.spot(spot)
+            if at is not None:
+                out._known[at] = motion
         return out
 
     def _all_known(self) -> dict[Spot, list[list[SpotMotion]]]:
         if self.smoothed:
             for spot in Spots.of(self.structure).spots:
-                if spot.where is Where.SPRING:
+                if spot.where in (Where.MASS, Where.SPRING):
                     self.of(spot)
         return dict(self._known)
 
@@ -111,14 +146,33 @@ class Motions:
                 torque = np.interp(
                     clock - r.start, np.arange(r.torque_wave.shape[0]) * r.step, r.torque_wave[:, i]
                 )
-                out.append(SpotMotion(q, v, q, clock, torque))
+                out.append(SpotMotion(q, v, q, clock, torque, origin=r.origin))
             return out
         vector = vector_of(self.structure, spot)
         unit = np.eye(self.structure.coordinates)
         first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
         position, velocity = self.smoothed[number].over_time(vector)
         angle = self.smoothed[number].over_time(unit[first])[0]
-        return [SpotMotion(q, v, a, t) for q, v, a, t in zip(position, velocity, angle, clocks, strict=True)]
+        springs = self.smoothed[number].springs
+        stiffness = float(springs[spot.number]) if spot.where is Where.SPRING else None
+        return [
+            SpotMotion(q, v, a, t, stiffness=stiffness, origin=r.origin)
+            for q, v, a, t, r in zip(position, velocity, angle, clocks, records, strict=True)
+        ]
+
+
+def _standing(reading: SpotMotion, beyond: Float64) -> SpotMotion:
+    """The motion of a motor that stands ``beyond`` (k,) its reading."""
+    position = reading.position + beyond
+    rate = np.gradient(beyond, reading.time[1] - reading.time[0])
+    return replace(reading, position=position, angle=position, velocity=reading.velocity + rate)
+
+
+def axis_of(structure: Structure, spot: Spot) -> int:
+    """The axis of a place, of two loads the first."""
+    if spot.where in (Where.MOTOR, Where.PAIR):
+        return spot.number
+    return structure.axis_of(structure.links[spot.number][0] if spot.where is Where.SPRING else spot.number)
 
 
 def vector_of(structure: Structure, spot: Spot) -> Float64:
@@ -139,9 +193,8 @@ class Bench:
         """Friction, then the laws."""
         friction = self.motor_laws.columns(hypothesis.structure, hypothesis.friction)
         laws = [c for law in hypothesis.laws for c in self.law_columns(hypothesis.structure, law, motions)]
-        return tuple(
-            replace(c, low=0.0, high=0.0) if c.name in hypothesis.absent else c for c in (*friction, *laws)
-        )
+        gone = hypothesis.absent | hypothesis.covered
+        return tuple(replace(c, low=0.0, high=0.0) if c.name in gone else c for c in (*friction, *laws))
 
     def law_columns(self, structure: Structure, placed: PlacedLaw, motions: Motions) -> tuple[Column, ...]:
         """Columns of one law, one a coefficient."""
@@ -149,13 +202,16 @@ class Bench:
         vector = vector_of(structure, placed.spot)
         return tuple(
             Column(
-                (placed.law.cause, placed.spot, i),
+                (*placed.key, i),
                 vector,
                 tuple(stack[..., i] for stack in lines),
                 partial(_wide, placed, motions, i),
-                low=low,
+                low,
+                high,
+                reads=placed.spot.number if placed.law.reads else -1,
+                scales=placed.spot.number if placed.law.scales else -1,
             )
-            for i, low in enumerate(placed.law.low)
+            for i, (low, high) in enumerate(placed.law.limits(motions.flat(placed.spot)))
         )
 
     def law_lines(
@@ -233,7 +289,7 @@ class Supposed:
     ) -> Supposed:
         """Another hypothesis, on the same motions, from here."""
         changed = self.hypothesis if hypothesis is None else hypothesis
-        start = carry_over(self.numbers if numbers is None else numbers, self.fit.problem.spots)
+        start = self.numbers if numbers is None else numbers
         columns = self.bench.columns(changed, self.motions)
         problem = Problem.about(self.bench.stacks, columns, start)
         if start.plant.structure == self.numbers.plant.structure:
@@ -247,27 +303,43 @@ class Supposed:
 
     def smoothed(self) -> Supposed:
         """The same on inner motion smoothed at its own fit."""
-        structure, value = self.numbers.plant.structure, self.kept_value
+        value, laws = self.kept_value, self.hypothesis.laws
         kept = None
-        if self.kept is not None and value is not None:
-            problem = replace(
-                self.fit.problem,
-                stacks=self.kept.stacks,
-                columns=self.kept.columns(
-                    self.hypothesis, self.kept_motions or Motions(self.kept.stacks, structure)
-                ),
-            )
-            kept = Motions(self.kept.stacks, structure, smooth(problem, value))
-        return replace(self, motions=Motions.at(self.fit), kept_motions=kept)
+        if self.kept is not None and self.kept_motions is not None and value is not None:
+            columns = self.kept.columns(self.hypothesis, self.kept_motions)
+            problem = replace(self.fit.problem, stacks=self.kept.stacks, columns=columns)
+            kept = self.kept_motions.renewed(problem, value, laws)
+        motions = self.motions.renewed(self.fit.problem, self.fit.value, laws)
+        return replace(self, motions=motions, kept_motions=kept)
 
-    def in_structure(self, structure: Structure) -> Supposed:
-        """The same with its motions at the places of a structure with one more mass."""
-        kept = self.kept_motions
-        return replace(
-            self,
-            motions=self.motions.in_structure(structure),
-            kept_motions=None if kept is None else kept.in_structure(structure),
+    def in_structure(
+        self, moved: Correspondence, added: Mapping[Element, float], iterations: int
+    ) -> Supposed:
+        """The fit of another structure from here: what both have as it was, what is ``added`` from its
+        values.
+
+        Laws at places that are gone go too.
+        """
+        kept, known = self.kept_motions, self.fit.problem.spots.number
+        first = np.full(2, np.median(self.numbers.strength))
+        strength = {moved.spot(spot): self.numbers.strength[k] for spot, k in known.items()}
+        numbers = replace(
+            self.numbers,
+            plant=moved.plant(self.numbers.plant, added),
+            strength=np.array([strength.get(s, first) for s in Spots.of(moved.new).spots]),
         )
+        laws = [(placed, moved.spot(placed.spot)) for placed in self.hypothesis.laws]
+        hypothesis = replace(
+            self.hypothesis,
+            structure=moved.new,
+            laws=tuple(replace(placed, spot=at) for placed, at in laws if at is not None),
+        )
+        there = replace(
+            self,
+            motions=self.motions.in_structure(moved),
+            kept_motions=None if kept is None else kept.in_structure(moved),
+        )
+        return there.refit(hypothesis, numbers, iterations)
 
     @property
     def strength(self) -> list[tuple[float, Spot]]:
@@ -290,6 +362,8 @@ class Supposed:
 
 KEPT_STEPS = 8
 """Steps by which the strengths of records kept out are found."""
+WITHIN = 1.0 - 1e-6
+"""Samples of delay that are convention."""
 HELD = 1e-9
 """Standard deviation of a number that is held at zero."""
 
@@ -302,24 +376,16 @@ def bounded(numbers: Numbers, problem: Problem, hypothesis: Hypothesis) -> tuple
     x, centre, spread = numbers.x.copy(), problem.centre.copy(), problem.spread.copy()
     x[at], centre[at], spread[at] = 0.0, 0.0, HELD
     times = numbers.plant.x.size
-    late = [times + k for k in range(2 * motors) if (Channel.DELAY, k % motors) in hypothesis.absent]
-    usual = Timing.nominal(motors, 1.0).x[[k - times for k in late]]
-    x[late] = centre[late] = usual + np.clip(x[late] - usual, -1.0, 1.0)
-    spread[late] = HELD
+    usual = Timing.nominal(motors, 1.0).x
+    for k in range(2 * motors):
+        # Within a sample it is free as ever: a stale delay would look like a lag.
+        if (Channel.DELAY, k % motors) in hypothesis.absent and abs(x[times + k] - usual[k]) > WITHIN:
+            x[times + k] = centre[times + k] = usual[k] + np.sign(x[times + k] - usual[k])
+            spread[times + k] = HELD
     for channel, axis in hypothesis.channels:
         free = [axis, motors + axis] if channel is Channel.DELAY else [4 * motors + axis]
         spread[[times + k for k in free]] = FREE_TIME
     return numbers.moved(x), replace(problem, centre=centre, spread=spread)
-
-
-def carry_over(numbers: Numbers, spots: Spots) -> Numbers:
-    """The numbers with strengths for all places of their structure, known ones as they were."""
-    own = Spots.of(numbers.plant.structure)
-    if len(own.spots) == numbers.strength.shape[0]:
-        return numbers
-    known = {spot: numbers.strength[k] for k, spot in enumerate(spots.spots)}
-    first = np.full(2, np.median(numbers.strength))
-    return replace(numbers, strength=np.array([known.get(s, first) for s in own.spots]))
 
 
 def suppose(

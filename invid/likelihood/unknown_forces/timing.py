@@ -79,6 +79,12 @@ class Timing:
             lag=x[2 * size :],
         )
 
+    def punctual(self, axis: int) -> Timing:
+        """The timing with an axis' delays as they are expected."""
+        delay = self.delay.copy()
+        delay[:, axis] = EXPECTED_DELAY
+        return replace(self, delay=delay)
+
     def acting(self, stack: Stack) -> Complex128:
         """(R, F, M) the torque that acts."""
         out: Complex128 = self._parts(stack).sum(axis=0)

@@ -45,11 +45,11 @@ from invid.numerics.arrays import Bool, Complex128, Float64, Int64
 class Column:
     """A law with its coefficient at one.
 
-    ``vector`` (n,) is its place and ``lines`` its transform (R, F) in every stack, or (R, F, M) what it
-    asks of
-    the motors where it acts on no coordinate. ``wide`` gives the transform on all lines of a stack up to
-    where motion is known. ``damps``: the motor at which it is viscous friction, which belongs to the loop of
-    plant and hold.
+    ``vector`` (n,) is its place and ``lines`` its transform (R, F) in every stack. ``wide`` gives the
+    transform on all lines of a stack up to where motion is known. ``damps``: the motor at which it is viscous
+    friction, which belongs to the loop of plant and hold. ``reads``: the motor that stands by ``lines`` beyond
+    its reading, instead of a force. ``scales``: the motor whose torque it multiplies by one plus its
+    coefficient.
     """
 
     name: Hashable
@@ -59,6 +59,8 @@ class Column:
     low: float = -np.inf
     high: float = np.inf
     damps: int = -1
+    reads: int = -1
+    scales: int = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +223,7 @@ def _work(problem: Problem, numbers: Numbers, number: int) -> StackWork:
     basis = basis[: columns.shape[0]]
     missing = (stiffness @ stack.position[..., None])[..., 0] - numbers.timing.acting(stack)
     both = np.concatenate(
-        (_law_columns(problem, number, whitener, motion), (whitener @ missing[..., None])), axis=3
+        (_law_columns(problem, number, whitener, condensed), (whitener @ missing[..., None])), axis=3
     )
     rows = real_rows(both)
     inside = basis.T @ rows
@@ -230,17 +232,16 @@ def _work(problem: Problem, numbers: Numbers, number: int) -> StackWork:
     return StackWork(stack, condensed, noise, whitener, basis, back, rows[..., :-1], rows[..., -1], inside)
 
 
-def _law_columns(problem: Problem, number: int, whitener: Complex128, motion: Complex128) -> Complex128:
+def _law_columns(problem: Problem, number: int, whitener: Complex128, condensed: Condensed) -> Complex128:
     """(R, F, M, J) whitened laws."""
     stack = problem.stacks[number]
-    reach = whitener @ along(motion, problem.vectors)
+    reach = whitener @ along(condensed.motion, problem.vectors)
+    for j, column in enumerate(problem.columns):
+        if column.reads >= 0:
+            reach[:, :, j] = (whitener @ condensed.stiffness[:, :, column.reads, None])[..., 0]
     out = np.empty((*stack.position.shape, len(problem.columns)), dtype=complex)
     for j, column in enumerate(problem.columns):
-        lines = column.lines[number]
-        if lines.ndim == 2:
-            out[..., j] = lines[:, :, None] * reach[:, :, j]
-        else:
-            out[..., j] = (whitener @ lines[..., None])[..., 0]
+        out[..., j] = column.lines[number][:, :, None] * reach[:, :, j]
     return out
 
 
@@ -292,6 +293,18 @@ def _shares(problem: Problem, work: StackWork, rows: Float64, coefficients: Floa
     closed = 4.0 * (work.turning * np.linalg.slogdet(loop)[1]).sum(axis=1) if loop.size else 0.0
     out: Float64 = (rows**2).sum(axis=1) + 2.0 * float(weight @ work.noise.log_determinant)
     out[work.stack.closed] -= closed
+    # Where a hold is not known the torque is what answers: its Jacobian is the drives' scale.
+    scale = float(np.log(torque_scales(problem, coefficients)).sum())
+    out[~work.stack.closed] -= 4.0 * float(work.turning.sum()) * scale
+    return out
+
+
+def torque_scales(problem: Problem, coefficients: Float64) -> Float64:
+    """(M,) torque that acts over that recorded, of laws that multiply it."""
+    out = np.ones(problem.stacks[0].position.shape[2])
+    for column, value in zip(problem.columns, coefficients, strict=True):
+        if column.scales >= 0:
+            out[column.scales] += value
     return out
 
 
@@ -302,7 +315,8 @@ def closed_loop(problem: Problem, work: StackWork, coefficients: Float64) -> Com
     for column, value in zip(problem.columns, coefficients, strict=True):
         if column.damps >= 0:
             damping[column.damps] += value
-    added = stack.loop[stack.closed] + 1j * stack.omega[:, None] * damping
+    scale = torque_scales(problem, coefficients)
+    added = stack.loop[stack.closed] * scale + 1j * stack.omega[:, None] * damping
     out: Complex128 = work.condensed.stiffness + added[..., None] * np.eye(damping.size)
     out[:, stack.omega == 0.0] = np.eye(damping.size)
     return out

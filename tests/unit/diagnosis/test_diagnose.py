@@ -16,12 +16,12 @@ from hidden.generator import make
 
 from invid.cli.app import run
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.rules.dropped_rows import find_dropped_rows
 from invid.errors import InputError
 from invid.identification.identify import identify
 from invid.model.diagnosis_document import Verdict
 from invid.recording import Experiment, Recording, Role, write_recording
 from invid.recording.check import COLUMNS
+from invid.signals.dropped_rows import find_dropped_rows
 
 QUICK = {"seed": 11, "motors": 1}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from invid.diagnosis.confidence import is_degenerate_stribeck
 from invid.diagnosis.sentences import finding_sentence, format_estimate
 from invid.model.diagnosis_document import Alternative
 from invid.model.document import EffectTerm, Estimate
@@ -28,32 +27,6 @@ def test_alternatives_and_what_would_separate_them_are_in_the_sentence() -> None
     assert "Check brake release" not in said, "nothing is repaired for a cause that may be another"
     sure = finding_sentence(term, 0.97, 0.95, (), (3, 3), ("A1", "A2"))
     assert sure.endswith("Check brake release and lubrication.")
-
-
-@pytest.mark.parametrize(
-    ("static", "coulomb", "rounding", "brake"),
-    [
-        (0.043, (0.011, 0.011), 0.0847, True),  # c v/(1 + (v/v0)²), as fitted to a tester's record of one
-        (0.187, (0.002, 0.004), None, True),  # hardly anything stays at speed
-        (0.187, (0.02, 0.02), None, False),  # as much as one contact may lose, within its uncertainty
-        (0.5, (0.3, 0.01), 0.02, False),  # a contact that turns round a little gradually
-        (0.5, (0.3, 0.01), None, False),
-    ],
-)
-def test_stribeck_friction_without_one_of_its_levels_may_be_a_brake(
-    static: float, coulomb: tuple[float, float], rounding: float | None, brake: bool
-) -> None:
-    parameters = {
-        "static": Estimate(static, 0.001, "N·m"),
-        "coulomb": Estimate(*coulomb, "N·m"),
-        "velocity": Estimate(0.6, 0.05, "rad/s"),
-    }
-    if rounding is not None:
-        parameters["rounding"] = Estimate(rounding, None, "rad/s")
-    assert is_degenerate_stribeck(EffectTerm("stribeck_friction", "A1", parameters, "mass 1")) == brake
-    assert not is_degenerate_stribeck(
-        EffectTerm("coulomb_friction", "A1", {"torque": Estimate(1.0, 0.1, "N·m")})
-    )
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.effects.laws.sign import sign_law
 from invid.effects.laws.slider import slide
 from invid.effects.registry import CATALOGUE
 from invid.model.parameters import ChainStructure
@@ -101,13 +100,3 @@ def test_a_slider_walks_the_loop_worked_out_by_hand() -> None:
     for drift, begun in ((1e-3, settled[0]), (0.5, 0.0)):
         moved = slide(swing + np.linspace(0, drift, 601), 1.0, periodic=False)
         assert moved[0] == pytest.approx(begun, abs=1e-2)
-
-
-def test_the_averaged_sign_has_the_fundamental_of_a_square_wave() -> None:
-    n = 250
-    phase = 2 * np.pi * (np.arange(n) + 0.37) / n
-    s = sign_law(3.0 * np.cos(phase), 1e-6)
-    # Amplitudes of a square wave: 4/π at the fundamental, a third of it at the third harmonic.
-    half = np.abs(np.fft.rfft(s)) * 2 / n
-    assert half[1] == pytest.approx(4 / np.pi, rel=1e-3)
-    assert half[3] == pytest.approx(4 / np.pi / 3, rel=3e-3)

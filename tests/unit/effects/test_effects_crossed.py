@@ -17,11 +17,7 @@ from test_extended_model import SIZES
 
 from invid.config import load_config
 from invid.diagnosis.consequence import consequence_of
-from invid.diagnosis.known_effects import effect_place, effect_vector
-from invid.diagnosis.linear_fit import layout_of
-from invid.diagnosis.score_test import terms_to_test
 from invid.diagnosis.sentences import finding_sentence
-from invid.diagnosis.validation import split_records
 from invid.effects.curve import curve
 from invid.effects.effect import PlaceMotion
 from invid.effects.effect_files import check_effect
@@ -29,15 +25,12 @@ from invid.effects.laws.empirical_law import EmpiricalLaw
 from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effects, registered_effects
 from invid.effects.sizes import Machine
 from invid.effects.units import unit_of
-from invid.likelihood.evaluation import evaluate
-from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, load_model
 from invid.model.law_table import LawTable
 from invid.model.parameters import ChainStructure
 from invid.planning.separating_experiments import is_measurable, to_separate
 from invid.recording.model import Recording
-from invid.signals.spectra import all_spectra
 from invid.simulation.rigid import simulate_motion
 from invid.simulation.run import simulate
 from invid.wording.clauses import cause_title
@@ -103,18 +96,6 @@ def model_of(chains: CoupledChains, *effects: EffectTerm) -> Model:
     return Model("cell", "refined", chains, ChainStd.unknown(chains), effects=effects)
 
 
-def linear_fit(excited):
-    """Records, structure, layout and parameters of the true plant."""
-    recording, chains = excited
-    train, _, _ = split_records(recording, all_spectra(recording))
-    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
-    layout = layout_of(structure, train, 0.0)
-    p = np.full(layout.count, 0.5)
-    p[: structure.count] = structure.vector(chains)
-    p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
-    return train, structure, layout, p
-
-
 def ids(effect) -> str:
     return effect.cause
 
@@ -124,87 +105,9 @@ def test_the_sizes_here_are_those_of_all_effects() -> None:
     assert sorted(BY_CAUSE) == sorted(e.cause for e in EVERY)
 
 
-@pytest.mark.parametrize("effect", ELASTIC, ids=ids)
-def test_its_derivatives_are_those_of_its_contribution(effect, excited) -> None:
-    """Gradient of χ² by the effect's own parameters against differences of χ²."""
-    if effect.cause in NOT_FITTED:
-        return
-    train, structure, layout, p = linear_fit(excited)
-    one = term_of(effect, excited[1].axes)
-    place, x = effect_place(one, structure), effect_vector(one)
-    assert place in effect.places(structure)
-    here = evaluate(layout, train, p, Candidate((PlacedEffect(effect, place),), (x,)), thorough=True)
-    gradient = 2.0 * here.jacobian.T @ here.residual
-    size = np.linalg.norm(here.jacobian, axis=0)
-
-    def cost(at: np.ndarray) -> float:
-        candidate = Candidate((PlacedEffect(effect, place),), (at,))
-        return evaluate(layout, train, p, candidate, jacobian=False, near=here.views).cost
-
-    for k in range(x.size):
-        at = layout.count + k
-        if size[at] == 0.0:
-            continue  # a shape that nothing tells in these records
-        h = 1e-4 * max(abs(float(x[k])), 1e-3)
-        up, down = x.copy(), x.copy()
-        up[k] += h
-        down[k] -= h
-        expected = (cost(up) - cost(down)) / (2 * h)
-        # Laws that stick have kinks, and inner motion agrees to some per cent.
-        scale = size[at] * np.sqrt(here.cost)
-        assert gradient[at] == pytest.approx(expected, rel=0.1, abs=0.02 * scale), (effect.cause, k)
-
-
-@pytest.mark.parametrize("effect", ELASTIC, ids=ids)
-def test_it_is_searched_at_its_places_unless_it_sits_elsewhere(effect, excited) -> None:
-    _, chains = excited
-    structure = ChainStructure(chains.masses_per_branch, chains.axes)
-    searched = [t.place for t in terms_to_test(structure, linear_axes=False) if t.effect is effect]
-    if effect.cause in UNSOUGHT:
-        assert not searched
-        return
-    assert searched == effect.places(structure)
-    assert bool(searched) is (effect.cause not in NOT_FITTED)
-
-
 @pytest.mark.parametrize("effect", EVERY, ids=ids)
 def test_what_it_declares_is_what_a_file_of_its_own_may_declare(effect) -> None:
     assert check_effect(effect, "catalogue") is effect
-
-
-@pytest.mark.parametrize("effect", ELASTIC, ids=ids)
-def test_it_keeps_the_promises_of_the_interface_at_each_of_its_places(effect, excited) -> None:
-    """Numbers of one length everywhere, a vector that is its parameters, no force where there is none."""
-    if effect.cause in NOT_FITTED:
-        return
-    train, structure, layout, p = linear_fit(excited)
-    views = evaluate(layout, train, p, Candidate((), ()), jacobian=False).views
-    count, shapes = len(effect.coefficients), len(effect.shapes)
-    assert len(effect.lower) == len(effect.upper) == count
-    assert len(effect.logarithmic) == shapes
-    values = SIZE[effect.cause][1]
-    for place in effect.places(structure):
-        x = effect.vector(values)
-        assert len(x) == count + shapes
-        assert effect.values(x, place) == pytest.approx({**values, **effect.values(x, place)}, rel=1e-12)
-        assert not effect.is_null(x)
-        starts, limits = effect.grid(views, place), effect.limits(views, place)
-        assert {len(s) for s in starts} == {shapes}
-        assert len(limits) == shapes
-        view, shape = views[0], (views[0].omega.size, structure.motors)
-        factors = effect.noise_power(view, place, x)
-        assert all(np.all(np.asarray(f) > 0) for f in factors)
-        assert effect.rarity(place, structure) >= 0.0
-        if count:
-            assert effect.is_null([0.0] * count + x[count:])
-            basis = effect.basis(view, place, x[count:])
-            assert basis.shape == (*shape, count)
-            assert np.isfinite(basis).all()
-        force, inner = effect.contribution(view, place, x)
-        assert force.shape == shape
-        assert np.isfinite(force).all()
-        assert inner is None or inner.shape[0] == force.shape[0]
-        assert effect.stands_beside(effect) is (effect.cause == "cogging")  # two numbers of cycles
 
 
 @pytest.mark.parametrize("effect", ELASTIC, ids=ids)

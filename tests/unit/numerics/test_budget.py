@@ -246,9 +246,9 @@ def test_json_stays_alone_on_stdout_and_the_budget_ends_the_command(
 def test_the_first_run_after_an_installation_says_that_it_compiles(tmp_path: Path, fresh: bool) -> None:
     """With an empty cache, and with the one that this run then filled."""
     script = (
-        "import numpy as np, time\nfrom invid.effects.laws.sign import clip_law\nfrom invid.numerics.budget "
+        "import numpy as np, time\nfrom invid.effects.laws.slider import slide\nfrom invid.numerics.budget "
         "import Budget, use_budget\nwith use_budget(Budget(None, time.monotonic, lambda p: print(p))):\n    "
-        "clip_law(np.linspace(-1.0, 1.0, 100), 0.5)\n"
+        "slide(np.linspace(-1.0, 1.0, 100), 0.5, periodic=False)\n"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     for _ in range(1 if fresh else 2):

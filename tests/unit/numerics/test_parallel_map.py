@@ -135,20 +135,6 @@ def test_where_no_more_processes_are_to_be_had_the_caller_does_it_all():
     """)
 
 
-def test_laws_that_round_alike_are_one_wherever_they_were_made():
-    """A helper's answer has a law of its own; candidates are told apart by their laws."""
-    from invid.effects.laws.sign import DryLaw
-    from invid.effects.registry import CATALOGUE
-
-    laws = [e for e in CATALOGUE if isinstance(e, DryLaw)]
-    assert len({*laws}) == len(laws) > 1
-    for law in laws:
-        assert law.rounded(0.1) == law.rounded(0.1)
-        assert hash(law.rounded(0.1)) == hash(law.rounded(0.1))
-        assert law.rounded(0.1) != law
-        assert law.rounded(0.1) != law.rounded(0.2)
-
-
 @pytest.mark.parametrize(
     "begin",
     [

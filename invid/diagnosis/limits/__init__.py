@@ -1,1 +1,0 @@
-"""What a recording would have shown, had it been there."""

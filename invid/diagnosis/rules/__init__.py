@@ -1,1 +1,0 @@
-"""Special cases of the search, one a module (decision 11)."""

@@ -1,0 +1,1 @@
+"""Laws that a search supposes, by the kind of their place."""

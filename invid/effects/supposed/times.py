@@ -1,0 +1,58 @@
+"""What changes during a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from invid.effects.catalogue.parameter_drift import ParameterDrift as DriftEffect
+from invid.effects.catalogue.payload_change import PayloadChange as PayloadEffect
+from invid.effects.supposed.law import Bounds, LawPlace, Shape, SpotMotion, SupposedLaw
+from invid.numerics.arrays import Float64
+
+
+class PayloadChange(SupposedLaw):
+    """A mass that comes on at a load at a time of the recording's clock; its shape is that time [s]."""
+
+    effect, main = PayloadEffect(), "mass"
+    shape_step = 0.05
+    WITHIN = (0.1, 0.3, 0.5, 0.7, 0.9)
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        late = (motion.time - shape[0]) / (motion.time[1] - motion.time[0])
+        force: Float64 = (motion.acceleration * np.clip(late + 0.5, 0.0, 1.0))[:, None]
+        return force
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        spans = _spans(motions)
+        between = [0.5 * (a[1] + b[0]) for a, b in pairwise(spans) if b[0] > a[1]]
+        within = [first + share * (last - first) for first, last in spans for share in self.WITHIN]
+        return [(time,) for time in sorted(between + within)]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> Bounds:
+        spans = _spans(motions)
+        margin = 0.02 * (spans[0][1] - spans[0][0])
+        return [(spans[0][0] + margin, max(last for _, last in spans) - margin)]
+
+    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+        return {"mass": float(coefficients[0]), "time": float(shape[0])}
+
+
+def _spans(motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
+    return sorted({(float(m.time[0]), float(m.time[-1])) for m in motions})
+
+
+class ParameterDrift(SupposedLaw):
+    """A spring's stiffness that changes by its coefficient a second, from the start of the recording on."""
+
+    effect, main = DriftEffect(), "rate"
+    coarse = True
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        force: Float64 = (motion.position * (motion.time - motion.origin))[:, None]
+        return force
+
+    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+        return {"parameter": float(place.number), "rate": float(coefficients[0])}
