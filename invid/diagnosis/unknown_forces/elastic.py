@@ -124,8 +124,8 @@ def named_causes(
 ) -> list[Cause]:
     """Every cause that stays, with its share of what is ``explained`` and how sure it is.
 
-    Where that is less than half of what was missing, a cause at whose very place something without a name acts
-    is none: it is a part of that.
+    Where that is less than half of what was missing, a cause at whose very place something without a name
+    acts is none: it is a part of that.
     """
     axes = found.recording.axes
     contested = contests(found.end, found.worths, found.pursued, found.recording)

@@ -163,7 +163,7 @@ def hold_warnings(end: Supposed, recording: Recording) -> list[str]:
         friction = early * timing.step * max(gains)
         out.append(
             f"{axis}: its hold is taken to act up to half a sample before the command, as fits best; viscous "
-            f"friction of {friction:.2g} {unit} at its motor would look alike: record the demanded torque, or "
-            "drive the axis without a hold, to tell"
+            f"friction of {friction:.2g} {unit} at its motor would look alike: record the demanded torque, "
+            "or drive the axis without a hold, to tell"
         )
     return out

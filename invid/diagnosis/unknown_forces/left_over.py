@@ -60,7 +60,7 @@ def axis_missing(found: Supposed) -> AxisMissing:
 
 @dataclass(frozen=True, eq=False)
 class PlaceForce:
-    """Unknown force at a place [N·m rms], the rise of −2 ln L without it, and the force there without causes."""
+    """Unknown force at a place [N·m rms], the rise of −2 ln L without it, the force there without causes."""
 
     spot: Spot
     rms: float

@@ -1,12 +1,12 @@
 """What was ruled out: for every cause at every place the smallest size that these records would have shown.
 
 Of a law of the size a, y(a) is the torque that nothing in the fit takes up, whitened by the noise at the
-strengths that the fit has. λ = |y|² is its fall of −2 ln L without noise, to first order; strengths would rise
-without the law, and its fall is then n·ln(1 + λ/n) over n rows. A fall passes its threshold N in 95 of 100
-records where √λ ≥ √N + 1.64 (noncentral χ² of one number). A law that grows with its size asks for one
-projection; of free play and of a limit of the torque, sizes on a grid are tried. A law of unknown shape counts
-at the shape that shows least, of those that show at all. Records kept out tell as much for each of their rows
-as those fitted.
+strengths that the fit has. λ = |y|² is its fall of −2 ln L without noise, to first order; strengths would
+rise without the law, and its fall is then n·ln(1 + λ/n) over n rows. A fall passes its threshold N in 95 of
+100 records where √λ ≥ √N + 1.64 (noncentral χ² of one number). A law that grows with its size asks for one
+projection; of free play and of a limit of the torque, sizes on a grid are tried. A law of unknown shape
+counts at the shape that shows least, of those that show at all. Records kept out tell as much for each of
+their rows as those fitted.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ SURE = normal_isf(0.05)
 WHAT = "what was ruled out"
 """What a spent budget leaves out, in the words of the warning."""
 UNSEEN = 1e-4
-"""Share of a law's torque that the fit has to leave for it to be told from the model's own numbers (empirical:
-to first order these are right to about a hundredth)."""
+"""Share of a law's torque that the fit has to leave for it to be told from the model's own numbers
+(empirical: to first order these are right to about a hundredth)."""
 STANDS = 2.0
 """Counts of its encoder within which an axis never moved."""
 MODE_BANDS, MODE_DAMPING = (0.3, 0.45, 0.6, 0.8), 0.02
-"""Frequencies of a mode over the highest excited one at which its limit is asked for, and its damping ratio."""
+"""Frequencies of a mode over the highest excited one at which its limit is asked for, its damping ratio."""
 LAGS = tuple(0.25 * 2.0**k for k in range(9))
 """Lags that are tried [samples]."""
 SAMPLE = 1.0
@@ -335,8 +335,8 @@ class Screen:
 
 
 def _least_seen(left: Float64, *, only_last: bool) -> tuple[float, Float64]:
-    """|y|² of a law of size one and its coefficients, where it shows least; with ``only_last`` of what its last
-    coefficient has beyond the others."""
+    """|y|² of a law of size one and its coefficients, where it shows least; with ``only_last`` of what its
+    last coefficient has beyond the others."""
     own, vectors = np.linalg.eigh(left.T @ left)
     if not only_last:
         return float(own[0]), vectors[:, 0]

@@ -40,8 +40,9 @@ CAUSES = "further causes"
 class ElasticSearch:
     """What a search found on one recording.
 
-    ``named`` is the fit with the causes that have a name, ``end`` that with laws without one besides, ``bare``
-    the plant alone. ``forces`` are left at the places of ``end``, ``forces_named`` at those of ``named``.
+    ``named`` is the fit with the causes that have a name, ``end`` that with laws without one besides,
+    ``bare`` the plant alone. ``forces`` are left at the places of ``end``, ``forces_named`` at those of
+    ``named``.
     """
 
     recording: Recording

@@ -42,7 +42,7 @@ anew (empirical)."""
 FITTED = 3
 """Laws of the scores that are fitted (empirical, for the time)."""
 SIMPLER = 30.0
-"""Rise of −2 ln L at which a law stands for its place's friction as well: Schwarz's price of three numbers."""
+"""Rise of −2 ln L at which a law stands for its place's friction as well: Schwarz's price of three."""
 AT_MASS, AT_SPRING = ("velocity", "position"), ("deflection", "deflection rate")
 
 
@@ -69,7 +69,7 @@ class Choice:
 
 
 def add_laws(now: Supposed, forces: Sequence[PlaceForce]) -> Supposed | None:
-    """The fit with a law at one place of each axis on which something is sure to act; ``None`` without one."""
+    """The fit with a law at one place of each axis on which something is sure to act; ``None``: none."""
     start, structure = now, now.hypothesis.structure
     for axis in sorted({place_of(structure, f.spot)[0] for f in forces if f.is_sure}):
         found = _law_on(now, axis)
@@ -217,8 +217,8 @@ def _is_at_noise(found: Supposed, axis: int) -> bool:
 
 
 def _takes_nearly_all(now: Supposed, found: Supposed, axis: int) -> bool:
-    """Whether a law brings its axis to the noise, or takes nine tenths of what is missing there on records kept
-    out: what takes less may be a part of any law."""
+    """Whether a law brings its axis to the noise, or takes nine tenths of what is missing there on records
+    kept out: what takes less may be a part of any law."""
     before, after = axis_missing(now), axis_missing(found)
     left = after.missing[axis] ** 2 - after.floor[axis] ** 2
     whole = before.missing[axis] ** 2 - before.floor[axis] ** 2

@@ -237,7 +237,7 @@ def pursue(
             if is_sound(found):
                 trials.append(Trial(placed.law.cause, placed.spot, found, now, placed))
         best = max((t.fall for t in trials), default=0.0)
-        if best < 2000.0 or now.inner_strength > LOST:
+        if (best < 2000.0 or now.inner_strength > LOST) and not budget.is_left_out("further causes"):
             trials += try_structures(now, growing=growing)
         trials += try_channels(now)
         trials.sort(key=lambda t: -t.merit)

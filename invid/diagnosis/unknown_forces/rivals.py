@@ -37,7 +37,7 @@ WHAT = "rivals of the causes"
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """The rivals of one cause that the records cannot tell from it, and its share of the likelihood of all."""
+    """The rivals of one cause that records cannot tell from it, and its share of the likelihood of all."""
 
     share: float
     alternatives: tuple[Alternative, ...]
@@ -189,7 +189,7 @@ def _within_reach(less: Supposed, own: PlacedLaw | None, looked: Sequence[Placed
 
 
 def is_part_of_more(key: Hashable, forces: Sequence[PlaceForce]) -> bool:
-    """Whether something without a name is sure to act at a cause's very place, and is more than a tenth (of the
-    power) of what acts there without any cause: the cause may be a part of it."""
+    """Whether something without a name is sure to act at a cause's very place, and is more than a tenth (of
+    the power) of what acts there without any cause: the cause may be a part of it."""
     spot, least = _spot_of(key), np.sqrt(1.0 - EXPLAINED)
     return any(f.is_sure and f.spot == spot and f.rms > least * f.before for f in forces)
