@@ -42,6 +42,8 @@ LOST = 0.2
 """Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
 
 Say = Callable[[str], None]
+Tell = Callable[[Supposed, float], None]
+"""Given what is found so far, and the share of the search that lies behind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +227,7 @@ def pursue(
     now: Supposed,
     laws: Sequence[SupposedLaw] = SUPPOSED,
     say: Say = lambda _: None,
+    tell: Tell = lambda _, __: None,
     rounds: int = 8,
     *,
     growing: bool = False,
@@ -236,7 +239,8 @@ def pursue(
     rivals: list[tuple[Trial, Trial]] = []
     now = reshape(scan_friction(now))
     say(f"null {now.total:.1f} inner {now.inner_strength:.2f}")
-    for _ in range(rounds):
+    for number in range(rounds):
+        tell(now, number / rounds)
         if budget.is_left_out("further causes"):
             break
         now = now.renewed(3)
@@ -248,14 +252,14 @@ def pursue(
             placed = looked[int(k)]
             if falls[k] < 6.0 or len(tried) >= REFINED:
                 break
-            if placed.key in tried:
+            if placed.key in tried or budget.is_left_out("further causes"):
                 continue
             tried.add(placed.key)
             found = try_law(now, placed)
             if is_sound(found):
                 trials.append(Trial(placed.law.cause, placed.spot, found, now, placed))
         best = max((t.fall for t in trials), default=0.0)
-        if best < 2000.0 or now.inner_strength > LOST:
+        if (best < 2000.0 or now.inner_strength > LOST) and not budget.is_left_out("further causes"):
             trials += try_structures(now, best, growing=growing)
         trials += try_channels(now)
         trials = finish(trials)
