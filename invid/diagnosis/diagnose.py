@@ -28,7 +28,7 @@ from invid.model.document import EffectTerm, Model
 from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.recording.still_axes import masses_of_moving
-from invid.signals.plausibility import check_units
+from invid.signals.plausibility import check_recording, check_units
 from invid.signals.repair import repair
 from invid.signals.spectral_record import SpectralRecord
 
@@ -108,6 +108,7 @@ def _diagnose_clean(
         )
     else:
         check_units(model, recording)
+    check_recording(recording)
     result = diagnose_elastic(repaired, sizes)
     return result
 

@@ -52,8 +52,8 @@ def elastic_band(
     not above that to which torque and motion are coherent.
 
     Beyond it there is the encoder's noise alone, which the missing torque shows as large as |Z| is: a plant
-    with a small |Z| would seem to miss less. Lines (F, M) of position and torque are those of whole spans; a Hann window is put over them here, which
-    takes the ends of a record away.
+    with a small |Z| would seem to miss less. Lines (F, M) of position and torque are those of whole spans; a
+    Hann window is put over them here, which takes the ends of a record away.
     """
     within = int(np.searchsorted(frequency, excited))
     lines = frequency[:within], position[None, :within], torque[None, :within]

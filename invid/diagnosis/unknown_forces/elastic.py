@@ -11,11 +11,12 @@ import numpy as np
 
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, explained_share, finding_of
 from invid.diagnosis.unknown_forces.backward import Worth, without_mode, worths
+from invid.diagnosis.unknown_forces.kept_out import records_of
 from invid.diagnosis.unknown_forces.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
 from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
 from invid.effects.units import unit_of
-from invid.errors import InputError, NotIdentifiableError
+from invid.errors import NotIdentifiableError
 from invid.identification.contest import begin, begin_open
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Kind, Structure
@@ -27,8 +28,7 @@ from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis,
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
 from invid.numerics import budget
 from invid.numerics.arrays import frozen_float
-from invid.recording.model import Recording, Role
-from invid.signals.record import Record, make_record
+from invid.recording.model import Recording
 
 SURE_RISE = 30.0
 """Rise of −2 ln L beyond a cause's price at which its confidence comes within a hundredth of one."""
@@ -47,13 +47,7 @@ class ElasticSearch:
     worths: tuple[Worth, ...]
     bare: Supposed
     forces: tuple[PlaceForce, ...]
-
-
-def records_of(recording: Recording) -> list[Record]:
-    """The experiments as records on lines up to the highest frequency that any of them excites."""
-    tops = [float(e.frequencies_hz.max()) for e in recording.experiments if e.frequencies_hz.size]
-    top = max(tops, default=None)
-    return [make_record(e, recording.encoder_resolution, top) for e in recording.experiments]
+    warnings: tuple[str, ...] = ()
 
 
 def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> ElasticSearch:
@@ -61,15 +55,11 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
 
     ``sizes``: masses of each axis; as many as the records ask for where not given.
     """
-    records = records_of(recording)
-    fitted = [r for r in records if r.role is Role.IDENTIFY]
-    kept = [r for r in records if r.role is Role.VALIDATE]
-    if not fitted:
-        raise InputError(f"{recording.source}: no experiment with role 'identify'")
-    damping = hold_damping(records)
-    bench = Bench(stack_records(fitted, damping))
+    split = records_of(recording)
+    damping = hold_damping((*split.fitted, *split.kept))
+    bench = Bench(stack_records(split.fitted, damping))
     try:
-        beside = Bench(stack_records(kept, damping)) if kept else None
+        beside = Bench(stack_records(split.kept, damping))
         if sizes is None:
             first = begin_open(bench, recording.axis_count, beside)
         else:
@@ -81,7 +71,8 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
     pursued = pursue(first)
     found = tuple(worths(pursued.end))
     end = only(pursued.end, found)
-    return ElasticSearch(recording, pursued, end, found, without_causes(end), tuple(place_forces(end)))
+    forces = tuple(place_forces(end))
+    return ElasticSearch(recording, pursued, end, found, without_causes(end), forces, split.warnings)
 
 
 def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
@@ -134,7 +125,7 @@ def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagn
         complete=not sure,
         explained=explained if findings else None,
         left=left,
-        warnings=[],
+        warnings=list(found.warnings),
         details={"value": found.end.total},
     )
 
