@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Literal
 
 import numpy as np
 
 from invid.diagnosis.consequence import grade_consequences
-from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import (
     find_dropped_rows,
@@ -18,10 +17,10 @@ from invid.diagnosis.rules.dropped_rows import (
 )
 from invid.diagnosis.rules.own_evidence import keep_independent_causes
 from invid.diagnosis.selection import Selection
+from invid.diagnosis.unknown_forces.elastic import Begun, begin_elastic, diagnose_elastic
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
-from invid.identification.identify import identify_chains
-from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
+from invid.identification.machine_kind import ChainsTried, is_of_rigid_axes, machine_kind
 from invid.likelihood.joint_fit import JointFit
 from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, RuledOut
 from invid.model.document import EffectTerm, Model
@@ -92,28 +91,34 @@ def _diagnose_clean(
         return diagnose_trajectory(recording, model=model)
     dropped = find_dropped_rows(recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
-    sizes = _requested_sizes(recording, masses) if model is None else model.chains.masses_per_branch
     if model is None:
+        check_recording(recording)
+        sizes = _requested_sizes(recording, masses)
+        begin = cache(partial(begin_elastic, repaired, sizes))
         with budget.use_share(1.0, 0.0, 0.3):
-            kind = machine_kind(
-                recording, masses, lambda: identify_chains(repaired, masses), TIME_TO_IDENTIFY
-            )
+            kind = machine_kind(recording, masses, lambda: _chains_tried(begin()), TIME_TO_IDENTIFY)
         if kind.rigid:
             result = diagnose_trajectory(recording, analysis=kind.analysis)
-            return replace(result, warnings=(*result.warnings, kind.sentence)) if kind.sentence else result
-    elif model.axes != recording.axes:
+        else:
+            result = diagnose_elastic(begin())
+        return replace(result, warnings=(*result.warnings, kind.sentence)) if kind.sentence else result
+    if model.axes != recording.axes:
         raise InputError(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
             "the model of this robot, or without one"
         )
-    else:
-        check_units(model, recording)
-    check_recording(recording)
-    result = diagnose_elastic(repaired, sizes)
-    return result
+    check_units(model, recording)
+    return diagnose_elastic(begin_elastic(repaired, model.chains.masses_per_branch))
 
 
-def _requested_sizes(recording, masses):
+def _chains_tried(begun: Begun) -> ChainsTried:
+    return ChainsTried(begun.sizes, lambda: begun.missed)
+
+
+def _requested_sizes(
+    recording: Recording, masses: Sequence[int] | Literal["auto"] | None
+) -> tuple[int, ...] | None:
+    """Masses of each axis as asked for or recorded; ``None`` where the data are to choose."""
     wanted = recording.masses_per_axis if masses is None else masses
     return None if wanted is None or isinstance(wanted, str) else tuple(wanted)
 

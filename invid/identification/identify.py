@@ -19,7 +19,7 @@ from invid.identification.crosscheck import (
 )
 from invid.identification.fewer_masses import fewer_masses_warnings
 from invid.identification.ground_springs import fit_ground_springs
-from invid.identification.machine_kind import machine_kind, rigid_model
+from invid.identification.machine_kind import ChainsTried, machine_kind, rigid_model
 from invid.identification.model_facts import paper_model, refined_model
 from invid.identification.model_order import choose_order
 from invid.identification.starts import chain_starts, fit_sizes, measured_frf
@@ -92,7 +92,9 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
 def _identify_kind(recording: Recording, masses: Masses, method: Method) -> Model:
     """Model of rigid inertias or of chains, by the kind of the recording."""
     if method == "refined":
-        kind = machine_kind(recording, masses, lambda: identify_chains(recording, masses))
+        kind = machine_kind(
+            recording, masses, lambda: ChainsTried.of(recording, identify_chains(recording, masses))
+        )
         if kind.rigid:
             return rigid_model(recording, kind)
         if kind.model is not None:

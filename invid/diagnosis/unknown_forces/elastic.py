@@ -12,7 +12,13 @@ import numpy as np
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, explained_share, finding_of
 from invid.diagnosis.unknown_forces.backward import Worth, without_mode, worths
 from invid.diagnosis.unknown_forces.kept_out import records_of
-from invid.diagnosis.unknown_forces.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
+from invid.diagnosis.unknown_forces.left_over import (
+    AxisMissing,
+    PlaceForce,
+    axis_missing,
+    missed_share,
+    place_forces,
+)
 from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
 from invid.effects.units import unit_of
@@ -38,6 +44,25 @@ deviations)."""
 
 
 @dataclass(frozen=True, eq=False)
+class Begun:
+    """Where a search over causes of a recording starts."""
+
+    recording: Recording
+    first: Supposed
+    warnings: tuple[str, ...]
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Masses of each axis."""
+        return self.first.hypothesis.structure.sizes
+
+    @property
+    def missed(self) -> float:
+        """Rms share of the torque that is missing beyond noise on what is kept out, of the worst axis."""
+        return missed_share(self.first)
+
+
+@dataclass(frozen=True, eq=False)
 class ElasticSearch:
     """What a search found on one recording."""
 
@@ -50,8 +75,8 @@ class ElasticSearch:
     warnings: tuple[str, ...] = ()
 
 
-def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> ElasticSearch:
-    """The search over causes on the records for fitting, judged on those kept out.
+def begin_elastic(recording: Recording, sizes: Sequence[int] | None) -> Begun:
+    """The fit with friction at the motors that a search starts from.
 
     ``sizes``: masses of each axis; as many as the records ask for where not given.
     """
@@ -68,11 +93,16 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"
         ) from None
-    pursued = pursue(first)
+    return Begun(recording, first, split.warnings)
+
+
+def search_elastic(begun: Begun) -> ElasticSearch:
+    """The search over causes on the records for fitting, judged on those kept out."""
+    pursued = pursue(begun.first)
     found = tuple(worths(pursued.end))
     end = only(pursued.end, found)
     forces = tuple(place_forces(end))
-    return ElasticSearch(recording, pursued, end, found, without_causes(end), forces, split.warnings)
+    return ElasticSearch(begun.recording, pursued, end, found, without_causes(end), forces, begun.warnings)
 
 
 def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
@@ -104,9 +134,9 @@ def without_causes(now: Supposed) -> Supposed:
     return now.refit(replace(now.hypothesis, laws=(), absent=absent), iterations=15)
 
 
-def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagnosis:
+def diagnose_elastic(begun: Begun) -> Diagnosis:
     """What the chains get wrong on a recording, in the contract's terms."""
-    found = search_elastic(recording, sizes)
+    recording, found = begun.recording, search_elastic(begun)
     before, after = axis_missing(found.bare), axis_missing(found.end)
     residual = residuals(recording, before, after)
     causes = named_causes(found, before, after)
