@@ -11,13 +11,20 @@ import numpy as np
 
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, explained_share, finding_of
 from invid.diagnosis.unknown_forces.backward import Worth, worths
-from invid.diagnosis.unknown_forces.left_over import AxisMissing, PlaceForce, axis_missing, place_forces
+from invid.diagnosis.unknown_forces.kept_out import records_of
+from invid.diagnosis.unknown_forces.left_over import (
+    AxisMissing,
+    PlaceForce,
+    axis_missing,
+    missed_share,
+    place_forces,
+)
 from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
 from invid.diagnosis.unknown_forces.structures import additions_of, without
 from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
-from invid.errors import InputError, NotIdentifiableError
+from invid.errors import NotIdentifiableError
 from invid.identification.contest import begin, begin_open
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Kind, Structure
@@ -29,14 +36,34 @@ from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis,
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
 from invid.numerics import budget
 from invid.numerics.arrays import frozen_float
-from invid.recording.model import Recording, Role
-from invid.signals.record import Record, make_record
+from invid.recording.model import Recording
 
 SURE_RISE = 30.0
 """Rise of −2 ln L beyond a cause's price at which its confidence comes within a hundredth of one."""
 COMPETES = 10.0
 """Rise of −2 ln L by which a rival is worse and still cannot be told from the cause (nine is three
 deviations)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """Where a search over causes of a recording starts."""
+
+    recording: Recording
+    first: Supposed
+    warnings: tuple[str, ...]
+    is_growing: bool = False
+    """Whether chains may become longer."""
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Masses of each axis."""
+        return self.first.hypothesis.structure.sizes
+
+    @property
+    def missed(self) -> float:
+        """Rms share of the torque that is missing beyond noise on what is kept out, of the worst axis."""
+        return missed_share(self.first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,33 +76,19 @@ class ElasticSearch:
     worths: tuple[Worth, ...]
     bare: Supposed
     forces: tuple[PlaceForce, ...]
+    warnings: tuple[str, ...] = ()
 
 
-def records_of(recording: Recording) -> list[Record]:
-    """The experiments as records on lines up to the highest frequency that any of them excites."""
-    tops = [float(e.frequencies_hz.max()) for e in recording.experiments if e.frequencies_hz.size]
-    top = max(tops, default=None)
-    origin = min(float(e.time[0]) for e in recording.experiments)
-    return [
-        replace(make_record(e, recording.encoder_resolution, top), origin=origin)
-        for e in recording.experiments
-    ]
-
-
-def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> ElasticSearch:
-    """The search over causes on the records for fitting, judged on those kept out.
+def begin_elastic(recording: Recording, sizes: Sequence[int] | None) -> Begun:
+    """The fit with friction at the motors that a search starts from.
 
     ``sizes``: masses of each axis; as many as the records ask for where not given.
     """
-    records = records_of(recording)
-    fitted = [r for r in records if r.role is Role.IDENTIFY]
-    kept = [r for r in records if r.role is Role.VALIDATE]
-    if not fitted:
-        raise InputError(f"{recording.source}: no experiment with role 'identify'")
-    damping = hold_damping(records)
-    bench = Bench(stack_records(fitted, damping))
+    split = records_of(recording)
+    damping = hold_damping((*split.fitted, *split.kept))
+    bench = Bench(stack_records(split.fitted, damping))
     try:
-        beside = Bench(stack_records(kept, damping)) if kept else None
+        beside = Bench(stack_records(split.kept, damping))
         if sizes is None:
             first = begin_open(bench, recording.axis_count, beside)
         else:
@@ -84,10 +97,17 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"
         ) from None
-    pursued = pursue(first, supposed_laws(linear=recording.linear), growing=sizes is None)
+    return Begun(recording, first, split.warnings, is_growing=sizes is None)
+
+
+def search_elastic(begun: Begun) -> ElasticSearch:
+    """The search over causes on the records for fitting, judged on those kept out."""
+    laws = supposed_laws(linear=begun.recording.linear)
+    pursued = pursue(begun.first, laws, growing=begun.is_growing)
     found = tuple(worths(pursued.end))
     end = only(pursued.end, found)
-    return ElasticSearch(recording, pursued, end, found, without_causes(end), tuple(place_forces(end)))
+    forces = tuple(place_forces(end))
+    return ElasticSearch(begun.recording, pursued, end, found, without_causes(end), forces, begun.warnings)
 
 
 def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
@@ -119,9 +139,9 @@ def without_causes(now: Supposed) -> Supposed:
     return now.refit(replace(now.hypothesis, laws=(), absent=absent), iterations=15)
 
 
-def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagnosis:
+def diagnose_elastic(begun: Begun) -> Diagnosis:
     """What the chains get wrong on a recording, in the contract's terms."""
-    found = search_elastic(recording, sizes)
+    recording, found = begun.recording, search_elastic(begun)
     before, after = axis_missing(found.bare), axis_missing(found.end)
     residual = residuals(recording, before, after)
     causes = named_causes(found, before, after)
@@ -140,7 +160,7 @@ def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagn
         complete=not sure,
         explained=explained if findings else None,
         left=left,
-        warnings=[],
+        warnings=list(found.warnings),
         details={"value": found.end.total},
     )
 
