@@ -118,6 +118,12 @@ class Record:
         """(F,) one half for the mean, which is real, one elsewhere."""
         return np.where(self.omega == 0.0, 0.5, 1.0)
 
+    def stride(self, most: int) -> int:
+        """Most instants of the grid of motion, up to ``most``, that divide a period, or the span without
+        one."""
+        count = (self.motion.position.shape[0] - 1) // max(self.periods, 1)
+        return max(k for k in range(1, most + 1) if count % k == 0)
+
     def lines(self, series: Float64) -> Complex128:
         """(F, …) transform of ``series`` (k + 1, …) on the grid of motion."""
         return transform(series, self.used, self.periods)

@@ -21,8 +21,6 @@ from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 
-COARSE = 4
-"""Instants that are one step of the grid of time for laws without corners."""
 ALIKE = 1e-6
 """Share of a law that nothing else in the fit explains, below which it is none of its own."""
 
@@ -128,8 +126,7 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
         if budget.is_left_out("further causes"):
             out.append(0.0)
             continue
-        every = COARSE if placed.law.coarse else 1
-        lines = now.bench.law_lines(placed, now.motions, every=every)
+        lines = now.bench.law_lines(placed, now.motions, quick=True)
         vector = vector_of(now.hypothesis.structure, placed.spot)[:, None]
         columns = []
         for work, wave in zip(now.fit.value.work, lines, strict=True):
