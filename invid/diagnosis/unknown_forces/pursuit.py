@@ -65,6 +65,10 @@ class Trial:
         """Fall of −2 ln L."""
         return self.base.total - self.found.total
 
+    def holds(self, other: Trial) -> bool:
+        """Return whether another one is a special case of it: it does as well, and speaks for nothing."""
+        return isinstance(self.addition, Base) and isinstance(other.addition, Mode)
+
     @property
     def merit(self) -> float:
         """The fall less what the numbers of a base cost that the mode of one load has not, of a mode less
@@ -268,7 +272,7 @@ def pursue(
         if taken is None:
             break
         close = taken.fall - max(NEARLY_AS_WELL * taken.fall, LEAST_FITTED)
-        rivals += [(taken, t) for t in trials if t is not taken and t.fall > close]
+        rivals += [(taken, t) for t in trials if t is not taken and t.fall > close and not t.holds(taken)]
         now = settle(reshape(scan_friction(taken.found)))
         say(f"  took {taken.cause} {taken.spot}: {now.total:.1f} inner {now.inner_strength:.2f}")
     return Pursued(now, tuple(rivals))
