@@ -20,6 +20,7 @@ import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording.model import Experiment, Role
+from invid.signals.band import elastic_band, excited_band
 from invid.signals.timebase import resample_uniformly
 
 DENSE = 1.3
@@ -117,6 +118,12 @@ class Record:
         """(F,) one half for the mean, which is real, one elsewhere."""
         return np.where(self.omega == 0.0, 0.5, 1.0)
 
+    def stride(self, most: int) -> int:
+        """Most instants of the grid of motion, up to ``most``, that divide a period, or the span without
+        one."""
+        count = (self.motion.position.shape[0] - 1) // max(self.periods, 1)
+        return max(k for k in range(1, most + 1) if count % k == 0)
+
     def lines(self, series: Float64) -> Complex128:
         """(F, …) transform of ``series`` (k + 1, …) on the grid of motion."""
         return transform(series, self.used, self.periods)
@@ -149,7 +156,8 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     resolution
         (M,) counts of the encoders [rad or m]; read from the samples where not given.
     top_hz
-        Highest excited frequency; that of the experiment, else where the torque stands above its noise.
+        Highest frequency of interest: that which is excited where the experiment says so, else the least of
+        where the torque stands above its noise and twice the highest resonance.
     """
     even = resample_uniformly(experiment)
     step, position, torque = even.step, even.position, even.torque
@@ -161,17 +169,20 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     span = count * step
     frequency: Float64 = np.fft.rfftfreq(count, step).astype(np.float64)
     spectrum = transform(torque, np.arange(frequency.size))
-    top = top_hz or _top(experiment, frequency, spectrum)
-    quiet = _quiet_lines(frequency, step, top, periods)
+    excited = max(excited_band(experiment, frequency, spectrum), top_hz or 0.0)
+    quiet = _quiet_lines(frequency, step, excited, periods)
     torque_noise = _level(spectrum[quiet])
     counts = _counts(position) if resolution is None else np.asarray(resolution, dtype=float)
     rounding = _rounding(position, step, counts) * 4.0 / count
-    motion = _smooth(position, step, top, rounding)
+    motion = _smooth(position, step, excited, rounding)
     jump, bend = (w[-1] - w[0] for w in (motion.position, motion.velocity))
     time = np.arange(count + 1)[:, None] * step
     square = bend / (2.0 * span)
     ramp = jump / span - square * span
     rest = transform(position - ramp * time - square * time**2, np.arange(frequency.size))
+    driven = _driven(experiment, position.shape[1])
+    stated = bool(experiment.frequencies_hz.size) or periods > 1
+    top = top_hz or (excited if stated else elastic_band(frequency, rest, spectrum, driven, excited))
     wide = np.arange(int(np.searchsorted(frequency, min(WIDE * top, 0.4 / step), side="right")))
     omega: Float64 = 2 * np.pi * frequency[wide]
     turning = np.where(omega > 0, omega, 1.0)[:, None]
@@ -181,7 +192,6 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     used = _used_lines(frequency[wide], top, periods)
     rounded = _rounding_seen(motion.position[:: round(step / motion.step)], counts, used)
     position_noise = np.maximum(_level(rest[quiet]), rounded)
-    driven = _driven(experiment, position.shape[1])
     hold = np.asarray(experiment.hold_gain, dtype=float)
     # Between the lines of a period stands what it took to reach it, without a command of its own.
     between = (wide % periods != 0) if periods > 1 else np.zeros(wide.size, dtype=bool)
@@ -219,19 +229,6 @@ def _span(experiment: Experiment, samples: int) -> tuple[int, int]:
 def _driven(experiment: Experiment, motors: int) -> np.ndarray:
     axis = experiment.excited_axis
     return np.arange(motors) == axis if 0 <= axis < motors else np.ones(motors, dtype=bool)
-
-
-def _top(experiment: Experiment, frequency: Float64, torque: Complex128) -> float:
-    """Highest frequency at which the torque stands above its noise, a tenth added."""
-    if experiment.frequencies_hz.size:
-        return float(np.max(experiment.frequencies_hz))
-    nyquist = float(frequency[-1])
-    power = (np.abs(torque) ** 2).mean(axis=1)
-    noise = float(np.median(power[frequency > 0.3 * nyquist])) / np.log(2.0)
-    width = max(3, round(0.5 / float(frequency[1])))
-    mean = np.convolve(power, np.ones(width) / width, "same")
-    above = np.flatnonzero((mean > 6.0 * noise) & (frequency < 0.4 * nyquist))
-    return float(min(1.1 * frequency[above[-1]], 0.4 * nyquist)) if above.size else 0.1 * nyquist
 
 
 def _quiet_lines(frequency: Float64, step: float, top: float, periods: int) -> Int64:
@@ -314,7 +311,7 @@ def _used_lines(frequency: Float64, top: float, periods: int) -> Int64:
         ordinal = number // periods
         far = (frequency <= REACH * top) & (ordinal % SPARSE == 1)
         return np.flatnonzero((number % periods == 0) & ((frequency <= DENSE * top) | far))
-    within = np.flatnonzero(frequency <= DENSE * top)
+    within = np.flatnonzero(frequency <= top)
     return within[:: -(-within.size // MOST_LINES)]
 
 

@@ -18,10 +18,9 @@ from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, axi
 from invid.likelihood.unknown_forces.value import along
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
 
-COARSE = 4
-"""Instants that are one step of the grid of time for laws without corners."""
 ALIKE = 1e-6
 """Share of a law that nothing else in the fit explains, below which it is none of its own."""
 
@@ -120,12 +119,14 @@ class Background:
 
 
 def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
-    """(k,) falls of −2 ln L by each law with strengths as they are."""
+    """(k,) falls of −2 ln L by each law with strengths as they are; zero of what a budget leaves out."""
     background = Background.of(now)
     out = []
     for placed in laws:
-        every = COARSE if placed.law.coarse else 1
-        lines = now.bench.law_lines(placed, now.motions, every=every)
+        if budget.is_left_out("further causes"):
+            out.append(0.0)
+            continue
+        lines = now.bench.law_lines(placed, now.motions, quick=True)
         vector = vector_of(now.hypothesis.structure, placed.spot)[:, None]
         columns = []
         for work, wave in zip(now.fit.value.work, lines, strict=True):

@@ -37,6 +37,11 @@ class SpotMotion:
     origin: float = 0.0
 
     @cached_property
+    def fastest(self) -> float:
+        """Largest change of the angle from one instant to the next."""
+        return float(np.abs(np.diff(self.angle)).max())
+
+    @cached_property
     def acceleration(self) -> Float64:
         """(k,) derivative of the velocity."""
         out: Float64 = np.gradient(self.velocity, self.time[1] - self.time[0])
@@ -51,6 +56,10 @@ class SpotMotion:
         position, velocity, angle, time = (p[::count] for p in parts)
         return replace(self, position=position, velocity=velocity, angle=angle, time=time, torque=torque)
 
+
+SMOOTH, TURN = 16, 0.7
+"""Instants of the grid of motion that are a tenth of the highest excited period, and the phase of a ripple
+[rad] that is a ninth of its own."""
 
 Shape = tuple[float, ...]
 Bounds = list[tuple[float, float]]
@@ -68,8 +77,6 @@ class SupposedLaw(ABC):
     """Whether it may stand at one place several times."""
     shape_step = 0.01
     """Largest step of a shape for its derivative."""
-    coarse = False
-    """Whether its waves are smooth enough for a coarser grid of time while it is only scored."""
     reads = False
     """Whether its waves are by how much its motor stands beyond its reading, and no force."""
     scales = False
@@ -91,6 +98,10 @@ class SupposedLaw(ABC):
     @abstractmethod
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         """(k, L) resistance for each coefficient at one."""
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        """Most instants between two of a grid of time on which its waves are smooth."""
+        return 1
 
     def places(self, chains: ChainStructure) -> list[Place]:
         """Where it may stand."""
@@ -121,6 +132,11 @@ def extent(values: Sequence[Float64], share: float) -> float:
 def travel(motions: Sequence[SpotMotion]) -> float:
     """Size that the position's distance from its mean stays below, but for a fiftieth of the time."""
     return extent([m.position - m.position.mean() for m in motions], 0.98)
+
+
+def ripple_stride(motion: SpotMotion, cycles: float) -> int:
+    """Instants within which so many cycles a revolution turn by ``TURN``, ``SMOOTH`` at most."""
+    return int(np.clip(TURN / (cycles * max(motion.fastest, 1e-300)), 1, SMOOTH))
 
 
 def sinusoid(position: Float64, cycles: float) -> Float64:

@@ -18,6 +18,7 @@ from invid.effects.supposed.law import (
     SpotMotion,
     SupposedLaw,
     amplitude_and_phase,
+    ripple_stride,
     sinusoid,
     travel,
 )
@@ -28,9 +29,12 @@ class Cogging(SupposedLaw):
     """A torque that is a sinusoid of the motor's position; shape ln(cycles)."""
 
     effect, low = CoggingEffect(), (-np.inf, -np.inf)
-    several = coarse = True
+    several = True
     shape_step = 1e-3
     LEAST, MOST, PER_SPAN = 0.5, 400.0, 0.35
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return ripple_stride(motion, float(np.exp(shape[0])))
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return sinusoid(motion.position, float(np.exp(shape[0])))
@@ -58,7 +62,9 @@ class Gravity(SupposedLaw):
 
     effect, low = GravityEffect(), (-np.inf, -np.inf)
     covers = frozenset({"offset"})
-    coarse = True
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return ripple_stride(motion, 1.0)
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return sinusoid(motion.position, 1.0)
@@ -72,7 +78,10 @@ class EncoderEccentricity(SupposedLaw):
     """An encoder that reads θ + amplitude·sin(θ + phase); its motor stands at the reading less that."""
 
     effect, low = EccentricityEffect(), (-np.inf, -np.inf)
-    reads = coarse = True
+    reads = True
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return ripple_stride(motion, 1.0)
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return -sinusoid(motion.position, 1.0)

@@ -18,6 +18,7 @@ from invid.effects.supposed.law import (
     SupposedLaw,
     amplitude_and_phase,
     extent,
+    ripple_stride,
     sinusoid,
 )
 from invid.numerics.arrays import Float64
@@ -80,9 +81,11 @@ class TransmissionError(SupposedLaw):
     """A sinusoid of the gear's angle in the deflection of its spring; shape ln(cycles)."""
 
     effect, low = TransmissionEffect(), (-np.inf, -np.inf)
-    coarse = True
     shape_step = 1e-3
     LEAST, MOST = 2.0, 120.0
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return ripple_stride(motion, float(np.exp(shape[0])))
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return sinusoid(motion.angle, float(np.exp(shape[0])))

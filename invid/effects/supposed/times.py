@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.effects.catalogue.parameter_drift import ParameterDrift as DriftEffect
 from invid.effects.catalogue.payload_change import PayloadChange as PayloadEffect
-from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed.law import SMOOTH, Bounds, Shape, SpotMotion, SupposedLaw
 from invid.numerics.arrays import Float64
 
 
@@ -54,7 +54,9 @@ class ParameterDrift(SupposedLaw):
     """A spring's stiffness that changes by its coefficient a second, from the start of the recording on."""
 
     effect, main, counts = DriftEffect(), "rate", "parameter"
-    coarse = True
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return SMOOTH
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         force: Float64 = (motion.position * (motion.time - motion.origin))[:, None]

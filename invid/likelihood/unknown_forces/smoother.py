@@ -67,6 +67,12 @@ class SmoothedStack:
         speed: Float64 = self._wave(rate) + slope
         return where, speed
 
+    def force_over_time(self, place: int) -> Float64:
+        """(R, k + 1) unknown force at a place on the grid of motion."""
+        lines = self.force[:, :, place]
+        lines = np.pad(lines, ((0, 0), (0, self.grid // 2 + 1 - lines.shape[1])))
+        return self._wave(lines)
+
     def _wave(self, lines: Complex128) -> Float64:
         wave = np.fft.irfft(lines, self.grid, axis=1) * (self.grid / 2)
         return np.concatenate((wave, wave[:, :1]), axis=1)
