@@ -104,6 +104,8 @@ def is_sound(found: Supposed) -> bool:
     springs = plant.of_kind(Kind.SPRING)
     deviation = np.sqrt(np.diag(found.fit.covariance))[plant.structure.index(Kind.SPRING)]
     for placed in found.hypothesis.laws:
+        if (placed.law.reads or placed.law.scales) and _is_at_bound(found, placed):
+            return False
         if not isinstance(placed.law, Backlash):
             continue
         number = placed.spot.number
@@ -116,6 +118,12 @@ def is_sound(found: Supposed) -> bool:
         ):
             return False
     return True
+
+
+def _is_at_bound(found: Supposed, placed: PlacedLaw) -> bool:
+    """Whether a coefficient of a law is at its bound."""
+    names = [c.name for c in found.fit.problem.columns]
+    return not all(found.fit.value.free[names.index((*placed.key, i))] for i in range(len(placed.law.low)))
 
 
 def try_law(now: Supposed, placed: PlacedLaw) -> Supposed:
