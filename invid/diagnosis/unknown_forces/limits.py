@@ -26,15 +26,11 @@ from invid.diagnosis.unknown_forces.pursuit import LEAST_FITTED, LEAST_KEPT, PRI
 from invid.diagnosis.unknown_forces.scoring import spot_at, spots_of
 from invid.effects.effect import Effect
 from invid.effects.registry import effects
-from invid.effects.supposed_laws import (
-    Backlash,
-    InnerDry,
-    LawPlace,
-    Shape,
-    SupposedLaw,
-    TorqueSaturation,
-    supposed_laws,
-)
+from invid.effects.supposed.friction import InnerDry
+from invid.effects.supposed.law import LawPlace, Shape, SupposedLaw
+from invid.effects.supposed.motors import TorqueSaturation
+from invid.effects.supposed.springs import Backlash
+from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -86,8 +82,10 @@ def ruled_out(found: ElasticSearch, findings: Sequence[Finding]) -> tuple[RuledO
     """
     recording, structure = found.recording, found.end.hypothesis.structure
     chains = ChainStructure(structure.sizes, recording.axes)
-    taken = [(x.cause, {x.axis, x.other_axis}, x.element) for f in findings for x in (f, *f.alternatives)]
-    screen, out = Screen(found.end, recording), []
+    taken = [(f.cause, {f.axis, f.other_axis}, f.element) for f in findings]
+    taken += [(a.cause, {a.axis, a.other_axis}, a.element) for f in findings for a in f.alternatives]
+    screen = Screen(found.end, recording)
+    out: list[RuledOut] = []
     for effect in effects():
         if recording.linear and effect.rotary:
             continue

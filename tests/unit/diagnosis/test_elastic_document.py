@@ -1,4 +1,4 @@
-"""What the document of an elastic machine says beside its causes: forces, what is left, limits, a cut search."""
+"""What the document of an elastic machine says beside its causes: forces, what is left, limits, a cut."""
 
 from __future__ import annotations
 
