@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, partial
 from typing import Literal
 
 import numpy as np
@@ -12,16 +13,16 @@ from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.lost_samples import with_lost_samples
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
+from invid.diagnosis.unknown_forces.machine_search import Begun, begin_elastic
 from invid.errors import InputError, NotIdentifiableError
-from invid.identification.identify import identify_chains
-from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
+from invid.identification.machine_kind import ChainsTried, is_of_rigid_axes, machine_kind
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model
 from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.recording.still_axes import masses_of_moving
 from invid.signals.dropped_rows import find_dropped_rows, interpolate_dropped_rows
-from invid.signals.plausibility import check_units
+from invid.signals.plausibility import check_recording, check_units
 from invid.signals.repair import repair
 
 TIME_TO_IDENTIFY, TIME_TO_SEARCH = 0.5, 0.85
@@ -78,23 +79,29 @@ def _diagnose_clean(
         return diagnose_trajectory(recording, model=model)
     dropped = find_dropped_rows(recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
-    sizes = _requested_sizes(recording, masses) if model is None else model.chains.masses_per_branch
     if model is None:
+        check_recording(recording)
+        sizes = _requested_sizes(recording, masses)
+        begin = cache(partial(begin_elastic, repaired, sizes))
         with budget.use_share(1.0, 0.0, 0.3):
-            kind = machine_kind(
-                recording, masses, lambda: identify_chains(repaired, masses), TIME_TO_IDENTIFY
-            )
+            kind = machine_kind(recording, masses, lambda: _chains_tried(begin()), TIME_TO_IDENTIFY)
         if kind.rigid:
             result = diagnose_trajectory(recording, analysis=kind.analysis)
-            return replace(result, warnings=(*result.warnings, kind.sentence)) if kind.sentence else result
-    elif model.axes != recording.axes:
+        else:
+            result = with_lost_samples(diagnose_elastic(begin()), recording, dropped)
+        return replace(result, warnings=(*result.warnings, kind.sentence)) if kind.sentence else result
+    if model.axes != recording.axes:
         raise InputError(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
             "the model of this robot, or without one"
         )
-    else:
-        check_units(model, recording)
-    return with_lost_samples(diagnose_elastic(repaired, sizes), recording, dropped)
+    check_units(model, recording)
+    begun = begin_elastic(repaired, model.chains.masses_per_branch)
+    return with_lost_samples(diagnose_elastic(begun), recording, dropped)
+
+
+def _chains_tried(begun: Begun) -> ChainsTried:
+    return ChainsTried(begun.sizes, lambda: begun.missed)
 
 
 def _requested_sizes(

@@ -8,9 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.identification.first_plants import fraction_plants, random_plants
+from invid.identification.first_plants import (
+    fraction_plants,
+    grown_plants,
+    masses_seen,
+    random_plants,
+)
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Numbers
@@ -24,9 +30,9 @@ ROUNDS = ((6, 4), (12, 2), (40, 1))
 """Iterations of each round, and how many of each class go on."""
 MOST_MASSES = 8
 """Masses of an axis beyond which none are sought."""
-PRICE_OF_MASS = 60.0
+PRICE_OF_MASS = 120.0
 """Fall of −2 ln L on all records for one more mass: Schwarz's price of its three numbers is 25; the rest is
-what the form of friction leaves (empirical)."""
+what the form of friction leaves, up to 83 (empirical, axes without a period of another hand)."""
 HOME, HOME_AT_MOTORS = 0.01, 0.03
 """Unknown force over the torque's rms, behind the motors and anywhere, below which a start is home: what
 friction leaves before its shape is fitted stays below a fiftieth (empirical)."""
@@ -53,16 +59,32 @@ def is_settled(found: Supposed) -> bool:
     return found.inner_strength < HOME * torque_rms(found.bench)
 
 
-def begin(bench: Bench, structure: Structure, kept: Bench | None = None, seed: int = 1) -> Supposed:
-    """The fit of a structure with friction at the motors, from the best of all starts."""
+def begin(
+    bench: Bench,
+    structure: Structure,
+    kept: Bench | None = None,
+    fewer: Supposed | None = None,
+    seed: int = 1,
+) -> Supposed:
+    """The fit of a structure with friction at the motors, from the best of all starts.
+
+    ``fewer``: a fit with fewer masses; starts are grown from it too, and friction's shapes are its.
+    """
+    shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
+    hypothesis = Hypothesis(structure, shapes)
     fractions = fraction_plants(bench.stacks, structure)
     if fractions:
-        found = _from_plant((bench, kept), structure, fractions[0], ROUNDS[-1][0])
+        found = _from_plant((bench, kept), hypothesis, fractions[0], ROUNDS[-1][0])
+        if found is not None and not is_home(found):
+            found = reshape(scan_friction(found))  # of the right plant friction's form is all that is left
         if found is not None and is_home(found):
             return found
     rng = np.random.default_rng(seed)
     classes = [fractions, random_plants(bench.stacks, structure, RANDOM, rng)]
-    ends = [_contest((bench, kept), structure, plants) for plants in classes if plants]
+    if fewer is not None:
+        top = bench.stacks[0].records[0].top_hz
+        classes.append(grown_plants(fewer.numbers.plant, structure, top))
+    ends = [_contest((bench, kept), hypothesis, plants) for plants in classes if plants]
     best = min((e for e in ends if e is not None), key=lambda e: e.total, default=None)
     if best is None:
         raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
@@ -99,8 +121,47 @@ def _shaken(now: Supposed, rng: np.random.Generator) -> Numbers:
 
 
 def begin_open(bench: Bench, motors: int, kept: Bench | None = None) -> Supposed:
-    """The fit of as many masses as the records ask for, one axis after another or all at once."""
-    now = begin(bench, Structure((1,) * motors), kept)
+    """The fit of as many masses as the records ask for.
+
+    Without a period the ends of a record blur a motor's own stiffness, and masses are tried one by one.
+    """
+    if all(r.periods for s in bench.stacks for r in s.records):
+        return _begin_seen((bench, kept), motors)
+    return _begin_grown((bench, kept), motors)
+
+
+def _begin_seen(benches: Benches, motors: int) -> Supposed:
+    """The fit of as many masses as each motor's own stiffness shows.
+
+    Where that is not home, of one more on an axis or on all, if that is: else laws may be missing as well as
+    masses, and the search has both.
+    """
+    bench, kept = benches
+    sizes = tuple(masses_seen(bench.stacks, m) for m in range(motors))
+    now = begin(bench, Structure(sizes), kept)
+    if is_settled(now):
+        return now
+    wider = {tuple(n + (i == k) for k, n in enumerate(sizes)) for i in range(motors)}
+    wider.add(tuple(n + 1 for n in sizes))
+    tried = []
+    for structure in map(Structure, sorted(wider)):
+        if budget.is_left_out("further masses"):
+            break
+        hypothesis = Hypothesis(structure, first_shapes(bench.stacks))
+        tried.append(_contest(benches, hypothesis, fraction_plants(bench.stacks, structure)))
+    best = min((f for f in tried if f is not None and is_settled(f)), key=lambda f: f.total, default=now)
+    more = sum(best.hypothesis.structure.sizes) - sum(sizes)
+    pays = now.total - best.total > more * PRICE_OF_MASS and best.kept_total < now.kept_total
+    return best if pays else now
+
+
+def _begin_grown(benches: Benches, motors: int) -> Supposed:
+    """The fit of masses added one by one, on one axis after another or all at once.
+
+    Orders are compared with friction's shapes at their best: what its form leaves asks for masses too.
+    """
+    bench, kept = benches
+    now = reshape(scan_friction(begin(bench, Structure((1,) * motors), kept)))
     while max(now.hypothesis.structure.sizes) < MOST_MASSES and not budget.is_left_out("further masses"):
         sizes = now.hypothesis.structure.sizes
         wider = [tuple(n + (i == k) for k, n in enumerate(sizes)) for i in range(motors)]
@@ -108,8 +169,8 @@ def begin_open(bench: Bench, motors: int, kept: Bench | None = None) -> Supposed
         tried = []
         for one in wider:
             with suppress(np.linalg.LinAlgError):
-                tried.append(begin(bench, Structure(one), kept))
-        best = min(tried, key=lambda f: f.total, default=now)
+                tried.append(begin(bench, Structure(one), kept, now))
+        best = reshape(scan_friction(min(tried, key=lambda f: f.total, default=now)))
         more = sum(best.hypothesis.structure.sizes) - sum(sizes)
         falls = now.total - best.total, now.kept_total - best.kept_total
         if sum(falls) < more * PRICE_OF_MASS or min(falls) < 0.0:
@@ -118,8 +179,8 @@ def begin_open(bench: Bench, motors: int, kept: Bench | None = None) -> Supposed
     return now
 
 
-def _contest(benches: Benches, structure: Structure, plants: Sequence[Plant]) -> Supposed | None:
-    first = [_from_plant(benches, structure, p, ROUNDS[0][0]) for p in plants]
+def _contest(benches: Benches, hypothesis: Hypothesis, plants: Sequence[Plant]) -> Supposed | None:
+    first = [_from_plant(benches, hypothesis, p, ROUNDS[0][0]) for p in plants]
     return contest([f for f in first if f is not None])
 
 
@@ -133,11 +194,11 @@ def contest(pool: Sequence[Supposed]) -> Supposed | None:
     return fits[0] if fits else None
 
 
-def _from_plant(benches: Benches, structure: Structure, plant: Plant, iterations: int) -> Supposed | None:
+def _from_plant(benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int) -> Supposed | None:
     stacks = benches[0].stacks
-    timing = Timing.nominal(structure.motors, stacks[0].step)
-    numbers = Numbers(plant, timing, first_strength(stacks, structure))
+    timing = Timing.nominal(hypothesis.structure.motors, stacks[0].step)
+    numbers = Numbers(plant, timing, first_strength(stacks, hypothesis.structure))
     try:
-        return suppose(benches, Hypothesis(structure, first_shapes(stacks)), numbers, iterations)
+        return suppose(benches, hypothesis, numbers, iterations)
     except np.linalg.LinAlgError:
         return None

@@ -15,9 +15,10 @@ from itertools import combinations
 import numpy as np
 from numpy.polynomial import polynomial
 
-from invid.likelihood.unknown_forces.plant import Plant, Structure
+from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.stack import Stack
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Float64, Int64
+from invid.signals.band import apparent_inertia
 
 DAMPING_RATIO = 0.02
 """Of every spring at the start."""
@@ -33,6 +34,8 @@ APART = 2
 """Sets of zeros and poles that differ by less than so many points of the grid are one."""
 BLUNT = 0.01
 """Squared loss of the resonances that are compared."""
+GROWN, TORN = (0.15, 0.3, 0.5, 0.8), 0.4
+"""Frequencies of a mass that is split off, over the highest excited one, and its share."""
 SLOW = (0.025, 0.13)
 """Lines that show a chain's whole inertia, over the highest excited one."""
 
@@ -101,6 +104,38 @@ def random_plants(
     return out
 
 
+def grown_plants(plant: Plant, structure: Structure, top_hz: float) -> list[Plant]:
+    """Plants of ``structure`` from one with fewer masses: in each chain that is longer one mass is split.
+
+    A mode that shows little is beside the others where they are, not where their starts put it.
+    """
+    old, mass, spring = plant.structure, plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
+    chains, link = [], 0
+    for first, n in zip(old.motor, old.sizes, strict=True):
+        chains.append((mass[first : first + n], spring[link : link + n - 1]))
+        link += n - 1
+    out = []
+    for split in range(max(old.sizes)):
+        for share in GROWN:
+            stiffness = (2 * np.pi * share * top_hz) ** 2 * TORN * (1.0 - TORN)
+            out.append(
+                plant_of_chains(
+                    structure,
+                    [
+                        _split(m, k, min(split, m.size - 1), stiffness) if n > m.size else (m, k)
+                        for (m, k), n in zip(chains, structure.sizes, strict=True)
+                    ],
+                )
+            )
+    return out
+
+
+def _split(mass: Float64, spring: Float64, at: int, stiffness: float) -> Chain:
+    parts = mass[at] * np.array([1.0 - TORN, TORN])
+    masses = np.concatenate((mass[:at], parts, mass[at + 1 :]))
+    return masses, np.insert(spring, at, stiffness * mass[at])
+
+
 def fraction_plants(stacks: Sequence[Stack], structure: Structure) -> list[Plant]:
     """Chains by continued fractions: the best of every axis, then each axis and all at their next best."""
     chains = [fraction_chains(stacks, m, n) for m, n in enumerate(structure.sizes)]
@@ -121,22 +156,14 @@ def fraction_plants(stacks: Sequence[Stack], structure: Structure) -> list[Plant
 
 def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int = 4) -> list[Chain]:
     """Chains whose zeros and poles follow the motor's own stiffness best, the best first."""
-    omega, size = own_stiffness(stacks, motor)
-    top = 2 * np.pi * stacks[0].records[0].top_hz
     zeros = masses - 1
     if zeros == 0:
+        omega, size = own_stiffness(stacks, motor)
         return [(np.array([np.exp(np.median(np.log(size / omega**2)))]), np.zeros(0))]
-    if zeros not in GRIDS or omega.size < 2 * zeros + 2:
+    looked = _interlaced(stacks, motor, zeros)
+    if looked is None:
         return []
-    keep = slice(None, None, max(1, omega.size // 70))
-    omega, level = omega[keep], np.log(size[keep] / omega[keep] ** 2)
-    grid = np.exp(np.linspace(np.log(LOWEST * top), np.log(1.3 * top), GRIDS[zeros]))
-    ratio = (omega[:, None] / grid) ** 2
-    each = 0.5 * np.log((1 - ratio) ** 2 + BLUNT * ratio).T
-    sets = np.array(list(combinations(range(grid.size), 2 * zeros)))
-    shape = each[sets[:, 1::2]].sum(axis=1) - each[sets[:, 0::2]].sum(axis=1)
-    inertia = np.median(level - shape, axis=1)
-    misfit = np.abs(level - shape - inertia[:, None]).mean(axis=1)
+    grid, sets, inertia, misfit = looked
     out: list[Chain] = []
     taken: list[int] = []
     for k in np.argsort(misfit)[:400]:
@@ -153,13 +180,50 @@ def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int 
     return out
 
 
+def masses_seen(stacks: Sequence[Stack], motor: int) -> int:
+    """Number of masses whose zeros and poles follow a motor's own stiffness best.
+
+    The grid of a further zero and pole is coarser, so that one that is not there does worse.
+    """
+    omega, size = own_stiffness(stacks, motor)
+    level = np.log(size / omega**2)
+    misfits = [float(np.abs(level - np.median(level)).mean())]
+    for zeros in GRIDS:
+        looked = _interlaced(stacks, motor, zeros)
+        if looked is not None:
+            misfits.append(float(looked[3].min()))
+    return int(np.argmin(misfits)) + 1
+
+
+def _interlaced(
+    stacks: Sequence[Stack], motor: int, zeros: int
+) -> tuple[Float64, Int64, Float64, Float64] | None:
+    """Grid of frequencies, sets of interlaced zeros and poles (S, 2·zeros) on it, and (S,) each set's inertia
+    and mean misfit of the logarithm; none where there are too few lines."""
+    omega, size = own_stiffness(stacks, motor)
+    if zeros not in GRIDS or omega.size < 2 * zeros + 2:
+        return None
+    top = 2 * np.pi * stacks[0].records[0].top_hz
+    keep = slice(None, None, max(1, omega.size // 70))
+    omega, level = omega[keep], np.log(size[keep] / omega[keep] ** 2)
+    grid = np.exp(np.linspace(np.log(LOWEST * top), np.log(1.3 * top), GRIDS[zeros]))
+    ratio = (omega[:, None] / grid) ** 2
+    each = 0.5 * np.log((1 - ratio) ** 2 + BLUNT * ratio).T
+    sets = np.array(list(combinations(range(grid.size), 2 * zeros)))
+    shape = each[sets[:, 1::2]].sum(axis=1) - each[sets[:, 0::2]].sum(axis=1)
+    inertia = np.median(level - shape, axis=1)
+    return grid, sets, inertia, np.abs(level - shape - inertia[:, None]).mean(axis=1)
+
+
 def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:
     """Lines [rad/s] and |Z| of a motor with the other motors still, from the records that drive each axis.
 
     Where there are not as many independent records as motors, torque over motion of the records that drive
-    it.
+    it; where a record has no period, torque over motion in bands, which its ends do not bend.
     """
     stack = max(stacks, key=lambda s: s.count)
+    if not stack.records[0].periods:
+        return _stiffness_in_bands(stack, motor)
     motors = stack.position.shape[2]
     torque = stack.parts.sum(axis=0)
     number = [
@@ -177,6 +241,20 @@ def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64
     power = (np.abs(stack.position[own][:, lines, motor]) ** 2).sum(axis=0)
     cross = (torque[own][:, lines, motor] * stack.position[own][:, lines, motor].conj()).sum(axis=0)
     return omega, np.abs(cross) / np.maximum(power, 1e-300)
+
+
+def _stiffness_in_bands(stack: Stack, motor: int) -> tuple[Float64, Float64]:
+    first = stack.records[0]
+    within = first.wide <= 2 * np.pi * first.top_hz
+    own = [r for r in stack.records if r.driven[motor]] or list(stack.records)
+    seen = apparent_inertia(
+        first.wide[within] / (2 * np.pi),
+        np.array([r.position[within] for r in own]),
+        np.array([r.torque[within] for r in own]),
+        motor,
+    )
+    omega = 2 * np.pi * seen.frequency
+    return omega, seen.inertia * omega**2
 
 
 def cauer_chain(inertia: float, poles: Float64, zeros: Float64) -> Chain:

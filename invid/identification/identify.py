@@ -19,7 +19,7 @@ from invid.identification.crosscheck import (
 )
 from invid.identification.fewer_masses import fewer_masses_warnings
 from invid.identification.ground_springs import fit_ground_springs
-from invid.identification.machine_kind import machine_kind, rigid_model
+from invid.identification.machine_kind import ChainsTried, machine_kind, rigid_model
 from invid.identification.model_facts import paper_model, refined_model
 from invid.identification.model_order import choose_order
 from invid.identification.starts import chain_starts, fit_sizes, measured_frf
@@ -37,7 +37,7 @@ from invid.recording.model import Recording, Role
 from invid.recording.still_axes import masses_of_moving
 from invid.signals.drive_torque import replace_by_acting_torque
 from invid.signals.frf import FrfMatrix
-from invid.signals.plausibility import check_plausible
+from invid.signals.plausibility import check_excitation
 from invid.signals.repair import repair
 from invid.signals.spectra import LineSpectra, all_spectra
 
@@ -92,7 +92,9 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
 def _identify_kind(recording: Recording, masses: Masses, method: Method) -> Model:
     """Model of rigid inertias or of chains, by the kind of the recording."""
     if method == "refined":
-        kind = machine_kind(recording, masses, lambda: identify_chains(recording, masses))
+        kind = machine_kind(
+            recording, masses, lambda: ChainsTried.of(recording, identify_chains(recording, masses))
+        )
         if kind.rigid:
             return rigid_model(recording, kind)
         if kind.model is not None:
@@ -104,7 +106,7 @@ def identify_chains(recording: Recording, masses: Masses, method: Method = "refi
     """``identify`` for a machine that is known to be elastic."""
     budget.tell("reading spectra", 0.0)
     spectra = all_spectra(recording, Role.IDENTIFY)
-    _check_excitation(recording, spectra)
+    check_excitation(recording, spectra)
     spectra = replace_by_acting_torque(spectra, recording.experiments)
     wanted = recording.masses_per_axis if masses is None else masses
     warnings = [w for s in spectra for w in s.warnings]
@@ -213,44 +215,6 @@ def _identify_by_paper(
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         raise NotIdentifiableError(f"the paper's method failed on these data: {error}") from None
     return widen_by_method_error(result, measured), measured
-
-
-# --- checks ------------------------------------------------------------------------------------
-def _check_excitation(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
-    if not spectra:
-        raise InputError(
-            f"{recording.source}: no experiment with role 'identify' that shakes an axis; "
-            f"found {len(recording.experiments)} experiments"
-        )
-    motors = recording.axis_count
-    # Where no axis is named, one that only its hold moves may still be told by the others' excitation.
-    unnamed = {e.key for e in recording.experiments if not 0 <= e.excited_axis < motors}
-    for i, axis in enumerate(recording.axes):
-        driving = [s for s in spectra if s.driven[i] or s.key in unnamed]
-        if not driving:
-            raise InputError(
-                f"{recording.source}: axis {axis} is never excited (no experiment names it as excited_axis "
-                "or excites several); measure it too, or leave the axis out of the recording"
-            )
-        if not any(_has_signal(s, i) or _has_signal(s, motors + i) for s in driving):
-            # Named as excited, so the recording is no bad input: the excitation drowned in the noise.
-            raise NotIdentifiableError(
-                f"{recording.source}: the excitation of axis {axis} is too weak: neither its torque nor its "
-                f"position rises above the noise in experiments {[s.key for s in driving]}; "
-                "raise the amplitude or measure longer"
-            )
-    check_plausible(recording, spectra)
-    if not any(s.excited.any() for s in spectra):
-        raise NotIdentifiableError(f"{recording.source}: no excited line found in any experiment")
-
-
-def _has_signal(s: LineSpectra, channel: int) -> bool:
-    """Return whether a channel's excited lines rise above its noise, and it is not constant."""
-    both = np.concatenate((s.position, s.torque), axis=1)[s.excited, channel]
-    if both.size == 0 or not np.any(both):
-        return False
-    # Mean power of noise lines is the floor with relative error 1/√lines; five times it is no noise.
-    return bool(np.mean(np.abs(both) ** 2) > 5.0 * s.floor[channel])
 
 
 def _checked_sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ...]:

@@ -56,8 +56,32 @@ class MachineKind:
     """The analysis of rigid axes, where it was made and they are rigid."""
 
 
+@dataclass(frozen=True, eq=False)
+class ChainsTried:
+    """Masses of each axis that a fit of chains found, and the share of the torque that they miss on what is
+    kept out, beyond noise, of the worst axis.
+
+    ``model``: the model, where one was made of it; ``cut_short``: the budget ended before further masses.
+    """
+
+    sizes: tuple[int, ...]
+    missed: Callable[[], float]
+    model: Model | None = None
+    cut_short: bool = False
+
+    @classmethod
+    def of(cls, recording: Recording, model: Model) -> ChainsTried:
+        """The chains of an identified model."""
+        cut_short = bool(model.fit.get("order", {}).get(CUT_SHORT))
+        sizes = model.chains.masses_per_branch
+        return cls(sizes, lambda: chains_missed_share(recording, model.chains), model, cut_short)
+
+
 def machine_kind(
-    recording: Recording, masses: Sequence[int] | str | None, chains: Callable[[], Model], share: float = 1.0
+    recording: Recording,
+    masses: Sequence[int] | str | None,
+    chains: Callable[[], ChainsTried],
+    share: float = 1.0,
 ) -> MachineKind:
     """Rigid axes or chains; ``chains`` identifies them as chains, with ``masses`` as requested.
 
@@ -86,32 +110,37 @@ def machine_kind(
         analysis, missed = None, float("inf")
     if is_moved and missed < RIGID_ENOUGH:
         return MachineKind(rigid=True, analysis=analysis)
-    model, left = None, float("inf")
+    tried, left = None, float("inf")
     try:
         with budget.use_share(max(share, TIME_TO_DOUBT) if is_moved else share):
-            model = chains()
+            tried = chains()
         # One mass an axis is no elasticity: rigid axes hold that, and the weight that changes with the pose.
-        if max(model.chains.masses_per_branch) > 1:
-            left = chains_missed_share(recording, model.chains)
+        if max(tried.sizes) > 1:
+            left = tried.missed()
     except (InvidError, np.linalg.LinAlgError):
         pass
-    is_single = model is not None and max(model.chains.masses_per_branch) == 1
-    if model is not None and is_single and model.fit.get("order", {}).get(CUT_SHORT):
+    model = None if tried is None else tried.model
+    is_single = tried is not None and max(tried.sizes) == 1
+    if tried is not None and is_single and tried.cut_short:
         # Nothing is concluded from orders that were not tried.
         said = "whether the machine is elastic is open: the budget ended before further masses were tried"
         if is_moved:
             return MachineKind(True, sentence=said, analysis=analysis)
-        return MachineKind(False, replace(model, warnings=(*model.warnings, said)), said)
+        return MachineKind(False, _with_warning(model, said), said)
     if np.isinf(missed) and np.isinf(left):
-        return MachineKind(is_moved and model is None, model)  # whoever fits it again says why
+        return MachineKind(is_moved and tried is None, model)  # whoever fits it again says why
     sentence = f"rigid axes miss {_share_text(missed)} of the torque on rows kept out, " + (
         "and no elasticity shows" if is_single else f"chains {_share_text(left)}"
     )
     # The better one wins; of what is moved and not shaken only where it is so clearly.
-    if model is not None and left < (CLEAR_RATIO if is_moved else 1.0) * missed:
+    if tried is not None and left < (CLEAR_RATIO if is_moved else 1.0) * missed:
         sentence = f"taken for an elastic machine: {sentence}"
-        return MachineKind(False, replace(model, warnings=(*model.warnings, sentence)), sentence)
+        return MachineKind(False, _with_warning(model, sentence), sentence)
     return MachineKind(True, sentence=f"taken for a rigid machine: {sentence}", analysis=analysis)
+
+
+def _with_warning(model: Model | None, sentence: str) -> Model | None:
+    return None if model is None else replace(model, warnings=(*model.warnings, sentence))
 
 
 def is_of_rigid_axes(model: Model, recording: Recording) -> bool:

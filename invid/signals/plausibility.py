@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from invid.errors import InputError
+from invid.errors import InputError, NotIdentifiableError
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
-from invid.recording.model import Recording
-from invid.signals.spectra import LineSpectra
+from invid.recording.model import Recording, Role
+from invid.signals.spectra import LineSpectra, all_spectra
 
 STRETCHES, LINES_PER_STRETCH = 8, 6
 """Stretches that a record's lines are cut into, and lines that each has at least."""
@@ -28,6 +28,57 @@ def check_units(model: Model, recording: Recording) -> None:
             f"{recording.source}: positions are in {recording.position_unit}, the model's masses in "
             f"{'kg' if model.linear else 'kg·m²'}; one is rotary, the other linear"
         )
+
+
+def check_recording(recording: Recording) -> None:
+    """Raise where a recording shows no machine that is shaken: see ``check_excitation``."""
+    check_excitation(recording, all_spectra(recording, Role.IDENTIFY))
+
+
+def check_excitation(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
+    """Return where every axis is shaken above its noise, by torque of the right sign.
+
+    Raises
+    ------
+    InputError
+        An axis that is never shaken, a channel that never changes, torque of the wrong sign.
+    NotIdentifiableError
+        An excitation that drowns in the noise.
+    """
+    if not spectra:
+        raise InputError(
+            f"{recording.source}: no experiment with role 'identify' that shakes an axis; "
+            f"found {len(recording.experiments)} experiments"
+        )
+    motors = recording.axis_count
+    # Where no axis is named, one that only its hold moves may still be told by the others' excitation.
+    unnamed = {e.key for e in recording.experiments if not 0 <= e.excited_axis < motors}
+    for i, axis in enumerate(recording.axes):
+        driving = [s for s in spectra if s.driven[i] or s.key in unnamed]
+        if not driving:
+            raise InputError(
+                f"{recording.source}: axis {axis} is never excited (no experiment names it as excited_axis "
+                "or excites several); measure it too, or leave the axis out of the recording"
+            )
+        if not any(_has_signal(s, i) or _has_signal(s, motors + i) for s in driving):
+            # Named as excited, so the recording is no bad input: the excitation drowned in the noise.
+            raise NotIdentifiableError(
+                f"{recording.source}: the excitation of axis {axis} is too weak: neither its torque nor its "
+                f"position rises above the noise in experiments {[s.key for s in driving]}; "
+                "raise the amplitude or measure longer"
+            )
+    check_plausible(recording, spectra)
+    if not any(s.excited.any() for s in spectra):
+        raise NotIdentifiableError(f"{recording.source}: no excited line found in any experiment")
+
+
+def _has_signal(s: LineSpectra, channel: int) -> bool:
+    """Return whether a channel's excited lines rise above its noise, and it is not constant."""
+    both = np.concatenate((s.position, s.torque), axis=1)[s.excited, channel]
+    if both.size == 0 or not np.any(both):
+        return False
+    # Mean power of noise lines is the floor with relative error 1/√lines; five times it is no noise.
+    return bool(np.mean(np.abs(both) ** 2) > 5.0 * s.floor[channel])
 
 
 def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> None:

@@ -12,13 +12,15 @@ transformed exactly, since the rule errs by (ωh)²/12 of a jump.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording.model import Experiment, Role
+from invid.signals.band import elastic_band, excited_band
 from invid.signals.timebase import resample_uniformly
 
 DENSE = 1.3
@@ -116,6 +118,12 @@ class Record:
         """(F,) one half for the mean, which is real, one elsewhere."""
         return np.where(self.omega == 0.0, 0.5, 1.0)
 
+    def stride(self, most: int) -> int:
+        """Most instants of the grid of motion, up to ``most``, that divide a period, or the span without
+        one."""
+        count = (self.motion.position.shape[0] - 1) // max(self.periods, 1)
+        return max(k for k in range(1, most + 1) if count % k == 0)
+
     def lines(self, series: Float64) -> Complex128:
         """(F, …) transform of ``series`` (k + 1, …) on the grid of motion."""
         return transform(series, self.used, self.periods)
@@ -148,7 +156,8 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     resolution
         (M,) counts of the encoders [rad or m]; read from the samples where not given.
     top_hz
-        Highest excited frequency; that of the experiment, else where the torque stands above its noise.
+        Highest frequency of interest: that which is excited where the experiment says so, else the least of
+        where the torque stands above its noise and twice the highest resonance.
     """
     even = resample_uniformly(experiment)
     step, position, torque = even.step, even.position, even.torque
@@ -160,17 +169,20 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     span = count * step
     frequency: Float64 = np.fft.rfftfreq(count, step).astype(np.float64)
     spectrum = transform(torque, np.arange(frequency.size))
-    top = top_hz or _top(experiment, frequency, spectrum)
-    quiet = _quiet_lines(frequency, step, top, periods)
+    excited = max(excited_band(experiment, frequency, spectrum), top_hz or 0.0)
+    quiet = _quiet_lines(frequency, step, excited, periods)
     torque_noise = _level(spectrum[quiet])
     counts = _counts(position) if resolution is None else np.asarray(resolution, dtype=float)
     rounding = _rounding(position, step, counts) * 4.0 / count
-    motion = _smooth(position, step, top, rounding)
+    motion = _smooth(position, step, excited, rounding)
     jump, bend = (w[-1] - w[0] for w in (motion.position, motion.velocity))
     time = np.arange(count + 1)[:, None] * step
     square = bend / (2.0 * span)
     ramp = jump / span - square * span
     rest = transform(position - ramp * time - square * time**2, np.arange(frequency.size))
+    driven = _driven(experiment, position.shape[1])
+    stated = bool(experiment.frequencies_hz.size) or periods > 1
+    top = top_hz or (excited if stated else elastic_band(frequency, rest, spectrum, driven, excited))
     wide = np.arange(int(np.searchsorted(frequency, min(WIDE * top, 0.4 / step), side="right")))
     omega: Float64 = 2 * np.pi * frequency[wide]
     turning = np.where(omega > 0, omega, 1.0)[:, None]
@@ -180,7 +192,6 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     used = _used_lines(frequency[wide], top, periods)
     rounded = _rounding_seen(motion.position[:: round(step / motion.step)], counts, used)
     position_noise = np.maximum(_level(rest[quiet]), rounded)
-    driven = _driven(experiment, position.shape[1])
     hold = np.asarray(experiment.hold_gain, dtype=float)
     # Between the lines of a period stands what it took to reach it, without a command of its own.
     between = (wide % periods != 0) if periods > 1 else np.zeros(wide.size, dtype=bool)
@@ -218,19 +229,6 @@ def _span(experiment: Experiment, samples: int) -> tuple[int, int]:
 def _driven(experiment: Experiment, motors: int) -> np.ndarray:
     axis = experiment.excited_axis
     return np.arange(motors) == axis if 0 <= axis < motors else np.ones(motors, dtype=bool)
-
-
-def _top(experiment: Experiment, frequency: Float64, torque: Complex128) -> float:
-    """Highest frequency at which the torque stands above its noise, a tenth added."""
-    if experiment.frequencies_hz.size:
-        return float(np.max(experiment.frequencies_hz))
-    nyquist = float(frequency[-1])
-    power = (np.abs(torque) ** 2).mean(axis=1)
-    noise = float(np.median(power[frequency > 0.3 * nyquist])) / np.log(2.0)
-    width = max(3, round(0.5 / float(frequency[1])))
-    mean = np.convolve(power, np.ones(width) / width, "same")
-    above = np.flatnonzero((mean > 6.0 * noise) & (frequency < 0.4 * nyquist))
-    return float(min(1.1 * frequency[above[-1]], 0.4 * nyquist)) if above.size else 0.1 * nyquist
 
 
 def _quiet_lines(frequency: Float64, step: float, top: float, periods: int) -> Int64:
@@ -313,7 +311,7 @@ def _used_lines(frequency: Float64, top: float, periods: int) -> Int64:
         ordinal = number // periods
         far = (frequency <= REACH * top) & (ordinal % SPARSE == 1)
         return np.flatnonzero((number % periods == 0) & ((frequency <= DENSE * top) | far))
-    within = np.flatnonzero(frequency <= DENSE * top)
+    within = np.flatnonzero(frequency <= top)
     return within[:: -(-within.size // MOST_LINES)]
 
 
@@ -343,3 +341,59 @@ def _hold_damping(
 
 UNEXPLAINED = 0.1
 """Share of the torque on lines without a command that a hold may leave and still be one (empirical)."""
+
+
+SURE_HOLD, SILENT_REST = 0.05, 3.0
+"""Relative deviation of a hold's stiffness up to which it is known, and power over the torque's noise that it
+may leave on lines without a command (empirical, hidden plants with holds inside their drives)."""
+FEWEST = 10
+"""Fewest lines from which a hold is read."""
+
+
+def read_holds(experiments: Sequence[Experiment], records: Sequence[Record]) -> list[Record]:
+    """The records with holds inside drives made known that show themselves on lines without a command.
+
+    There the torque is −K·position − D·velocity and nothing else: on the lines between those excited and, of
+    an axis that is not driven, on all. Where a hold stays unknown, half a sample h by which it acts at
+    another time than the command looks like a viscous friction of K·h/2.
+    """
+    out = list(records)
+    for m in range(records[0].hold.size if records else 0):
+        seen = [_normal_of_hold(e, r, m) for e, r in zip(experiments, records, strict=True)]
+        normal = np.sum([n for n, _ in seen], axis=0)
+        if not normal[1, 1]:
+            continue
+        stiffness, damping = np.linalg.solve(normal, np.sum([p for _, p in seen], axis=0))
+        if stiffness <= 0.0 or np.sqrt(np.linalg.inv(normal)[0, 0]) > SURE_HOLD * stiffness:
+            continue
+        for k, record in enumerate(out):
+            if np.isnan(record.hold[m]):
+                hold, damped = record.hold.copy(), record.hold_damping.copy()
+                hold[m], damped[m] = stiffness, damping
+                out[k] = replace(record, hold=hold, hold_damping=damped)
+    return out
+
+
+def _normal_of_hold(experiment: Experiment, record: Record, axis: int) -> tuple[Float64, Float64]:
+    """Normal equations (2, 2), (2,) of an unknown hold's stiffness and damping.
+
+    Zero where it does not explain the torque on lines without a command.
+    """
+    nothing = np.zeros((2, 2)), np.zeros(2)
+    excited = np.round(experiment.frequencies_hz * record.span).astype(int)
+    free = (record.wide > 0.0) & (record.wide < 2 * np.pi * DENSE * record.top_hz)
+    if record.driven[axis]:
+        free[excited[excited < free.size]] = False
+    if not np.isnan(record.hold[axis]) or (record.driven[axis] and not excited.size) or free.sum() < FEWEST:
+        return nothing
+    noise = np.sqrt(record.torque_noise[axis] / 2.0)
+    position, torque = record.position[free, axis] / noise, record.torque[free, axis] / noise
+    velocity = 1j * record.wide[free] * position + 2.0 / record.span * record.jump[axis] / noise
+    columns = -np.stack((position, velocity), axis=1)
+    columns, target = (np.concatenate((w.real, w.imag)) for w in (columns, torque))
+    normal, pull = columns.T @ columns, columns.T @ target
+    size = np.sqrt(np.diag(normal))
+    if not size.all() or np.linalg.cond(normal / size / size[:, None]) > 1e10:
+        return nothing
+    rest = target - columns @ np.linalg.solve(normal, pull)
+    return (normal, pull) if float((rest**2).mean()) < SILENT_REST else nothing

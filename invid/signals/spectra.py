@@ -191,6 +191,15 @@ def spectra_of(
     return found
 
 
+def verified_period(experiment: Experiment) -> int:
+    """Samples of the period that a record repeats, 0 where it repeats none; one whole period is believed."""
+    declared = experiment.period_samples
+    data = resample_uniformly(experiment)
+    if declared > 0 and data.samples // declared == 1:
+        return declared
+    return _verified_period(experiment, data, []) or 0
+
+
 def _verified_period(experiment: Experiment, data: UniformRecord, warnings: list[str]) -> int | None:
     """The period to use [samples]; the declared one is verified, never trusted."""
     declared = experiment.period_samples

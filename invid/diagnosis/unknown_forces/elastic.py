@@ -16,7 +16,7 @@ from invid.diagnosis.thresholds import MOST
 from invid.diagnosis.unknown_forces.fitted_model import model_of
 from invid.diagnosis.unknown_forces.left_over import AxisMissing, axis_missing, forces_at
 from invid.diagnosis.unknown_forces.limits import ruled_out
-from invid.diagnosis.unknown_forces.machine_search import ElasticSearch, search_elastic
+from invid.diagnosis.unknown_forces.machine_search import Begun, ElasticSearch, search_elastic
 from invid.diagnosis.unknown_forces.named_terms import TermWriter
 from invid.diagnosis.unknown_forces.nameless import SmoothLaw, coefficients_of
 from invid.diagnosis.unknown_forces.rivals import Contest, contests, is_part_of_more
@@ -43,9 +43,9 @@ class NamedTerm:
     rise: float
 
 
-def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagnosis:
+def diagnose_elastic(begun: Begun) -> Diagnosis:
     """What the chains get wrong on a recording, in the contract's terms."""
-    found = search_elastic(recording, sizes)
+    recording, found = begun.recording, search_elastic(begun)
     before, after = axis_missing(found.bare), axis_missing(found.end)
     residual = residuals(recording, before, after)
     budget.tell("rivals of the causes", 0.9)
@@ -66,7 +66,7 @@ def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagn
         explained=explained if findings else None,
         left=left,
         opening=model.warnings,
-        warnings=model.warnings,
+        warnings=[*begun.warnings, *fewer_masses_warnings(begun.declared, masses), *model.warnings],
         details={"linear_model": model_to_json(model_of(found.bare, (), recording))},
     )
     result = replace(result, forces=forces_at(found.bare, found.end, recording))
@@ -77,6 +77,17 @@ def diagnose_elastic(recording: Recording, sizes: Sequence[int] | None) -> Diagn
         return result  # behind what has no name anything may hide
     budget.tell("what was ruled out", 0.95)
     return replace(result, ruled_out=ruled_out(found, result.findings))
+
+
+def fewer_masses_warnings(declared: Sequence[int] | None, found: Sequence[int]) -> list[str]:
+    """What is said where fewer masses than declared are seen."""
+    if declared is None or tuple(declared) == tuple(found):
+        return []
+    said, seen = (", ".join(str(n) for n in each) for each in (declared, found))
+    return [
+        f"masses {said} were declared, but {seen} explain the records and no further one is seen, so these "
+        "are what the model has: declare them, or excite higher frequencies to see more"
+    ]
 
 
 def residuals(recording: Recording, before: AxisMissing, after: AxisMissing) -> list[AxisResidual]:

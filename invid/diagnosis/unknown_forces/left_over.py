@@ -58,6 +58,19 @@ def axis_missing(found: Supposed) -> AxisMissing:
     return AxisMissing(np.sqrt(power / count), np.sqrt(floor / count))
 
 
+def missed_share(found: Supposed) -> float:
+    """Rms share of the torque that is missing beyond the sensors' noise, of the worst axis."""
+    value = found.kept_value or found.fit.value
+    at = axis_missing(found)
+    power = [
+        (np.abs(w.stack.parts.sum(axis=0)) ** 2 * w.stack.weight[:, None]).sum(axis=(0, 1)) / 2.0
+        for w in value.work
+    ]
+    torque = np.sum(power, axis=0) / sum(w.stack.count for w in value.work)
+    left = np.maximum(at.missing**2 - at.floor**2, 0.0) / np.maximum(torque, 1e-300)
+    return float(np.sqrt(left.max()))
+
+
 @dataclass(frozen=True, eq=False)
 class PlaceForce:
     """Unknown force at a place [N·m rms], the rise of −2 ln L without it, the force there without causes."""

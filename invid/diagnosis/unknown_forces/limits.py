@@ -20,14 +20,13 @@ import numpy as np
 from invid.diagnosis.sentences import ruled_out_sentence
 from invid.diagnosis.unknown_forces.backward import FRICTION, PRICE_OF_FRICTION
 from invid.diagnosis.unknown_forces.machine_search import ElasticSearch
-from invid.diagnosis.unknown_forces.named_terms import axis_and_element
 from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.pursuit import LEAST_FITTED, LEAST_KEPT, PRICE
 from invid.diagnosis.unknown_forces.scoring import spot_at, spots_of
 from invid.effects.effect import Effect
 from invid.effects.registry import effects
 from invid.effects.supposed.friction import InnerDry
-from invid.effects.supposed.law import LawPlace, Shape, SupposedLaw
+from invid.effects.supposed.law import Shape, SupposedLaw
 from invid.effects.supposed.motors import TorqueSaturation
 from invid.effects.supposed.springs import Backlash
 from invid.effects.supposed_laws import supposed_laws
@@ -205,11 +204,10 @@ class Screen:
 
     def _limit(self, placed: PlacedLaw, coefficients: Float64, main: str) -> Limit:
         """The size of a law over none: of a gain from one, of friction by direction over plain friction."""
-        _, element = axis_and_element(self.structure, placed.spot)
-        place = LawPlace(int(element.split()[-1]), self._stiffness(placed.spot))
+        stiffness = self._stiffness(placed.spot)
         beside = np.zeros(len(placed.law.beside))
         values, none = (
-            placed.law.parameters(np.concatenate((c, beside)), placed.shape, place)
+            placed.law.parameters(np.concatenate((c, beside)), placed.shape, stiffness)
             for c in (coefficients, 0.0 * coefficients)
         )
         grown = [n for n in values if values[n] != none[n]]

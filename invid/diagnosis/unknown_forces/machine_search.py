@@ -13,27 +13,56 @@ from typing import TypeGuard
 import numpy as np
 
 from invid.diagnosis.unknown_forces.backward import Worth, first_order_worths, worths
-from invid.diagnosis.unknown_forces.left_over import PlaceForce, at_their_places, place_forces
+from invid.diagnosis.unknown_forces.kept_out import records_of
+from invid.diagnosis.unknown_forces.left_over import (
+    PlaceForce,
+    at_their_places,
+    missed_share,
+    place_forces,
+)
 from invid.diagnosis.unknown_forces.named_terms import axis_and_element
 from invid.diagnosis.unknown_forces.nameless import add_laws
 from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
-from invid.diagnosis.unknown_forces.structures import additions_of, without
+from invid.diagnosis.unknown_forces.structures import additions_of, with_masses_seen, without
 from invid.effects.supposed_laws import supposed_laws
-from invid.errors import InputError, NotIdentifiableError
+from invid.errors import NotIdentifiableError
 from invid.identification.contest import begin, begin_open
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import Bench, Channel, Supposed
 from invid.numerics import budget
-from invid.recording.model import Recording, Role
-from invid.signals.record import Record, make_record
+from invid.recording.model import Recording
 
 TIME_TO_BEGIN, TIME_TO_PURSUE, TIME_TO_WEIGH = 0.5, 0.6, 0.5
 """Shares of the time that is left for the first fits, for the causes, and for what each is worth (empirical:
 what is done of them without a budget)."""
 CAUSES = "further causes"
 """What a spent budget leaves out without which nothing is certain, in the words of the warning."""
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """Where a search over causes of a recording starts.
+
+    ``declared``: masses of each axis as asked for; ``None`` where the records are to say, and chains may
+    become longer.
+    """
+
+    recording: Recording
+    first: Supposed
+    declared: tuple[int, ...] | None
+    warnings: tuple[str, ...]
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Masses of each axis."""
+        return self.first.hypothesis.structure.sizes
+
+    @property
+    def missed(self) -> float:
+        """Rms share of the torque that is missing beyond noise on what is kept out, of the worst axis."""
+        return missed_share(self.first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,37 +85,24 @@ class ElasticSearch:
     is_cut_short: bool = False
 
 
-def records_of(recording: Recording) -> list[Record]:
-    """The experiments as records on lines up to the highest frequency that any of them excites."""
-    tops = [float(e.frequencies_hz.max()) for e in recording.experiments if e.frequencies_hz.size]
-    top = max(tops, default=None)
-    origin = min(float(e.time[0]) for e in recording.experiments)
-    return [
-        replace(make_record(e, recording.encoder_resolution, top), origin=origin)
-        for e in recording.experiments
-    ]
-
-
-def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> ElasticSearch:
-    """The search over causes on the records for fitting, judged on those kept out.
-
-    ``sizes``: masses of each axis; as many as the records ask for where not given.
-    """
-    with budget.use_share(TIME_TO_BEGIN, 0.0, 0.3):
-        budget.tell("fitting the machine alone", 0.0)
-        first = first_fit(recording, sizes)
+def search_elastic(begun: Begun) -> ElasticSearch:
+    """The search over causes on the records for fitting, judged on those kept out."""
+    recording = begun.recording
 
     def tell(now: Supposed, share: float) -> None:
         budget.tell_found(found_so_far(now, recording.axes))
         budget.tell("looking for causes", share)
 
     with budget.use_share(TIME_TO_PURSUE, 0.3, 0.75):
-        pursued = pursue(first, supposed_laws(linear=recording.linear), tell=tell, growing=sizes is None)
+        laws = supposed_laws(linear=recording.linear)
+        pursued = pursue(begun.first, laws, tell=tell, growing=begun.declared is None)
     is_cut_short = CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
         budget.tell("weighing each cause", 0.0)
         found, weighed = budget.or_else(
-            "what each cause is worth", lambda: _weighed(pursued.end), _by_first_order(pursued.end)
+            "what each cause is worth",
+            lambda: _weighed(with_masses_seen(pursued.end)),
+            _by_first_order(pursued.end),
         )
     budget.tell("what is left", 0.85)
     named = budget.or_else("what is left at each place", lambda: at_their_places(weighed), weighed)
@@ -103,24 +119,27 @@ def search_elastic(recording: Recording, sizes: Sequence[int] | None) -> Elastic
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 
-def first_fit(recording: Recording, sizes: Sequence[int] | None) -> Supposed:
-    """The fit of the plant with friction at its motors, beside the records kept out."""
-    records = records_of(recording)
-    fitted = [r for r in records if r.role is Role.IDENTIFY]
-    kept = [r for r in records if r.role is Role.VALIDATE]
-    if not fitted:
-        raise InputError(f"{recording.source}: no experiment with role 'identify'")
-    damping = hold_damping(records)
-    bench = Bench(stack_records(fitted, damping))
+def begin_elastic(recording: Recording, sizes: Sequence[int] | None) -> Begun:
+    """The fit with friction at the motors that a search starts from.
+
+    ``sizes``: masses of each axis; as many as the records ask for where not given.
+    """
+    split = records_of(recording)
+    damping = hold_damping((*split.fitted, *split.kept))
+    bench, beside = (Bench(stack_records(part, damping)) for part in (split.fitted, split.kept))
+    declared = None if sizes is None else tuple(sizes)
     try:
-        beside = Bench(stack_records(kept, damping)) if kept else None
-        if sizes is None:
-            return begin_open(bench, recording.axis_count, beside)
-        return begin(bench, Structure(tuple(sizes)), beside)
+        with budget.use_share(TIME_TO_BEGIN, 0.0, 0.3):
+            budget.tell("fitting the machine alone", 0.0)
+            if declared is None:
+                first = begin_open(bench, recording.axis_count, beside)
+            else:
+                first = begin(bench, Structure(declared), beside)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"
         ) from None
+    return Begun(recording, first, declared, split.warnings)
 
 
 def found_so_far(now: Supposed, axes: Sequence[str]) -> list[budget.Found]:

@@ -27,7 +27,7 @@ from invid.effects.laws.empirical_law import (
     most_knots,
 )
 from invid.effects.motion_effect import OF_RATE, PAIRS
-from invid.effects.supposed_laws import LawPlace, Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import curvature
@@ -56,7 +56,7 @@ class SmoothLaw(SupposedLaw):
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return self.law.resistance(PlaceMotion(motion.position, motion.velocity, motion.time), ())
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         return {"torque": float(np.abs(self.law.splines @ coefficients).max())}
 
 

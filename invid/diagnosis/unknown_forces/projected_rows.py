@@ -52,7 +52,7 @@ class Rows:
 
     def felt_of(self, placed: PlacedLaw) -> Float64:
         """(rows, k) of a law with nothing projected out."""
-        lines = self.now.bench.law_lines(placed, self.now.motions)
+        lines = self.now.bench.law_lines(placed, self.now.motions, quick=True)
         if not placed.law.reads:
             return self.felt(lines, vector_of(self.now.hypothesis.structure, placed.spot))
         out = []

@@ -1,0 +1,196 @@
+"""Records to fit, and what is kept out of every fit to validate it: a table, of which the first row counts.
+
+Experiments with role 'validate' are kept out; without any a record more than the plant needs, else the last
+period of each, else every fifth line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from invid.errors import InputError
+from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.signals.record import Record, make_record, read_holds
+from invid.signals.spectra import all_spectra, verified_period
+
+FIFTH = 5
+"""Every so many lines one is kept out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Records to fit and records kept out, and what to warn about."""
+
+    fitted: tuple[Record, ...]
+    kept: tuple[Record, ...]
+    warnings: tuple[str, ...]
+
+
+def records_of(recording: Recording) -> Split:
+    """The experiments as records on lines up to one frequency for all, split in those to fit and those kept
+    out.
+
+    Raises
+    ------
+    InputError
+        No experiment is to be fitted.
+    """
+    experiments, warnings = _with_true_periods(recording)
+    parts = _Parts(recording, experiments)
+    if not parts.train:
+        raise InputError(f"{recording.source}: no experiment with role 'identify'")
+    row = next(r for r in VALIDATION if r.applies(parts))
+    fitted, kept = row.split(parts)
+    said = row.sentence(parts)
+    return Split(tuple(fitted), tuple(kept), (*warnings, *([said] if said else [])))
+
+
+def _with_true_periods(recording: Recording) -> tuple[tuple[Experiment, ...], list[str]]:
+    """The experiments with the periods that they have, and what their spectra say about them."""
+    out = []
+    for e in recording.experiments:
+        period = 0 if e.kind is Kind.CONSTANT_VELOCITY else verified_period(e)
+        out.append(replace(e, period_samples=period))
+    said = [w for s in all_spectra(recording) for w in s.warnings]
+    return tuple(out), list(dict.fromkeys(said))
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    recording: Recording
+    experiments: tuple[Experiment, ...]
+
+    @cached_property
+    def train(self) -> list[Experiment]:
+        return [e for e in self.experiments if e.role is Role.IDENTIFY]
+
+    @cached_property
+    def validate(self) -> list[Experiment]:
+        return [e for e in self.experiments if e.role is Role.VALIDATE]
+
+    @cached_property
+    def shaken(self) -> list[Experiment]:
+        """Those for fitting that show elasticity: slow moves are none to spare and none that can be cut."""
+        return [e for e in self.train if e.kind is not Kind.CONSTANT_VELOCITY]
+
+    @cached_property
+    def spare(self) -> Experiment:
+        """The last that drives all axes, or the last of all."""
+        return ([e for e in self.shaken if _drives_all(e)] or self.shaken)[-1]
+
+    @cached_property
+    def top(self) -> float | None:
+        """Highest frequency that is said to be excited [Hz]; else what the records show."""
+        stated = [float(e.frequencies_hz.max()) for e in self.experiments if e.frequencies_hz.size]
+        return max(stated, default=None)
+
+    def records(self, experiments: Sequence[Experiment]) -> list[Record]:
+        """The experiments as records."""
+        origin = min(float(e.time[0]) for e in self.experiments)
+        resolution = self.recording.encoder_resolution
+        made = [replace(make_record(e, resolution, self.band), origin=origin) for e in experiments]
+        return read_holds(experiments, made)
+
+    @cached_property
+    def band(self) -> float:
+        """Highest frequency of interest in any of them [Hz]."""
+        resolution = self.recording.encoder_resolution
+        return self.top or max(make_record(e, resolution).top_hz for e in self.shaken or self.train)
+
+
+@dataclass(frozen=True)
+class _Row:
+    name: str
+    applies: Callable[[_Parts], bool]
+    split: Callable[[_Parts], tuple[list[Record], list[Record]]]
+    sentence: Callable[[_Parts], str | None]
+
+
+def _drives_all(e: Experiment) -> bool:
+    return not 0 <= e.excited_axis < e.hold_gain.size or e.hold_gain.size == 1
+
+
+def _has_spare(parts: _Parts) -> bool:
+    """Whether there is a record more than the linear plant needs: each axis once, or M of all at once."""
+    motors = parts.recording.axis_count
+    return len(parts.shaken) > motors and any(_drives_all(e) for e in parts.shaken)
+
+
+def _keep_spare(parts: _Parts) -> tuple[list[Record], list[Record]]:
+    return (
+        parts.records([e for e in parts.train if e is not parts.spare]),
+        parts.records([parts.spare]),
+    )
+
+
+def _has_periods(parts: _Parts) -> bool:
+    return bool(parts.shaken) and all(e.period_samples and e.periods >= 2 for e in parts.shaken)
+
+
+def _keep_last_period(parts: _Parts) -> tuple[list[Record], list[Record]]:
+    moves = [e for e in parts.train if e.kind is Kind.CONSTANT_VELOCITY]
+    begin = [_cut(e, slice(None, e.samples - e.period_samples + 1)) for e in parts.shaken]
+    last = [_cut(e, slice(e.samples - e.period_samples - 1, None)) for e in parts.shaken]
+    return parts.records([*begin, *moves]), parts.records(last)
+
+
+def _cut(e: Experiment, rows: slice) -> Experiment:
+    """Some of the samples of an experiment."""
+    columns = ("time", "position", "torque", "torque_demand", "status")
+    columns += ("position_reference", "torque_feedforward")
+    present = {c: getattr(e, c) for c in columns}
+    return replace(e, **{c: None if v is None else v[rows] for c, v in present.items()})
+
+
+def _keep_fifth_lines(parts: _Parts) -> tuple[list[Record], list[Record]]:
+    fitted, kept = [], []
+    for record in parts.records(parts.train):
+        number = np.arange(record.used.size)
+        # The mean is one line: it is in both, or a constant torque would be worth nothing in one.
+        fitted.append(replace(record, used=record.used[number % FIFTH != FIFTH - 1]))
+        kept.append(replace(record, used=record.used[(number % FIFTH == FIFTH - 1) | (record.used == 0)]))
+    return fitted, kept
+
+
+MISSING = "no validation experiment (role 'validate')"
+
+VALIDATION: tuple[_Row, ...] = (
+    _Row(
+        "role",
+        lambda parts: bool(parts.validate),
+        lambda parts: (parts.records(parts.train), parts.records(parts.validate)),
+        lambda parts: None,
+    ),
+    _Row(
+        "spare record",
+        _has_spare,
+        _keep_spare,
+        lambda parts: (
+            f"{MISSING}: experiment {parts.spare.key} is kept out of every "
+            "fit instead; record one with another realisation and amplitude"
+        ),
+    ),
+    _Row(
+        "last period",
+        _has_periods,
+        _keep_last_period,
+        lambda parts: (
+            f"{MISSING}: the last period of each experiment is kept out of every fit instead, which "
+            "repeats the same motion; record one with another realisation"
+        ),
+    ),
+    _Row(
+        "fifth line",
+        lambda parts: True,
+        _keep_fifth_lines,
+        lambda parts: (
+            f"{MISSING} and no whole period to spare: every fifth line is kept out of every fit "
+            "instead; record an experiment of its own for validation"
+        ),
+    ),
+)
+"""What is kept out; the first row whose condition holds counts."""
