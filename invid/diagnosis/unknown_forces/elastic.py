@@ -20,6 +20,7 @@ from invid.diagnosis.unknown_forces.left_over import (
     place_forces,
 )
 from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
+from invid.diagnosis.unknown_forces.own_time import AxisTones, describe_tones, tones_of
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
 from invid.diagnosis.unknown_forces.structures import additions_of, without
 from invid.effects.supposed_laws import supposed_laws
@@ -150,14 +151,16 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     masses = found.end.hypothesis.structure.sizes
     findings = [finding_of(c, explained, masses, recording.axes, at_noise=True) for c in causes]
     sure = [f for f in found.forces if f.is_sure]
-    left = describe_left(found, sure, recording)
+    tones = tones_of(found.end)
+    residual = [_with_tones(r, tones, recording) for r in residual]
+    left = describe_tones(tones, recording) or describe_left(found, sure, recording)
     return assemble_diagnosis(
         recording,
         residual,
         findings,
         model_of(found, effects),
-        missing=bool(findings) or bool(sure),
-        complete=not sure,
+        missing=bool(findings) or bool(sure) or bool(tones),
+        complete=not sure and not tones,
         explained=explained if findings else None,
         left=left,
         warnings=list(found.warnings),
@@ -172,6 +175,16 @@ def residuals(recording: Recording, before: AxisMissing, after: AxisMissing) -> 
         AxisResidual(axis, unit, float(b), float(a), float(f))
         for axis, b, a, f in zip(recording.axes, before.missing, after.missing, after.floor, strict=True)
     ]
+
+
+def _with_tones(residual: AxisResidual, tones: Sequence[AxisTones], recording: Recording) -> AxisResidual:
+    """The residual with what repeats with no period in it, which its lines show little of."""
+    power = sum(t.power for t in tones if recording.axes[t.axis] == residual.axis)
+    return replace(
+        residual,
+        before=float(np.sqrt(residual.before**2 + power)),
+        after=float(np.sqrt(residual.after**2 + power)),
+    )
 
 
 def named_causes(found: ElasticSearch, before: AxisMissing, after: AxisMissing) -> list[Cause]:
