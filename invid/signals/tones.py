@@ -1,16 +1,18 @@
 """Sinusoids that keep their own time: found on the lines between those of a period.
 
-A period's lines hold what repeats; a sinusoid of another frequency f leaks over the lines k of the whole span,
+A period's lines hold what repeats; a sinusoid of another frequency f leaks over the lines k of the span,
 a·e^{jπ(fT − k)}·sinc(fT − k), noise does not. A fan, a pump, another machine, or a loop that hunts.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.recording.model import Experiment, Recording
 
 CHANCE = 1e-3
 """Chance, over all lines, that noise looks like a tone (statistical)."""
@@ -21,6 +23,8 @@ SHARE = 0.8
 with time has much of it on the lines beside those excited."""
 NEAR = 12
 """Lines on either side from which a tone is read."""
+NARROWED = 5
+"""Times that the range of frequencies about a tone is narrowed, to a thousandth of a line."""
 FINE = 161
 """Frequencies tried between the neighbours of its strongest line."""
 
@@ -57,7 +61,7 @@ def find_tones(lines: Complex128, noise: Float64, free: Bool, span: float) -> li
 
 
 def _strongest(rest: Complex128, power: Float64, number: np.ndarray) -> tuple[float, complex, float]:
-    """Cycles in the span, complex amplitude and gain of the tone that explains most around the largest line."""
+    """Cycles in the span, complex amplitude and gain of the tone that explains most about the largest line."""
     peak = int(np.argmax(np.abs(rest) ** 2 / power))
     near = np.abs(number - number[peak]) <= NEAR
     weight, seen = 1.0 / power[near], rest[near]
@@ -74,3 +78,59 @@ def _leakage(cycles: np.ndarray) -> Complex128:
     """Amplitude on a line that is ``cycles`` of the span away from a tone of amplitude one."""
     out: Complex128 = np.exp(1j * np.pi * cycles) * np.sinc(cycles)
     return out
+
+
+def remove_tones(recording: Recording, hz: Sequence[float]) -> Recording:
+    """The recording without sinusoids of these frequencies in the channels of its periodic experiments."""
+    experiments = tuple(_without(e, hz) if e.periods > 1 else e for e in recording.experiments)
+    return replace(recording, experiments=experiments)
+
+
+def refine_tones(recording: Recording, hz: Sequence[float]) -> list[float]:
+    """The frequencies near ``hz`` that explain most of what differs from period to period."""
+    periodic = [e for e in recording.experiments if e.periods > 1]
+    out = list(hz)
+    for k in range(len(out)):
+        width = 0.5 / max(e.periods * e.period_samples / e.sample_rate_hz for e in periodic)
+        for _ in range(NARROWED):
+            tried = [[*out[:k], f, *out[k + 1 :]] for f in out[k] + np.linspace(-width, width, 9)]
+            out = min(tried, key=lambda own: sum(_phasors(e, own)[1] for e in periodic))
+            width /= 4.0
+    return out
+
+
+def tone_phasors(experiment: Experiment, hz: Sequence[float]) -> Complex128:
+    """(tones, 2M) phasors of positions and torques, read from what differs from the mean of the last whole
+    periods: each channel holds Re(phasor·e^{2πjf(t − t₀)}), t₀ the experiment's first instant."""
+    return _phasors(experiment, hz)[0]
+
+
+def _phasors(experiment: Experiment, hz: Sequence[float]) -> tuple[Complex128, float]:
+    """Phasors, and the share that they leave of what differs, summed over channels."""
+    count, period = experiment.periods, experiment.period_samples
+
+    def differing(values: Float64) -> Float64:
+        whole = values[-count * period :].reshape(count, period, -1)
+        return (whole - whole.mean(axis=0)).reshape(count * period, -1)
+
+    waves = _waves(experiment, hz)
+    both = differing(np.concatenate((waves.real, -waves.imag), axis=1))
+    goal = differing(np.concatenate((experiment.position, experiment.torque), axis=1))
+    size, *_ = np.linalg.lstsq(both, goal, rcond=None)
+    left = ((goal - both @ size) ** 2).sum(axis=0) / np.maximum((goal**2).sum(axis=0), 1e-300)
+    phasors: Complex128 = size[: len(hz)] + 1j * size[len(hz) :]
+    return phasors, float(left.sum())
+
+
+def _waves(experiment: Experiment, hz: Sequence[float]) -> Complex128:
+    return np.exp(2j * np.pi * np.outer(experiment.time - experiment.time[0], hz))
+
+
+def _without(experiment: Experiment, hz: Sequence[float]) -> Experiment:
+    both = (_waves(experiment, hz) @ tone_phasors(experiment, hz)).real
+    motors = experiment.position.shape[1]
+    return replace(
+        experiment,
+        position=experiment.position - both[:, :motors],
+        torque=experiment.torque - both[:, motors:],
+    )

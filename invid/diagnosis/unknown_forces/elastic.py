@@ -20,7 +20,7 @@ from invid.diagnosis.unknown_forces.left_over import (
     place_forces,
 )
 from invid.diagnosis.unknown_forces.named_terms import TermWriter, axis_and_element
-from invid.diagnosis.unknown_forces.own_time import AxisTones, describe_tones, tones_of
+from invid.diagnosis.unknown_forces.own_time import AxisTones, describe_tones, sized, tones_of
 from invid.diagnosis.unknown_forces.pursuit import Pursued, Trial, is_sound, pursue, try_law
 from invid.diagnosis.unknown_forces.structures import additions_of, without
 from invid.effects.supposed_laws import supposed_laws
@@ -38,6 +38,7 @@ from invid.model.document import EffectTerm, Model, parameter_vector, std_by_nam
 from invid.numerics import budget
 from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
+from invid.signals.tones import refine_tones, remove_tones
 
 SURE_RISE = 30.0
 """Rise of −2 ln L beyond a cause's price at which its confidence comes within a hundredth of one."""
@@ -55,6 +56,8 @@ class Begun:
     warnings: tuple[str, ...]
     is_growing: bool = False
     """Whether chains may become longer."""
+    tones: tuple[AxisTones, ...] = ()
+    """Torque taken out since it repeats with no period: an undamped mode would take it for its own."""
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -81,10 +84,20 @@ class ElasticSearch:
 
 
 def begin_elastic(recording: Recording, sizes: Sequence[int] | None) -> Begun:
-    """The fit with friction at the motors that a search starts from.
+    """The fit with friction at the motors that a search starts from, of the recording without tones.
 
     ``sizes``: masses of each axis; as many as the records ask for where not given.
     """
+    begun = _begin(recording, sizes)
+    tones = tuple(tones_of(begun.first))
+    if not tones:
+        return begun
+    hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
+    again = _begin(remove_tones(recording, hz), sizes)
+    return replace(again, tones=sized(tones, recording, again.first.numbers.plant))
+
+
+def _begin(recording: Recording, sizes: Sequence[int] | None) -> Begun:
     split = records_of(recording)
     damping = hold_damping((*split.fitted, *split.kept))
     bench = Bench(stack_records(split.fitted, damping))
@@ -151,7 +164,7 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     masses = found.end.hypothesis.structure.sizes
     findings = [finding_of(c, explained, masses, recording.axes, at_noise=True) for c in causes]
     sure = [f for f in found.forces if f.is_sure]
-    tones = tones_of(found.end)
+    tones = begun.tones
     residual = [_with_tones(r, tones, recording) for r in residual]
     left = describe_tones(tones, recording) or describe_left(found, sure, recording)
     return assemble_diagnosis(

@@ -8,12 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.effects.units import unit_of
+from invid.likelihood.unknown_forces.plant import Plant
 from invid.likelihood.unknown_forces.smoother import smooth
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.diagnosis_document import Unexplained
 from invid.recording.model import Recording
 from invid.signals.record import DENSE
-from invid.signals.tones import Tone, find_tones
+from invid.signals.tones import Tone, find_tones, refine_tones, tone_phasors
+
+FAINT = 0.2
+"""Amplitude over the strongest tone's up to which another may be what that did to the fit (empirical)."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +49,34 @@ def tones_of(found: Supposed) -> list[AxisTones]:
     return sorted((a for a in out if a.tones), key=lambda a: -a.power)
 
 
+def sized(tones: Sequence[AxisTones], recording: Recording, plant: Plant) -> tuple[AxisTones, ...]:
+    """The tones with the amplitude of the torque that acts on a plant fitted without them, the largest of all
+    records; those far below the strongest, which a plant fitted beside it made, go."""
+    out = []
+    for axis in tones:
+        hz = refine_tones(recording, [t.hz for t in axis.tones])
+        stiffness = plant.condense(2 * np.pi * np.array(hz)).stiffness
+        motors = stiffness.shape[1]
+        sizes = np.zeros(len(hz))
+        for e in recording.experiments:
+            if e.periods > 1:
+                phasors = tone_phasors(e, hz)
+                position, torque = phasors[:, :motors], phasors[:, motors:]
+                acts = (stiffness @ position[..., None])[..., 0] - torque
+                sizes = np.maximum(sizes, np.abs(acts[:, axis.axis]))
+        kept = tuple(Tone(f, float(a)) for f, a in zip(hz, sizes, strict=True) if a > FAINT * sizes.max())
+        out.append(AxisTones(axis.axis, kept))
+    return tuple(sorted(out, key=lambda a: -a.power))
+
+
 def _in_every(records: Sequence[tuple[list[Tone], float]]) -> tuple[Tone, ...]:
     """Tones of the first record that all others hold within a line, at their largest amplitude."""
     first, width = records[0]
+    least = FAINT * max((t.amplitude for t in first), default=0.0)
+    first = [t for t in first if t.amplitude >= least]
     out = []
     for tone in first:
-        same = [
-            [t for t in tones if abs(t.hz - tone.hz) < max(width, other)] for tones, other in records
-        ]
+        same = [[t for t in tones if abs(t.hz - tone.hz) < max(width, other)] for tones, other in records]
         if all(same):
             out.append(max((t for part in same for t in part), key=lambda t: t.amplitude))
     return tuple(out)
