@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -23,6 +24,8 @@ SHARE = 0.8
 with time has much of it on the lines beside those excited."""
 NEAR = 12
 """Lines on either side from which a tone is read."""
+FAINT = 0.2
+"""Amplitude over the strongest tone's up to which another may be what that did to the fit (empirical)."""
 NARROWED = 5
 """Times that the range of frequencies about a tone is narrowed, to a thousandth of a line."""
 FINE = 161
@@ -57,7 +60,18 @@ def find_tones(lines: Complex128, noise: Float64, free: Bool, span: float) -> li
         rest = rest - size * _leakage(at - number)
         found.append(Tone(at / span, abs(size)))
         taken += gain
-    return sorted(found, key=lambda t: -t.amplitude) if found and taken > SHARE * excess else []
+    if not found or taken < SHARE * excess or _is_one_that_changes(found, span):
+        return []
+    return sorted(found, key=lambda t: -t.amplitude)
+
+
+def _is_one_that_changes(tones: Sequence[Tone], span: float) -> bool:
+    """Whether two like tones lie within two lines: what a resonance makes whose spring or load drifts."""
+    return any(
+        abs(a.hz - b.hz) * span < 2.0
+        and min(a.amplitude, b.amplitude) > FAINT * max(a.amplitude, b.amplitude)
+        for a, b in combinations(tones, 2)
+    )
 
 
 def _strongest(rest: Complex128, power: Float64, number: np.ndarray) -> tuple[float, complex, float]:

@@ -14,10 +14,7 @@ from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.diagnosis_document import Unexplained
 from invid.recording.model import Recording
 from invid.signals.record import DENSE
-from invid.signals.tones import Tone, find_tones, refine_tones, tone_phasors
-
-FAINT = 0.2
-"""Amplitude over the strongest tone's up to which another may be what that did to the fit (empirical)."""
+from invid.signals.tones import FAINT, Tone, find_tones, refine_tones, tone_phasors
 
 
 @dataclass(frozen=True)
