@@ -12,7 +12,8 @@ import numpy as np
 from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.lost_samples import with_lost_samples
 from invid.diagnosis.rigid import diagnose_trajectory
-from invid.diagnosis.unknown_forces.elastic import Begun, begin_elastic, diagnose_elastic
+from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
+from invid.diagnosis.unknown_forces.machine_search import Begun, begin_elastic
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.machine_kind import ChainsTried, is_of_rigid_axes, machine_kind
 from invid.model.diagnosis_document import Diagnosis

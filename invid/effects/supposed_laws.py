@@ -13,7 +13,7 @@ from invid.effects.supposed.friction import (
     InnerViscous,
     PreslidingAtMotor,
 )
-from invid.effects.supposed.law import LawPlace, Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed.law import Shape, SpotMotion, SupposedLaw
 from invid.effects.supposed.motors import (
     Cogging,
     EncoderEccentricity,
@@ -54,4 +54,4 @@ def supposed_laws(*, linear: bool) -> tuple[SupposedLaw, ...]:
     return tuple(law for law in (*SUPPOSED, *further) if not (linear and law.effect.rotary))
 
 
-__all__ = ["SUPPOSED", "Backlash", "LawPlace", "Shape", "SpotMotion", "SupposedLaw", "supposed_laws"]
+__all__ = ["SUPPOSED", "Backlash", "Shape", "SpotMotion", "SupposedLaw", "supposed_laws"]

@@ -8,7 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.identification.first_plants import fraction_plants, grown_plants, random_plants
+from invid.identification.first_plants import (
+    fraction_plants,
+    grown_plants,
+    masses_seen,
+    random_plants,
+)
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
@@ -70,6 +75,8 @@ def begin(
     fractions = fraction_plants(bench.stacks, structure)
     if fractions:
         found = _from_plant((bench, kept), hypothesis, fractions[0], ROUNDS[-1][0])
+        if found is not None and not is_home(found):
+            found = reshape(scan_friction(found))  # of the right plant friction's form is all that is left
         if found is not None and is_home(found):
             return found
     rng = np.random.default_rng(seed)
@@ -114,10 +121,46 @@ def _shaken(now: Supposed, rng: np.random.Generator) -> Numbers:
 
 
 def begin_open(bench: Bench, motors: int, kept: Bench | None = None) -> Supposed:
-    """The fit of as many masses as the records ask for, one axis after another or all at once.
+    """The fit of as many masses as the records ask for.
+
+    Without a period the ends of a record blur a motor's own stiffness, and masses are tried one by one.
+    """
+    if all(r.periods for s in bench.stacks for r in s.records):
+        return _begin_seen((bench, kept), motors)
+    return _begin_grown((bench, kept), motors)
+
+
+def _begin_seen(benches: Benches, motors: int) -> Supposed:
+    """The fit of as many masses as each motor's own stiffness shows.
+
+    Where that is not home, of one more on an axis or on all, if that is: else laws may be missing as well as
+    masses, and the search has both.
+    """
+    bench, kept = benches
+    sizes = tuple(masses_seen(bench.stacks, m) for m in range(motors))
+    now = begin(bench, Structure(sizes), kept)
+    if is_settled(now):
+        return now
+    wider = {tuple(n + (i == k) for k, n in enumerate(sizes)) for i in range(motors)}
+    wider.add(tuple(n + 1 for n in sizes))
+    tried = []
+    for structure in map(Structure, sorted(wider)):
+        if budget.is_left_out("further masses"):
+            break
+        hypothesis = Hypothesis(structure, first_shapes(bench.stacks))
+        tried.append(_contest(benches, hypothesis, fraction_plants(bench.stacks, structure)))
+    best = min((f for f in tried if f is not None and is_settled(f)), key=lambda f: f.total, default=now)
+    more = sum(best.hypothesis.structure.sizes) - sum(sizes)
+    pays = now.total - best.total > more * PRICE_OF_MASS and best.kept_total < now.kept_total
+    return best if pays else now
+
+
+def _begin_grown(benches: Benches, motors: int) -> Supposed:
+    """The fit of masses added one by one, on one axis after another or all at once.
 
     Orders are compared with friction's shapes at their best: what its form leaves asks for masses too.
     """
+    bench, kept = benches
     now = reshape(scan_friction(begin(bench, Structure((1,) * motors), kept)))
     while max(now.hypothesis.structure.sizes) < MOST_MASSES and not budget.is_left_out("further masses"):
         sizes = now.hypothesis.structure.sizes

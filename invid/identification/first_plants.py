@@ -17,7 +17,7 @@ from numpy.polynomial import polynomial
 
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.stack import Stack
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Float64, Int64
 from invid.signals.band import apparent_inertia
 
 DAMPING_RATIO = 0.02
@@ -156,22 +156,14 @@ def fraction_plants(stacks: Sequence[Stack], structure: Structure) -> list[Plant
 
 def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int = 4) -> list[Chain]:
     """Chains whose zeros and poles follow the motor's own stiffness best, the best first."""
-    omega, size = own_stiffness(stacks, motor)
-    top = 2 * np.pi * stacks[0].records[0].top_hz
     zeros = masses - 1
     if zeros == 0:
+        omega, size = own_stiffness(stacks, motor)
         return [(np.array([np.exp(np.median(np.log(size / omega**2)))]), np.zeros(0))]
-    if zeros not in GRIDS or omega.size < 2 * zeros + 2:
+    looked = _interlaced(stacks, motor, zeros)
+    if looked is None:
         return []
-    keep = slice(None, None, max(1, omega.size // 70))
-    omega, level = omega[keep], np.log(size[keep] / omega[keep] ** 2)
-    grid = np.exp(np.linspace(np.log(LOWEST * top), np.log(1.3 * top), GRIDS[zeros]))
-    ratio = (omega[:, None] / grid) ** 2
-    each = 0.5 * np.log((1 - ratio) ** 2 + BLUNT * ratio).T
-    sets = np.array(list(combinations(range(grid.size), 2 * zeros)))
-    shape = each[sets[:, 1::2]].sum(axis=1) - each[sets[:, 0::2]].sum(axis=1)
-    inertia = np.median(level - shape, axis=1)
-    misfit = np.abs(level - shape - inertia[:, None]).mean(axis=1)
+    grid, sets, inertia, misfit = looked
     out: list[Chain] = []
     taken: list[int] = []
     for k in np.argsort(misfit)[:400]:
@@ -186,6 +178,41 @@ def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int 
         if len(out) >= most:
             break
     return out
+
+
+def masses_seen(stacks: Sequence[Stack], motor: int) -> int:
+    """Number of masses whose zeros and poles follow a motor's own stiffness best.
+
+    The grid of a further zero and pole is coarser, so that one that is not there does worse.
+    """
+    omega, size = own_stiffness(stacks, motor)
+    level = np.log(size / omega**2)
+    misfits = [float(np.abs(level - np.median(level)).mean())]
+    for zeros in GRIDS:
+        looked = _interlaced(stacks, motor, zeros)
+        if looked is not None:
+            misfits.append(float(looked[3].min()))
+    return int(np.argmin(misfits)) + 1
+
+
+def _interlaced(
+    stacks: Sequence[Stack], motor: int, zeros: int
+) -> tuple[Float64, Int64, Float64, Float64] | None:
+    """Grid of frequencies, sets of interlaced zeros and poles (S, 2·zeros) on it, and (S,) each set's inertia
+    and mean misfit of the logarithm; none where there are too few lines."""
+    omega, size = own_stiffness(stacks, motor)
+    if zeros not in GRIDS or omega.size < 2 * zeros + 2:
+        return None
+    top = 2 * np.pi * stacks[0].records[0].top_hz
+    keep = slice(None, None, max(1, omega.size // 70))
+    omega, level = omega[keep], np.log(size[keep] / omega[keep] ** 2)
+    grid = np.exp(np.linspace(np.log(LOWEST * top), np.log(1.3 * top), GRIDS[zeros]))
+    ratio = (omega[:, None] / grid) ** 2
+    each = 0.5 * np.log((1 - ratio) ** 2 + BLUNT * ratio).T
+    sets = np.array(list(combinations(range(grid.size), 2 * zeros)))
+    shape = each[sets[:, 1::2]].sum(axis=1) - each[sets[:, 0::2]].sum(axis=1)
+    inertia = np.median(level - shape, axis=1)
+    return grid, sets, inertia, np.abs(level - shape - inertia[:, None]).mean(axis=1)
 
 
 def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:

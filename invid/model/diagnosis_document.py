@@ -195,6 +195,21 @@ class RuledOut:
     at: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class ForceAt:
+    """Rms force at a place that is in no law of the model [N·m or N], without and with the named causes.
+
+    ``element`` and ``other_axis`` as in findings; between two loads the element is that of ``axis``.
+    """
+
+    axis: str
+    element: str
+    other_axis: str | None
+    unit: str
+    before: float
+    after: float
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What the simulation gets wrong, the cause, the extended model, the gain."""
@@ -219,6 +234,9 @@ class Diagnosis:
     """What changed since the accepted model; ``None`` where nothing was compared."""
     ruled_out: tuple[RuledOut, ...] = ()
     """What the recording would have shown, by cause and place; empty where the verdict is unexplained."""
+    forces: tuple[ForceAt, ...] = ()
+    """What acts at each place and is in no law, elastic machines alone; most is left where ``after`` is
+    largest."""
     against: Mapping[str, Any] | None = None
     """What a user's own simulator gets wrong here (docs/how-to/against.md)."""
 
@@ -276,6 +294,7 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "model": model_to_json(diagnosis.model),
         "warnings": list(diagnosis.warnings),
         "sentences": list(diagnosis.sentences),
+        "forces": [asdict(f) for f in diagnosis.forces],
         "ruled_out": [asdict(r) for r in diagnosis.ruled_out],
         "changes": None if diagnosis.changes is None else [asdict(c) for c in diagnosis.changes],
         "details": dict(diagnosis.details),

@@ -12,7 +12,8 @@ transformed exactly, since the rule errs by (ωh)²/12 of a jump.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -116,6 +117,12 @@ class Record:
     def weight(self) -> Float64:
         """(F,) one half for the mean, which is real, one elsewhere."""
         return np.where(self.omega == 0.0, 0.5, 1.0)
+
+    def stride(self, most: int) -> int:
+        """Most instants of the grid of motion, up to ``most``, that divide a period, or the span without
+        one."""
+        count = (self.motion.position.shape[0] - 1) // max(self.periods, 1)
+        return max(k for k in range(1, most + 1) if count % k == 0)
 
     def lines(self, series: Float64) -> Complex128:
         """(F, …) transform of ``series`` (k + 1, …) on the grid of motion."""
@@ -334,3 +341,59 @@ def _hold_damping(
 
 UNEXPLAINED = 0.1
 """Share of the torque on lines without a command that a hold may leave and still be one (empirical)."""
+
+
+SURE_HOLD, SILENT_REST = 0.05, 3.0
+"""Relative deviation of a hold's stiffness up to which it is known, and power over the torque's noise that it
+may leave on lines without a command (empirical, hidden plants with holds inside their drives)."""
+FEWEST = 10
+"""Fewest lines from which a hold is read."""
+
+
+def read_holds(experiments: Sequence[Experiment], records: Sequence[Record]) -> list[Record]:
+    """The records with holds inside drives made known that show themselves on lines without a command.
+
+    There the torque is −K·position − D·velocity and nothing else: on the lines between those excited and, of
+    an axis that is not driven, on all. Where a hold stays unknown, half a sample h by which it acts at
+    another time than the command looks like a viscous friction of K·h/2.
+    """
+    out = list(records)
+    for m in range(records[0].hold.size if records else 0):
+        seen = [_normal_of_hold(e, r, m) for e, r in zip(experiments, records, strict=True)]
+        normal = np.sum([n for n, _ in seen], axis=0)
+        if not normal[1, 1]:
+            continue
+        stiffness, damping = np.linalg.solve(normal, np.sum([p for _, p in seen], axis=0))
+        if stiffness <= 0.0 or np.sqrt(np.linalg.inv(normal)[0, 0]) > SURE_HOLD * stiffness:
+            continue
+        for k, record in enumerate(out):
+            if np.isnan(record.hold[m]):
+                hold, damped = record.hold.copy(), record.hold_damping.copy()
+                hold[m], damped[m] = stiffness, damping
+                out[k] = replace(record, hold=hold, hold_damping=damped)
+    return out
+
+
+def _normal_of_hold(experiment: Experiment, record: Record, axis: int) -> tuple[Float64, Float64]:
+    """Normal equations (2, 2), (2,) of an unknown hold's stiffness and damping.
+
+    Zero where it does not explain the torque on lines without a command.
+    """
+    nothing = np.zeros((2, 2)), np.zeros(2)
+    excited = np.round(experiment.frequencies_hz * record.span).astype(int)
+    free = (record.wide > 0.0) & (record.wide < 2 * np.pi * DENSE * record.top_hz)
+    if record.driven[axis]:
+        free[excited[excited < free.size]] = False
+    if not np.isnan(record.hold[axis]) or (record.driven[axis] and not excited.size) or free.sum() < FEWEST:
+        return nothing
+    noise = np.sqrt(record.torque_noise[axis] / 2.0)
+    position, torque = record.position[free, axis] / noise, record.torque[free, axis] / noise
+    velocity = 1j * record.wide[free] * position + 2.0 / record.span * record.jump[axis] / noise
+    columns = -np.stack((position, velocity), axis=1)
+    columns, target = (np.concatenate((w.real, w.imag)) for w in (columns, torque))
+    normal, pull = columns.T @ columns, columns.T @ target
+    size = np.sqrt(np.diag(normal))
+    if not size.all() or np.linalg.cond(normal / size / size[:, None]) > 1e10:
+        return nothing
+    rest = target - columns @ np.linalg.solve(normal, pull)
+    return (normal, pull) if float((rest**2).mean()) < SILENT_REST else nothing

@@ -75,7 +75,7 @@ def _is_one_that_changes(tones: Sequence[Tone], span: float) -> bool:
 
 
 def _strongest(rest: Complex128, power: Float64, number: np.ndarray) -> tuple[float, complex, float]:
-    """Cycles in the span, complex amplitude and gain of the tone that explains most about the largest line."""
+    """Cycles in the span, complex amplitude and gain of the tone that tells most of the largest."""
     peak = int(np.argmax(np.abs(rest) ** 2 / power))
     near = np.abs(number - number[peak]) <= NEAR
     weight, seen = 1.0 / power[near], rest[near]

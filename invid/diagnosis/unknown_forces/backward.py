@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.unknown_forces.pursuit import pays, role_falls
+from invid.diagnosis.unknown_forces.pursuit import PRICE, pays, role_falls
 from invid.diagnosis.unknown_forces.structures import additions_of, without
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Kind
-from invid.likelihood.unknown_forces.shapes import reshape
+from invid.likelihood.unknown_forces.shapes import curvature, reshape
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
+from invid.numerics import budget
 
 PRICE_OF_FRICTION = 25.0
 """Rise of −2 ln L for a part of the friction of a motor, which is expected on every motor: Schwarz's price
 of its two numbers and ten thousand rows."""
+
+
+FRICTION = (
+    (Part.OFFSET, "torque_offset"),
+    (Part.RISE, "stribeck_friction"),
+    (Part.VISCOUS, "viscous_friction"),
+    (Part.DRY, "coulomb_friction"),
+)
+"""Parts of a motor's friction, and the causes that they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +64,7 @@ def worths(now: Supposed) -> list[Worth]:
     names = [c.name for c in now.fit.problem.columns]
     for motor in range(structure.motors):
         rest = now
-        for part, cause in (
-            (Part.OFFSET, "torque_offset"),
-            (Part.RISE, "stribeck_friction"),
-            (Part.VISCOUS, "viscous_friction"),
-            (Part.DRY, "coulomb_friction"),
-        ):
+        for part, cause in FRICTION:
             if rest.fit.value.coefficients[names.index((part, motor))]:
                 less = _without(rest, (part, motor))
                 out.append(_worth(rest, cause, (part, motor), less))
@@ -74,7 +79,35 @@ def worths(now: Supposed) -> list[Worth]:
 
 
 def _worth(now: Supposed, cause: str, key: Hashable, less: Supposed) -> Worth:
+    budget.check()  # a fit that was cut short tells nothing
     return Worth(cause, key, less.total - now.total, role_falls(less, now))
+
+
+def first_order_worths(now: Supposed) -> list[Worth]:
+    """The worth of every cause by its coefficients over their deviations, without a fit (Wald)."""
+    known = curvature(now)
+    names = [c.name for c in now.fit.problem.columns]
+    shares = np.array([1.0, 0.5])
+    out = []
+
+    def add(cause: str, key: Hashable, columns: Sequence[Hashable]) -> None:
+        at = [k for k, c in enumerate(known.free) if names[c] in columns]
+        if at:
+            value = now.fit.value.coefficients[known.free[at]]
+            index = known.numbers + np.array(at)
+            rise = float(value @ np.linalg.solve(known.covariance[np.ix_(index, index)], value))
+            out.append(Worth(cause, key, rise, (float(shares[0] * rise), float(shares[1] * rise))))
+
+    for placed in now.hypothesis.laws:
+        own = [(*placed.key, i) for i in range(len(placed.law.low))]
+        add(placed.law.cause, placed.key, own)
+    for motor in range(now.hypothesis.structure.motors):
+        for part, cause in FRICTION:
+            add(cause, (part, motor), [(part, motor)])
+    sure = 2.0 * PRICE
+    fixed: list[tuple[str, Hashable]] = [(c.value, (c, a)) for c, a in now.hypothesis.channels]
+    fixed += [(a.cause, a) for a in additions_of(now.hypothesis.structure)]
+    return [*out, *(Worth(cause, key, sure, (sure, sure)) for cause, key in fixed)]
 
 
 def _without(now: Supposed, name: Hashable) -> Supposed:

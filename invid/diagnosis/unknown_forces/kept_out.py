@@ -14,7 +14,7 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.signals.record import Record, make_record
+from invid.signals.record import Record, make_record, read_holds
 from invid.signals.spectra import all_spectra, verified_period
 
 FIFTH = 5
@@ -92,7 +92,8 @@ class _Parts:
         """The experiments as records."""
         origin = min(float(e.time[0]) for e in self.experiments)
         resolution = self.recording.encoder_resolution
-        return [replace(make_record(e, resolution, self.band), origin=origin) for e in experiments]
+        made = [replace(make_record(e, resolution, self.band), origin=origin) for e in experiments]
+        return read_holds(experiments, made)
 
     @cached_property
     def band(self) -> float:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from invid.diagnosis.unknown_forces.structures import Addition, Mode, base_of
 from invid.effects.laws.moving_base import SHARE
 from invid.effects.registry import BY_CAUSE
-from invid.effects.supposed_laws import LawPlace
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -44,6 +43,11 @@ class Quantities:
         at = [c.name for c in self.now.fit.problem.columns].index(name)
         where = np.flatnonzero(self.around.free == at)
         return self.around.numbers + int(where[0]) if where.size else None
+
+    def fitted(self, name: object) -> float:
+        """A law's coefficient."""
+        names = [c.name for c in self.now.fit.problem.columns]
+        return float(self.now.fit.value.coefficients[names.index(name)])
 
     def shape(self, name: object) -> int:
         """Index of a shape."""
@@ -158,18 +162,25 @@ class TermWriter:
         indices = [self.known.coefficient((*placed.key, i)) for i in range(len(placed.law.low))]
         indices += [self.known.coefficient((Part(part), axis)) for part in placed.law.beside]
         count = len(indices)
+        at_bound = np.zeros(count)
+        for i in range(len(placed.law.low)):
+            if indices[i] is None:
+                at_bound[i] = self.known.fitted((*placed.key, i))
         shapes = [self.known.shape((number, i)) for i in range(len(placed.shape))]
         stiffness = 1.0
         if placed.spot.where is Where.SPRING:
             stiffness = float(self.now.numbers.plant.of_kind(Kind.SPRING)[placed.spot.number])
-        place = LawPlace(int(element.split()[-1]), stiffness)
 
         def size(name: str) -> Callable[[Float64], float]:
-            return lambda v: placed.law.parameters(v[:count], tuple(v[count:]), place)[name]
+            return lambda v: placed.law.parameters(v[:count] + at_bound, tuple(v[count:]), stiffness)[name]
 
-        names = placed.law.parameters(np.ones(count), placed.shape, place)
+        names = placed.law.parameters(np.ones(count), placed.shape, stiffness)
         sizes = {name: (size(name), [*indices, *shapes]) for name in names}
-        return self._term(placed.law.cause, axis, sizes, element=element)
+        term = self._term(placed.law.cause, axis, sizes, element=element)
+        if not placed.law.counts:
+            return term
+        counted = Estimate(float(element.split()[-1]), None, self._unit(placed.law.cause, placed.law.counts))
+        return replace(term, parameters={placed.law.counts: counted, **term.parameters})
 
     def addition(self, addition: Addition) -> EffectTerm:
         """Term of what the structure has besides its chains."""

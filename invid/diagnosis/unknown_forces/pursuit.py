@@ -10,7 +10,7 @@ import numpy as np
 from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import candidates, score
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
-from invid.effects.supposed_laws import Backlash, SupposedLaw
+from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.identification.contest import shaken
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
@@ -26,6 +26,8 @@ Schwarz's price of its numbers, and of the places and shapes looked at, is about
 of friction and the grid of motion leave (empirical: false falls of up to 60 of −ln L in sixty rounds of whole
 cells of another hand).
 """
+PROMISING = 0.3
+"""Share of the best fall from which a structure is fitted to its end (empirical)."""
 NUMBER = 10.0
 """Schwarz's price of one number and ten thousand rows."""
 REFINED = 4
@@ -40,6 +42,8 @@ LOST = 0.2
 """Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
 
 Say = Callable[[str], None]
+Tell = Callable[[Supposed, float], None]
+"""Given what is found so far, and the share of the search that lies behind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +67,15 @@ class Trial:
 
     @property
     def merit(self) -> float:
-        """The fall less what the numbers cost that a law of one coefficient, or the mode of one load, has
-        not: of two that do as well the simpler one is taken."""
-        spare = self.found.hypothesis.structure.base and not self.base.hypothesis.structure.base
-        numbers = spare * (self.found.hypothesis.structure.motors - 1)
-        if self.placed is not None:
-            numbers += len(self.placed.law.low) + len(self.placed.shape) - 1
+        """The fall less what the numbers of a base cost that the mode of one load has not, of a mode less
+        that of one, of a law less that of its first: of two that do as well the simpler one is taken."""
+        numbers = 0
+        if isinstance(self.addition, Mode):
+            numbers = 1
+        elif isinstance(self.addition, Base):
+            numbers = self.found.hypothesis.structure.motors
+        elif self.placed is not None:
+            numbers = len(self.placed.law.low) + len(self.placed.shape) - 1
         return self.fall - NUMBER * numbers
 
 
@@ -162,18 +169,22 @@ def try_channels(now: Supposed) -> list[Trial]:
     return out
 
 
-def try_structures(now: Supposed, *, growing: bool) -> list[Trial]:
+def try_structures(now: Supposed, least: float, *, growing: bool) -> list[Trial]:
     """A mode, a base, one more mass of a chain, each where a scan over frequency says that it may be.
 
-    The mode of one load is a base as well; so a base has to do better than the mode that is nearest to it.
+    What falls by less than a share of ``least``, or of the best of them, is not fitted to its end. The mode
+    of one load is a base as well; so a base has to do better than the mode that is nearest to it.
     """
     looked = Scan(now)
     structure = now.hypothesis.structure
-    trials = []
-    for addition in additions(now, looked, growing=growing):
-        found = add(now, addition, looked)
-        if found is not None:
-            trials.append(Trial(addition.cause, addition.spot(structure), found, now, addition=addition))
+    begun = [(a, add(now, a, looked)) for a in additions(now, looked, growing=growing)]
+    known = [(a, found) for a, found in begun if found is not None]
+    least = now.total - PROMISING * max([least, *(now.total - found.total for _, found in known)])
+    trials = [
+        Trial(a.cause, a.spot(structure), found.refit(iterations=25), now, addition=a)
+        for a, found in known
+        if found.total < least
+    ]
     for trial in [t for t in trials if isinstance(t.addition, Base)]:
         nearest = as_mode(trial.found)
         if nearest is not None:
@@ -195,14 +206,28 @@ class Pursued:
     """Taken, and beside it what did nearly as well."""
 
 
+TO_THE_END = 20
+"""Most iterations of a trial that comes near the best."""
 NEARLY_AS_WELL = 0.15
 """Share of the fall of the cause taken that a rival may miss and is looked at again at the end."""
 
 
+def finish(trials: Sequence[Trial]) -> list[Trial]:
+    """The trials, the best first; those that come near the best are fitted to the end before they are
+    compared."""
+    best = max((t.merit for t in trials), default=0.0)
+    close = [t for t in trials if t.merit > best - max(NEARLY_AS_WELL * best, LEAST_FITTED)]
+    if len(close) > 1:
+        ended = {id(t): replace(t, found=t.found.refit(iterations=TO_THE_END)) for t in close}
+        trials = [ended.get(id(t), t) for t in trials]
+    return sorted(trials, key=lambda t: -t.merit)
+
+
 def pursue(
     now: Supposed,
-    laws: Sequence[SupposedLaw],
+    laws: Sequence[SupposedLaw] = SUPPOSED,
     say: Say = lambda _: None,
+    tell: Tell = lambda _, __: None,
     rounds: int = 8,
     *,
     growing: bool = False,
@@ -214,29 +239,30 @@ def pursue(
     rivals: list[tuple[Trial, Trial]] = []
     now = reshape(scan_friction(now))
     say(f"null {now.total:.1f} inner {now.inner_strength:.2f}")
-    for _ in range(rounds):
+    for number in range(rounds):
+        tell(now, number / rounds)
         if budget.is_left_out("further causes"):
             break
         now = now.renewed(3)
         looked = candidates(now, laws)
         falls = score(now, looked)
         trials: list[Trial] = []
-        tried: set[tuple[str, Spot]] = set()
+        tried: set[tuple[str, Spot, int]] = set()
         for k in np.argsort(-falls):
             placed = looked[int(k)]
             if falls[k] < 6.0 or len(tried) >= REFINED:
                 break
-            if placed.key in tried:
+            if placed.key in tried or budget.is_left_out("further causes"):
                 continue
             tried.add(placed.key)
             found = try_law(now, placed)
             if is_sound(found):
                 trials.append(Trial(placed.law.cause, placed.spot, found, now, placed))
         best = max((t.fall for t in trials), default=0.0)
-        if best < 2000.0 or now.inner_strength > LOST:
-            trials += try_structures(now, growing=growing)
+        if (best < 2000.0 or now.inner_strength > LOST) and not budget.is_left_out("further causes"):
+            trials += try_structures(now, best, growing=growing)
         trials += try_channels(now)
-        trials.sort(key=lambda t: -t.merit)
+        trials = finish(trials)
         say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
         taken = next((t for t in trials if pays(*role_falls(t.base, t.found))), None)
         if taken is None:

@@ -59,11 +59,11 @@ class Scan:
         """The highest fall at places."""
         return float(self._falls(places).max())
 
-    def peaks(self, places: Sequence[Place]) -> list[Resonance]:
-        """The highest resonances at places, the highest first."""
+    def peaks(self, places: Sequence[Place], least: float) -> list[Resonance]:
+        """The highest resonances at places whose fall is beyond ``least``, the highest first."""
         falls, at = self._falls(places), self._numbers(places)
         padded = np.concatenate(([0.0], falls, [0.0]))
-        tops = np.flatnonzero((falls >= padded[:-2]) & (falls >= padded[2:]) & (falls > 0.0))
+        tops = np.flatnonzero((falls >= padded[:-2]) & (falls >= padded[2:]) & (falls > least))
         out = []
         for k in tops[np.argsort(-falls[tops])][:PEAKS]:
             close = [

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.effects.effect import Effect
 from invid.effects.supposed_laws import SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.slope import whitened_rows
-from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, vector_of
+from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, axis_of, vector_of
 from invid.likelihood.unknown_forces.value import along
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
 
-COARSE = 4
-"""Instants that are one step of the grid of time for laws without corners."""
 ALIKE = 1e-6
 """Share of a law that nothing else in the fit explains, below which it is none of its own."""
 
@@ -61,6 +61,25 @@ def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
     return out
 
 
+def look_alikes(now: Supposed, cause: Effect, spot: Spot, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
+    """Laws on the axis of ``spot`` for which a cause there is easily mistaken, at all shapes.
+
+    ``now`` is the hypothesis without the cause. The same cause elsewhere on the axis is one of them.
+    """
+    structure = now.hypothesis.structure
+    alike = [
+        law
+        for law in laws
+        if law.cause == cause.cause or law.cause in cause.looks_like or cause.cause in law.effect.looks_like
+    ]
+    return [
+        p
+        for p in candidates(now, alike)
+        if axis_of(structure, p.spot) == axis_of(structure, spot)
+        and (p.law.cause, p.spot) != (cause.cause, spot)
+    ]
+
+
 @dataclass(frozen=True, eq=False)
 class Background:
     """What else a fit moves: by how much −2 ln L falls with columns beside it, all else moving to first
@@ -77,12 +96,13 @@ class Background:
     def of(cls, now: Supposed) -> Background:
         """At a fit, with strengths as they are."""
         value, joint = now.fit.value, now.fit.slope.joint
-        size = np.sqrt(np.diag(joint)) + 1e-300
+        size: Float64 = np.sqrt(np.diag(joint)) + 1e-300
+        inverse: Float64 = np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size))
         return cls(
             tuple(joint_rows(now, k) for k in range(len(value.work))),
             tuple((w.missing + w.laws @ value.coefficients).ravel() for w in value.work),
             size,
-            np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size)),
+            inverse,
         )
 
     def beside(self, columns: Sequence[Float64]) -> tuple[Float64, Float64]:
@@ -99,21 +119,25 @@ class Background:
 
 
 def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
-    """(k,) falls of −2 ln L by each law with strengths as they are."""
+    """(k,) falls of −2 ln L by each law with strengths as they are; zero of what a budget leaves out."""
     background = Background.of(now)
     out = []
     for placed in laws:
-        every = COARSE if placed.law.coarse else 1
-        lines = now.bench.law_lines(placed, now.motions, every=every)
+        if budget.is_left_out("further causes"):
+            out.append(0.0)
+            continue
+        lines = now.bench.law_lines(placed, now.motions, quick=True)
         vector = vector_of(now.hypothesis.structure, placed.spot)[:, None]
         columns = []
         for work, wave in zip(now.fit.value.work, lines, strict=True):
-            reach = (
-                work.condensed.stiffness[:, :, placed.spot.number, None]
-                if placed.law.reads
-                else along(work.condensed.motion, vector)
-            )
-            columns.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
+            if placed.law.scales:
+                torque = -now.numbers.timing.acting(work.stack)[:, :, placed.spot.number]
+                rows = torque[..., None, None] * np.eye(work.shape[2])[placed.spot.number][:, None]
+            elif placed.law.reads:
+                rows = wave[:, :, None] * work.condensed.stiffness[:, :, placed.spot.number, None]
+            else:
+                rows = wave[:, :, None] * along(work.condensed.motion, vector)
+            columns.append(whitened_rows(work, rows).reshape(-1, wave.shape[2]))
         own, pull = background.beside(columns)
         out.append(bounded_fall(own, pull, placed.law.limits(now.motions.flat(placed.spot))))
     return np.array(out)

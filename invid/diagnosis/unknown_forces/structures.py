@@ -10,17 +10,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.diagnosis.unknown_forces.resonances import BAND, DAMPING, Resonance, Scan, top
-from invid.identification.contest import is_settled
+from invid.identification.contest import PRICE_OF_MASS, is_settled
 from invid.identification.first_plants import fraction_chains
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import LARGEST_STEP
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
 from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
 
-LEAST_FALL = 6.0
-"""First-order fall of −2 ln L below which nothing is fitted."""
+LOOSE = 0.1
+"""Deviation of a mass' or spring's logarithm from which on its chain may have a mass too many."""
+LEAST_FALL = 20.0
+"""First-order fall of −2 ln L below which nothing is fitted: half of what a cause has to bring on the records
+fitted."""
 STARTS = 2
 """Starts that are fitted."""
 SMALL, SHARES = 0.03, (0.1, 0.35)
@@ -86,7 +90,7 @@ class AddedMass(Addition):
         host, at = self.ends(wider)
         whole = float(now.numbers.plant.of_kind(Kind.MASS)[host])
         out = []
-        for peak in looked.peaks([(host, host)]):
+        for peak in looked.peaks([(host, host)], LEAST_FALL):
             for share in _shares(float(peak.sizes[0]) / whole):
                 mass = share * whole
                 values = _spring(peak, mass, Element(Kind.SPRING, host, at))
@@ -187,7 +191,7 @@ class Base(Addition):
         inertia = load_inertia(now.hypothesis.structure, now.numbers.plant.values)
         mass = float(np.exp(np.log(np.diag(inertia)).mean()))
         out = []
-        for peak in looked.peaks(looked.loads):
+        for peak in looked.peaks(looked.loads, LEAST_FALL):
             matrix = np.zeros(inertia.shape)
             matrix[np.triu_indices(inertia.shape[0])] = peak.sizes
             size, direction = np.linalg.eigh(matrix, UPLO="U")
@@ -271,7 +275,7 @@ def expected(found: Supposed) -> float:
 
 
 def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
-    """The fit with an addition; none where no start has a value.
+    """A short fit with an addition; none where no start has a value.
 
     The best starts of the scan compete with those of continued fractions where the fit is not home: a scan at
     numbers that are bent cannot judge them.
@@ -285,10 +289,8 @@ def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
             with suppress(np.linalg.LinAlgError):
                 pool.append(now.in_structure(moved, values, 0))
         tried += [f.refit(iterations=6) for f in sorted(pool, key=expected)[:STARTS]]
-    for iterations, kept in ((12, 2), (25, 1)):
-        best = sorted(tried, key=lambda f: f.total)[:kept]
-        tried = [f.refit(iterations=iterations) for f in best]
-    return tried[0] if tried else None
+    best = sorted(tried, key=lambda f: f.total)[:STARTS]
+    return min((f.refit(iterations=12) for f in best), key=lambda f: f.total, default=None)
 
 
 def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
@@ -366,3 +368,45 @@ def without(now: Supposed, addition: Addition) -> Supposed:
     else:
         fewer = replace(structure, base=False)
     return now.in_structure(Correspondence.of(structure, fewer), values, 25)
+
+
+def with_masses_seen(now: Supposed) -> Supposed:
+    """The fit with each chain as short as costs no more than the price of a mass.
+
+    Only where a mass or spring of a chain is loosely known may one be too many.
+    """
+    motors = now.hypothesis.structure.motors
+    while not budget.is_left_out("fewer masses"):
+        shorter = [shortened(now, axis) for axis in range(motors)]
+        known = [s for s in shorter if s is not None and s.total - now.total < PRICE_OF_MASS]
+        if not known:
+            break
+        now = min(known, key=lambda s: s.total)
+    return now
+
+
+def shortened(now: Supposed, axis: int) -> Supposed | None:
+    """The fit with two masses of a chain made one; none where all of them are well known."""
+    structure = now.hypothesis.structure
+    chain = range(structure.motor[axis], structure.load[axis] + 1)
+    links = [structure.links.index((a, a + 1)) for a in chain[:-1]]
+    numbers = [structure.index(Kind.MASS).start + a for a in chain]
+    numbers += [structure.index(Kind.SPRING).start + k for k in links]
+    if not links or np.sqrt(np.diag(now.fit.covariance)[numbers]).max() < LOOSE:
+        return None
+    pool = []
+    for a in chain[:-1]:
+        with suppress(np.linalg.LinAlgError):
+            pool.append(_merged(now, axis, a))
+    best = min(pool, key=expected, default=None)
+    return None if best is None else best.refit(iterations=25)
+
+
+def _merged(now: Supposed, axis: int, first: int) -> Supposed:
+    """With the masses ``first`` and the next of a chain made one, not fitted."""
+    structure, mass = now.hypothesis.structure, now.numbers.plant.of_kind(Kind.MASS)
+    at = tuple(i - (i > first) for i in range(structure.coordinates))
+    sizes = tuple(n - (i == axis) for i, n in enumerate(structure.sizes))
+    fewer = replace(structure, sizes=sizes, modes=tuple(at[h] for h in structure.modes))
+    one = {Element(Kind.MASS, first): float(mass[first] + mass[first + 1])}
+    return now.in_structure(Correspondence(structure, fewer, at), one, 0)

@@ -12,8 +12,9 @@ from invid.effects.catalogue.coulomb_friction import CoulombFriction
 from invid.effects.catalogue.presliding_friction import PreslidingFriction
 from invid.effects.catalogue.stribeck_friction import StribeckFriction
 from invid.effects.catalogue.viscous_friction import ViscousFriction
+from invid.effects.effect import Effect
 from invid.effects.laws.slider import slide
-from invid.effects.supposed.law import Bounds, LawPlace, Shape, SpotMotion, SupposedLaw, extent
+from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw, extent
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
@@ -38,7 +39,8 @@ class InnerViscous(InnerLaw):
 class InnerDry(InnerLaw):
     """Dry friction of a mass behind the motor; shape ln(width of its turn)."""
 
-    effect, low = CoulombFriction(), (0.0,)
+    effect: Effect = CoulombFriction()
+    low: tuple[float, ...] = (0.0,)
     FIRST, LEAST, MOST = 0.02, 2e-3, 0.3
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
@@ -75,17 +77,22 @@ class InnerStribeck(InnerDry):
         size = extent([m.velocity for m in motions], 0.7)
         return [*super().bounds(motions), (float(np.log(0.01 * size)), float(np.log(3.0 * size)))]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         dry, rise = (float(c) for c in coefficients)
         return {"static": dry + rise, "coulomb": dry, "velocity": float(np.exp(shape[1]))}
 
 
+def _filled(coefficients: Float64) -> Float64:
+    """(4,) with zeros for friction beside that is not known."""
+    return np.append(coefficients, np.zeros(4 - coefficients.size))
+
+
 def _by_direction(dry: float, viscous: float, even: float, offset: float) -> dict[str, float]:
     return {
-        "coulomb_positive": dry + offset,
-        "coulomb_negative": dry - offset,
-        "viscous_positive": viscous + even,
-        "viscous_negative": viscous - even,
+        "coulomb_positive": float(dry + offset),
+        "coulomb_negative": float(dry - offset),
+        "viscous_positive": float(viscous + even),
+        "viscous_negative": float(viscous - even),
     }
 
 
@@ -104,9 +111,8 @@ class AsymmetricAtMotor(SupposedLaw):
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return np.abs(motion.velocity)[:, None]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
-        even, dry, viscous, offset = (float(c) for c in coefficients)
-        return _by_direction(dry, viscous, even, offset)
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return _by_direction(*_filled(coefficients)[[1, 2, 0, 3]])
 
 
 class InnerAsymmetric(InnerDry):
@@ -120,9 +126,8 @@ class InnerAsymmetric(InnerDry):
         turn = np.tanh(motion.velocity / np.exp(shape[0]))
         return np.stack((turn, motion.velocity, np.abs(motion.velocity)), axis=1)
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
-        dry, viscous, even, offset = (float(c) for c in coefficients)
-        return _by_direction(dry, viscous, even, offset)
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return _by_direction(*_filled(coefficients))
 
 
 class Slider(SupposedLaw):
@@ -145,7 +150,7 @@ class Slider(SupposedLaw):
         size = extent([m.position - m.position.mean() for m in motions], 0.9)
         return [(float(np.log(1e-3 * size)), float(np.log(size)))]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         torque = float(coefficients[0])
         return {"stiffness": torque / float(np.exp(shape[0])), "torque": torque}
 

@@ -24,8 +24,8 @@ class SpotMotion:
     side.
 
     Of a spring the position is its deflection. ``time`` is the recording's clock [s], which began at
-    ``origin``; ``torque`` the torque that acts there, of motors alone; ``stiffness`` that of the spring at a
-    place, where a fit has said it.
+    ``origin``; ``torque`` the torque that acts there, of motors alone; ``own`` the stiffness of the spring
+    or the mass at the place, where a fit has said it.
     """
 
     position: Float64
@@ -33,8 +33,13 @@ class SpotMotion:
     angle: Float64
     time: Float64
     torque: Float64 | None = None
-    stiffness: float | None = None
+    own: float | None = None
     origin: float = 0.0
+
+    @cached_property
+    def fastest(self) -> float:
+        """Largest change of the angle from one instant to the next."""
+        return float(np.abs(np.diff(self.angle)).max())
 
     @cached_property
     def acceleration(self) -> Float64:
@@ -52,16 +57,12 @@ class SpotMotion:
         return replace(self, position=position, velocity=velocity, angle=angle, time=time, torque=torque)
 
 
+SMOOTH, TURN = 16, 0.7
+"""Instants of the grid of motion that are a tenth of the highest excited period, and the phase of a ripple
+[rad] that is a ninth of its own."""
+
 Shape = tuple[float, ...]
 Bounds = list[tuple[float, float]]
-
-
-@dataclass(frozen=True)
-class LawPlace:
-    """What a law's parameters need of its place: its number in the chain, the stiffness of a spring there."""
-
-    number: int
-    stiffness: float = 1.0
 
 
 class SupposedLaw(ABC):
@@ -76,16 +77,16 @@ class SupposedLaw(ABC):
     """Whether it may stand at one place several times."""
     shape_step = 0.01
     """Largest step of a shape for its derivative."""
-    coarse = False
-    """Whether its waves are smooth enough for a coarser grid of time while it is only scored."""
     reads = False
     """Whether its waves are by how much its motor stands beyond its reading, and no force."""
     scales = False
-    """Whether it multiplies the torque of its motor."""
+    """Whether it multiplies the torque of its motor, and has no wave of its own."""
     covers: frozenset[str] = frozenset()
     """Parts of the friction of its axis' motor that it takes the place of."""
     beside: tuple[str, ...] = ()
     """Parts of the friction of its axis' motor whose coefficients its parameters need, after its own."""
+    counts: str = ""
+    """The parameter that is the number of its place, where one is."""
     contains: tuple[type[SupposedLaw], ...] = ()
     """Laws of the same place that it takes the place of."""
 
@@ -98,6 +99,10 @@ class SupposedLaw(ABC):
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         """(k, L) resistance for each coefficient at one."""
 
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        """Most instants between two of a grid of time on which its waves are smooth."""
+        return 1
+
     def places(self, chains: ChainStructure) -> list[Place]:
         """Where it may stand."""
         return self.effect.places(chains)
@@ -106,8 +111,8 @@ class SupposedLaw(ABC):
         """Bounds of each coefficient."""
         return [(low, np.inf) for low in self.low]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
-        """The contract's parameters."""
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        """The contract's parameters; ``stiffness`` is that of the spring at its place."""
         return {self.main: float(coefficients[0])}
 
     def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
@@ -127,6 +132,11 @@ def extent(values: Sequence[Float64], share: float) -> float:
 def travel(motions: Sequence[SpotMotion]) -> float:
     """Size that the position's distance from its mean stays below, but for a fiftieth of the time."""
     return extent([m.position - m.position.mean() for m in motions], 0.98)
+
+
+def ripple_stride(motion: SpotMotion, cycles: float) -> int:
+    """Instants within which so many cycles a revolution turn by ``TURN``, ``SMOOTH`` at most."""
+    return int(np.clip(TURN / (cycles * max(motion.fastest, 1e-300)), 1, SMOOTH))
 
 
 def sinusoid(position: Float64, cycles: float) -> Float64:

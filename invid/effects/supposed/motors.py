@@ -14,11 +14,11 @@ from invid.effects.catalogue.torque_gain import TorqueGain as GainEffect
 from invid.effects.catalogue.torque_saturation import TorqueSaturation as SaturationEffect
 from invid.effects.supposed.law import (
     Bounds,
-    LawPlace,
     Shape,
     SpotMotion,
     SupposedLaw,
     amplitude_and_phase,
+    ripple_stride,
     sinusoid,
     travel,
 )
@@ -29,9 +29,12 @@ class Cogging(SupposedLaw):
     """A torque that is a sinusoid of the motor's position; shape ln(cycles)."""
 
     effect, low = CoggingEffect(), (-np.inf, -np.inf)
-    several = coarse = True
+    several = True
     shape_step = 1e-3
     LEAST, MOST, PER_SPAN = 0.5, 400.0, 0.35
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return ripple_stride(motion, float(np.exp(shape[0])))
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return sinusoid(motion.position, float(np.exp(shape[0])))
@@ -46,7 +49,7 @@ class Cogging(SupposedLaw):
     def bounds(self, motions: Sequence[SpotMotion]) -> Bounds:
         return [(float(np.log(max(self.LEAST / travel(motions), 1.5))), float(np.log(2000.0)))]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         torque, phase = amplitude_and_phase(coefficients)
         return {"torque": torque, "cycles_per_rev": float(np.exp(shape[0])), "phase": phase}
 
@@ -59,12 +62,14 @@ class Gravity(SupposedLaw):
 
     effect, low = GravityEffect(), (-np.inf, -np.inf)
     covers = frozenset({"offset"})
-    coarse = True
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return ripple_stride(motion, 1.0)
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return sinusoid(motion.position, 1.0)
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         torque, angle = amplitude_and_phase(coefficients)
         return {"torque": torque, "angle": angle}
 
@@ -73,7 +78,10 @@ class EncoderEccentricity(SupposedLaw):
     """An encoder that reads θ + amplitude·sin(θ + phase); its motor stands at the reading less that."""
 
     effect, low = EccentricityEffect(), (-np.inf, -np.inf)
-    reads = coarse = True
+    reads = True
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return ripple_stride(motion, 1.0)
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return -sinusoid(motion.position, 1.0)
@@ -81,7 +89,7 @@ class EncoderEccentricity(SupposedLaw):
     def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
         return [(-0.5, 0.5), (-0.5, 0.5)]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         amplitude, phase = amplitude_and_phase(coefficients)
         return {"amplitude": amplitude, "phase": phase}
 
@@ -104,7 +112,7 @@ class TorqueSaturation(SupposedLaw):
         top = max(float(np.abs(m.torque).max()) for m in motions if m.torque is not None)
         return [(float(np.log(0.2 * top)), float(np.log(0.98 * top)))]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         return {"limit": float(np.exp(shape[0]))}
 
 
@@ -115,11 +123,10 @@ class TorqueGain(SupposedLaw):
     scales = True
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        torque = np.zeros(motion.position.size) if motion.torque is None else motion.torque
-        return -torque[:, None]
+        return np.zeros((motion.position.size, 1))
 
     def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
         return [(-0.5, 1.0)]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         return {"gain": 1.0 + float(coefficients[0])}

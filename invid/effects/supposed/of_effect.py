@@ -8,11 +8,13 @@ import numpy as np
 
 from invid.effects.effect import PlaceMotion
 from invid.effects.motion_effect import MotionEffect
-from invid.effects.supposed.law import Bounds, LawPlace, Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw
 from invid.effects.units import unit_of
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 
+PLACE = Place("mass", 0, 1)
+"""Stands for every place: parameters of such an effect do not depend on it."""
 TURN = 0.02
 """Speed over its rms below which a law may soften the direction of motion."""
 
@@ -64,8 +66,8 @@ class EffectLaw(SupposedLaw):
             out.append((low, max(low, high)))
         return out
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
-        return self.effect.values([*coefficients, *shape], Place("mass", 0, place.number))
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return self.effect.values([*coefficients, *shape], PLACE)
 
     def _units(self, shape: Shape) -> list[float]:
         logs = self.effect.logarithmic

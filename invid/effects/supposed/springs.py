@@ -13,12 +13,12 @@ from invid.effects.catalogue.transmission_error import TransmissionError as Tran
 from invid.effects.supposed.friction import Slider
 from invid.effects.supposed.law import (
     Bounds,
-    LawPlace,
     Shape,
     SpotMotion,
     SupposedLaw,
     amplitude_and_phase,
     extent,
+    ripple_stride,
     sinusoid,
 )
 from invid.numerics.arrays import Float64
@@ -34,6 +34,8 @@ class Backlash(SupposedLaw):
 
     effect, low = BacklashEffect(), (0.0, -np.inf)
     OWN = (0.8, 1.25)
+    SMALLEST, LARGEST, RATIO = 3e-4, 0.6, 1.6
+    """Gaps to score over the range of the deflection."""
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         half = 0.5 * float(np.exp(shape[0]))
@@ -41,21 +43,22 @@ class Backlash(SupposedLaw):
         return np.stack((-np.clip(motion.position, -half, half), -motion.velocity * inside), axis=1)
 
     def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
-        own = motions[0].stiffness
+        own = motions[0].own
         if own is None:
             return super().limits(motions)
         return [(self.OWN[0] * own, self.OWN[1] * own), (-np.inf, np.inf)]
 
     def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
         top = 2.0 * extent([m.position for m in motions], 0.995)
-        return [(float(np.log(top * share)),) for share in (0.01, 0.03, 0.06, 0.1, 0.16, 0.25, 0.4, 0.6)]
+        count = int(np.log(self.LARGEST / self.SMALLEST) / np.log(self.RATIO))
+        return [(float(np.log(top * self.LARGEST / self.RATIO**k)),) for k in range(count + 1)]
 
     def bounds(self, motions: Sequence[SpotMotion]) -> Bounds:
         top = 2.0 * extent([m.position for m in motions], 0.999)
-        return [(float(np.log(1e-3 * top)), float(np.log(top)))]
+        return [(float(np.log(1e-4 * top)), float(np.log(top)))]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
-        return {"gap": float(np.exp(shape[0]))}
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return {"gap": float(np.exp(shape[0]) * coefficients[0] / stiffness)}
 
 
 class CubicStiffness(SupposedLaw):
@@ -78,9 +81,11 @@ class TransmissionError(SupposedLaw):
     """A sinusoid of the gear's angle in the deflection of its spring; shape ln(cycles)."""
 
     effect, low = TransmissionEffect(), (-np.inf, -np.inf)
-    coarse = True
     shape_step = 1e-3
     LEAST, MOST = 2.0, 120.0
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return ripple_stride(motion, float(np.exp(shape[0])))
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return sinusoid(motion.angle, float(np.exp(shape[0])))
@@ -93,7 +98,7 @@ class TransmissionError(SupposedLaw):
         span = extent([m.angle - m.angle.mean() for m in motions], 0.98)
         return [(float(np.log(self.LEAST / span)), float(np.log(self.MOST)))]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         torque, phase = amplitude_and_phase(coefficients)
         cycles = float(np.exp(shape[0]))
-        return {"amplitude": torque / place.stiffness, "cycles_per_rev": cycles, "phase": phase}
+        return {"amplitude": torque / stiffness, "cycles_per_rev": cycles, "phase": phase}

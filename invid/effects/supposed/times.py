@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.effects.catalogue.parameter_drift import ParameterDrift as DriftEffect
 from invid.effects.catalogue.payload_change import PayloadChange as PayloadEffect
-from invid.effects.supposed.law import Bounds, LawPlace, Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed.law import SMOOTH, Bounds, Shape, SpotMotion, SupposedLaw
 from invid.numerics.arrays import Float64
 
 
@@ -18,6 +18,7 @@ class PayloadChange(SupposedLaw):
 
     effect, main = PayloadEffect(), "mass"
     shape_step = 0.05
+    MOST = 5.0
     WITHIN = (0.1, 0.3, 0.5, 0.7, 0.9)
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
@@ -36,8 +37,13 @@ class PayloadChange(SupposedLaw):
         margin = 0.02 * (spans[0][1] - spans[0][0])
         return [(spans[0][0] + margin, max(last for _, last in spans) - margin)]
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         return {"mass": float(coefficients[0]), "time": float(shape[0])}
+
+    def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
+        """What goes is less than the load; what comes may be several times as much."""
+        own = motions[0].own
+        return super().limits(motions) if own is None else [(-0.9 * own, self.MOST * own)]
 
 
 def _spans(motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
@@ -47,12 +53,19 @@ def _spans(motions: Sequence[SpotMotion]) -> list[tuple[float, float]]:
 class ParameterDrift(SupposedLaw):
     """A spring's stiffness that changes by its coefficient a second, from the start of the recording on."""
 
-    effect, main = DriftEffect(), "rate"
-    coarse = True
+    effect, main, counts = DriftEffect(), "rate", "parameter"
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return SMOOTH
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         force: Float64 = (motion.position * (motion.time - motion.origin))[:, None]
         return force
 
-    def parameters(self, coefficients: Float64, shape: Shape, place: LawPlace) -> dict[str, float]:
-        return {"parameter": float(place.number), "rate": float(coefficients[0])}
+    def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
+        """A spring that drifts by more than itself stands for another one."""
+        own = motions[0].own
+        if own is None:
+            return super().limits(motions)
+        most = own / max(float(m.time[-1] - m.origin) for m in motions)
+        return [(-most, most)]

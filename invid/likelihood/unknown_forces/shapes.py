@@ -14,6 +14,7 @@ from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.slope import number_rows, whitened_rows
 from invid.likelihood.unknown_forces.supposition import Hypothesis, Supposed, vector_of
 from invid.likelihood.unknown_forces.value import along, evaluate
+from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64, Int64
 
 LARGEST = 0.5
@@ -148,6 +149,8 @@ def scan_friction(now: Supposed) -> Supposed:
     speed = _speeds(now)
     best, hypothesis = now.total, now.hypothesis
     for motor in range(len(hypothesis.friction)):
+        if budget.is_left_out("fits to their end"):
+            break
         first = hypothesis.friction[motor]
         for width in WIDTH_GRID:
             for share in STRIBECK_GRID:

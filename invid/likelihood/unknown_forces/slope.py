@@ -72,7 +72,8 @@ def number_rows(problem: Problem, value: Value, number: int) -> Float64:
     moved = along(inner_motion(problem, value, number), terms.vectors)
     moved = moved * terms.factors(work.stack.omega, plant.slope)
     by_plant = terms.by_parameter(seen[None] * moved[:, :, None])
-    by_timing = _timing_columns(work, value.numbers.timing)
+    scales = torque_scales(problem, value.coefficients)
+    by_timing = _timing_columns(work, value.numbers.timing, scales)
     rows = np.concatenate((real_rows(by_plant), real_rows(by_timing)), axis=2)
     return rows - work.ends @ (work.ends.T @ rows)
 
@@ -138,7 +139,7 @@ def named_force(problem: Problem, value: Value, number: int) -> Complex128:
     omega = work.stack.omega
     force = ends[:, None, :n] + 1j * omega[:, None] * ends[:, None, n:]
     for column, coefficient in zip(problem.columns, value.coefficients, strict=True):
-        if coefficient and column.reads < 0:
+        if coefficient and column.reads < 0 and column.scales < 0:
             force = force + coefficient * column.lines[number][..., None] * column.vector
     return force
 
@@ -163,9 +164,9 @@ def inner_motion(problem: Problem, value: Value, number: int) -> Complex128:
     return out
 
 
-def _timing_columns(work: StackWork, timing: Timing) -> Complex128:
+def _timing_columns(work: StackWork, timing: Timing, scales: Float64) -> Complex128:
     """(R, F, M, 5M) whitened −dτ by the timing's numbers: of axis m at motor m alone."""
-    slopes = timing.slopes(work.stack)
+    slopes = timing.slopes(work.stack) * scales[:, None]
     columns = -work.whitener[None, :, :, None, :] * slopes.transpose(0, 1, 3, 2)[:, :, None]
     return columns.reshape(*slopes.shape[:3], slopes.shape[2] * slopes.shape[3])
 

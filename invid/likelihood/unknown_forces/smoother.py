@@ -18,10 +18,10 @@ from functools import cached_property
 import numpy as np
 
 from invid.likelihood.unknown_forces.forces import colours, missing_noise
-from invid.likelihood.unknown_forces.plant import Kind, Plant
+from invid.likelihood.unknown_forces.plant import Plant
 from invid.likelihood.unknown_forces.slope import ends_of
 from invid.likelihood.unknown_forces.stack import Stack
-from invid.likelihood.unknown_forces.value import Problem, Value, along
+from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -30,9 +30,9 @@ class SmoothedStack:
     """Motion in the records of one stack.
 
     ``lines`` (R, A, n) of every coordinate; ``jump`` (R, n) and ``bend`` (R, n) of its position and
-    velocity from a record's start to its end; ``force`` (R, A, P) unknown forces; ``springs`` the stiffness
-    of every spring. ``missing`` (R, A, M) is the motors' missing torque on all lines, ``sensors`` (A, M) the
-    power that the sensors alone make of it.
+    velocity from a record's start to its end; ``force`` (R, A, P) unknown forces; ``plant`` that of the
+    fit. ``missing`` (R, A, M) is the motors' missing torque on all lines, ``sensors`` (A, M) the power that
+    the sensors alone make of it.
     """
 
     stack: Stack
@@ -40,7 +40,7 @@ class SmoothedStack:
     jump: Float64
     bend: Float64
     force: Complex128
-    springs: Float64
+    plant: Plant
     missing: Complex128
     sensors: Float64
 
@@ -69,6 +69,12 @@ class SmoothedStack:
         where: Float64 = self._wave(clean) + ramp
         speed: Float64 = self._wave(rate) + slope
         return where, speed
+
+    def force_over_time(self, place: int) -> Float64:
+        """(R, k + 1) unknown force at a place on the grid of motion."""
+        lines = self.force[:, :, place]
+        lines = np.pad(lines, ((0, 0), (0, self.grid // 2 + 1 - lines.shape[1])))
+        return self._wave(lines)
 
     def _wave(self, lines: Complex128) -> Float64:
         wave = np.fft.irfft(lines, self.grid, axis=1) * (self.grid / 2)
@@ -99,10 +105,10 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
             lines = column.wide(number)
             if column.reads >= 0:
                 stands = stands + coefficient * lines[..., None] * np.eye(stands.shape[2])[column.reads]
-            else:
+            elif column.scales < 0:
                 named = named + coefficient * lines[..., None] * column.vector
     missing = ((stiffness @ stands[..., None]) + (motion @ named[..., None]))[..., 0]
-    missing = missing - numbers.timing.acting(wide)
+    missing = missing - numbers.timing.acting(wide) * torque_scales(problem, value.coefficients)
     white = (noise.whitener @ missing[..., None])[..., 0]
     solved = (noise.whitener.conj().transpose(0, 2, 1) @ white[..., None])[..., 0]
     force = power * (reach.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
@@ -112,9 +118,8 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
         ..., 0
     ]
     jump, bend = _jumps(numbers.plant, ends * stack.span / 2.0)
-    springs = numbers.plant.of_kind(Kind.SPRING)
     sensors = (np.abs(stiffness) ** 2 * stack.position_noise).sum(axis=2) + stack.torque_noise
-    return SmoothedStack(stack, lines, jump, bend, force, springs, missing, sensors)
+    return SmoothedStack(stack, lines, jump, bend, force, numbers.plant, missing, sensors)
 
 
 def _jumps(plant: Plant, ends: Float64) -> tuple[Float64, Float64]:

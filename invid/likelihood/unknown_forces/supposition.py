@@ -21,6 +21,7 @@ from invid.likelihood.unknown_forces.strengths import stronger
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate
 from invid.numerics.arrays import Complex128, Float64
+from invid.signals.record import Record
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +91,7 @@ class Motions:
     ) -> None:
         self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
         self._known: dict[Spot, list[list[SpotMotion]]] = {}
+        self.lines: dict[tuple[SupposedLaw, Spot, Shape, int], list[Complex128]] = {}
 
     def renewed(self, problem: Problem, value: Value, laws: Sequence[PlacedLaw]) -> Motions:
         """Smoothed at a fit, motors where ``laws`` of their readings say that they stand."""
@@ -97,13 +99,13 @@ class Motions:
         names = [c.name for c in problem.columns]
         for placed in laws:
             if placed.law.reads:
-                size = value.coefficients[[names.index((*placed.key, i)) for i in range(len(placed.law.low))]]
+                own = [names.index((*placed.key, i)) for i in range(len(placed.law.low))]
                 out._known[placed.spot] = [
                     [
-                        _standing(new, placed.law.waves(old, placed.shape) @ size)
-                        for new, old in zip(*both, strict=True)
+                        _standing(new, placed.law.waves(old, placed.shape) @ value.coefficients[own])
+                        for new, old in zip(*stack, strict=True)
                     ]
-                    for both in zip(out.of(placed.spot), self.of(placed.spot), strict=True)
+                    for stack in zip(out.of(placed.spot), self.of(placed.spot), strict=True)
                 ]
         return out
 
@@ -114,6 +116,10 @@ class Motions:
             at = moved.spot(spot)
             if at is not None:
                 out._known[at] = motion
+        for (law, spot, shape, quick), lines in self.lines.items():
+            at = moved.spot(spot)
+            if at is not None:
+                out.lines[law, at, shape, quick] = lines
         return out
 
     def _all_known(self) -> dict[Spot, list[list[SpotMotion]]]:
@@ -153,10 +159,10 @@ class Motions:
         first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
         position, velocity = self.smoothed[number].over_time(vector)
         angle = self.smoothed[number].over_time(unit[first])[0]
-        springs = self.smoothed[number].springs
-        stiffness = float(springs[spot.number]) if spot.where is Where.SPRING else None
+        kind = {Where.SPRING: Kind.SPRING, Where.MASS: Kind.MASS}.get(spot.where)
+        own = None if kind is None else float(self.smoothed[number].plant.of_kind(kind)[spot.number])
         return [
-            SpotMotion(q, v, a, t, stiffness=stiffness, origin=r.origin)
+            SpotMotion(q, v, a, t, own=own, origin=r.origin)
             for q, v, a, t, r in zip(position, velocity, angle, clocks, records, strict=True)
         ]
 
@@ -215,19 +221,26 @@ class Bench:
         )
 
     def law_lines(
-        self, placed: PlacedLaw, motions: Motions, shape: Shape | None = None, every: int = 1
+        self, placed: PlacedLaw, motions: Motions, shape: Shape | None = None, *, quick: bool = False
     ) -> list[Complex128]:
-        """(R, F, L) of each stack; on every ``every``-th instant of the motion."""
+        """(R, F, L) of each stack; ``quick``: on as few instants as its waves allow."""
         at = placed.shape if shape is None else shape
-        return [
-            np.array(
-                [
-                    r.lines(placed.law.waves(m.every(every), at))
-                    for r, m in zip(stack.records, moved, strict=True)
-                ]
-            )
-            for stack, moved in zip(self.stacks, motions.of(placed.spot), strict=True)
-        ]
+        key = placed.law, placed.spot, at, quick
+        if key not in motions.lines:
+            motions.lines[key] = [
+                np.array(
+                    [
+                        r.lines(placed.law.waves(m.every(_stride(placed.law, r, m, at) if quick else 1), at))
+                        for r, m in zip(stack.records, moved, strict=True)
+                    ]
+                )
+                for stack, moved in zip(self.stacks, motions.of(placed.spot), strict=True)
+            ]
+        return motions.lines[key]
+
+
+def _stride(law: SupposedLaw, record: Record, motion: SpotMotion, shape: Shape) -> int:
+    return record.stride(law.stride(motion, shape))
 
 
 def _wide(placed: PlacedLaw, motions: Motions, coefficient: int, number: int) -> Complex128:

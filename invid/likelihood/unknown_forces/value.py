@@ -47,9 +47,9 @@ class Column:
 
     ``vector`` (n,) is its place and ``lines`` its transform (R, F) in every stack. ``wide`` gives the
     transform on all lines of a stack up to where motion is known. ``damps``: the motor at which it is viscous
-    friction, which belongs to the loop of plant and hold. ``reads``: the motor that stands by ``lines`` beyond
-    its reading, instead of a force. ``scales``: the motor whose torque it multiplies by one plus its
-    coefficient.
+    friction, which belongs to the loop of plant and hold. ``reads``: the motor that stands by ``lines``
+    beyond its reading, instead of a force. ``scales``: the motor whose torque, as it acts, it
+    multiplies by one plus its coefficient.
     """
 
     name: Hashable
@@ -221,9 +221,11 @@ def _work(problem: Problem, numbers: Numbers, number: int) -> StackWork:
     length = np.linalg.norm(columns, axis=0) + 1e-300
     basis, triangle = np.linalg.qr(np.vstack((columns / length, TIED * np.eye(length.size))))
     basis = basis[: columns.shape[0]]
-    missing = (stiffness @ stack.position[..., None])[..., 0] - numbers.timing.acting(stack)
+    acting = numbers.timing.acting(stack)
+    missing = (stiffness @ stack.position[..., None])[..., 0] - acting
     both = np.concatenate(
-        (_law_columns(problem, number, whitener, condensed), (whitener @ missing[..., None])), axis=3
+        (_law_columns(problem, number, (whitener, condensed, acting)), (whitener @ missing[..., None])),
+        axis=3,
     )
     rows = real_rows(both)
     inside = basis.T @ rows
@@ -232,16 +234,20 @@ def _work(problem: Problem, numbers: Numbers, number: int) -> StackWork:
     return StackWork(stack, condensed, noise, whitener, basis, back, rows[..., :-1], rows[..., -1], inside)
 
 
-def _law_columns(problem: Problem, number: int, whitener: Complex128, condensed: Condensed) -> Complex128:
-    """(R, F, M, J) whitened laws."""
+def _law_columns(problem: Problem, number: int, at: tuple[Complex128, Condensed, Complex128]) -> Complex128:
+    """(R, F, M, J) whitened laws; ``at``: whitener, plant and the torque that acts."""
     stack = problem.stacks[number]
+    whitener, condensed, acting = at
     reach = whitener @ along(condensed.motion, problem.vectors)
-    for j, column in enumerate(problem.columns):
-        if column.reads >= 0:
-            reach[:, :, j] = (whitener @ condensed.stiffness[:, :, column.reads, None])[..., 0]
     out = np.empty((*stack.position.shape, len(problem.columns)), dtype=complex)
     for j, column in enumerate(problem.columns):
-        out[..., j] = column.lines[number][:, :, None] * reach[:, :, j]
+        if column.scales >= 0:
+            out[..., j] = -acting[:, :, column.scales, None] * whitener[:, :, column.scales]
+        elif column.reads >= 0:
+            read = (whitener @ condensed.stiffness[:, :, column.reads, None])[..., 0]
+            out[..., j] = column.lines[number][:, :, None] * read
+        else:
+            out[..., j] = column.lines[number][:, :, None] * reach[:, :, j]
     return out
 
 

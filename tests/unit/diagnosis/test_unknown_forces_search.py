@@ -12,11 +12,11 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from unit.likelihood.chain_plant import ChainPlant
 
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
-from invid.effects.registry import BY_CAUSE
-from invid.effects.supposed_laws import SUPPOSED, SupposedLaw
+from invid.effects.registry import registered_effects
 from invid.model.diagnosis_document import Diagnosis
 
 SPRINGS = ("A1", "spring 1"), ("A2", "spring 1"), ("A2", "spring 2")
+DRAG = Path(__file__).parents[2] / "effects" / "quadratic_drag.py"
 FRICTION = {"coulomb_friction", "viscous_friction"}
 
 
@@ -75,7 +75,11 @@ def test_a_hardening_spring_is_found_with_its_coefficient(seed: int) -> None:
     assert finding.parameters["coefficient"].value == pytest.approx(stiffness * share, rel=0.1)
 
 
-@pytest.mark.parametrize("law", SUPPOSED, ids=lambda law: f"{law.cause} {law.at}")
-def test_a_supposed_law_has_the_parameters_of_its_cause(law: SupposedLaw) -> None:
-    said = law.parameters(np.ones(len(law.low)), (0.0,), 1.0)
-    assert set(said) == set(BY_CAUSE[law.cause].parameters)
+def test_a_cause_in_a_file_of_its_own_is_found_by_its_law() -> None:
+    plant = ChainPlant(drag=(0.0, 12.0), viscous=(1.1, 0.0))
+    with registered_effects([DRAG]):
+        result = diagnose_elastic(plant.recording(41), plant.sizes)
+    finding = next(f for f in result.findings if f.cause == "quadratic_drag")
+    assert (finding.axis, finding.element) == ("A2", "mass 1")
+    assert finding.parameters["coefficient"].value == pytest.approx(12.0, rel=0.05)
+    assert finding.parameters["coefficient"].unit == "N·m·s²/rad²"

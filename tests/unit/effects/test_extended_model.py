@@ -155,7 +155,7 @@ def test_a_drifting_parameter_may_be_called_by_its_name() -> None:
 
 @pytest.mark.campaign
 def test_friction_that_has_gone_since_comes_out_as_nothing_and_nothing_takes_its_place() -> None:
-    recording, truth = make("coulomb_friction", seed=11, motors=1, target_db=20)
+    recording, _ = make("coulomb_friction", seed=11, motors=1, target_db=20)
     wrong = diagnose(recording).model
     nothing = make(None, seed=11, motors=1)[0]
     # the friction that the model carries is gone: it comes out as nothing, and no other cause in its stead

@@ -30,7 +30,8 @@ def _forces(q, v, motors, pairs, springs, friction, out):
         out[b] += f
     for m in range(motors.size):
         speed = v[motors[m]]
-        out[motors[m]] -= friction[m, 0] * np.tanh(speed / 2e-3) + friction[m, 1] * speed + friction[m, 2]
+        resists = friction[m, 1] + friction[m, 3] * abs(speed)
+        out[motors[m]] -= friction[m, 0] * np.tanh(speed / 2e-3) + resists * speed + friction[m, 2]
 
 
 @njit(cache=True)
@@ -73,6 +74,7 @@ class ChainPlant:
     dry: tuple[float, ...] = (0.4, 0.6)
     viscous: tuple[float, ...] = (1.1, 2.0)
     offset: tuple[float, ...] = (0.0, 0.0)
+    drag: tuple[float, ...] = (0.0, 0.0)
     gaps: dict[int, float] = field(default_factory=dict)
     cubes: dict[int, float] = field(default_factory=dict)
     noise: float = 0.05
@@ -115,7 +117,7 @@ class ChainPlant:
         excitation = np.zeros((PERIOD * PERIODS, 2))
         excitation[:, axis] = np.tile(wave * level / wave.std(), PERIODS)
         hold = np.where(np.arange(2) == axis, 40.0, 400.0)
-        friction = np.stack((self.dry, self.viscous, self.offset), axis=1)
+        friction = np.stack((self.dry, self.viscous, self.offset, self.drag), axis=1)
         position, torque = _march(
             excitation, hold, np.linalg.inv(inertia), first[:-1].astype(np.int64), np.array(pairs),
             np.array(springs), friction, 1 / RATE, 8,

@@ -1,0 +1,169 @@
+"""The fitted chains as a model: values, deviations, doubts, warnings, and the facts of the fit."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from invid.diagnosis.unknown_forces.left_over import AxisMissing, axis_missing
+from invid.effects.units import unit_of
+from invid.identification.identifiability import blind_directions
+from invid.likelihood.unknown_forces.plant import Kind
+from invid.likelihood.unknown_forces.shapes import curvature
+from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.timing import COMMAND, HOLD
+from invid.model.chains import CoupledChains
+from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
+from invid.model.doubts import Doubt, DoubtCode, doubt_facts
+from invid.numerics.arrays import Float64, frozen_float
+from invid.recording.model import Recording, Role
+
+EARLY = 0.05
+"""Samples by which a hold acts before its command from which a warning says so (empirical)."""
+KNOWN = 0.5
+"""Deviation of its delay over that of the prior from which the records do not tell it."""
+
+
+def chains_of(end: Supposed, axes: tuple[str, ...]) -> tuple[CoupledChains, dict[str, int]]:
+    """The chains, and where each parameter's name stands among the plant's numbers."""
+    plant, structure = end.numbers.plant, end.hypothesis.structure
+    masses, springs, dampers = (plant.of_kind(k) for k in (Kind.MASS, Kind.SPRING, Kind.DAMPER))
+    first_of = {kind: structure.index(kind).start for kind in Kind}
+    names: dict[str, int] = {}
+    parts: dict[str, list[list[float]]] = {"mass": [], "spring": [], "damper": []}
+    link = 0
+    for axis, (first, n) in enumerate(zip(structure.motor, structure.sizes, strict=True)):
+        for kind, name, values, start, count in (
+            (Kind.MASS, "mass", masses, first, n),
+            (Kind.SPRING, "spring", springs, link, n - 1),
+            (Kind.DAMPER, "damper", dampers, link, n - 1),
+        ):
+            parts[name].append(list(values[start : start + count]))
+            for q in range(count):
+                names[f"{axes[axis]}.{name}.{q + 1}"] = first_of[kind] + start + q
+        link += n - 1
+    couplings = np.zeros((len(axes), len(axes)))
+    for k, (i, j) in enumerate(structure.pairs):
+        couplings[i, j] = couplings[j, i] = plant.of_kind(Kind.COUPLING)[k]
+        names[f"{axes[i]}-{axes[j]}.coupling"] = first_of[Kind.COUPLING] + k
+    built = CoupledChains.build(parts["mass"], parts["spring"], parts["damper"], couplings, axes=axes)
+    return built, names
+
+
+def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recording) -> Model:
+    """The chains with their covariance, the causes, and what the data do not tell."""
+    axes = recording.axes
+    built, names = chains_of(end, axes)
+    known, values = parameter_vector(built)
+    index = [names[n] for n in known]
+    plant = end.numbers.plant
+    around = curvature(end).covariance[: plant.x.size, : plant.x.size]
+    covariance = (around * plant.slope[:, None] * plant.slope)[np.ix_(index, index)]
+    band = _band(recording)
+    blind = blind_directions(built, known, values, covariance, band)
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    std = {n: np.nan if n in blind.unseen else float(d) for n, d in zip(known, deviation, strict=True)}
+    doubts = [Doubt(DoubtCode.UNSEEN, said) for said in blind.sentences]
+    return Model(
+        robot=recording.robot,
+        method="refined",
+        chains=built,
+        std=std_by_name(built, std),
+        linear=recording.linear,
+        effects=effects,
+        warnings=tuple(dict.fromkeys([*(d.text for d in doubts), *hold_warnings(end, recording)])),
+        covariance=frozen_float(covariance),
+        parameter_names=known,
+        fit={
+            **doubt_facts(doubts),
+            "unseen": list(blind.sentences),
+            **_facts(end, axes, axis_missing(end)),
+            "band_hz": list(band),
+            **_timing(end, axes),
+        },
+        provenance={
+            "software": f"invid {version('invid')}",
+            "recording": recording.source,
+            "recorded": recording.created,
+            "experiments": [e.key for e in recording.with_role(Role.IDENTIFY)],
+        },
+    )
+
+
+def _band(recording: Recording) -> tuple[float, float]:
+    """Lowest and highest frequency that any experiment excites; of none the lines of the longest."""
+    lines = [e.frequencies_hz for e in recording.experiments if e.frequencies_hz.size]
+    if not lines:
+        seconds = max(float(e.time[-1] - e.time[0]) for e in recording.experiments)
+        return 1.0 / seconds, 0.5 * max(e.sample_rate_hz for e in recording.experiments)
+    return min(float(f.min()) for f in lines), max(float(f.max()) for f in lines)
+
+
+def _facts(end: Supposed, axes: tuple[str, ...], left: AxisMissing) -> dict[str, Any]:
+    """How well the model fits: by its own noise, by the sensors' alone, and of the torque."""
+    value = end.fit.value
+    rows = [w.missing + w.laws @ value.coefficients for w in value.work]
+    count = sum(r.size for r in rows) - end.numbers.x.size - int(value.free.sum())
+    torque = np.mean([np.nanvar(r.torque_wave, axis=0) for s in end.bench.stacks for r in s.records], axis=0)
+    missed = float(
+        (np.maximum(left.missing**2 - left.floor**2, 0.0)).sum() / max(float(torque.sum()), 1e-300)
+    )
+    return {
+        "value": end.total,
+        "chi2": float(sum((r**2).sum() for r in rows)),
+        "dof": count,
+        "noise_chi2_per_dof": float(np.mean((left.missing / np.maximum(left.floor, 1e-300)) ** 2)),
+        "explained": max(1.0 - missed, 0.0),
+        "lines": {r.key: int(r.omega.size) for s in end.bench.stacks for r in s.records},
+        "periods": {r.key: r.periods for s in end.bench.stacks for r in s.records},
+        "unknown_forces": {axis: float(v) for axis, v in zip(axes, _at_motors(end), strict=True)},
+    }
+
+
+def _at_motors(end: Supposed) -> Float64:
+    motors = end.hypothesis.structure.motors
+    number = end.fit.problem.spots.number
+    rms = {number[s]: v for v, s in end.strength}
+    return np.array([rms[k] for k in range(motors)])
+
+
+def _timing(end: Supposed, axes: tuple[str, ...]) -> dict[str, Any]:
+    """Sampling offset of each axis' torque and the lags [s], where the fit has them."""
+    timing, motors = end.numbers.timing, len(axes)
+    first = end.numbers.plant.x.size
+    deviation = np.sqrt(np.maximum(np.diag(end.fit.covariance), 0.0))[first:] * timing.step
+    offsets, lags = {}, {}
+    for i, axis in enumerate(axes):
+        driven = any(r.driven[i] for s in end.bench.stacks for r in s.records)
+        part = COMMAND if driven else HOLD
+        # A held command acts on average half a sample after the instant from which it acts.
+        offset = (timing.delay[part, i] + 0.5 * timing.share[part, i]) * timing.step
+        offsets[f"{axis}.time_offset"] = {"value": float(offset), "std": float(deviation[part * motors + i])}
+        if any(c[1] == i for c in end.hypothesis.channels) and timing.lag[i]:
+            lags[axis] = {
+                "value": float(timing.lag[i] * timing.step),
+                "std": float(deviation[4 * motors + i]),
+            }
+    return {"time_offset_s": offsets, "torque_lag_s": lags}
+
+
+def hold_warnings(end: Supposed, recording: Recording) -> list[str]:
+    """Holds that the fit lets act before their command and whose time the records do not tell."""
+    timing, first = end.numbers.timing, end.numbers.plant.x.size
+    motors, unit = timing.motors, unit_of("damping", recording.linear)
+    deviation = np.sqrt(np.maximum(np.diag(end.fit.covariance), 0.0))[first:]
+    out = []
+    for i, axis in enumerate(recording.axes):
+        gains = [float(r.hold[i]) for s in end.bench.stacks for r in s.records if r.hold[i] > 0]
+        early, at = -timing.delay[HOLD, i], HOLD * motors + i
+        if not gains or early < EARLY or deviation[at] < KNOWN * timing.prior[at]:
+            continue
+        friction = early * timing.step * max(gains)
+        out.append(
+            f"{axis}: its hold is taken to act up to half a sample before the command, as fits best; viscous "
+            f"friction of {friction:.2g} {unit} at its motor would look alike: record the demanded torque, "
+            "or drive the axis without a hold, to tell"
+        )
+    return out

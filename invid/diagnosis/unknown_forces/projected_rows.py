@@ -1,0 +1,93 @@
+"""Whitened rows of a fit from which everything that the fit moves is projected out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from invid.likelihood.unknown_forces.shapes import joint_rows
+from invid.likelihood.unknown_forces.slope import whitened_rows
+from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, vector_of
+from invid.likelihood.unknown_forces.value import along
+from invid.numerics.arrays import Complex128, Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows at a fit, those of the weak prior of its numbers at the end."""
+
+    now: Supposed
+
+    @cached_property
+    def moved(self) -> Float64:
+        """(rows, p + J') columns of all that the fit moves."""
+        rows = np.concatenate([joint_rows(self.now, k) for k in range(len(self.now.fit.value.work))])
+        tail = np.zeros((self.now.numbers.x.size, rows.shape[1]))
+        np.fill_diagonal(tail, 1.0 / self.now.fit.problem.spread)
+        return np.concatenate((rows, tail))
+
+    @cached_property
+    def basis(self) -> Float64:
+        """(rows, p + J') the same, orthonormal."""
+        return _orthonormal(self.moved)
+
+    def project(self, columns: Float64) -> Float64:
+        """(rows, k) what nothing else in the fit explains of columns (rows without the prior's, k)."""
+        whole = np.concatenate((columns, np.zeros((self.now.numbers.x.size, *columns.shape[1:]))))
+        out: Float64 = whole - self.basis @ (self.basis.T @ whole)
+        return out
+
+    @cached_property
+    def missing(self) -> Float64:
+        """(rows,) missing torque."""
+        value = self.now.fit.value
+        left = [(w.missing + w.laws @ value.coefficients).ravel() for w in value.work]
+        return self.project(np.concatenate(left))
+
+    def of_law(self, placed: PlacedLaw) -> Float64:
+        """(rows, k) of a law, one a coefficient."""
+        return self.project(self.felt_of(placed))
+
+    def felt_of(self, placed: PlacedLaw) -> Float64:
+        """(rows, k) of a law with nothing projected out."""
+        lines = self.now.bench.law_lines(placed, self.now.motions, quick=True)
+        if not placed.law.reads:
+            return self.felt(lines, vector_of(self.now.hypothesis.structure, placed.spot))
+        out = []
+        for work, wave in zip(self.now.fit.value.work, lines, strict=True):
+            reach = work.condensed.stiffness[:, :, placed.spot.number, None]
+            out.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
+        return np.concatenate(out)
+
+    def of_force(self, lines: list[Complex128], vector: Float64) -> Float64:
+        """(rows, k) of forces with lines (R, F, k) of each stack along ``vector`` (n,)."""
+        return self.project(self.felt(lines, vector))
+
+    def felt(self, lines: list[Complex128], vector: Float64) -> Float64:
+        """(rows, k) the same with nothing projected out."""
+        out = []
+        for work, wave in zip(self.now.fit.value.work, lines, strict=True):
+            reach = along(work.condensed.motion, vector[:, None])
+            out.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
+        return np.concatenate(out)
+
+    def of_number(self, number: int) -> Float64:
+        """(rows,) of one of the fit's own numbers, its prior taken away: what all others leave of it."""
+        column = self.moved[:, number].copy()
+        column[column.size - self.now.numbers.x.size + number] = 0.0
+        rest = _orthonormal(np.delete(self.moved, number, axis=1))
+        out: Float64 = column - rest @ (rest.T @ column)
+        return out
+
+    @property
+    def price(self) -> float:
+        """Fall of −2 ln L that each further number must bring (Schwarz)."""
+        return float(np.log(self.missing.size))
+
+
+def _orthonormal(columns: Float64) -> Float64:
+    length = np.linalg.norm(columns, axis=0)
+    seen = length > 0.0
+    return np.asarray(np.linalg.qr(columns[:, seen] / length[seen])[0], dtype=np.float64)

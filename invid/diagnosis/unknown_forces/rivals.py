@@ -1,0 +1,195 @@
+"""How sure each cause is: every other one that may explain the same forces is fitted in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.diagnosis.thresholds import COMPETES, EXPLAINED
+from invid.diagnosis.unknown_forces.backward import FRICTION, Worth
+from invid.diagnosis.unknown_forces.left_over import PlaceForce, axis_missing
+from invid.diagnosis.unknown_forces.named_terms import axis_and_element
+from invid.diagnosis.unknown_forces.projected_rows import Rows
+from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound, role_falls, try_law
+from invid.diagnosis.unknown_forces.scoring import score, spots_of
+from invid.effects.laws.empirical_law import NAMELESS
+from invid.effects.registry import BY_CAUSE
+from invid.effects.supposed_laws import supposed_laws
+from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, PlacedLaw, Supposed
+from invid.model.diagnosis_document import Alternative
+from invid.numerics import budget
+from invid.recording.model import Recording
+
+SOFTER = 4.0
+"""Divisor of a rise of −2 ln L in the exponent of the odds: two by definition, and two more since likelihood
+ratios overstate certainty where models are imperfect (empirical, hidden plants)."""
+REACH = 0.7
+"""Share of a cause's worth that a rival must promise by its score to be fitted in its place (empirical)."""
+TRIED = 3
+"""Most rivals of a cause that are fitted."""
+WHAT = "rivals of the causes"
+"""What a spent budget leaves out, in the words of the warning."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """The rivals of one cause that records cannot tell from it, and its share of the likelihood of all."""
+
+    share: float
+    alternatives: tuple[Alternative, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rival:
+    """A cause in the place of another: rise of −2 ln L on all records, with Schwarz's price of its further
+    numbers, and the missing torque of all axes [N·m]."""
+
+    cause: str
+    spot: Spot
+    worse: float
+    missing: float
+
+
+def contests(
+    end: Supposed, worths: Sequence[Worth], pursued: Pursued, recording: Recording
+) -> dict[Hashable, Contest]:
+    """By the key of each cause that stays: how sure it is, and its alternatives."""
+    out: dict[Hashable, Contest] = {}
+    stays = [w for w in worths if w.stays]
+    for worth in stays:
+        rivals = [] if worth.cause == NAMELESS else _rivals_of(end, worth, pursued, linear=recording.linear)
+        close = [r for r in rivals if r.worse < COMPETES]
+        # The cause against none, and against each rival.
+        odds = np.exp(-np.clip([worth.rise, *(r.worse for r in rivals)], 0.0, 200.0) / SOFTER)
+        said = tuple(
+            Alternative(r.cause, recording.axes[axis], element, r.missing)
+            for r in close
+            for axis, element in (axis_and_element(end.hypothesis.structure, r.spot),)
+        )
+        out[worth.key] = Contest(float(1.0 / (1.0 + odds.sum())), said)
+    return out
+
+
+def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[_Rival]:
+    """Every rival that was fitted in a cause's place."""
+    without = _hypothesis_without(end.hypothesis, worth.key)
+    if without is None or budget.is_left_out(WHAT):
+        return _in_the_search(worth, pursued)
+    less = end.refit(without, iterations=10)
+    own = next((p for p in end.hypothesis.laws if p.key == worth.key), None)
+    price = Rows(end).price
+    rivals: list[tuple[str, Spot, float, Supposed]] = []
+    for placed in _within_reach(less, own, _candidates(end, worth, pursued, linear=linear)):
+        if budget.is_left_out(WHAT):
+            break
+        more = price * (_numbers(placed) - (1 if own is None else _numbers(own)))
+        rivals.append((placed.law.cause, placed.spot, more, try_law(less, placed)))
+    if isinstance(worth.key, tuple) and isinstance(worth.key[0], Channel):
+        channel, axis = worth.key
+        other = next(c for c in Channel if c is not channel)
+        swapped = replace(less.hypothesis, channels=less.hypothesis.channels | {(other, axis)})
+        swapped = replace(swapped, absent=swapped.absent - {(Channel.DELAY, axis)})
+        found = less.refit(swapped, iterations=15)
+        rivals.append((other.value, Spot(Where.MOTOR, axis), 0.0, found))
+    return [
+        _Rival(
+            cause,
+            spot,
+            sum(role_falls(found, end)) + more,
+            float(np.sqrt((axis_missing(found).missing ** 2).mean())),
+        )
+        for cause, spot, more, found in rivals
+        if is_sound(found)
+    ]
+
+
+def _numbers(placed: PlacedLaw) -> int:
+    return len(placed.law.low) + len(placed.shape)
+
+
+def _in_the_search(worth: Worth, pursued: Pursued) -> list[_Rival]:
+    """Rivals of a structure, as far as they were behind when it was taken."""
+    return [
+        _Rival(
+            rival.cause,
+            rival.spot,
+            sum(role_falls(rival.found, taken.found)),
+            float(np.sqrt((axis_missing(rival.found).missing ** 2).mean())),
+        )
+        for taken, rival in pursued.rivals
+        if taken.cause == worth.cause and taken.placed is None and rival.cause != worth.cause
+    ]
+
+
+def _hypothesis_without(was: Hypothesis, key: Hashable) -> Hypothesis | None:
+    """The hypothesis without a law, a channel or a part of friction; ``None`` for a part of the structure."""
+    laws = tuple(p for p in was.laws if p.key != key)
+    if len(laws) < len(was.laws):
+        return replace(was, laws=laws)
+    if key in was.channels and isinstance(key, tuple):
+        late = was.absent | {(Channel.DELAY, key[1])}
+        return replace(was, channels=frozenset(c for c in was.channels if c != key), absent=late)
+    if isinstance(key, tuple) and isinstance(key[0], Part):
+        return replace(was, absent=was.absent | {key})
+    return None
+
+
+def _candidates(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[PlacedLaw]:
+    """Laws that may stand for a cause: its look-alikes at its place, and what came close in the search."""
+    spot = _spot_of(worth.key)
+    if spot is None:
+        return []
+    taken = {(p.law.cause, p.spot) for p in end.hypothesis.laws}
+    laws = supposed_laws(linear=linear)
+    alike = {*BY_CAUSE[worth.cause].looks_like}
+    alike |= {law.cause for law in laws if worth.cause in law.effect.looks_like}
+    friction = {(cause, part) for part, cause in FRICTION}
+    out = [
+        PlacedLaw(law, spot, shape)
+        for law in laws
+        if law.cause in alike
+        and (law.cause, spot) not in taken
+        and spot in spots_of(law, end.hypothesis.structure)
+        and not (isinstance(worth.key, tuple) and (law.cause, worth.key[0]) in friction)
+        for shape in law.shapes(end.motions.flat(spot))
+    ]
+    return out + [
+        rival.placed
+        for won, rival in pursued.rivals
+        if won.placed is not None and won.placed.key == worth.key and rival.placed is not None
+        if (rival.placed.law.cause, rival.placed.spot) not in taken
+    ]
+
+
+def _spot_of(key: Hashable) -> Spot | None:
+    if not isinstance(key, tuple):
+        return None
+    if isinstance(key[1], Spot):
+        return key[1]
+    return Spot(Where.MOTOR, int(key[1])) if isinstance(key[0], Part) else None
+
+
+def _within_reach(less: Supposed, own: PlacedLaw | None, looked: Sequence[PlacedLaw]) -> list[PlacedLaw]:
+    """The best shape of each law whose score, where a cause was taken out, comes near its own (or that of the
+    best where it is no law), the best first."""
+    if not looked:
+        return []
+    falls = score(less, [*looked, *([] if own is None else [own])])
+    best: dict[Hashable, tuple[float, PlacedLaw]] = {}
+    for fall, placed in zip(falls, looked, strict=False):
+        if fall > best.get(placed.key, (0.0, placed))[0]:
+            best[placed.key] = float(fall), placed
+    ordered = sorted(best.values(), key=lambda b: -b[0])
+    least = REACH * float(falls.max() if own is None else falls[-1])
+    return [placed for fall, placed in ordered[:TRIED] if fall > least]
+
+
+def is_part_of_more(key: Hashable, forces: Sequence[PlaceForce]) -> bool:
+    """Whether something without a name is sure to act at a cause's very place, and is more than a tenth (of
+    the power) of what acts there without any cause: the cause may be a part of it."""
+    spot, least = _spot_of(key), np.sqrt(1.0 - EXPLAINED)
+    return any(f.is_sure and f.spot == spot and f.rms > least * f.before for f in forces)
