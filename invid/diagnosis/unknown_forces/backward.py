@@ -63,9 +63,13 @@ def worths(now: Supposed) -> list[Worth]:
             out.append(_worth(now, "coupling_stiffness", pair, _without(now, pair)))
     names = [c.name for c in now.fit.problem.columns]
     for motor in range(structure.motors):
+        rest = now
         for part, cause in FRICTION:
-            if now.fit.value.coefficients[names.index((part, motor))]:
-                out.append(_worth(now, cause, (part, motor), _without(now, (part, motor))))
+            if rest.fit.value.coefficients[names.index((part, motor))]:
+                less = _without(rest, (part, motor))
+                out.append(_worth(rest, cause, (part, motor), less))
+                # A rise may stand for all of dry friction: what goes out leaves its force to the others.
+                rest = rest if out[-1].stays else less
     for channel, axis in now.hypothesis.channels:
         absent = now.hypothesis.absent | {(Channel.DELAY, axis)}
         less = replace(now.hypothesis, channels=now.hypothesis.channels - {(channel, axis)}, absent=absent)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from invid.diagnosis.outcome import (
     Cause,
     assemble_diagnosis,
@@ -19,6 +21,7 @@ from invid.diagnosis.unknown_forces.limits import ruled_out
 from invid.diagnosis.unknown_forces.machine_search import Begun, ElasticSearch, search_elastic
 from invid.diagnosis.unknown_forces.named_terms import TermWriter
 from invid.diagnosis.unknown_forces.nameless import SmoothLaw, coefficients_of
+from invid.diagnosis.unknown_forces.own_time import AxisTones, describe_tones
 from invid.diagnosis.unknown_forces.rivals import Contest, contests, is_part_of_more
 from invid.diagnosis.unknown_forces.structures import additions_of
 from invid.diagnosis.unknown_forces.unexplained import describe_left
@@ -55,14 +58,16 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     sure = {f.spot for f in found.forces if f.is_sure}
     findings = [finding_of(c, explained, masses, recording.axes, at_noise=not sure) for c in causes]
     model = model_of(found.end, tuple(c.effect for c in causes), recording)
-    left = describe_left(found.named, found.forces_named, recording)
+    tones = begun.tones
+    residual = [_with_tones(r, tones, recording) for r in residual]
+    left = describe_tones(tones, recording) or describe_left(found.named, found.forces_named, recording)
     result = assemble_diagnosis(
         recording,
         residual,
         findings,
         model,
-        missing=bool(findings) or bool(sure),
-        complete=not sure,
+        missing=bool(findings) or bool(sure) or bool(tones),
+        complete=not sure and not tones,
         explained=explained if findings else None,
         left=left,
         opening=model.warnings,
@@ -97,6 +102,13 @@ def residuals(recording: Recording, before: AxisMissing, after: AxisMissing) -> 
         AxisResidual(axis, unit, float(b), float(a), float(f))
         for axis, b, a, f in zip(recording.axes, before.missing, after.missing, after.floor, strict=True)
     ]
+
+
+def _with_tones(residual: AxisResidual, tones: Sequence[AxisTones], recording: Recording) -> AxisResidual:
+    """The residual with what repeats with no period in it, of which a period's lines show little."""
+    power = sum(t.power for t in tones if recording.axes[t.axis] == residual.axis)
+    before, after = (float(np.sqrt(v**2 + power)) for v in (residual.before, residual.after))
+    return replace(residual, before=before, after=after)
 
 
 def named_terms(found: ElasticSearch) -> list[NamedTerm]:

@@ -22,6 +22,7 @@ from invid.diagnosis.unknown_forces.left_over import (
 )
 from invid.diagnosis.unknown_forces.named_terms import axis_and_element
 from invid.diagnosis.unknown_forces.nameless import add_laws
+from invid.diagnosis.unknown_forces.own_time import AxisTones, sized, tones_of
 from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
 from invid.diagnosis.unknown_forces.structures import additions_of, with_masses_seen, without
 from invid.effects.supposed_laws import supposed_laws
@@ -33,6 +34,7 @@ from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import Bench, Channel, Supposed
 from invid.numerics import budget
 from invid.recording.model import Recording
+from invid.signals.tones import refine_tones, remove_tones
 
 TIME_TO_BEGIN, TIME_TO_PURSUE, TIME_TO_WEIGH = 0.5, 0.6, 0.5
 """Shares of the time that is left for the first fits, for the causes, and for what each is worth (empirical:
@@ -53,6 +55,8 @@ class Begun:
     first: Supposed
     declared: tuple[int, ...] | None
     warnings: tuple[str, ...]
+    tones: tuple[AxisTones, ...] = ()
+    """Torque taken out since it repeats with no period: an undamped mode would take it for its own."""
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -120,10 +124,20 @@ def search_elastic(begun: Begun) -> ElasticSearch:
 
 
 def begin_elastic(recording: Recording, sizes: Sequence[int] | None) -> Begun:
-    """The fit with friction at the motors that a search starts from.
+    """The fit with friction at the motors that a search starts from, of the recording without tones.
 
     ``sizes``: masses of each axis; as many as the records ask for where not given.
     """
+    begun = _begin(recording, sizes)
+    tones = tones_of(begun.first)
+    if not tones or budget.is_left_out("torque that keeps its own time"):
+        return begun
+    hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
+    again = _begin(remove_tones(recording, hz), sizes)
+    return replace(again, tones=sized(tones, recording, again.first.numbers.plant))
+
+
+def _begin(recording: Recording, sizes: Sequence[int] | None) -> Begun:
     split = records_of(recording)
     damping = hold_damping((*split.fitted, *split.kept))
     bench, beside = (Bench(stack_records(part, damping)) for part in (split.fitted, split.kept))

@@ -31,7 +31,8 @@ class SmoothedStack:
 
     ``lines`` (R, A, n) of every coordinate; ``jump`` (R, n) and ``bend`` (R, n) of its position and
     velocity from a record's start to its end; ``force`` (R, A, P) unknown forces; ``plant`` that of the
-    fit.
+    fit. ``missing`` (R, A, M) is the motors' missing torque on all lines, ``sensors`` (A, M) the power that
+    the sensors alone make of it.
     """
 
     stack: Stack
@@ -40,6 +41,8 @@ class SmoothedStack:
     bend: Float64
     force: Complex128
     plant: Plant
+    missing: Complex128
+    sensors: Float64
 
     @cached_property
     def grid(self) -> int:
@@ -115,7 +118,8 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
         ..., 0
     ]
     jump, bend = _jumps(numbers.plant, ends * stack.span / 2.0)
-    return SmoothedStack(stack, lines, jump, bend, force, numbers.plant)
+    sensors = (np.abs(stiffness) ** 2 * stack.position_noise).sum(axis=2) + stack.torque_noise
+    return SmoothedStack(stack, lines, jump, bend, force, numbers.plant, missing, sensors)
 
 
 def _jumps(plant: Plant, ends: Float64) -> tuple[Float64, Float64]:

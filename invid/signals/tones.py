@@ -1,0 +1,150 @@
+"""Sinusoids that keep their own time: found on the lines between those of a period.
+
+A period's lines hold what repeats; a sinusoid of another frequency f leaks over the lines k of the span,
+a·e^{jπ(fT − k)}·sinc(fT − k), noise does not. A fan, a pump, another machine, or a loop that hunts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.recording.model import Experiment, Recording
+
+CHANCE = 1e-3
+"""Chance, over all lines, that noise looks like a tone (statistical)."""
+MOST_TONES = 3
+"""Most tones looked for on one axis of one record."""
+SHARE = 0.8
+"""Least share of the power between a period's lines, beyond noise, that tones hold (empirical): what changes
+with time has much of it on the lines beside those excited."""
+NEAR = 12
+"""Lines on either side from which a tone is read."""
+FAINT = 0.2
+"""Amplitude over the strongest tone's up to which another may be what that did to the fit (empirical)."""
+NARROWED = 5
+"""Times that the range of frequencies about a tone is narrowed, to a thousandth of a line."""
+FINE = 161
+"""Frequencies tried between the neighbours of its strongest line."""
+
+
+@dataclass(frozen=True)
+class Tone:
+    """A sinusoid's frequency [Hz] and amplitude, in the unit of the lines."""
+
+    hz: float
+    amplitude: float
+
+
+def find_tones(lines: Complex128, noise: Float64, free: Bool, span: float) -> list[Tone]:
+    """Tones in amplitudes (A,) on the lines k/T of a span T, the strongest first; none where they are not
+    most of what stands above ``noise`` (A,) on the ``free`` (A,) lines."""
+    number = np.flatnonzero(free)
+    if number.size < 2 * NEAR:
+        return []
+    rest, power = lines[number].copy(), noise[number]
+    level = max(float(np.median(np.abs(rest) ** 2 / power)) / np.log(2.0), 1.0)
+    power = power * level
+    excess = float((np.abs(rest) ** 2 / power).sum()) - number.size
+    limit = float(np.log(4.0 * number.size / CHANCE))
+    found: list[Tone] = []
+    taken = 0.0
+    for _ in range(MOST_TONES):
+        at, size, gain = _strongest(rest, power, number)
+        if gain < limit:
+            break
+        rest = rest - size * _leakage(at - number)
+        found.append(Tone(at / span, abs(size)))
+        taken += gain
+    if not found or taken < SHARE * excess or _is_one_that_changes(found, span):
+        return []
+    return sorted(found, key=lambda t: -t.amplitude)
+
+
+def _is_one_that_changes(tones: Sequence[Tone], span: float) -> bool:
+    """Whether two like tones lie within two lines: what a resonance makes whose spring or load drifts."""
+    return any(
+        abs(a.hz - b.hz) * span < 2.0
+        and min(a.amplitude, b.amplitude) > FAINT * max(a.amplitude, b.amplitude)
+        for a, b in combinations(tones, 2)
+    )
+
+
+def _strongest(rest: Complex128, power: Float64, number: np.ndarray) -> tuple[float, complex, float]:
+    """Cycles in the span, complex amplitude and gain of the tone that tells most of the largest."""
+    peak = int(np.argmax(np.abs(rest) ** 2 / power))
+    near = np.abs(number - number[peak]) <= NEAR
+    weight, seen = 1.0 / power[near], rest[near]
+    cycles = number[peak] + np.linspace(-1.0, 1.0, FINE)
+    shape = _leakage(cycles[:, None] - number[near])
+    told = (shape.conj() * weight * seen).sum(axis=1)
+    known = (np.abs(shape) ** 2 * weight).sum(axis=1)
+    gain = np.abs(told) ** 2 / np.maximum(known, 1e-300)
+    best = int(np.argmax(gain))
+    return float(cycles[best]), complex(told[best] / known[best]), float(gain[best])
+
+
+def _leakage(cycles: np.ndarray) -> Complex128:
+    """Amplitude on a line that is ``cycles`` of the span away from a tone of amplitude one."""
+    out: Complex128 = np.exp(1j * np.pi * cycles) * np.sinc(cycles)
+    return out
+
+
+def remove_tones(recording: Recording, hz: Sequence[float]) -> Recording:
+    """The recording without sinusoids of these frequencies in the channels of its periodic experiments."""
+    experiments = tuple(_without(e, hz) if e.periods > 1 else e for e in recording.experiments)
+    return replace(recording, experiments=experiments)
+
+
+def refine_tones(recording: Recording, hz: Sequence[float]) -> list[float]:
+    """The frequencies near ``hz`` that explain most of what differs from period to period."""
+    periodic = [e for e in recording.experiments if e.periods > 1]
+    out = list(hz)
+    for k in range(len(out)):
+        width = 0.5 / max(e.periods * e.period_samples / e.sample_rate_hz for e in periodic)
+        for _ in range(NARROWED):
+            tried = [[*out[:k], f, *out[k + 1 :]] for f in out[k] + np.linspace(-width, width, 9)]
+            out = min(tried, key=lambda own: sum(_phasors(e, own)[1] for e in periodic))
+            width /= 4.0
+    return out
+
+
+def tone_phasors(experiment: Experiment, hz: Sequence[float]) -> Complex128:
+    """(tones, 2M) phasors of positions and torques, read from what differs from the mean of the last whole
+    periods: each channel holds Re(phasor·e^{2πjf(t − t₀)}), t₀ the experiment's first instant."""
+    return _phasors(experiment, hz)[0]
+
+
+def _phasors(experiment: Experiment, hz: Sequence[float]) -> tuple[Complex128, float]:
+    """Phasors, and the share that they leave of what differs, summed over channels."""
+    count, period = experiment.periods, experiment.period_samples
+
+    def differing(values: Float64) -> Float64:
+        whole = values[-count * period :].reshape(count, period, -1)
+        return (whole - whole.mean(axis=0)).reshape(count * period, -1)
+
+    waves = _waves(experiment, hz)
+    both = differing(np.concatenate((waves.real, -waves.imag), axis=1))
+    goal = differing(np.concatenate((experiment.position, experiment.torque), axis=1))
+    size, *_ = np.linalg.lstsq(both, goal, rcond=None)
+    left = ((goal - both @ size) ** 2).sum(axis=0) / np.maximum((goal**2).sum(axis=0), 1e-300)
+    phasors: Complex128 = size[: len(hz)] + 1j * size[len(hz) :]
+    return phasors, float(left.sum())
+
+
+def _waves(experiment: Experiment, hz: Sequence[float]) -> Complex128:
+    return np.exp(2j * np.pi * np.outer(experiment.time - experiment.time[0], hz))
+
+
+def _without(experiment: Experiment, hz: Sequence[float]) -> Experiment:
+    both = (_waves(experiment, hz) @ tone_phasors(experiment, hz)).real
+    motors = experiment.position.shape[1]
+    return replace(
+        experiment,
+        position=experiment.position - both[:, :motors],
+        torque=experiment.torque - both[:, motors:],
+    )
