@@ -72,23 +72,27 @@ def begin(
     """
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
+    benches, rng = (bench, kept), np.random.default_rng(seed)
     fractions = fraction_plants(bench.stacks, structure)
-    if fractions:
-        found = _from_plant((bench, kept), hypothesis, fractions[0], ROUNDS[-1][0])
-        if found is not None and not is_home(found):
-            found = reshape(scan_friction(found))  # of the right plant friction's form is all that is left
-        if found is not None and is_home(found):
-            return found
-    rng = np.random.default_rng(seed)
-    classes = [fractions, random_plants(bench.stacks, structure, RANDOM, rng)]
+    classes = [[(p, ROUNDS[-1][0]) for p in fractions[:1]], [(p, ROUNDS[0][0]) for p in fractions]]
+    classes.append([(p, ROUNDS[0][0]) for p in random_plants(bench.stacks, structure, RANDOM, rng)])
     if fewer is not None:
-        top = bench.stacks[0].records[0].top_hz
-        classes.append(grown_plants(fewer.numbers.plant, structure, top))
-    ends = [_contest((bench, kept), hypothesis, plants) for plants in classes if plants]
-    best = min((e for e in ends if e is not None), key=lambda e: e.total, default=None)
-    if best is None:
+        grown = grown_plants(fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
+        classes.append([(p, ROUNDS[0][0]) for p in grown])
+    ends: list[Supposed] = []
+    for plants in classes:
+        first = [_from_plant(benches, hypothesis, plant, count) for plant, count in plants]
+        end = contest([f for f in first if f is not None])
+        if end is None:
+            continue
+        if not is_home(end):
+            end = reshape(scan_friction(end))  # of the right plant friction's form is all that is left
+        if is_home(end):
+            return end
+        ends.append(end)
+    if not ends:
         raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
-    return shaken(best, rng)
+    return shaken(min(ends, key=lambda e: e.total), rng)
 
 
 def shaken(now: Supposed, rng: np.random.Generator) -> Supposed:
