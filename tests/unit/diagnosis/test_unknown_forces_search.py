@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from unit.likelihood.chain_plant import ChainPlant
 
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
+from invid.diagnosis.unknown_forces.machine_search import begin_elastic
 from invid.effects.registry import registered_effects
 from invid.model.diagnosis_document import Diagnosis
 
@@ -22,7 +23,7 @@ FRICTION = {"coulomb_friction", "viscous_friction"}
 
 def found(plant: ChainPlant, seed: int) -> tuple[Diagnosis, list[str]]:
     """The diagnosis, and which causes beside friction it names."""
-    result = diagnose_elastic(plant.recording(seed), plant.sizes)
+    result = diagnose_elastic(begin_elastic(plant.recording(seed), plant.sizes))
     for axis in ("A1", "A2"):  # friction of every motor, with its size
         named = {f.cause: f for f in result.findings if f.axis == axis and f.cause in FRICTION}
         true = dict(zip(("coulomb_friction", "viscous_friction"), (plant.dry, plant.viscous), strict=True))
@@ -78,7 +79,7 @@ def test_a_hardening_spring_is_found_with_its_coefficient(seed: int) -> None:
 def test_a_cause_in_a_file_of_its_own_is_found_by_its_law() -> None:
     plant = ChainPlant(drag=(0.0, 12.0), viscous=(1.1, 0.0))
     with registered_effects([DRAG]):
-        result = diagnose_elastic(plant.recording(41), plant.sizes)
+        result = diagnose_elastic(begin_elastic(plant.recording(41), plant.sizes))
     finding = next(f for f in result.findings if f.cause == "quadratic_drag")
     assert (finding.axis, finding.element) == ("A2", "mass 1")
     assert finding.parameters["coefficient"].value == pytest.approx(12.0, rel=0.05)
