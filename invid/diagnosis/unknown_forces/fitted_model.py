@@ -138,8 +138,7 @@ def _timing(end: Supposed, axes: tuple[str, ...]) -> dict[str, Any]:
     for i, axis in enumerate(axes):
         driven = any(r.driven[i] for s in end.bench.stacks for r in s.records)
         part = COMMAND if driven else HOLD
-        # A held command acts on average half a sample after the instant from which it acts.
-        offset = (timing.delay[part, i] + 0.5 * timing.share[part, i]) * timing.step
+        offset = timing.delay[part, i] * timing.step
         offsets[f"{axis}.time_offset"] = {"value": float(offset), "std": float(deviation[part * motors + i])}
         if any(c[1] == i for c in end.hypothesis.channels) and timing.lag[i]:
             lags[axis] = {

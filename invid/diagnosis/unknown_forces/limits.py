@@ -2,11 +2,11 @@
 
 Of a law of the size a, y(a) is the torque that nothing in the fit takes up, whitened by the noise at the
 strengths that the fit has. λ = |y|² is its fall of −2 ln L without noise, to first order; strengths would
-rise without the law, and its fall is then n·ln(1 + λ/n) over n rows. A fall passes its threshold N in 95 of
-100 records where √λ ≥ √N + 1.64 (noncentral χ² of one number). A law that grows with its size asks for one
-projection; of free play and of a limit of the torque, sizes on a grid are tried. A law of unknown shape
-counts at the shape that shows least, of those that show at all. Records kept out tell as much for each of
-their rows as those fitted.
+rise without the law, and at least n·ln(1 + λ/n) is left of it where it stands in n rows, n = (Σy²)²/Σy⁴. So
+limits are rather too large. A fall passes its threshold N in 95 of 100 records where √λ ≥ √N + 1.64
+(noncentral χ² of one number). A law that grows with its size asks for one projection; of free play and of a
+limit of the torque, sizes on a grid are tried. A law of unknown shape counts at the shape that shows least,
+of those that show at all. Records kept out tell as much for each of their rows as those fitted.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ from invid.diagnosis.unknown_forces.scoring import spot_at, spots_of
 from invid.effects.effect import Effect
 from invid.effects.registry import effects
 from invid.effects.supposed.friction import InnerDry
+from invid.effects.supposed.law import Shape, SupposedLaw
 from invid.effects.supposed.motors import TorqueSaturation
-from invid.effects.supposed_laws import Backlash, Shape, SupposedLaw, supposed_laws
+from invid.effects.supposed.springs import Backlash
+from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -79,8 +81,10 @@ def ruled_out(found: ElasticSearch, findings: Sequence[Finding]) -> tuple[RuledO
     """
     recording, structure = found.recording, found.end.hypothesis.structure
     chains = ChainStructure(structure.sizes, recording.axes)
-    taken = [(x.cause, {x.axis, x.other_axis}, x.element) for f in findings for x in (f, *f.alternatives)]
-    screen, out = Screen(found.end, recording), []
+    taken = [(f.cause, {f.axis, f.other_axis}, f.element) for f in findings]
+    taken += [(a.cause, {a.axis, a.other_axis}, a.element) for f in findings for a in f.alternatives]
+    screen = Screen(found.end, recording)
+    out: list[RuledOut] = []
     for effect in effects():
         if recording.linear and effect.rotary:
             continue
@@ -166,9 +170,10 @@ class Screen:
         count = sum(w.missing.size for w in self.end.fit.value.work)
         return 0.0 if value is None else sum(w.missing.size for w in value.work) / count
 
-    def size_seen(self, own: float, price: float) -> float:
-        """How many times larger a law has to be that leaves ``own`` = |y|² at size one."""
-        count = self.rows.missing.size
+    def size_seen(self, left: Float64, price: float) -> float:
+        """How many times larger a law has to be that leaves ``left`` (rows,) at size one."""
+        own = float(left @ left)
+        count = own**2 / float((left**4).sum())
         share = price / PRICE
         needs = [(price, 1.0 + self.kept), (share * LEAST_FITTED, 1.0)]
         if self.kept:
@@ -190,11 +195,11 @@ class Screen:
         for shape in shapes:
             placed = PlacedLaw(law, spot, shape)
             left, felt = self.rows.of_law(placed), self.rows.felt_of(placed)
-            own, direction = _least_seen(left, only_last=bool(law.contains))
-            if not own > UNSEEN**2 * float(((felt @ direction) ** 2).sum()):
+            seen, direction = _least_seen(left, only_last=bool(law.contains))
+            if not float(seen @ seen) > UNSEEN**2 * float(((felt @ direction) ** 2).sum()):
                 yield None
                 continue
-            coefficients = self.size_seen(own, PRICE) * np.abs(direction)
+            coefficients = self.size_seen(seen, PRICE) * np.abs(direction)
             yield self._limit(placed, coefficients, main)
 
     def _limit(self, placed: PlacedLaw, coefficients: Float64, main: str) -> Limit:
@@ -231,11 +236,11 @@ class Screen:
         lines = [lines[..., None] for lines in laws.lines(motor, part, shape)]
         vector = self._vector(Spot(Where.MOTOR, motor))
         rows = self._with_dry(motor).rows if part is Part.RISE else self.rows
-        own, whole = (float((r**2).sum()) for r in (rows.of_force(lines, vector), rows.felt(lines, vector)))
-        if not own > UNSEEN**2 * whole:
+        left = rows.of_force(lines, vector)[:, 0]
+        if not float(left @ left) > UNSEEN**2 * float((rows.felt(lines, vector) ** 2).sum()):
             return None
         at = {"velocity": shape.stribeck} if part is Part.RISE else {}
-        return Limit(parameter, self.size_seen(own, PRICE_OF_FRICTION), at)
+        return Limit(parameter, self.size_seen(left, PRICE_OF_FRICTION), at)
 
     def _with_dry(self, motor: int) -> Screen:
         """The screen with dry friction of a motor in the fit: what rises at slow speed rises above it."""
@@ -255,8 +260,8 @@ class Screen:
         driven = any(r.driven[axis] for s in self.end.bench.stacks for r in s.records)
         first = self.end.numbers.plant.x.size
         number = first + (COMMAND if driven else HOLD) * self.structure.motors + axis
-        own = float((self.rows.of_number(number) ** 2).sum())
-        return Limit(parameter, (self.size_seen(own, PRICE) + SAMPLE) * step, {}) if own > 0.0 else None
+        left = self.rows.of_number(number)
+        return Limit(parameter, (self.size_seen(left, PRICE) + SAMPLE) * step, {}) if left.any() else None
 
     def _fall_of_lag(self, lag: float, axis: int) -> float:
         """Fall of a lag [s] over what is asked for: in the logarithm, where delays and lags add up."""
@@ -269,16 +274,15 @@ class Screen:
         return self._fall(self.rows.project(np.concatenate(out)))
 
     def _fall(self, left: Float64) -> float:
-        own = float((left**2).sum())
-        return float(self.size_seen(own, PRICE) ** -2.0) if own > 0.0 else 0.0
+        left = left.ravel()
+        return float(self.size_seen(left, PRICE) ** -2.0) if left.any() else 0.0
 
     def of_pair(self, place: Place, parameter: str) -> Limit | None:
         """Limit of a spring between two loads."""
         pair = (min(place.axis, place.other), max(place.axis, place.other))
         number = self.structure.index(Kind.LOAD_SPRING).start + self.structure.pairs.index(pair)
-        own = float((self.rows.of_number(number) ** 2).sum())
-        unit = float(self.end.numbers.plant.unit[number])
-        return Limit(parameter, self.size_seen(own, PRICE) * unit, {}) if own > 0.0 else None
+        left, unit = self.rows.of_number(number), float(self.end.numbers.plant.unit[number])
+        return Limit(parameter, self.size_seen(left, PRICE) * unit, {}) if left.any() else None
 
     def of_mode(self, place: Place, parameter: str) -> Iterator[Limit | None]:
         """Limits of a further mass on a spring at a mass, at frequencies in the band."""
@@ -292,11 +296,11 @@ class Screen:
                 w = work.stack.omega
                 spring = natural**2 + 2j * MODE_DAMPING * natural * w
                 lines.append((-(w**2) * spring / (spring - w**2) * motion)[..., None])
-            own = float((self.rows.of_force(lines, vector) ** 2).sum())
-            if not own > UNSEEN**2 * float((self.rows.felt(lines, vector) ** 2).sum()):
+            left = self.rows.of_force(lines, vector)[:, 0]
+            if not float(left @ left) > UNSEEN**2 * float((self.rows.felt(lines, vector) ** 2).sum()):
                 yield None
                 continue
-            mass = self.size_seen(own, PRICE)
+            mass = self.size_seen(left, PRICE)
             at = {"stiffness": mass * natural**2}
             yield Limit(parameter, mass, at) if parameter == "mass" else Limit(parameter, at["stiffness"], {})
 
@@ -326,15 +330,15 @@ class Screen:
         return self._stiffness(spot) * max(float(np.abs(w).max()) for w in waves)
 
 
-def _least_seen(left: Float64, *, only_last: bool) -> tuple[float, Float64]:
-    """|y|² of a law of size one and its coefficients, where it shows least; with ``only_last`` of what its
-    last coefficient has beyond the others."""
-    own, vectors = np.linalg.eigh(left.T @ left)
+def _least_seen(left: Float64, *, only_last: bool) -> tuple[Float64, Float64]:
+    """(rows,) what a law of size one leaves and its coefficients, where it shows least; with ``only_last`` of
+    what its last coefficient has beyond the others."""
     if not only_last:
-        return float(own[0]), vectors[:, 0]
+        direction = np.linalg.eigh(left.T @ left)[1][:, 0]
+        return left @ direction, direction
     others = np.linalg.qr(left[:, :-1])[0]
     beyond = left[:, -1] - others @ (others.T @ left[:, -1])
-    return float(beyond @ beyond), np.eye(left.shape[1])[-1]
+    return beyond, np.eye(left.shape[1])[-1]
 
 
 def _crossing(parameter: str, falls: Sequence[tuple[float, float]]) -> Limit | None:

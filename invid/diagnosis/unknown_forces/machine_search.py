@@ -111,14 +111,15 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     budget.tell("what is left", 0.85)
     named = budget.or_else("what is left at each place", lambda: at_their_places(weighed), weighed)
     bare = without_causes(named)
-    forces_named = budget.or_else("what is left at each place", lambda: place_forces(named, bare), ())
+    nothing: tuple[PlaceForce, ...] = ()
+    forces_named = budget.or_else("what is left at each place", lambda: place_forces(named, bare), nothing)
     end, forces = named, forces_named
     with_law = budget.or_else("a law without a name", lambda: add_laws(named, forces_named), None)
     if with_law is not None:
         found, end = budget.or_else(
             "what each cause is worth", lambda: _weighed(with_law), _by_first_order(with_law)
         )
-        forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), ())
+        forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), nothing)
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 

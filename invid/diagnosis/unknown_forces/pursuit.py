@@ -65,6 +65,10 @@ class Trial:
         """Fall of −2 ln L."""
         return self.base.total - self.found.total
 
+    def holds(self, other: Trial) -> bool:
+        """Return whether another one is a special case of it: it does as well, and speaks for nothing."""
+        return isinstance(self.addition, Base) and isinstance(other.addition, Mode)
+
     @property
     def merit(self) -> float:
         """The fall less what the numbers of a base cost that the mode of one load has not, of a mode less
@@ -100,6 +104,8 @@ def is_sound(found: Supposed) -> bool:
     springs = plant.of_kind(Kind.SPRING)
     deviation = np.sqrt(np.diag(found.fit.covariance))[plant.structure.index(Kind.SPRING)]
     for placed in found.hypothesis.laws:
+        if (placed.law.reads or placed.law.scales) and _is_at_bound(found, placed):
+            return False
         if not isinstance(placed.law, Backlash):
             continue
         number = placed.spot.number
@@ -112,6 +118,12 @@ def is_sound(found: Supposed) -> bool:
         ):
             return False
     return True
+
+
+def _is_at_bound(found: Supposed, placed: PlacedLaw) -> bool:
+    """Whether a coefficient of a law is at its bound."""
+    names = [c.name for c in found.fit.problem.columns]
+    return not all(found.fit.value.free[names.index((*placed.key, i))] for i in range(len(placed.law.low)))
 
 
 def try_law(now: Supposed, placed: PlacedLaw) -> Supposed:
@@ -268,7 +280,7 @@ def pursue(
         if taken is None:
             break
         close = taken.fall - max(NEARLY_AS_WELL * taken.fall, LEAST_FITTED)
-        rivals += [(taken, t) for t in trials if t is not taken and t.fall > close]
+        rivals += [(taken, t) for t in trials if t is not taken and t.fall > close and not t.holds(taken)]
         now = settle(reshape(scan_friction(taken.found)))
         say(f"  took {taken.cause} {taken.spot}: {now.total:.1f} inner {now.inner_strength:.2f}")
     return Pursued(now, tuple(rivals))

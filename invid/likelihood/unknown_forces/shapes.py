@@ -21,6 +21,9 @@ LARGEST = 0.5
 """Largest step of a shape's logarithm."""
 WIDTH_BOUNDS, STRIBECK_BOUNDS = (3e-4, 0.1), (0.01, 8.0)
 """Bounds of a width and a Stribeck velocity over the motor's rms velocity."""
+APART = 4.0
+"""Least Stribeck velocity over the width of dry friction's turn: closer to it a rise at slow speed is the
+form of the turn (physical: at four widths tanh has turned)."""
 FALL = 0.5
 """Predicted fall of −2 ln L below which shapes stay."""
 FRICTION_STEP = 0.05
@@ -55,9 +58,13 @@ def shapes_of(now: Supposed) -> list[ShapeAt]:
         rise = coefficients[names.index((Part.RISE, motor))]
         vector = unit[structure.motor[motor]]
         if dry or rise:
-            out.append(_friction_shape(motor, "width", vector, WIDTH_BOUNDS, speed[motor]))
+            low, high = (b * speed[motor] for b in WIDTH_BOUNDS)
+            high = min(high, now.hypothesis.friction[motor].stribeck / APART) if rise else high
+            out.append(_friction_shape(motor, "width", vector, (min(low, high), high)))
         if rise:
-            out.append(_friction_shape(motor, "stribeck", vector, STRIBECK_BOUNDS, speed[motor]))
+            low, high = (b * speed[motor] for b in STRIBECK_BOUNDS)
+            low = max(low, APART * now.hypothesis.friction[motor].width)
+            out.append(_friction_shape(motor, "stribeck", vector, (low, max(low, high))))
     for k, placed in enumerate(now.hypothesis.laws):
         bounds = placed.law.bounds(now.motions.flat(placed.spot))
         for i, (low, high) in enumerate(bounds):
@@ -71,9 +78,7 @@ def _speeds(now: Supposed) -> Float64:
     return out
 
 
-def _friction_shape(
-    motor: int, name: str, vector: Float64, bounds: tuple[float, float], speed: float
-) -> ShapeAt:
+def _friction_shape(motor: int, name: str, vector: Float64, bounds: tuple[float, float]) -> ShapeAt:
     def get(h: Hypothesis) -> float:
         return float(np.log(getattr(h.friction[motor], name)))
 
@@ -97,8 +102,8 @@ def _friction_shape(
         put,
         slope,
         vector,
-        float(np.log(bounds[0] * speed)),
-        float(np.log(bounds[1] * speed)),
+        float(np.log(bounds[0])),
+        float(np.log(bounds[1])),
     )
 
 
@@ -155,10 +160,10 @@ def scan_friction(now: Supposed) -> Supposed:
         for width in WIDTH_GRID:
             for share in STRIBECK_GRID:
                 shapes = list(hypothesis.friction)
-                shapes[motor] = FrictionShape(
-                    float(np.clip(first.width * width, *(b * speed[motor] for b in WIDTH_BOUNDS))),
-                    share * speed[motor],
-                )
+                wide = float(np.clip(first.width * width, *(b * speed[motor] for b in WIDTH_BOUNDS)))
+                if share * speed[motor] < APART * wide:
+                    continue
+                shapes[motor] = FrictionShape(wide, share * speed[motor])
                 trial = replace(hypothesis, friction=tuple(shapes))
                 problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
                 total = evaluate(problem, now.numbers).total

@@ -19,6 +19,7 @@ from invid.likelihood.unknown_forces.value import (
     Value,
     along,
     closed_loop,
+    reading_stretch,
     real_rows,
     torque_scales,
 )
@@ -93,7 +94,10 @@ def _through_laws(problem: Problem, value: Value, joint: Float64, size: int) -> 
     for work in value.work:
         stack = work.stack
         loop = closed_loop(problem, work, value.coefficients)
-        answer = np.einsum("rfii->rfi", np.linalg.inv(loop)) * work.turning[:, None]
+        inverse = np.linalg.inv(loop)
+        answer = np.einsum("rfii->rfi", inverse) * work.turning[:, None]
+        turned = np.einsum("rfij,fji->rfi", inverse, work.condensed.stiffness) * work.turning[:, None]
+        stretched = -2.0 * turned.real.sum(axis=(0, 1))
         damped = -2.0 * (answer * 1j * stack.omega[:, None]).real.sum(axis=(0, 1))
         scaled = -2.0 * (answer * stack.loop[stack.closed]).real.sum(axis=(0, 1))
         scaled = scaled - 2.0 * float(work.turning.sum() * (~stack.closed).sum()) / scales
@@ -101,6 +105,7 @@ def _through_laws(problem: Problem, value: Value, joint: Float64, size: int) -> 
             column = problem.columns[j]
             pull[k] += damped[column.damps] if column.damps >= 0 else 0.0
             pull[k] += scaled[column.scales] if column.scales >= 0 else 0.0
+            pull[k] += column.stretch * stretched[column.reads] if column.reads >= 0 else 0.0
     if not pull.any():
         return np.zeros(size)
     out: Float64 = joint[:size, size:] @ _solve_scaled(joint[size:, size:], pull)
@@ -196,7 +201,8 @@ def _covariance_slope(
     loop = closed_loop(problem, work, value.coefficients)
     if loop.size:
         answer = np.linalg.inv(loop).sum(axis=0)
-        closed = (seen * (answer @ seen)).sum(axis=1) * factor
+        stretch = reading_stretch(problem, value.coefficients)[:, None]
+        closed = (seen * stretch * (answer @ seen)).sum(axis=1) * factor
         out = out - 2.0 * work.turning[:, None] * closed.real
     total: Float64 = out.sum(axis=0)
     return total

@@ -206,6 +206,8 @@ class Bench:
         """Columns of one law, one a coefficient."""
         lines = self.law_lines(placed, motions)
         vector = vector_of(structure, placed.spot)
+        still = np.zeros(len(placed.law.low))
+        stretch = _stretch(placed, motions.flat(placed.spot)) if placed.law.reads else still
         return tuple(
             Column(
                 (*placed.key, i),
@@ -216,6 +218,7 @@ class Bench:
                 high,
                 reads=placed.spot.number if placed.law.reads else -1,
                 scales=placed.spot.number if placed.law.scales else -1,
+                stretch=float(stretch[i]),
             )
             for i, (low, high) in enumerate(placed.law.limits(motions.flat(placed.spot)))
         )
@@ -241,6 +244,14 @@ class Bench:
 
 def _stride(law: SupposedLaw, record: Record, motion: SpotMotion, shape: Shape) -> int:
     return record.stride(law.stride(motion, shape))
+
+
+def _stretch(placed: PlacedLaw, motions: Sequence[SpotMotion]) -> Float64:
+    """(L,) mean derivative of a law's waves by the position."""
+    moved = [np.diff(m.position) for m in motions]
+    waves = [np.diff(placed.law.waves(m, placed.shape), axis=0) for m in motions]
+    power = sum(float(d @ d) for d in moved)
+    return np.asarray(np.sum([d @ w for d, w in zip(moved, waves, strict=True)], axis=0) / max(power, 1e-300))
 
 
 def _wide(placed: PlacedLaw, motions: Motions, coefficient: int, number: int) -> Complex128:

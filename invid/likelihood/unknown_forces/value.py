@@ -49,7 +49,7 @@ class Column:
     transform on all lines of a stack up to where motion is known. ``damps``: the motor at which it is viscous
     friction, which belongs to the loop of plant and hold. ``reads``: the motor that stands by ``lines``
     beyond its reading, instead of a force. ``scales``: the motor whose torque, as it acts, it
-    multiplies by one plus its coefficient.
+    multiplies by one plus its coefficient. ``stretch``: mean derivative of a law of a reading by the reading.
     """
 
     name: Hashable
@@ -61,6 +61,7 @@ class Column:
     damps: int = -1
     reads: int = -1
     scales: int = -1
+    stretch: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,6 +315,15 @@ def torque_scales(problem: Problem, coefficients: Float64) -> Float64:
     return out
 
 
+def reading_stretch(problem: Problem, coefficients: Float64) -> Float64:
+    """(M,) motion of the motors over that of their readings, to first order."""
+    out = np.ones(problem.stacks[0].position.shape[2])
+    for column, value in zip(problem.columns, coefficients, strict=True):
+        if column.reads >= 0:
+            out[column.reads] += value * column.stretch
+    return out
+
+
 def closed_loop(problem: Problem, work: StackWork, coefficients: Float64) -> Complex128:
     """(C, F, M, M) Z + L of the records whose holds are known."""
     stack = work.stack
@@ -323,7 +333,8 @@ def closed_loop(problem: Problem, work: StackWork, coefficients: Float64) -> Com
             damping[column.damps] += value
     scale = torque_scales(problem, coefficients)
     added = stack.loop[stack.closed] * scale + 1j * stack.omega[:, None] * damping
-    out: Complex128 = work.condensed.stiffness + added[..., None] * np.eye(damping.size)
+    stiffness = work.condensed.stiffness * reading_stretch(problem, coefficients)
+    out: Complex128 = stiffness + added[..., None] * np.eye(damping.size)
     out[:, stack.omega == 0.0] = np.eye(damping.size)
     return out
 
