@@ -125,7 +125,8 @@ def _phasors(experiment: Experiment, hz: Sequence[float]) -> tuple[Complex128, f
 
     def differing(values: Float64) -> Float64:
         whole = values[-count * period :].reshape(count, period, -1)
-        return (whole - whole.mean(axis=0)).reshape(count * period, -1)
+        out: Float64 = (whole - whole.mean(axis=0)).reshape(count * period, -1)
+        return out
 
     waves = _waves(experiment, hz)
     both = differing(np.concatenate((waves.real, -waves.imag), axis=1))

@@ -66,10 +66,10 @@ def worths(now: Supposed) -> list[Worth]:
         rest = now
         for part, cause in FRICTION:
             if rest.fit.value.coefficients[names.index((part, motor))]:
-                less = _without(rest, (part, motor))
-                out.append(_worth(rest, cause, (part, motor), less))
+                gone = _without(rest, (part, motor))
+                out.append(_worth(rest, cause, (part, motor), gone))
                 # A rise may stand for all of dry friction: what goes out leaves its force to the others.
-                rest = rest if out[-1].stays else less
+                rest = rest if out[-1].stays else gone
     for channel, axis in now.hypothesis.channels:
         absent = now.hypothesis.absent | {(Channel.DELAY, axis)}
         less = replace(now.hypothesis, channels=now.hypothesis.channels - {(channel, axis)}, absent=absent)

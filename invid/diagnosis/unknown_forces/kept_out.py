@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -140,10 +141,10 @@ def _keep_last_period(parts: _Parts) -> tuple[list[Record], list[Record]]:
 
 def _cut(e: Experiment, rows: slice) -> Experiment:
     """Some of the samples of an experiment."""
-    columns = ("time", "position", "torque", "torque_demand", "status")
-    columns += ("position_reference", "torque_feedforward")
-    present = {c: getattr(e, c) for c in columns}
-    return replace(e, **{c: None if v is None else v[rows] for c, v in present.items()})
+    columns = ("time", "position", "torque", "torque_demand", "status", "position_reference")
+    present = {c: getattr(e, c) for c in (*columns, "torque_feedforward")}
+    cut: dict[str, Any] = {c: None if v is None else v[rows] for c, v in present.items()}
+    return replace(e, **cut)
 
 
 def _keep_fifth_lines(parts: _Parts) -> tuple[list[Record], list[Record]]:
