@@ -22,7 +22,7 @@ from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.recording.still_axes import masses_of_moving
 from invid.signals.dropped_rows import find_dropped_rows, interpolate_dropped_rows
-from invid.signals.plausibility import check_recording, check_units
+from invid.signals.plausibility import check_shaken, check_units
 from invid.signals.repair import repair
 
 TIME_TO_IDENTIFY, TIME_TO_SEARCH = 0.5, 0.85
@@ -80,7 +80,7 @@ def _diagnose_clean(
     dropped = find_dropped_rows(recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
     if model is None:
-        check_recording(recording)
+        check_shaken(recording)
         sizes = _requested_sizes(recording, masses)
         begin = cache(partial(begin_elastic, repaired, sizes))
         with budget.use_share(1.0, 0.0, 0.3):

@@ -30,7 +30,7 @@ def check_units(model: Model, recording: Recording) -> None:
         )
 
 
-def check_recording(recording: Recording) -> None:
+def check_shaken(recording: Recording) -> None:
     """Raise where a recording shows no machine that is shaken: see ``check_excitation``."""
     check_excitation(recording, all_spectra(recording, Role.IDENTIFY))
 

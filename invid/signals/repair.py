@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+from invid.recording.check import check_experiment
 from invid.recording.model import Recording
 from invid.recording.plausibility import without_repeats
 from invid.recording.still_axes import moving_part
@@ -16,7 +17,14 @@ def repair(recording: Recording, axes: Collection[str] | None = None) -> tuple[R
     each.
 
     ``axes``: those of a model, which stay whatever they do.
+
+    Raises
+    ------
+    RecordingError
+        Samples that are no numbers, or fewer of one column than of another.
     """
+    for experiment in recording.experiments:
+        check_experiment(experiment, recording.axes, source=recording.source)
     recording, repeats = without_repeats(recording)
     recording, glitches = remove_glitches(recording)
     recording, still = moving_part(recording, axes)

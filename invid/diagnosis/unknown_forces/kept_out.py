@@ -13,13 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from invid.errors import InputError
+from invid.errors import InputError, NotIdentifiableError
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.signals.record import Record, make_record, read_holds
 from invid.signals.spectra import all_spectra, verified_period
 
 FIFTH = 5
 """Every so many lines one is kept out."""
+LEAST_LINES = 12
+"""Lines an axis from which anything is fitted: two masses with friction and timing have ten numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +41,8 @@ def records_of(recording: Recording) -> Split:
     ------
     InputError
         No experiment is to be fitted.
+    NotIdentifiableError
+        Records too short for a plant.
     """
     experiments, warnings = _with_true_periods(recording)
     parts = _Parts(recording, experiments)
@@ -46,6 +50,12 @@ def records_of(recording: Recording) -> Split:
         raise InputError(f"{recording.source}: no experiment with role 'identify'")
     row = next(r for r in VALIDATION if r.applies(parts))
     fitted, kept = row.split(parts)
+    lines = sum(r.used.size for r in fitted)
+    if lines < LEAST_LINES * recording.axis_count:
+        raise NotIdentifiableError(
+            f"{recording.source}: the records are too short: they hold {lines} lines to {parts.band:.3g} Hz, "
+            f"and a machine takes {LEAST_LINES} an axis; record for longer"
+        )
     said = row.sentence(parts)
     return Split(tuple(fitted), tuple(kept), (*warnings, *([said] if said else [])))
 

@@ -284,6 +284,8 @@ def _coefficients(problem: Problem, work: tuple[StackWork, ...]) -> tuple[Float6
         fixed = ~free
         target = -right[free] / size[free] - normal[np.ix_(free, fixed)] @ (found[fixed] * size[fixed])
         found[free] = np.linalg.solve(normal[np.ix_(free, free)], target) / size[free]
+        if not np.isfinite(found).all():
+            raise np.linalg.LinAlgError("no coefficients of the laws are finite")
         bound = np.clip(found, low, high)
         beyond = np.abs(found - bound) * size
         worst = int(np.argmax(beyond))

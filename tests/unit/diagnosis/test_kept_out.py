@@ -1,4 +1,4 @@
-"""What is kept out of every fit: the first row of the table that holds."""
+"""What is kept out of every fit, by what a recording holds."""
 
 from __future__ import annotations
 
@@ -12,51 +12,68 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import make
 
-from invid.diagnosis.unknown_forces.kept_out import VALIDATION, records_of
-from invid.errors import InputError
-from invid.recording.model import Recording, Role
+from invid.diagnosis.unknown_forces.kept_out import records_of
+from invid.errors import InputError, NotIdentifiableError
+from invid.recording.model import Experiment, Recording, Role
 
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    """One motor, several experiments of whole periods, one for validation."""
-    return make(None, seed=3, motors=1, moves=False, drive="smooth", periods=3, from_rest=False)[0]
+    return make(None, seed=330201, motors=1, masses=(2,), moves=False, from_rest=False, periods=3)[0]
 
 
-def of_role(recording: Recording, role: Role, count: int | None = None) -> Recording:
-    return replace(recording, experiments=recording.with_role(role)[:count])
+def one_step(e: Experiment) -> float:
+    return float(e.time[1] - e.time[0])
 
 
-def in_pieces(recording: Recording) -> Recording:
-    """One experiment cut short of two periods: no whole one is to spare."""
-    (e,) = of_role(recording, Role.IDENTIFY, 1).experiments
-    n = int(1.4 * e.period_samples)
-    cut = replace(e, time=e.time[:n], position=e.position[:n], torque=e.torque[:n])
-    return replace(recording, experiments=(replace(cut, torque_demand=None, status=None),))
+def _rows(e: Experiment, rows: slice) -> Experiment:
+    cut = {name: getattr(e, name)[rows] for name in ("time", "position", "torque")}
+    return replace(e, torque_demand=None, status=None, **cut)
 
 
-def test_the_first_row_that_holds_counts_and_says_what_it_did(recording: Recording) -> None:
-    assert [r.name for r in VALIDATION] == ["role", "spare record", "last period", "fifth line"]
-    alone = of_role(recording, Role.IDENTIFY)
-    for given, said in (
-        (recording, ""),
-        (alone, "is kept out of every fit instead; record one with another realisation and amplitude"),
-        (of_role(recording, Role.IDENTIFY, 1), "(role 'validate'): the last period of each experiment"),
-        (in_pieces(recording), "every fifth line is kept out"),
-    ):
-        split = records_of(given)
-        assert split.fitted
-        assert split.kept
-        assert bool(split.warnings) == bool(said)
-        assert said in "".join(split.warnings)
+def test_validation_records_are_kept_out_without_a_word(recording: Recording) -> None:
+    split = records_of(recording)
+    roles = [{e.key for e in recording.with_role(role)} for role in (Role.IDENTIFY, Role.VALIDATE)]
+    assert [{r.key for r in part} for part in (split.fitted, split.kept)] == roles
+    assert not split.warnings
 
 
-def test_lines_fitted_and_kept_out_share_nothing_but_the_mean(recording: Recording) -> None:
-    split = records_of(in_pieces(recording))
+def test_a_spare_record_is_kept_out_whole(recording: Recording) -> None:
+    split = records_of(replace(recording, experiments=recording.with_role(Role.IDENTIFY)))
+    assert not {r.key for r in split.fitted} & {r.key for r in split.kept}
+    assert any("is kept out of every fit instead" in w for w in split.warnings)
+
+
+def test_of_one_record_its_last_period_is_kept_out(recording: Recording) -> None:
+    one = recording.with_role(Role.IDENTIFY)[0]
+    split = records_of(replace(recording, experiments=(one,)))
     (fitted,), (kept,) = split.fitted, split.kept
-    assert np.intersect1d(fitted.used, kept.used).tolist() == [0]
+    assert (fitted.periods, kept.periods) == (one.periods - 1, 1)
+    assert abs(kept.start - fitted.start - fitted.span) < 1.5 * one_step(one)
+    assert any("the last period of each experiment" in w for w in split.warnings)
 
 
-def test_without_anything_to_fit_the_role_is_named(recording: Recording) -> None:
-    with pytest.raises(InputError, match="no experiment with role 'identify'"):
-        records_of(of_role(recording, Role.VALIDATE))
+def test_of_one_period_every_fifth_line_is_kept_out(recording: Recording) -> None:
+    one = recording.with_role(Role.IDENTIFY)[0]
+    split = records_of(replace(recording, experiments=(_rows(one, slice(0, one.period_samples)),)))
+    (fitted,), (kept,) = split.fitted, split.kept
+    assert set(fitted.used) & set(kept.used) <= {0}
+    assert 3.0 < fitted.used.size / kept.used.size < 5.0
+    assert any("every fifth line" in w for w in split.warnings)
+
+
+def test_a_period_that_does_not_repeat_is_none(recording: Recording) -> None:
+    one = recording.with_role(Role.IDENTIFY)[0]
+    wrong = replace(one, period_samples=round(0.73 * one.period_samples), frequencies_hz=np.zeros(0))
+    split = records_of(replace(recording, experiments=(wrong,)))
+    assert all(r.periods in (0, one.periods, one.periods - 1, 1) for r in (*split.fitted, *split.kept))
+    assert any("does not repeat" in w for w in split.warnings)
+
+
+def test_records_without_anything_to_fit_are_refused_in_words(recording: Recording) -> None:
+    only = tuple(replace(e, role=Role.VALIDATE) for e in recording.experiments)
+    with pytest.raises(InputError, match="role 'identify'"):
+        records_of(replace(recording, experiments=only))
+    short = tuple(_rows(e, slice(0, 80)) for e in recording.experiments)
+    with pytest.raises(NotIdentifiableError, match="too short"):
+        records_of(replace(recording, experiments=short))
