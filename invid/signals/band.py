@@ -57,7 +57,9 @@ def elastic_band(
     """
     within = int(np.searchsorted(frequency, excited))
     lines = frequency[:within], position[None, :within], torque[None, :within]
-    tops = [_own_band(frequency[within - 1], apparent_inertia(*lines, m)) for m in np.flatnonzero(driven)]
+    tops = [
+        _own_band(frequency[within - 1], apparent_inertia(*lines, int(m))) for m in np.flatnonzero(driven)
+    ]
     least = frequency[min(FEWEST, within - 1)]
     return float(np.clip(max(tops, default=excited), least, excited))
 
@@ -101,7 +103,7 @@ def _own_band(whole: float, seen: ApparentInertia) -> float:
     coherent = float(seen.frequency[-1])
     upper = seen.frequency > 0.5 * coherent
     bent = np.abs(level - np.median(level[upper])) > np.maximum(LEVEL, 4.0 * seen.scatter)
-    return min(BEYOND * float(seen.frequency[bent].max(initial=0.0)), np.sqrt(RATIO) * coherent)
+    return min(BEYOND * float(seen.frequency[bent].max(initial=0.0)), float(np.sqrt(RATIO)) * coherent)
 
 
 def _edges(frequency: Float64) -> Float64:

@@ -97,7 +97,9 @@ class Background:
         """At a fit, with strengths as they are."""
         value, joint = now.fit.value, now.fit.slope.joint
         size: Float64 = np.sqrt(np.diag(joint)) + 1e-300
-        inverse: Float64 = np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size))
+        inverse = np.asarray(
+            np.linalg.inv(joint / size[:, None] / size + 1e-10 * np.eye(size.size)), dtype=np.float64
+        )
         return cls(
             tuple(joint_rows(now, k) for k in range(len(value.work))),
             tuple((w.missing + w.laws @ value.coefficients).ravel() for w in value.work),

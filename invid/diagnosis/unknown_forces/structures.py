@@ -244,7 +244,7 @@ def base_of(structure: Structure, values: Float64) -> tuple[dict[str, float], Fl
         values[structure.index(k)] for k in (Kind.MASS, Kind.SPRING, Kind.DAMPER, Kind.COUPLING)
     )
     inertia = load_inertia(structure, values)
-    shares: Float64 = np.linalg.solve(inertia, coupling[-structure.motors :])
+    shares = np.asarray(np.linalg.solve(inertia, coupling[-structure.motors :]), dtype=np.float64)
     scale = 1.0 / float(shares[np.argmax(np.abs(shares))])
     shares = shares * scale
     carried = float(shares @ inertia @ shares)
