@@ -78,6 +78,8 @@ class Record:
         (M,) change of position from the record's start to its end.
     torque_wave
         (n + 1, M) torque as sampled over the span.
+    excited
+        Numbers of the lines that are said to be excited.
     periods
         Number of periods in the span; 0 where it has none.
     top_hz
@@ -103,6 +105,7 @@ class Record:
     jump: Float64
     motion: SmoothMotion
     torque_wave: Float64
+    excited: Int64
     periods: int
     top_hz: float
     origin: float = 0.0
@@ -214,6 +217,7 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
         jump=jump,
         motion=motion,
         torque_wave=torque,
+        excited=np.round(experiment.frequencies_hz * span).astype(np.int64),
         periods=periods,
         top_hz=top,
     )
@@ -350,7 +354,7 @@ FEWEST = 10
 """Fewest lines from which a hold is read."""
 
 
-def read_holds(experiments: Sequence[Experiment], records: Sequence[Record]) -> list[Record]:
+def read_holds(records: Sequence[Record]) -> list[Record]:
     """The records with holds inside drives made known that show themselves on lines without a command.
 
     There the torque is −K·position − D·velocity and nothing else: on the lines between those excited and, of
@@ -359,7 +363,7 @@ def read_holds(experiments: Sequence[Experiment], records: Sequence[Record]) -> 
     """
     out = list(records)
     for m in range(records[0].hold.size if records else 0):
-        seen = [_normal_of_hold(e, r, m) for e, r in zip(experiments, records, strict=True)]
+        seen = [_normal_of_hold(r, m) for r in records]
         normal = np.sum([n for n, _ in seen], axis=0)
         if not normal[1, 1]:
             continue
@@ -374,13 +378,13 @@ def read_holds(experiments: Sequence[Experiment], records: Sequence[Record]) -> 
     return out
 
 
-def _normal_of_hold(experiment: Experiment, record: Record, axis: int) -> tuple[Float64, Float64]:
+def _normal_of_hold(record: Record, axis: int) -> tuple[Float64, Float64]:
     """Normal equations (2, 2), (2,) of an unknown hold's stiffness and damping.
 
     Zero where it does not explain the torque on lines without a command.
     """
     nothing = np.zeros((2, 2)), np.zeros(2)
-    excited = np.round(experiment.frequencies_hz * record.span).astype(int)
+    excited = record.excited
     free = (record.wide > 0.0) & (record.wide < 2 * np.pi * DENSE * record.top_hz)
     if record.driven[axis]:
         free[excited[excited < free.size]] = False

@@ -57,6 +57,8 @@ def records_of(recording: Recording) -> Split:
             f"and a machine takes {LEAST_LINES} an axis; record for longer"
         )
     said = row.sentence(parts)
+    known = read_holds([*fitted, *kept])  # of one machine: what one record shows holds for all
+    fitted, kept = known[: len(fitted)], known[len(fitted) :]
     return Split(tuple(fitted), tuple(kept), (*warnings, *([said] if said else [])))
 
 
@@ -103,8 +105,7 @@ class _Parts:
         """The experiments as records."""
         origin = min(float(e.time[0]) for e in self.experiments)
         resolution = self.recording.encoder_resolution
-        made = [replace(make_record(e, resolution, self.band), origin=origin) for e in experiments]
-        return read_holds(experiments, made)
+        return [replace(make_record(e, resolution, self.band), origin=origin) for e in experiments]
 
     @cached_property
     def band(self) -> float:
