@@ -228,20 +228,8 @@ def _spectra_of_pieces(recording: Recording, numbers: Collection[int]) -> tuple[
 
 def _piece_of(experiment: Experiment, number: int) -> Experiment:
     first, last = (k * experiment.samples // PIECE_COUNT for k in (number, number + 1))
-    rows = slice(first, last)
-    demand, status = experiment.torque_demand, experiment.status
-    return replace(
-        experiment,
-        key=f"{experiment.key} {number}",
-        period_samples=0,
-        time=experiment.time[rows],
-        position=experiment.position[rows],
-        torque=experiment.torque[rows],
-        torque_demand=None if demand is None else demand[rows],
-        status=None if status is None else status[rows],
-        position_reference=None,
-        torque_feedforward=None,
-    )
+    piece = replace(experiment, key=f"{experiment.key} {number}", period_samples=0)
+    return piece.cut(slice(first, last))
 
 
 def _share_text(missed: float) -> str:

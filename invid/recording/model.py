@@ -5,7 +5,7 @@ Reading and writing HDF5 is in ``invid.recording.hdf5``; this module is data onl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -99,6 +99,19 @@ class Experiment:
     def periods(self) -> int:
         """Whole periods in the record; 0 when not periodic."""
         return self.samples // self.period_samples if self.period_samples else 0
+
+    def cut(self, rows: slice) -> Experiment:
+        """The experiment on some of its samples."""
+        return replace(
+            self,
+            time=self.time[rows],
+            position=self.position[rows],
+            torque=self.torque[rows],
+            torque_demand=None if self.torque_demand is None else self.torque_demand[rows],
+            status=None if self.status is None else self.status[rows],
+            position_reference=None if self.position_reference is None else self.position_reference[rows],
+            torque_feedforward=None if self.torque_feedforward is None else self.torque_feedforward[rows],
+        )
 
 
 @dataclass(frozen=True, eq=False)

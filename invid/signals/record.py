@@ -37,9 +37,12 @@ QUIET_BAND = (0.05, 0.45)
 power of frequency (or of the lines above ``WIDE`` where the band reaches higher)."""
 SLOWEST_COUNTS = 50.0
 """Most by which the rounding of a slow axis gathers at low frequencies."""
-MOST_LINES = 4000
-"""Most lines of a record; of longer ones every k-th is used, which loses their resolution and keeps their
-noise."""
+MOST_LINES, MOST_POINTS = 4000, 1_000_000
+"""Most lines of a record, of longer ones every 2ᵏ-th is used, which loses their resolution and keeps their
+noise; and most points of the grid of motion, where the samples themselves are not more."""
+LONG, SHARED = 100_000, 64
+"""Samples from which a span without a period is a multiple of ``SHARED`` samples, so that its parts can be
+added up first where only every 2ᵏ-th line is asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +132,12 @@ class Record:
 
     def lines(self, series: Float64) -> Complex128:
         """(F, …) transform of ``series`` (k + 1, …) on the grid of motion."""
-        return transform(series, self.used, self.periods)
+        return transform(series, self.used, self.periods or self.thinning)
+
+    @cached_property
+    def thinning(self) -> int:
+        """Every so many lines one is used."""
+        return int(np.gcd(np.gcd.reduce(self.used), SHARED))
 
     def wide_lines(self, series: Float64) -> Complex128:
         """(A, …) transform on all lines up to where motion is known."""
@@ -144,7 +152,7 @@ def transform(series: Float64, lines: Int64, periods: int = 0) -> Complex128:
     closed = series[:-1].copy()
     closed[0] = 0.5 * (series[0] + series[-1])
     count = closed.shape[0]
-    if periods > 1 and not np.any(lines % periods):
+    if periods > 1 and count % periods == 0 and not np.any(lines % periods):
         closed = closed.reshape(periods, count // periods, *closed.shape[1:]).sum(axis=0)
         lines = lines // periods
     out: Complex128 = np.fft.rfft(closed, axis=0)[lines] * (2.0 / count)
@@ -227,7 +235,9 @@ def _span(experiment: Experiment, samples: int) -> tuple[int, int]:
     """Periods in the span, and its number of samples: whole periods, or all but one sample."""
     period = experiment.period_samples
     periods = samples // period if 0 < period <= samples else 0
-    return (periods, periods * period) if periods else (0, samples - 1)
+    if periods:
+        return periods, periods * period
+    return 0, samples - 1 - ((samples - 1) % SHARED if samples > LONG else 0)
 
 
 def _driven(experiment: Experiment, motors: int) -> np.ndarray:
@@ -290,7 +300,7 @@ def _smooth(position: Float64, step: float, top: float, noise: Float64) -> Smoot
     ``noise`` (M,) is the power of rounding on a line of the span.
     """
     count = position.shape[0] - 1
-    fine = int(np.clip(np.ceil(FINENESS * top * step), 1, 32))
+    fine = int(np.clip(np.ceil(FINENESS * top * step), 1, min(32, max(1, MOST_POINTS // count))))
     pad = min(512, count // 4)
     head = 2 * position[:1] - position[pad:0:-1]
     tail = 2 * position[-1:] - position[-2 : -pad - 2 : -1]
@@ -316,7 +326,7 @@ def _used_lines(frequency: Float64, top: float, periods: int) -> Int64:
         far = (frequency <= REACH * top) & (ordinal % SPARSE == 1)
         return np.flatnonzero((number % periods == 0) & ((frequency <= DENSE * top) | far))
     within = np.flatnonzero(frequency <= top)
-    return within[:: -(-within.size // MOST_LINES)]
+    return within[:: 1 << max(0, -(-within.size // MOST_LINES) - 1).bit_length()]
 
 
 def _hold_damping(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -145,17 +144,9 @@ def _has_periods(parts: _Parts) -> bool:
 
 def _keep_last_period(parts: _Parts) -> tuple[list[Record], list[Record]]:
     moves = [e for e in parts.train if e.kind is Kind.CONSTANT_VELOCITY]
-    begin = [_cut(e, slice(None, e.samples - e.period_samples + 1)) for e in parts.shaken]
-    last = [_cut(e, slice(e.samples - e.period_samples - 1, None)) for e in parts.shaken]
+    begin = [e.cut(slice(None, e.samples - e.period_samples + 1)) for e in parts.shaken]
+    last = [e.cut(slice(e.samples - e.period_samples - 1, None)) for e in parts.shaken]
     return parts.records([*begin, *moves]), parts.records(last)
-
-
-def _cut(e: Experiment, rows: slice) -> Experiment:
-    """Some of the samples of an experiment."""
-    columns = ("time", "position", "torque", "torque_demand", "status", "position_reference")
-    present = {c: getattr(e, c) for c in (*columns, "torque_feedforward")}
-    cut: dict[str, Any] = {c: None if v is None else v[rows] for c, v in present.items()}
-    return replace(e, **cut)
 
 
 def _keep_fifth_lines(parts: _Parts) -> tuple[list[Record], list[Record]]:
