@@ -1,4 +1,4 @@
-"""Draw the README's picture from a demo's results: `make pictures` (runs the demo first)."""
+"""Draw the pictures of README and docs from a demo's results: `make pictures` (runs the demo first)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from invid.model.document import load_model
 from invid.recording import read_recording
 from invid.report.figures import figures
 
-SHOWN = ("cause-1",)
+SHOWN = ("cause-1", "forces")
 
 
 def main(demo: Path, out: Path) -> None:
-    """Write the figure that the README shows of the demo in ``demo`` as SVG into ``out``."""
+    """Write the figures that README and docs show of the demo in ``demo`` as SVG into ``out``."""
     recording = read_recording(demo / "recording.h5")
     model = load_model(demo / "model.json")
     out.mkdir(parents=True, exist_ok=True)

@@ -163,7 +163,6 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
     for r in diagnosis.residual:
         floor = "unknown" if r.noise_floor is None else f"{r.noise_floor:.4g}"
         lines.append(f"  {r.axis:<12} {r.before:>11.4g} {r.after:>11.4g} {floor:>11} {r.unit}")
-    lines += _replay_lines(diagnosis)
     for f in diagnosis.findings:
         place = " ".join(x for x in (f.effect.axis, f.effect.element, f.effect.other_axis) if x)
         lines.append(f"{f.effect.cause} ({place}), confidence {f.confidence:.2f}")
@@ -196,17 +195,3 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
         lines += [f"warning: {w}" for w in diagnosis.against["warnings"]]
     lines += [f"warning: {w}" for w in diagnosis.warnings]
     return "\n".join(lines)
-
-
-def _replay_lines(diagnosis: Diagnosis) -> list[str]:
-    """Return the lines about the simulation over time, where it was run."""
-    answer = diagnosis.details.get("replay")
-    if not answer:
-        return []
-    lines = ["simulated over time on held-out data: error of the motion, before and after the extension"]
-    for a in answer["axes"]:
-        lines.append(
-            f"  {a['axis']:<12} {a['position_before']:>11.3g} {a['position_after']:>11.3g} "
-            f"{a['position_unit']} of {a['motion']:.3g}; leaves {a['torque_after']:.4g} {a['torque_unit']}"
-        )
-    return lines

@@ -27,6 +27,8 @@ from invid.report.spectra_data import (
 from invid.signals.frf import frf_matrix
 from invid.signals.spectra import LineSpectra, all_spectra
 
+LEAST_FORCE, MOST_FORCES = 0.01, 12
+"""Share of the strongest force from which a place is drawn, and how many at most."""
 POINTS = 500
 """Points in a scatter: enough for a shape, few enough for a picture of modest size."""
 
@@ -35,7 +37,8 @@ def figure_data(recording: Recording, model: Model, diagnosis: Diagnosis | None 
     """Data of every picture, by name; a picture that the data cannot carry is missing, with a note.
 
     Keys: ``frf`` (one an axis), ``missing_torque`` (one an axis), ``causes`` (one a finding, or the
-    loudest axis over velocity and position where nothing is named), ``residual``, ``notes``.
+    loudest axis over velocity and position where nothing is named), ``residual``, ``forces`` (those of
+    the places that count), ``notes``.
     """
     notes: list[str] = []
     try:
@@ -60,8 +63,16 @@ def figure_data(recording: Recording, model: Model, diagnosis: Diagnosis | None 
         "missing_torque": _over_frequency(recording, missing, unit),
         "causes": _causes(recording, shown, model, diagnosis),
         "residual": [] if diagnosis is None else [asdict(r) for r in diagnosis.residual],
+        "forces": [] if diagnosis is None else _forces(diagnosis),
         "notes": notes,
     }
+
+
+def _forces(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Places at which a force acts that is a hundredth of the strongest, the strongest first."""
+    strongest = max((max(f.before, f.after) for f in diagnosis.forces), default=0.0)
+    counted = [f for f in diagnosis.forces if max(f.before, f.after) > LEAST_FORCE * strongest]
+    return [asdict(f) for f in sorted(counted, key=lambda f: -max(f.before, f.after))[:MOST_FORCES]]
 
 
 def _missing_all(spectra: Sequence[LineSpectra], chains: CoupledChains) -> list[MissingTorque]:

@@ -18,7 +18,7 @@ from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, over_frequen
 
 
 def figures(recording: Recording, model: Model, diagnosis: Diagnosis | None = None) -> dict[str, str]:
-    """SVG of every picture: ``residual``, ``cause-1`` …, ``frf-1`` … (one an axis), ``missing-torque``."""
+    """SVG by name: ``residual``, ``forces``, ``cause-1`` …, ``frf-1`` … (one an axis), ``missing-torque``."""
     return draw(figure_data(recording, model, diagnosis))
 
 
@@ -27,6 +27,8 @@ def draw(data: dict[str, Any]) -> dict[str, str]:
     out: dict[str, str] = {}
     if data["residual"]:
         out["residual"] = residual(data["residual"])
+    if data["forces"]:
+        out["forces"] = forces(data["forces"])
     for number, cause in enumerate(data["causes"], 1):
         out[f"cause-{number}"] = dependence(cause, f"cause-{number}")
     if data["missing_torque"]:
@@ -34,6 +36,49 @@ def draw(data: dict[str, Any]) -> dict[str, str]:
     for number, axis in enumerate(data["frf"], 1):
         out[f"frf-{number}"] = response(axis, f"frf-{number}")
     return out
+
+
+def forces(rows: list[dict[str, Any]]) -> str:
+    """Force in no law at each place, without and with the named causes, on a logarithmic scale."""
+    strongest = max(max(r["before"], r["after"]) for r in rows)
+    least = NOTHING * strongest
+
+    def fill(figure: Figure) -> None:
+        ax = figure.add_subplot()
+        at = np.arange(len(rows))
+        for number, (key, words, colour, hatch) in enumerate(
+            (("before", "without causes", BEFORE, "//"), ("after", "with the causes named", AFTER, ""))
+        ):
+            ax.barh(
+                at + (number - 0.5) * 0.4,
+                [max(r[key], least) for r in rows],
+                0.38,
+                label=words,
+                facecolor=colour,
+                edgecolor=INK,
+                linewidth=0.5,
+                hatch=hatch,
+            )
+        ax.set_xscale("log")
+        powers_of_ten(ax.xaxis)
+        ax.set_xlim(least, 2.0 * strongest)
+        ax.set_yticks(at, [_place(r) for r in rows])
+        ax.invert_yaxis()
+        ax.grid(False, axis="y")
+        ax.set_xlabel(f"force in no law, rms [{label(rows[0]['unit'])}]")
+        figure.legend(loc="upper right", ncols=2)
+
+    height = 1.4 + 0.32 * len(rows)
+    return svg("forces", fill, size=(7.2, height), title="Force in no law at each place, before and after")
+
+
+def _place(row: dict[str, Any]) -> str:
+    between = f"–{row['other_axis']}" if row["other_axis"] else ""
+    return f"{label(row['axis'], 16)}{between} {row['element']}"
+
+
+NOTHING = 1e-3
+"""Force over the strongest below which nothing is drawn."""
 
 
 def residual(rows: list[dict[str, Any]]) -> str:

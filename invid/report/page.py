@@ -49,7 +49,7 @@ def render_report(
     part, _ = moving_part(recording, model.axes)
     data = figure_data(part, model, diagnosis)
     drawn, captions = draw(data), captions_of(data)
-    first = [name for name in drawn if name == "residual" or name.startswith("cause-")]
+    first = [name for name in drawn if name in ("residual", "forces") or name.startswith("cause-")]
     shown = model if diagnosis is None else diagnosis.model
     findings = () if diagnosis is None else diagnosis.findings
     lost = None if diagnosis is None else diagnosis.unexplained
@@ -222,6 +222,10 @@ def captions_of(data: Mapping[str, Any]) -> dict[str, str]:
             for r in data["residual"]
         )
         + ".",
+        "forces": "Unknown force at every place that counts: what acts there and is in no law, without the "
+        "causes and with them. Where something is left, the largest of the second bars says where."
+        if data["forces"]
+        else "",
         "missing-torque": "Torque that each motor would still need, over frequency, under the linear model. "
         "Where the grey floor rises, the plant amplifies the sensors' noise (resonances with the motors "
         "held): no fault there." + "".join(_most(row) for row in data["missing_torque"]),
