@@ -27,7 +27,7 @@ from invid.diagnosis.unknown_forces.structures import additions_of
 from invid.diagnosis.unknown_forces.unexplained import describe_left
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import PlacedLaw
+from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed
 from invid.model.diagnosis_document import AxisResidual, Diagnosis, Verdict
 from invid.model.document import EffectTerm, model_to_json
 from invid.numerics import budget
@@ -71,7 +71,12 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
         explained=explained if findings else None,
         left=left,
         opening=model.warnings,
-        warnings=[*begun.warnings, *fewer_masses_warnings(begun.declared, masses), *model.warnings],
+        warnings=[
+            *(d for c in causes for d in c.doubts if d != BESIDE_MORE),
+            *begun.warnings,
+            *fewer_masses_warnings(begun.declared, masses),
+            *model.warnings,
+        ],
         details={"linear_model": model_to_json(model_of(found.bare, (), recording))},
     )
     result = replace(result, forces=forces_at(found.bare, found.end, recording))
@@ -142,6 +147,21 @@ def _with_table(found: ElasticSearch, placed: PlacedLaw, term: EffectTerm) -> Ef
     return replace(term, table=placed.law.law.table(value, covariance, linear=found.recording.linear))
 
 
+def _hold_doubts(end: Supposed, key: Hashable, axes: Sequence[str]) -> list[str]:
+    """What is said of viscous friction of a motor that an unknown hold works on while it is driven."""
+    if not isinstance(key, tuple) or key[0] is not Part.VISCOUS:
+        return []
+    axis = int(key[1])
+    records = [r for s in end.bench.stacks for r in s.records if r.driven[axis]]
+    if not any(np.isnan(r.hold[axis]) for r in records):
+        return []
+    return [
+        f"viscous friction of {axes[axis]}: a hold works while the axis is driven, nothing says when it "
+        "acts, and half a sample of it looks like such friction: record the demanded torque over "
+        "whole periods, or drive the axis without a hold"
+    ]
+
+
 def named_causes(
     found: ElasticSearch, before: AxisMissing, after: AxisMissing, explained: float
 ) -> list[Cause]:
@@ -168,7 +188,7 @@ def named_causes(
                 explained * term.rise / whole,
                 contest.share,
                 contest.alternatives,
-                doubts=(BESIDE_MORE,) if is_part else (),
+                doubts=(*((BESIDE_MORE,) if is_part else ()), *_hold_doubts(found.end, term.key, axes)),
                 size_is_significant=False if is_part else None,
             )
         )

@@ -236,10 +236,22 @@ class TermWriter:
         """Term of a drive that is late or lags."""
         first, motors = self.now.numbers.plant.x.size, self.structure.motors
         step = self.now.numbers.timing.step
-        if channel is Channel.DELAY:
-            driven = any(r.driven[axis] for s in self.now.bench.stacks for r in s.records)
-            at, name = first + (axis if driven else motors + axis), "delay"
-            usual = EXPECTED_DELAY[COMMAND if driven else HOLD]
-        else:
-            at, name, usual = first + 4 * motors + axis, "time_constant", 0.0
-        return self._term(channel.value, axis, {name: (lambda v: (v[0] - usual) * step, [at])})
+        if channel is Channel.LAG:
+            at = first + 4 * motors + axis
+            return self._term(channel.value, axis, {"time_constant": (lambda v: v[0] * step, [at])})
+        driven = any(r.driven[axis] for s in self.now.bench.stacks for r in s.records)
+        at = first + (axis if driven else motors + axis)
+        usual, open_part = self._usual_delay(axis) if driven else (EXPECTED_DELAY[HOLD], 0.0)
+        term = self._term(channel.value, axis, {"delay": (lambda v: (v[0] - usual) * step, [at])})
+        known = term.parameters["delay"]
+        std = None if known.std is None else float(np.hypot(known.std, open_part * step))
+        return replace(term, parameters={"delay": replace(known, std=std)})
+
+    def _usual_delay(self, axis: int) -> tuple[float, float]:
+        """Delay of a punctual command in this record [samples], and its deviation: that of the other axes.
+
+        On one axis alone nothing tells whether samples show the command that begins or the one that ended.
+        """
+        late = {a for _, a in self.now.hypothesis.channels} | {axis}
+        others = [float(d) for a, d in enumerate(self.now.numbers.timing.delay[COMMAND]) if a not in late]
+        return (float(np.median(others)), 0.0) if others else (0.0, 1.0 / np.sqrt(12.0))

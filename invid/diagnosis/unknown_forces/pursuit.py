@@ -16,7 +16,7 @@ from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
-from invid.likelihood.unknown_forces.timing import EXPECTED_DELAY
+from invid.likelihood.unknown_forces.timing import CONVENTION
 from invid.numerics import budget
 
 PRICE, LEAST_FITTED, LEAST_KEPT = 120.0, 40.0, 10.0
@@ -37,7 +37,7 @@ OWN_STIFFNESS = (0.7, 1.4)
 UNBENT = 0.2
 """Relative deviation of a spring's stiffness from which on no record bends it (empirical)."""
 SURELY_LATE = 5.0
-"""Deviations by which a delay has to exceed a sample before a late drive is supposed."""
+"""Deviations by which a delay has to exceed conventions before a late drive is supposed."""
 LOST = 0.2
 """Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
 
@@ -157,8 +157,7 @@ def try_channels(now: Supposed) -> list[Trial]:
             continue
         spot = Spot(Where.MOTOR, axis)
         late = max(
-            (abs(timing.delay[part, axis] - EXPECTED_DELAY[part]) - 1.0)
-            / max(deviation[part * motors + axis], 1e-9)
+            (abs(timing.delay[part, axis]) - CONVENTION) / max(deviation[part * motors + axis], 1e-9)
             for part in (0, 1)
         )
         if late < SURELY_LATE:

@@ -14,6 +14,7 @@ from invid.diagnosis.unknown_forces.named_terms import axis_and_element
 from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound, role_falls, try_law
 from invid.diagnosis.unknown_forces.scoring import score, spots_of
+from invid.diagnosis.unknown_forces.structures import Base, Mode
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed_laws import supposed_laws
@@ -70,6 +71,10 @@ def contests(
             for r in close
             for axis, element in (axis_and_element(end.hypothesis.structure, r.spot),)
         )
+        if isinstance(worth.key, Mode) and end.hypothesis.structure.motors == 1:
+            # Seen from one motor a body under its load makes the same poles and zeros.
+            missing = float(axis_missing(end).missing[0])
+            said += (Alternative(Base.cause, recording.axes[0], None, missing),)
         out[worth.key] = Contest(float(1.0 / (1.0 + odds.sum())), said)
     return out
 

@@ -18,7 +18,7 @@ from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.strengths import stronger
-from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.timing import CONVENTION
 from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.record import Record
@@ -386,8 +386,6 @@ class Supposed:
 
 KEPT_STEPS = 8
 """Steps by which the strengths of records kept out are found."""
-WITHIN = 1.0 - 1e-6
-"""Samples of delay that are convention."""
 HELD = 1e-9
 """Standard deviation of a number that is held at zero."""
 
@@ -400,11 +398,10 @@ def bounded(numbers: Numbers, problem: Problem, hypothesis: Hypothesis) -> tuple
     x, centre, spread = numbers.x.copy(), problem.centre.copy(), problem.spread.copy()
     x[at], centre[at], spread[at] = 0.0, 0.0, HELD
     times = numbers.plant.x.size
-    usual = Timing.nominal(motors, 1.0).x
     for k in range(2 * motors):
-        # Within a sample it is free as ever: a stale delay would look like a lag.
-        if (Channel.DELAY, k % motors) in hypothesis.absent and abs(x[times + k] - usual[k]) > WITHIN:
-            x[times + k] = centre[times + k] = usual[k] + np.sign(x[times + k] - usual[k])
+        # Within conventions it is free as ever: a stale delay would look like a lag.
+        if (Channel.DELAY, k % motors) in hypothesis.absent and abs(x[times + k]) > CONVENTION:
+            x[times + k] = centre[times + k] = CONVENTION * np.sign(x[times + k])
             spread[times + k] = HELD
     for channel, axis in hypothesis.channels:
         free = [axis, motors + axis] if channel is Channel.DELAY else [4 * motors + axis]

@@ -25,6 +25,9 @@ NO_LAG = 1e-9
 """Standard deviation of a lag that is not supposed."""
 EXPECTED_DELAY = (-0.5, 0.0)
 """Delay [samples] of a command, which acts over the sample before the SYNC that shows it, and of a hold."""
+CONVENTION = 1.5
+"""Delay of either sign [samples] that conventions make: half a sample of holding, and one between the command
+that is shown and the one that acts."""
 EXPECTED_SHARE = (1.0, 0.5)
 """Share of a command that is held over the sample, and of a hold, which works inside the drive or outside."""
 
