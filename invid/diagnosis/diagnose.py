@@ -96,6 +96,7 @@ def _diagnose_clean(
             "the model of this robot, or without one"
         )
     check_units(model, recording)
+    check_shaken(recording)
     begun = begin_elastic(repaired, model.chains.masses_per_branch)
     return with_lost_samples(diagnose_elastic(begun), recording, dropped)
 
