@@ -97,7 +97,7 @@ def _diagnose_clean(
         )
     check_units(model, recording)
     check_shaken(recording)
-    begun = begin_elastic(repaired, model.chains.masses_per_branch)
+    begun = begin_elastic(repaired, model.chains.masses_per_branch, model.chains)
     return with_lost_samples(diagnose_elastic(begun), recording, dropped)
 
 
