@@ -96,7 +96,8 @@ def _diagnose_clean(
             "the model of this robot, or without one"
         )
     check_units(model, recording)
-    begun = begin_elastic(repaired, model.chains.masses_per_branch)
+    check_shaken(recording)
+    begun = begin_elastic(repaired, model.chains.masses_per_branch, model.chains)
     return with_lost_samples(diagnose_elastic(begun), recording, dropped)
 
 

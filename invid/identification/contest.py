@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,22 +59,34 @@ def is_settled(found: Supposed) -> bool:
     return found.inner_strength < HOME * torque_rms(found.bench)
 
 
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known before a fit: one with ``fewer`` masses, from which starts are grown too and whose shapes
+    of friction it begins with; a ``plant`` of its very structure, which is its first start."""
+
+    fewer: Supposed | None = None
+    plant: Plant | None = None
+
+
+NOTHING = Known()
+
+
 def begin(
     bench: Bench,
     structure: Structure,
     kept: Bench | None = None,
-    fewer: Supposed | None = None,
+    known: Known = NOTHING,
     seed: int = 1,
 ) -> Supposed:
-    """The fit of a structure with friction at the motors, from the best of all starts.
-
-    ``fewer``: a fit with fewer masses; starts are grown from it too, and friction's shapes are its.
-    """
+    """The fit of a structure with friction at the motors, from the best of all starts."""
+    fewer = known.fewer
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
     benches, rng = (bench, kept), np.random.default_rng(seed)
     fractions = fraction_plants(bench.stacks, structure)
-    classes = [[(p, ROUNDS[-1][0]) for p in fractions[:1]], [(p, ROUNDS[0][0]) for p in fractions]]
+    first_of_all = [p for p in (known.plant, *fractions[:1]) if p is not None]
+    classes = [[(p, ROUNDS[-1][0])] for p in first_of_all]
+    classes.append([(p, ROUNDS[0][0]) for p in fractions])
     classes.append([(p, ROUNDS[0][0]) for p in random_plants(bench.stacks, structure, RANDOM, rng)])
     if fewer is not None:
         grown = grown_plants(fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
@@ -173,7 +185,7 @@ def _begin_grown(benches: Benches, motors: int) -> Supposed:
         tried = []
         for one in wider:
             with suppress(np.linalg.LinAlgError):
-                tried.append(begin(bench, Structure(one), kept, now))
+                tried.append(begin(bench, Structure(one), kept, Known(fewer=now)))
         best = reshape(scan_friction(min(tried, key=lambda f: f.total, default=now)))
         more = sum(best.hypothesis.structure.sizes) - sum(sizes)
         falls = now.total - best.total, now.kept_total - best.kept_total

@@ -10,6 +10,7 @@ from invid.errors import InputError, NotIdentifiableError
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording, Role
+from invid.recording.plausibility import missing_sign
 from invid.signals.spectra import LineSpectra, all_spectra
 
 STRETCHES, LINES_PER_STRETCH = 8, 6
@@ -82,7 +83,8 @@ def _has_signal(s: LineSpectra, channel: int) -> bool:
 
 
 def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
-    """InputError for an axis whose position or torque never changes, or whose torque has the wrong sign."""
+    """InputError for an axis whose position or torque never changes, or whose torque has a wrong sign or
+    none."""
     for i, axis in enumerate(recording.axes):
         if spectra and not any(np.ptp(s.position_wave[:, i]) > 0 for s in spectra):
             raise InputError(
@@ -94,6 +96,11 @@ def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> Non
             raise InputError(
                 f"{recording.source}: the torque of axis {axis} never changes, not even where the axis is "
                 "shaken; see that the drive reports it (0x6077 in a PDO) and that it is the column meant"
+            )
+        if _has_lost_sign(np.concatenate([e.torque[:, i] for e in recording.experiments])):
+            raise InputError(
+                f"{recording.source}: the torque of axis {axis} has lost its sign: it leaps by the range of "
+                f"its numbers where it should pass zero; import it with 'read_as: int16' beside its 'column'"
             )
         slopes = [_reactance_slopes(s, i) for s in spectra]
         every = np.concatenate(slopes) if slopes else np.zeros(0)
@@ -112,6 +119,12 @@ def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> Non
                 f"{fault}So it is where an axis is held: the experiments that name it as excited_axis shake "
                 f"{recording.axes[other]} more; see that they name the axis that was shaken"
             )
+
+
+def _has_lost_sign(wave: Float64) -> bool:
+    """Whether torque (n,) is 0x6077, a signed number of 16 bits, read without its sign."""
+    steps = np.diff(np.unique(wave))
+    return bool(steps.size) and missing_sign(np.round(wave / float(np.median(steps)))) == "int16"
 
 
 def _axis_moved_instead(spectra: Sequence[LineSpectra], axis: int) -> int | None:

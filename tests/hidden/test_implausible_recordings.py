@@ -46,6 +46,18 @@ def test_a_torque_that_nobody_mapped_is_named() -> None:
             ask(none)
 
 
+def test_a_torque_read_without_its_sign_is_called_that() -> None:
+    recording, truth = make("coulomb_friction", seed=1, target_db=20.0, motors=1)
+    unit = float(max(np.abs(e.torque).max() for e in recording.experiments)) / 300
+    lost = _changed(
+        recording,
+        lambda e: replace(e, torque=np.mod(np.round(e.torque / unit), 2.0**16) * unit, torque_demand=None),
+    )
+    for ask in (identify, diagnose):
+        with pytest.raises(InputError, match=f"torque of axis {truth.chains.axes[0]} has lost its sign"):
+            ask(lost)
+
+
 def test_a_model_of_a_linear_machine_is_refused_for_a_rotary_one() -> None:
     recording, _ = make("coulomb_friction", seed=1, target_db=20.0, motors=1)
     other = replace(identify(recording), linear=True)

@@ -10,7 +10,7 @@ import numpy as np
 from invid.diagnosis.unknown_forces.left_over import AxisMissing, axis_missing
 from invid.effects.units import unit_of
 from invid.identification.identifiability import blind_directions
-from invid.likelihood.unknown_forces.plant import Kind
+from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import curvature
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, HOLD
@@ -50,6 +50,14 @@ def chains_of(end: Supposed, axes: tuple[str, ...]) -> tuple[CoupledChains, dict
         names[f"{axes[i]}-{axes[j]}.coupling"] = first_of[Kind.COUPLING] + k
     built = CoupledChains.build(parts["mass"], parts["spring"], parts["damper"], couplings, axes=axes)
     return built, names
+
+
+def plant_of(chains: CoupledChains) -> Plant:
+    """The plant of chains, without springs between their loads."""
+    structure = Structure(chains.masses_per_branch)
+    coupled = [chains.couplings[pair] for pair in structure.pairs]
+    parts = (*chains.masses, *chains.springs, *chains.dampers, coupled, np.zeros(len(coupled)))
+    return Plant.of_values(structure, np.concatenate(parts))
 
 
 def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recording) -> Model:

@@ -32,9 +32,11 @@ class Split:
     warnings: tuple[str, ...]
 
 
-def records_of(recording: Recording) -> Split:
+def records_of(recording: Recording, *, by_period: bool = False) -> Split:
     """The experiments as records on lines up to one frequency for all, split in those to fit and those kept
     out.
+
+    ``by_period``: every period is a record of its own.
 
     Raises
     ------
@@ -44,7 +46,7 @@ def records_of(recording: Recording) -> Split:
         Records too short for a plant.
     """
     experiments, warnings = _with_true_periods(recording)
-    parts = _Parts(recording, experiments)
+    parts = _Parts(recording, experiments, by_period)
     if not parts.train:
         raise InputError(f"{recording.source}: no experiment with role 'identify'")
     row = next(r for r in VALIDATION if r.applies(parts))
@@ -75,6 +77,7 @@ def _with_true_periods(recording: Recording) -> tuple[tuple[Experiment, ...], li
 class _Parts:
     recording: Recording
     experiments: tuple[Experiment, ...]
+    by_period: bool
 
     @cached_property
     def train(self) -> list[Experiment]:
@@ -104,6 +107,8 @@ class _Parts:
         """The experiments as records."""
         origin = min(float(e.time[0]) for e in self.experiments)
         resolution = self.recording.encoder_resolution
+        if self.by_period:
+            experiments = [part for e in experiments for part in _periods_of(e)]
         return [replace(make_record(e, resolution, self.band), origin=origin) for e in experiments]
 
     @cached_property
@@ -111,6 +116,14 @@ class _Parts:
         """Highest frequency of interest in any of them [Hz]."""
         resolution = self.recording.encoder_resolution
         return self.top or max(make_record(e, resolution).top_hz for e in self.shaken or self.train)
+
+
+def _periods_of(e: Experiment) -> list[Experiment]:
+    """Every whole period on its own, with the sample before it where there is one."""
+    if e.periods < 2:
+        return [e]
+    starts = [e.samples - e.period_samples * k for k in range(e.periods, 0, -1)]
+    return [e.cut(slice(max(first - 1, 0), first + e.period_samples)) for first in starts]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from typing import TypeGuard
 import numpy as np
 
 from invid.diagnosis.unknown_forces.backward import Worth, first_order_worths, worths
-from invid.diagnosis.unknown_forces.kept_out import records_of
+from invid.diagnosis.unknown_forces.fitted_model import plant_of
+from invid.diagnosis.unknown_forces.kept_out import Split, records_of
 from invid.diagnosis.unknown_forces.left_over import (
     PlaceForce,
     at_their_places,
@@ -22,16 +23,18 @@ from invid.diagnosis.unknown_forces.left_over import (
 )
 from invid.diagnosis.unknown_forces.named_terms import axis_and_element
 from invid.diagnosis.unknown_forces.nameless import add_laws
-from invid.diagnosis.unknown_forces.own_time import AxisTones, sized, tones_of
+from invid.diagnosis.unknown_forces.own_time import AxisTones, changes_within, sized, tones_of
 from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
 from invid.diagnosis.unknown_forces.structures import additions_of, with_masses_seen, without
 from invid.effects.supposed_laws import supposed_laws
 from invid.errors import NotIdentifiableError
-from invid.identification.contest import begin, begin_open
+from invid.identification.contest import NOTHING, Known, begin, begin_open
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Structure
+from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
-from invid.likelihood.unknown_forces.supposition import Bench, Channel, Supposed
+from invid.likelihood.unknown_forces.supposition import Bench, Channel, Supposed, suppose
+from invid.model.chains import CoupledChains
 from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.signals.tones import refine_tones, remove_tones
@@ -123,24 +126,43 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 
-def begin_elastic(recording: Recording, sizes: Sequence[int] | None) -> Begun:
+def begin_elastic(
+    recording: Recording, sizes: Sequence[int] | None, known: CoupledChains | None = None
+) -> Begun:
     """The fit with friction at the motors that a search starts from, of the recording without tones.
 
-    ``sizes``: masses of each axis; as many as the records ask for where not given.
+    ``sizes``: masses of each axis; as many as the records ask for where not given. ``known``: chains of so
+    many masses that the first fit starts from.
     """
-    begun = _begin(recording, sizes)
+    before = NOTHING if known is None else Known(plant=plant_of(known))
+    begun = _begin(recording, sizes, before)
     tones = tones_of(begun.first)
     if not tones or budget.is_left_out("torque that keeps its own time"):
-        return begun
+        return _each_period(begun)
     hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
-    again = _begin(remove_tones(recording, hz), sizes)
-    return replace(again, tones=sized(tones, recording, again.first.numbers.plant))
+    again = _begin(remove_tones(recording, hz), sizes, before)
+    return _each_period(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
 
 
-def _begin(recording: Recording, sizes: Sequence[int] | None) -> Begun:
-    split = records_of(recording)
+def _each_period(begun: Begun) -> Begun:
+    """The same with every period on its own where the machine changes within a record: a period's lines show
+    the mean of what it was."""
+    if not changes_within(begun.first) or budget.is_left_out("each period on its own"):
+        return begun
+    benches = _benches(records_of(begun.recording, by_period=True))
+    first = suppose(benches, begun.first.hypothesis, begun.first.numbers)
+    return replace(begun, first=reshape(scan_friction(first)))
+
+
+def _benches(split: Split) -> tuple[Bench, Bench]:
+    """Records fitted and kept out, of one damping of holds."""
     damping = hold_damping((*split.fitted, *split.kept))
-    bench, beside = (Bench(stack_records(part, damping)) for part in (split.fitted, split.kept))
+    return Bench(stack_records(split.fitted, damping)), Bench(stack_records(split.kept, damping))
+
+
+def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known) -> Begun:
+    split = records_of(recording)
+    bench, beside = _benches(split)
     declared = None if sizes is None else tuple(sizes)
     try:
         with budget.use_share(TIME_TO_BEGIN, 0.0, 0.3):
@@ -148,7 +170,7 @@ def _begin(recording: Recording, sizes: Sequence[int] | None) -> Begun:
             if declared is None:
                 first = begin_open(bench, recording.axis_count, beside)
             else:
-                first = begin(bench, Structure(declared), beside)
+                first = begin(bench, Structure(declared), beside, known)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"

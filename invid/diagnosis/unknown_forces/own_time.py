@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,14 @@ from invid.likelihood.unknown_forces.plant import Plant
 from invid.likelihood.unknown_forces.smoother import smooth
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.diagnosis_document import Unexplained
+from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.recording.model import Recording
-from invid.signals.record import DENSE
+from invid.signals.record import DENSE, Record
 from invid.signals.tones import FAINT, Tone, find_tones, refine_tones, tone_phasors
+
+CHANGED = 2.0
+"""Missing power over the sensors' between the lines of a period from which a machine changes within a record
+(empirical: that of noise is one within a tenth)."""
 
 
 @dataclass(frozen=True)
@@ -33,17 +38,32 @@ class AxisTones:
 def tones_of(found: Supposed) -> list[AxisTones]:
     """Axes whose missing torque holds a tone in all records of two periods and more, the strongest first."""
     by_axis: dict[int, list[tuple[list[Tone], float]]] = {}
-    for smoothed in smooth(found.fit.problem, found.fit.value):
-        for record, missing in zip(smoothed.stack.records, smoothed.missing, strict=True):
-            if record.periods < 2:
-                continue
-            number = np.arange(record.wide.size)
-            free = (number % record.periods != 0) & (record.wide <= 2 * np.pi * DENSE * record.top_hz)
-            for m in range(missing.shape[1]):
-                tones = find_tones(missing[:, m], smoothed.sensors[:, m], free, record.span)
-                by_axis.setdefault(m, []).append((tones, 1.0 / record.span))
+    for record, missing, sensors, free in _between_periods(found):
+        for m in range(missing.shape[1]):
+            tones = find_tones(missing[:, m], sensors[:, m], free, record.span)
+            by_axis.setdefault(m, []).append((tones, 1.0 / record.span))
     out = [AxisTones(m, _in_every(found)) for m, found in by_axis.items()]
     return sorted((a for a in out if a.tones), key=lambda a: -a.power)
+
+
+def changes_within(found: Supposed) -> bool:
+    """Return whether a record misses torque between the lines of its period far above its sensors: the
+    machine is another one from one period to the next."""
+    return any(
+        bool(((np.abs(missing[free]) ** 2 / sensors[free]).mean(axis=0) > CHANGED).any())
+        for _, missing, sensors, free in _between_periods(found)
+    )
+
+
+def _between_periods(found: Supposed) -> Iterator[tuple[Record, Complex128, Float64, Bool]]:
+    """Records of two periods and more, missing torque (A, M), power of the sensors (A, M), and which lines
+    (A,) of the band lie between those of the period."""
+    for smoothed in smooth(found.fit.problem, found.fit.value):
+        for record, missing in zip(smoothed.stack.records, smoothed.missing, strict=True):
+            if record.periods > 1:
+                number = np.arange(record.wide.size)
+                free = (number % record.periods != 0) & (record.wide <= 2 * np.pi * DENSE * record.top_hz)
+                yield record, missing, smoothed.sensors, free
 
 
 def sized(tones: Sequence[AxisTones], recording: Recording, plant: Plant) -> tuple[AxisTones, ...]:

@@ -14,7 +14,7 @@ from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.identification.contest import shaken
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
-from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
+from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, scan_law
 from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
 from invid.likelihood.unknown_forces.timing import CONVENTION
 from invid.numerics import budget
@@ -129,6 +129,7 @@ def _is_at_bound(found: Supposed, placed: PlacedLaw) -> bool:
 def try_law(now: Supposed, placed: PlacedLaw) -> Supposed:
     """The hypothesis with one law more, its shape and all numbers at their best."""
     found = now.refit(now.hypothesis.plus(placed), iterations=5)
+    found = scan_law(found, len(found.hypothesis.laws) - 1)
     for _ in range(2):
         found = reshape(found, 2)
         found = found.renewed(5) if placed.needs_fit else found

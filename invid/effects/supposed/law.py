@@ -119,6 +119,11 @@ class SupposedLaw(ABC):
         """Shapes to score."""
         return [()]
 
+    def about(self, motions: Sequence[SpotMotion]) -> list[list[Shape]]:
+        """Moves of a shape to look at, one grid finer than the other, where its slope says little of where
+        the best one is."""
+        return []
+
     def bounds(self, motions: Sequence[SpotMotion]) -> Bounds:
         """Bounds of each shape."""
         return []

@@ -17,7 +17,7 @@ class PayloadChange(SupposedLaw):
     """A mass that comes on at a load at a time of the recording's clock; its shape is that time [s]."""
 
     effect, main = PayloadEffect(), "mass"
-    shape_step = 0.05
+    shape_step = 0.01
     MOST = 5.0
     WITHIN = (0.1, 0.3, 0.5, 0.7, 0.9)
 
@@ -36,6 +36,14 @@ class PayloadChange(SupposedLaw):
         spans = _spans(motions)
         margin = 0.02 * (spans[0][1] - spans[0][0])
         return [(spans[0][0] + margin, max(last for _, last in spans) - margin)]
+
+    def about(self, motions: Sequence[SpotMotion]) -> list[list[Shape]]:
+        """A step's place tells its slope no farther than a few samples."""
+        first, last = _spans(motions)[0]
+        reach = (self.WITHIN[1] - self.WITHIN[0]) * (last - first)
+        levels = range(max(1, int(np.ceil(np.log(reach / self.shape_step) / np.log(4.0)))))
+        moves = np.linspace(-1.0, 1.0, 9)
+        return [[(float(reach * 0.25**level * move),) for move in moves] for level in levels]
 
     def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
         return {"mass": float(coefficients[0]), "time": float(shape[0])}

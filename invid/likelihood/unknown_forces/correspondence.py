@@ -29,12 +29,12 @@ class Correspondence:
         return cls(old, new, tuple(there.get(name, -1) for name in _names(old)))
 
     def spot(self, spot: Spot) -> Spot | None:
-        """The same place in ``new``."""
+        """The same place in ``new``; none where it is gone, or a mass has become part of a motor."""
         if spot.where in (Where.MOTOR, Where.PAIR):
             return spot
         if spot.where is Where.MASS:
             at = self.at[spot.number]
-            return Spot(Where.MASS, at) if at >= 0 else None
+            return Spot(Where.MASS, at) if at >= 0 and at not in self.new.motor else None
         a, b = (self.at[i] for i in self.old.links[spot.number])
         return Spot(Where.SPRING, self.new.links.index((a, b))) if (a, b) in self.new.links else None
 

@@ -172,6 +172,27 @@ def scan_friction(now: Supposed) -> Supposed:
     return now.refit(hypothesis) if hypothesis is not now.hypothesis else now
 
 
+def scan_law(now: Supposed, number: int) -> Supposed:
+    """The same with a law's shape at the best of its grids, one after another, the numbers fitted after
+    each."""
+    placed = now.hypothesis.laws[number]
+    motions = now.motions.flat(placed.spot)
+    bounds = placed.law.bounds(motions)
+    for moves in placed.law.about(motions):
+        best = now.total, now.hypothesis
+        for move in moves:
+            moved = [np.clip(s + d, *b) for s, d, b in zip(placed.shape, move, bounds, strict=True)]
+            laws = list(now.hypothesis.laws)
+            laws[number] = replace(placed, shape=tuple(float(s) for s in moved))
+            trial = replace(now.hypothesis, laws=tuple(laws))
+            problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
+            total = evaluate(problem, now.numbers).total
+            best = min(best, (total, trial), key=lambda b: b[0])
+        now = now.refit(best[1], iterations=3)
+        placed = now.hypothesis.laws[number]
+    return now
+
+
 def reshape(now: Supposed, rounds: int = 4) -> Supposed:
     """The same with shapes at their best, inner motion as it is."""
     for _ in range(rounds):

@@ -9,8 +9,17 @@ import pytest
 
 from invid.diagnosis.unknown_forces.structures import Addition, Base, FurtherMass, Mode
 from invid.likelihood.unknown_forces.correspondence import Correspondence
-from invid.likelihood.unknown_forces.forces import Spots
+from invid.likelihood.unknown_forces.forces import Spot, Spots, Where
 from invid.likelihood.unknown_forces.plant import Plant, Structure
+
+
+def test_a_mass_that_becomes_part_of_its_motor_is_no_place_of_its_own() -> None:
+    longer, shorter = Structure((3, 2)), Structure((2, 2))
+    moved = Correspondence(longer, shorter, (0, 0, 1, 2, 3))
+    there = [moved.spot(spot) for spot in Spots.of(longer).spots]
+    assert moved.spot(Spot(Where.MASS, 1)) is None
+    assert all(spot in Spots.of(shorter).number for spot in there if spot is not None)
+
 
 STRUCTURES = [Structure((2, 3)), Structure((1, 2, 2), (2,)), Structure((3, 2), (1, 4), base=True)]
 ADDITIONS: list[Addition] = [Mode(0), FurtherMass(0), FurtherMass(1), Base()]
