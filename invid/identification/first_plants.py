@@ -36,6 +36,8 @@ BLUNT = 0.01
 """Squared loss of the resonances that are compared."""
 GROWN, TORN = (0.15, 0.3, 0.5, 0.8), 0.4
 """Frequencies of a mass that is split off, over the highest excited one, and its share."""
+STILL = 1e-3
+"""Motion over the largest of a line below which motors stand still in every record."""
 SLOW = (0.025, 0.13)
 """Lines that show a chain's whole inertia, over the highest excited one."""
 
@@ -216,30 +218,24 @@ def _interlaced(
 
 
 def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:
-    """Lines [rad/s] and |Z| of a motor with the other motors still, from the records that drive each axis.
+    """Lines [rad/s] and |Z| of a motor with the other motors still, by least squares over the records.
 
-    Where there are not as many independent records as motors, torque over motion of the records that drive
-    it; where a record has no period, torque over motion in bands, which its ends do not bend.
+    Where there are fewer records than motors, torque over motion of the records that drive it; where a
+    record has no period, torque over motion in bands, which its ends do not bend.
     """
     stack = max(stacks, key=lambda s: s.count)
     if not stack.records[0].periods:
         return _stiffness_in_bands(stack, motor)
-    motors = stack.position.shape[2]
     torque = stack.parts.sum(axis=0)
-    number = [
-        [k for k, r in enumerate(stack.records) if r.driven[m] and r.driven.sum() == 1] for m in range(motors)
-    ]
     driven = np.abs(stack.parts[0]).max(axis=(0, 2))
     lines = np.flatnonzero((stack.omega > 0) & (driven > 0.1 * driven.max()))
     omega = stack.omega[lines]
-    if motors > 1 and all(number):
-        first = [k[0] for k in number]
-        theta = stack.position[first][:, lines].transpose(1, 0, 2)
-        tau = torque[first][:, lines].transpose(1, 0, 2)
-        return omega, np.abs(np.linalg.solve(theta, tau).transpose(0, 2, 1)[:, motor, motor])
-    own = number[motor] or list(range(stack.count))
-    power = (np.abs(stack.position[own][:, lines, motor]) ** 2).sum(axis=0)
-    cross = (torque[own][:, lines, motor] * stack.position[own][:, lines, motor].conj()).sum(axis=0)
+    theta, tau = (x[:, lines].transpose(1, 0, 2) for x in (stack.position, torque))
+    if stack.count >= theta.shape[2]:
+        return omega, np.abs((np.linalg.pinv(theta, rcond=STILL) @ tau)[:, motor, motor])
+    own = [k for k, r in enumerate(stack.records) if r.driven[motor]] or list(range(stack.count))
+    power = (np.abs(theta[:, own, motor]) ** 2).sum(axis=1)
+    cross = (tau[:, own, motor] * theta[:, own, motor].conj()).sum(axis=1)
     return omega, np.abs(cross) / np.maximum(power, 1e-300)
 
 
