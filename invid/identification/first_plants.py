@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.polynomial import polynomial
 
+from invid.identification.own_stiffness import follow
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.numerics.arrays import Float64, Int64
@@ -32,6 +33,10 @@ LOWEST = 0.08
 """Lowest frequency of the grid over the highest excited one."""
 APART = 2
 """Sets of zeros and poles that differ by less than so many points of the grid are one."""
+LOOKED, FOLLOWED = 2000, 40
+"""Sets that are looked at, and chains that are made of them and follow the stiffness."""
+SAME = 0.2
+"""Chains whose logarithms differ less are one start."""
 BLUNT = 0.01
 """Squared loss of the resonances that are compared."""
 GROWN, TORN = (0.15, 0.3, 0.5, 0.8), 0.4
@@ -166,20 +171,25 @@ def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int 
     if looked is None:
         return []
     grid, sets, inertia, misfit = looked
-    out: list[Chain] = []
+    starts: list[Float64] = []
     taken: list[int] = []
-    for k in np.argsort(misfit)[:400]:
+    for k in np.argsort(misfit)[:LOOKED]:
         if any(np.abs(sets[k] - sets[j]).max() < APART for j in taken):
             continue
         taken.append(int(k))
-        mass, spring = cauer_chain(
-            float(np.exp(inertia[k])), grid[sets[k, 1::2]] ** 2, grid[sets[k, 0::2]] ** 2
-        )
-        if (mass > 0).all() and (spring > 0).all():
-            out.append((mass, spring))
-        if len(out) >= most:
+        chain = cauer_chain(float(np.exp(inertia[k])), grid[sets[k, 1::2]] ** 2, grid[sets[k, 0::2]] ** 2)
+        if all((part > 0).all() for part in chain):
+            starts.append(np.concatenate(chain))
+        if len(starts) >= FOLLOWED:
             break
-    return out
+    if not starts:
+        return []
+    found, loss = follow(*own_stiffness(stacks, motor), np.array(starts))
+    out: list[Float64] = []
+    for k in np.argsort(loss):
+        if all(np.abs(np.log(found[k] / other)).max() > SAME for other in out):
+            out.append(found[k])
+    return [(chain[:masses], chain[masses:]) for chain in out[:most]]
 
 
 def masses_seen(stacks: Sequence[Stack], motor: int) -> int:
