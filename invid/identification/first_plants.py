@@ -33,8 +33,10 @@ LOWEST = 0.08
 """Lowest frequency of the grid over the highest excited one."""
 APART = 2
 """Sets of zeros and poles that differ by less than so many points of the grid are one."""
-LOOKED, FOLLOWED = 2000, 40
+LOOKED, FOLLOWED = 2000, 20
 """Sets that are looked at, and chains that are made of them and follow the stiffness."""
+GROWING, CLOSE = 2, 0.03
+"""Chains of one mass less that grow by a close pair of a zero and a pole, and half their distance in λ."""
 SAME = 0.2
 """Chains whose logarithms differ less are one start."""
 BLUNT = 0.01
@@ -182,6 +184,8 @@ def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int 
             starts.append(np.concatenate(chain))
         if len(starts) >= FOLLOWED:
             break
+    for chain in fraction_chains(stacks, motor, masses - 1, GROWING):
+        starts += _with_close_pair(chain, grid)
     if not starts:
         return []
     found, loss = follow(*own_stiffness(stacks, motor), np.array(starts))
@@ -190,6 +194,30 @@ def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int 
         if all(np.abs(np.log(found[k] / other)).max() > SAME for other in out):
             out.append(found[k])
     return [(chain[:masses], chain[masses:]) for chain in out[:most]]
+
+
+def _with_close_pair(chain: Chain, grid: Float64) -> list[Float64]:
+    """Masses, then springs, of a chain with one more zero and pole close together about a frequency between
+    points of the grid each.
+
+    On the grid they would be wide apart; a mode that shows little is a narrow pair anywhere.
+    """
+    mass, spring = chain
+    stiffness = np.diag(np.append(spring, 0.0) + np.insert(spring, 0, 0.0))
+    stiffness -= np.diag(spring, 1) + np.diag(spring, -1)
+    scaled = stiffness / np.sqrt(mass[:, None] * mass)
+    poles, zeros = np.linalg.eigvalsh(scaled)[1:], np.linalg.eigvalsh(scaled[1:, 1:])
+    out = []
+    for middle in grid[:-1] * grid[1:]:
+        nearer, further = middle * (1.0 - CLOSE), middle * (1.0 + CLOSE)
+        first = (zeros < middle).sum() == (poles < middle).sum()
+        zero, pole = (nearer, further) if first else (further, nearer)
+        grown = cauer_chain(
+            float(mass.sum()), np.sort(np.append(poles, pole)), np.sort(np.append(zeros, zero))
+        )
+        if all((part > 0).all() for part in grown):
+            out.append(np.concatenate(grown))
+    return out
 
 
 def masses_seen(stacks: Sequence[Stack], motor: int) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64
 
-ROUNDED = 0.02
+ROUNDED = 0.005
 """ε: deviations of the logarithm below which the loss is a parabola; friction bends more, noise less."""
 LOSS = 3e-2
 """Damping ratio of a spring at the start: blunt, so that a mode is felt from afar."""
