@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.polynomial import polynomial
 
+from invid.identification.own_stiffness import follow
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.numerics.arrays import Float64, Int64
@@ -32,10 +33,18 @@ LOWEST = 0.08
 """Lowest frequency of the grid over the highest excited one."""
 APART = 2
 """Sets of zeros and poles that differ by less than so many points of the grid are one."""
+LOOKED, FOLLOWED = 2000, 20
+"""Sets that are looked at, and chains that are made of them and follow the stiffness."""
+GROWING, CLOSE = 2, 0.03
+"""Chains of one mass less that grow by a close pair of a zero and a pole, and half their distance in λ."""
+SAME = 0.2
+"""Chains whose logarithms differ less are one start."""
 BLUNT = 0.01
 """Squared loss of the resonances that are compared."""
 GROWN, TORN = (0.15, 0.3, 0.5, 0.8), 0.4
 """Frequencies of a mass that is split off, over the highest excited one, and its share."""
+STILL = 1e-3
+"""Motion over the largest of a line below which motors stand still in every record."""
 SLOW = (0.025, 0.13)
 """Lines that show a chain's whole inertia, over the highest excited one."""
 
@@ -164,19 +173,50 @@ def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int 
     if looked is None:
         return []
     grid, sets, inertia, misfit = looked
-    out: list[Chain] = []
+    starts: list[Float64] = []
     taken: list[int] = []
-    for k in np.argsort(misfit)[:400]:
+    for k in np.argsort(misfit)[:LOOKED]:
         if any(np.abs(sets[k] - sets[j]).max() < APART for j in taken):
             continue
         taken.append(int(k))
-        mass, spring = cauer_chain(
-            float(np.exp(inertia[k])), grid[sets[k, 1::2]] ** 2, grid[sets[k, 0::2]] ** 2
-        )
-        if (mass > 0).all() and (spring > 0).all():
-            out.append((mass, spring))
-        if len(out) >= most:
+        chain = cauer_chain(float(np.exp(inertia[k])), grid[sets[k, 1::2]] ** 2, grid[sets[k, 0::2]] ** 2)
+        if all((part > 0).all() for part in chain):
+            starts.append(np.concatenate(chain))
+        if len(starts) >= FOLLOWED:
             break
+    for chain in fraction_chains(stacks, motor, masses - 1, GROWING):
+        starts += _with_close_pair(chain, grid)
+    if not starts:
+        return []
+    found, loss = follow(*own_stiffness(stacks, motor), np.array(starts))
+    out: list[Float64] = []
+    for k in np.argsort(loss):
+        if all(np.abs(np.log(found[k] / other)).max() > SAME for other in out):
+            out.append(found[k])
+    return [(chain[:masses], chain[masses:]) for chain in out[:most]]
+
+
+def _with_close_pair(chain: Chain, grid: Float64) -> list[Float64]:
+    """Masses, then springs, of a chain with one more zero and pole close together about a frequency between
+    points of the grid each.
+
+    On the grid they would be wide apart; a mode that shows little is a narrow pair anywhere.
+    """
+    mass, spring = chain
+    stiffness = np.diag(np.append(spring, 0.0) + np.insert(spring, 0, 0.0))
+    stiffness -= np.diag(spring, 1) + np.diag(spring, -1)
+    scaled = stiffness / np.sqrt(mass[:, None] * mass)
+    poles, zeros = np.linalg.eigvalsh(scaled)[1:], np.linalg.eigvalsh(scaled[1:, 1:])
+    out = []
+    for middle in grid[:-1] * grid[1:]:
+        nearer, further = middle * (1.0 - CLOSE), middle * (1.0 + CLOSE)
+        first = (zeros < middle).sum() == (poles < middle).sum()
+        zero, pole = (nearer, further) if first else (further, nearer)
+        grown = cauer_chain(
+            float(mass.sum()), np.sort(np.append(poles, pole)), np.sort(np.append(zeros, zero))
+        )
+        if all((part > 0).all() for part in grown):
+            out.append(np.concatenate(grown))
     return out
 
 
@@ -216,30 +256,24 @@ def _interlaced(
 
 
 def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:
-    """Lines [rad/s] and |Z| of a motor with the other motors still, from the records that drive each axis.
+    """Lines [rad/s] and |Z| of a motor with the other motors still, by least squares over the records.
 
-    Where there are not as many independent records as motors, torque over motion of the records that drive
-    it; where a record has no period, torque over motion in bands, which its ends do not bend.
+    Where there are fewer records than motors, torque over motion of the records that drive it; where a
+    record has no period, torque over motion in bands, which its ends do not bend.
     """
     stack = max(stacks, key=lambda s: s.count)
     if not stack.records[0].periods:
         return _stiffness_in_bands(stack, motor)
-    motors = stack.position.shape[2]
     torque = stack.parts.sum(axis=0)
-    number = [
-        [k for k, r in enumerate(stack.records) if r.driven[m] and r.driven.sum() == 1] for m in range(motors)
-    ]
     driven = np.abs(stack.parts[0]).max(axis=(0, 2))
     lines = np.flatnonzero((stack.omega > 0) & (driven > 0.1 * driven.max()))
     omega = stack.omega[lines]
-    if motors > 1 and all(number):
-        first = [k[0] for k in number]
-        theta = stack.position[first][:, lines].transpose(1, 0, 2)
-        tau = torque[first][:, lines].transpose(1, 0, 2)
-        return omega, np.abs(np.linalg.solve(theta, tau).transpose(0, 2, 1)[:, motor, motor])
-    own = number[motor] or list(range(stack.count))
-    power = (np.abs(stack.position[own][:, lines, motor]) ** 2).sum(axis=0)
-    cross = (torque[own][:, lines, motor] * stack.position[own][:, lines, motor].conj()).sum(axis=0)
+    theta, tau = (x[:, lines].transpose(1, 0, 2) for x in (stack.position, torque))
+    if stack.count >= theta.shape[2]:
+        return omega, np.abs((np.linalg.pinv(theta, rcond=STILL) @ tau)[:, motor, motor])
+    own = [k for k, r in enumerate(stack.records) if r.driven[motor]] or list(range(stack.count))
+    power = (np.abs(theta[:, own, motor]) ** 2).sum(axis=1)
+    cross = (tau[:, own, motor] * theta[:, own, motor].conj()).sum(axis=1)
     return omega, np.abs(cross) / np.maximum(power, 1e-300)
 
 
