@@ -56,8 +56,9 @@ def plant_of(chains: CoupledChains) -> Plant:
     """The plant of chains, without springs between their loads."""
     structure = Structure(chains.masses_per_branch)
     coupled = [chains.couplings[pair] for pair in structure.pairs]
-    parts = (*chains.masses, *chains.springs, *chains.dampers, coupled, np.zeros(len(coupled)))
-    return Plant.of_values(structure, np.concatenate(parts))
+    chain: list[Float64] = [*chains.masses, *chains.springs, *chains.dampers]
+    values = np.concatenate([*chain, np.array(coupled), np.zeros(len(coupled))])
+    return Plant.of_values(structure, values)
 
 
 def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recording) -> Model:

@@ -21,8 +21,9 @@ from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 
-ALIKE = 1e-6
-"""Share of a law that nothing else in the fit explains, below which it is none of its own."""
+ALIKE = 1e-4
+"""Share of a law's power that nothing else in the fit explains, below which it is none of its own: motion is known
+to a thousandth, and a hundredth of a law (its square) is the least that is not made of that."""
 
 
 def spots_of(law: SupposedLaw, structure: Structure) -> list[Spot]:

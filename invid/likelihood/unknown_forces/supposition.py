@@ -146,13 +146,16 @@ class Motions:
         ]
         if spot.where is Where.MOTOR:
             i = spot.number
+            own = None
+            if self.smoothed:
+                own = float(self.smoothed[number].plant.of_kind(Kind.MASS)[self.structure.motor[i]])
             out = []
             for r, clock in zip(records, clocks, strict=True):
                 q, v = r.motion.position[:, i], r.motion.velocity[:, i]
                 torque = np.interp(
                     clock - r.start, np.arange(r.torque_wave.shape[0]) * r.step, r.torque_wave[:, i]
                 )
-                out.append(SpotMotion(q, v, q, clock, torque, origin=r.origin))
+                out.append(SpotMotion(q, v, q, clock, torque, own=own, origin=r.origin))
             return out
         vector = vector_of(self.structure, spot)
         unit = np.eye(self.structure.coordinates)
