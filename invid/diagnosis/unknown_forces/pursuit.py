@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.diagnosis.unknown_forces.resonances import Scan
-from invid.diagnosis.unknown_forces.scoring import candidates, score
+from invid.diagnosis.unknown_forces.scoring import ALIKE, candidates, own_share, score
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
 from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.identification.contest import shaken
@@ -268,7 +268,7 @@ def pursue(
                 continue
             tried.add(placed.key)
             found = try_law(now, placed)
-            if is_sound(found):
+            if is_sound(found) and own_share(found, found.hypothesis.laws[-1]) > ALIKE:
                 trials.append(Trial(placed.law.cause, placed.spot, found, now, placed))
         best = max((t.fall for t in trials), default=0.0)
         if (best < 2000.0 or now.inner_strength > LOST) and not budget.is_left_out("further causes"):

@@ -22,8 +22,8 @@ from invid.numerics import budget
 from invid.numerics.arrays import Float64
 
 ALIKE = 1e-4
-"""Share of a law's power that nothing else in the fit explains, below which it is none of its own: motion is known
-to a thousandth, and a hundredth of a law (its square) is the least that is not made of that."""
+"""Share of a law's power that nothing else in the fit explains, below which it is none of its own: motion is
+known to a thousandth, so a hundredth of a law's size (its square) is the least that is not made of that."""
 
 
 def spots_of(law: SupposedLaw, structure: Structure) -> list[Spot]:
@@ -144,6 +144,21 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
         own, pull = background.beside(columns)
         out.append(bounded_fall(own, pull, placed.law.limits(now.motions.flat(placed.spot))))
     return np.array(out)
+
+
+def own_share(found: Supposed, placed: PlacedLaw) -> float:
+    """Share of a fitted law's power that nothing else in the fit explains, of its most independent part."""
+    value, joint = found.fit.value, found.fit.slope.joint
+    names, free = [c.name for c in found.fit.problem.columns], np.flatnonzero(value.free)
+    size = np.sqrt(np.diag(joint)) + 1e-300
+    spread = np.diag(np.linalg.pinv(joint / size[:, None] / size, hermitian=True))
+    first = joint.shape[0] - free.size
+    own = [
+        first + k
+        for k, j in enumerate(free)
+        if names[j] in [(*placed.key, i) for i in range(len(placed.law.low))]
+    ]
+    return max((1.0 / float(spread[k]) for k in own), default=0.0)
 
 
 def bounded_fall(own: Float64, pull: Float64, limits: Sequence[tuple[float, float]]) -> float:

@@ -43,7 +43,7 @@ class SpotMotion:
 
     @cached_property
     def acceleration(self) -> Float64:
-        """(k,) derivative of the velocity, by differences of the fourth order but for two instants at the ends.
+        """(k,) derivative of the velocity, by differences of the fourth order but for the ends.
 
         Those of the second err by a few ten thousandths, which beside a mass would be a force of its own.
         """
