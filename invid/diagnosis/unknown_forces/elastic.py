@@ -28,8 +28,9 @@ from invid.diagnosis.unknown_forces.unexplained import describe_left
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed
-from invid.model.diagnosis_document import AxisResidual, Diagnosis, Verdict
+from invid.model.diagnosis_document import AxisResidual, Diagnosis, Unexplained, Verdict
 from invid.model.document import EffectTerm, model_to_json
+from invid.model.doubts import DoubtCode, doubts_of
 from invid.numerics import budget
 from invid.recording.model import Recording
 
@@ -61,12 +62,17 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     tones = begun.tones
     residual = [_with_tones(r, tones, recording) for r in residual]
     left = describe_tones(tones, recording) or describe_left(found.named, found.forces_named, recording)
+    doubt = next((d for d in doubts_of(model.fit) if d.code is not DoubtCode.UNSEEN), None)
+    if left is None and doubt is not None:
+        left = Unexplained(
+            recording.axes[0], (), (), f"Whether anything is missing is not told: {doubt.text}."
+        )
     result = assemble_diagnosis(
         recording,
         residual,
         findings,
         model,
-        missing=bool(findings) or bool(sure) or bool(tones),
+        missing=bool(findings) or bool(sure) or bool(tones) or doubt is not None,
         complete=not sure and not tones,
         explained=explained if findings else None,
         left=left,

@@ -186,7 +186,7 @@ VALIDATION: tuple[_Row, ...] = (
         _has_spare,
         _keep_spare,
         lambda parts: (
-            f"{MISSING}: experiment {parts.spare.key} is kept out of every "
+            f"no validation experiment (role 'validate'): experiment {parts.spare.key} is kept out of every "
             "fit instead; record one with another realisation and amplitude"
         ),
     ),

@@ -179,11 +179,14 @@ def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known) -> B
 
 
 def found_so_far(now: Supposed, axes: Sequence[str]) -> list[budget.Found]:
-    """The laws of a hypothesis at their places, for whoever waits."""
+    """The laws of a hypothesis and the friction that is sure, at their places, for whoever waits."""
     out = []
     for placed in now.hypothesis.laws:
         axis, element = axis_and_element(now.hypothesis.structure, placed.spot)
         out.append(budget.Found(placed.law.cause, axes[axis], None, element))
+    for worth in first_order_worths(now):
+        if worth.stays and isinstance(worth.key, tuple) and isinstance(worth.key[0], Part):
+            out.append(budget.Found(worth.cause, axes[worth.key[1]], None, "mass 1"))
     return out
 
 

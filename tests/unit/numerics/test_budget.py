@@ -177,7 +177,8 @@ def test_the_interface_takes_seconds_and_a_callback(recording: invid.Recording) 
     assert seen[0].fraction < 0.1
     assert seen[-1].fraction > 0.9
     assert [p.fraction for p in seen] == sorted(p.fraction for p in seen)
-    assert any(p.cause == "coulomb_friction" and p.axis == recording.axes[0] for p in seen)
+    found = [f for p in seen for f in p.found]
+    assert any(f.cause == "coulomb_friction" and f.axis == recording.axes[0] for f in found)
     with pytest.raises(invid.InputError, match="budget"):
         invid.identify(recording, budget=0.0)
 
