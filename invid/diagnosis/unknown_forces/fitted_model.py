@@ -55,8 +55,8 @@ def chains_of(end: Supposed, axes: tuple[str, ...]) -> tuple[CoupledChains, dict
 def plant_of(chains: CoupledChains) -> Plant:
     """The plant of chains, without springs between their loads."""
     structure = Structure(chains.masses_per_branch)
-    coupled = [chains.couplings[pair] for pair in structure.pairs]
-    parts = (*chains.masses, *chains.springs, *chains.dampers, coupled, np.zeros(len(coupled)))
+    coupled = np.array([chains.couplings[pair] for pair in structure.pairs])
+    parts = (*chains.masses, *chains.springs, *chains.dampers, coupled, np.zeros(coupled.size))
     return Plant.of_values(structure, np.concatenate(parts))
 
 
