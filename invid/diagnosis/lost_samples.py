@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from invid.diagnosis.outcome import verdict_of
 from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
 from invid.model.diagnosis_document import Diagnosis, Finding, Verdict
@@ -26,13 +25,10 @@ def with_lost_samples(result: Diagnosis, recording: Recording, dropped: Sequence
     if not findings:
         return result
     complete = result.verdict in (Verdict.CONSISTENT, Verdict.EXPLAINED)
-    verdict = verdict_of(
-        result.residual, result.explained_fraction, named=True, missing=True, complete=complete
-    )
     own = () if result.verdict is Verdict.CONSISTENT else result.sentences
     return replace(
         result,
-        verdict=verdict,
+        verdict=Verdict.EXPLAINED if complete else Verdict.PARTLY_EXPLAINED,
         findings=(*findings, *result.findings),
         model=result.model.extended(*(f.effect for f in findings)),
         sentences=(*(f.sentence for f in findings), *own),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from invid.diagnosis.sentences import finding_sentence, separating_text
-from invid.diagnosis.thresholds import COMPETES, CONTESTED, EXPLAINED, FLOOR, MISSED, NAMED, UNSIZED
+from invid.diagnosis.thresholds import COMPETES, CONTESTED, EXPLAINED, FLOOR, MISSED, NAMED, SMALL, UNSIZED
 from invid.effects.laws.empirical_law import NAMELESS, is_like_law
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
@@ -199,6 +199,10 @@ def assemble_diagnosis(  # noqa: PLR0913 - the parts of a document
     ]
     complete, missing = complete and not laws, missing or bool(laws)
     verdict = verdict_of(residual, explained, named=bool(findings), missing=missing, complete=complete)
+    small = None if laws or verdict is not Verdict.PARTLY_EXPLAINED else small_remainder(residual, recording)
+    if small is not None:
+        verdict, left = Verdict.EXPLAINED, None
+        closing = (small, *closing)
     if laws:
         left = _with_law(left, laws[0])
     if verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED) and left is None:
@@ -221,6 +225,22 @@ def assemble_diagnosis(  # noqa: PLR0913 - the parts of a document
         details={} if details is None else details,
     )
     return _mark_untrusted(result, recording)
+
+
+def small_remainder(residual: Sequence[AxisResidual], recording: Recording) -> str | None:
+    """What is left beyond noise in words, where it is below ``SMALL`` of rated torque on every axis; else
+    ``None``."""
+    if recording.rated_torque is None:
+        return None
+    left = [np.sqrt(max(r.after**2 - (r.noise_floor or 0.0) ** 2, 0.0)) for r in residual]
+    shares = np.array(left) / np.asarray(recording.rated_torque)
+    worst = int(np.argmax(shares))
+    if not 0.0 <= shares[worst] < SMALL:
+        return None
+    return (
+        f"What is left is small: at most {100 * shares[worst]:.2g} % of rated torque, on "
+        f"{residual[worst].axis}; less than {100 * SMALL:.2g} % counts as explained."
+    )
 
 
 def _with_law(left: Unexplained | None, law: Finding) -> Unexplained:

@@ -34,6 +34,8 @@ FLOOR = 1.2
 """Held-out rms of the missing torque over its floor up to which an axis is at the noise (contract)."""
 EXPLAINED = 0.9
 """Share of what was missing that named causes take away where a diagnosis is called explained (contract)."""
+SMALL = 0.002
+"""Share of rated torque below which what is left of every axis counts as explained (contract)."""
 NAMED = 0.9
 """Share of the excess χ² below which nothing is named. Empirical (prototype): it separates right names from
 wrong ones."""

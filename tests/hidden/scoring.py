@@ -90,7 +90,7 @@ def score(truth: Truth, d: Diagnosis) -> Score:
         (f.confidence, any(names(e, f) for e in true) or (spare and f.effect.cause == "extra_mode"))
         for f in d.findings
     )
-    floors = [r.after / r.noise_floor for r in d.residual if r.noise_floor > 0]
+    floors = [r.after / r.noise_floor for r in d.residual if r.noise_floor]
     common: dict[str, Any] = {
         "named": named,
         "confidences": flags,

@@ -54,6 +54,19 @@ def test_a_load_that_changed_between_the_fitted_and_the_kept_out_records_is_foun
     assert any("a period of it was fitted" in w for w in found.warnings)
 
 
+def test_a_load_that_changes_within_every_record_is_found_at_its_instant() -> None:
+    """A clock that starts anew in every experiment: a period's lines show the mean of what the load was."""
+    plain = {"seed": 2, "motors": 1, "masses": (2,), "moves": False, "periods": 4}
+    first = make(None, **plain)[0].experiments[0]
+    when = float(first.time[0] + 0.6 * (first.time[-1] - first.time[0]))
+    recording, _ = make("payload_change", (0, 2), {"mass": 0.4, "time": when}, **plain)
+    alone = replace(recording, experiments=recording.experiments[:1])
+    (named,) = diagnose(alone).findings
+    assert named.effect.cause == "payload_change"
+    assert named.effect.value("mass") == pytest.approx(0.4, rel=0.02)
+    assert named.effect.value("time") == pytest.approx(when, abs=0.02)
+
+
 def test_a_load_that_changes_is_found_in_times_that_count_from_1970() -> None:
     recording, truth = make(
         "payload_change", seed=3, motors=1, masses=(2,), target_db=25, moves=False, periods=2, from_rest=False

@@ -16,6 +16,7 @@ from invid.diagnosis.outcome import (
 )
 from invid.diagnosis.thresholds import MOST
 from invid.diagnosis.unknown_forces.fitted_model import model_of
+from invid.diagnosis.unknown_forces.floor_doubts import doubt_floors
 from invid.diagnosis.unknown_forces.left_over import AxisMissing, axis_missing, forces_at
 from invid.diagnosis.unknown_forces.limits import ruled_out
 from invid.diagnosis.unknown_forces.machine_search import Begun, ElasticSearch, search_elastic
@@ -85,7 +86,7 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
         ],
         details={"linear_model": model_to_json(model_of(found.bare, (), recording))},
     )
-    result = replace(result, forces=forces_at(found.bare, found.end, recording))
+    result = doubt_floors(replace(result, forces=forces_at(found.bare, found.end, recording)), recording)
     if found.is_cut_short:
         return limit_unfinished_search(result)
     has_names = all(f.effect.table is None for f in result.findings)

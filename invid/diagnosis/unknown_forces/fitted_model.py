@@ -55,10 +55,9 @@ def chains_of(end: Supposed, axes: tuple[str, ...]) -> tuple[CoupledChains, dict
 def plant_of(chains: CoupledChains) -> Plant:
     """The plant of chains, without springs between their loads."""
     structure = Structure(chains.masses_per_branch)
-    coupled = [chains.couplings[pair] for pair in structure.pairs]
-    chain: list[Float64] = [*chains.masses, *chains.springs, *chains.dampers]
-    values = np.concatenate([*chain, np.array(coupled), np.zeros(len(coupled))])
-    return Plant.of_values(structure, values)
+    coupled = np.array([chains.couplings[pair] for pair in structure.pairs])
+    parts = (*chains.masses, *chains.springs, *chains.dampers, coupled, np.zeros(coupled.size))
+    return Plant.of_values(structure, np.concatenate(parts))
 
 
 def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recording) -> Model:
@@ -74,7 +73,7 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
     blind = blind_directions(built, known, values, covariance, band)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     std = {n: np.nan if n in blind.unseen else float(d) for n, d in zip(known, deviation, strict=True)}
-    doubts = [*_short_experiments(recording), *(Doubt(DoubtCode.UNSEEN, said) for said in blind.sentences)]
+    doubts = [Doubt(DoubtCode.UNSEEN, said) for said in blind.sentences]
     return Model(
         robot=recording.robot,
         method="refined",
@@ -99,18 +98,6 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
             "experiments": [e.key for e in recording.with_role(Role.IDENTIFY)],
         },
     )
-
-
-def _short_experiments(recording: Recording) -> list[Doubt]:
-    """The doubt about an experiment that ends before its first period does: its lines are not resolved."""
-    return [
-        Doubt(
-            DoubtCode.SHORT_RECORD,
-            f"experiment {e.key} holds {e.samples / e.period_samples:.0%} of one period of its excitation",
-        )
-        for e in recording.experiments
-        if 0 < e.samples < e.period_samples
-    ][:1]
 
 
 def _band(recording: Recording) -> tuple[float, float]:

@@ -42,7 +42,10 @@ def broken(document: dict, recording: Recording) -> list[str]:
     """The promises that a document breaks; CONTRACT.md, read again here."""
     out = []
     residual, share = document["residual"], document["explained_fraction"]
-    if document["verdict"] == "explained":
+    rated = np.inf if recording.rated_torque is None else recording.rated_torque
+    left = [max(r["after"] ** 2 - r["noise_floor"] ** 2, 0.0) ** 0.5 for r in residual]
+    is_small = bool(np.isfinite(rated).all()) and all(np.array(left) < 0.002 * rated)
+    if document["verdict"] == "explained" and not is_small:
         if share is not None and share < 0.9:
             out.append(f"explained with {share}")
         out += [
@@ -84,7 +87,7 @@ def test_no_document_says_more_than_its_numbers_carry(
 ) -> None:
     rivals = (Alternative("viscous_friction", "A1", "mass 1", 0.1),) if contested else ()
     start = document_of(term("coulomb_friction", torque=0.4), after=floors * 0.05, rivals=rivals)
-    recording = plain_recording()
+    recording = plain_recording(rated=False)
     result = assemble_diagnosis(
         recording,
         start.residual,
@@ -122,6 +125,25 @@ def test_nobody_is_certain_where_something_is_left_or_competes(own: bool) -> Non
     assert little == pytest.approx(0.999 if own else 0.55, abs=1e-3)
 
 
+@pytest.mark.parametrize(("after", "small"), [(0.15, True), (0.19, True), (0.21, False), (0.3, False)])
+def test_what_is_left_below_two_thousandths_of_rated_torque_is_explained_and_said(
+    after: float, small: bool
+) -> None:
+    start, recording = document_of(term("coulomb_friction", torque=0.4), after=after), plain_recording()
+    result = assemble_diagnosis(
+        recording,
+        start.residual,
+        start.findings,
+        start.model,
+        missing=True,
+        complete=False,
+        explained=0.7,
+    )
+    assert result.verdict is (Verdict.EXPLAINED if small else Verdict.PARTLY_EXPLAINED)
+    assert (result.unexplained is None) == small
+    assert any("What is left is small: at most 0.1" in s for s in result.sentences) == small
+
+
 def test_a_size_that_the_data_do_not_tell_comes_with_what_would() -> None:
     start = document_of(term("stribeck_friction", static=0.4, coulomb=0.2, velocity=1.0))
     (finding,) = start.findings
@@ -155,7 +177,7 @@ def test_a_document_that_broke_them_would_be_found() -> None:
     start = document_of(term("coulomb_friction", torque=0.4))
     good = diagnosis_to_json(
         assemble_diagnosis(
-            plain_recording(),
+            plain_recording(rated=False),
             start.residual,
             start.findings,
             start.model,
@@ -164,7 +186,7 @@ def test_a_document_that_broke_them_would_be_found() -> None:
             explained=1.0,
         )
     )
-    assert broken(good, plain_recording()) == []
+    assert broken(good, plain_recording(rated=False)) == []
     for change in (
         {"explained_fraction": 0.65},
         {"residual": [{"axis": "A1", "before": 1.0, "after": 0.19, "noise_floor": 0.05}]},
@@ -173,7 +195,7 @@ def test_a_document_that_broke_them_would_be_found() -> None:
             "verdict": "consistent",
         },
     ):
-        assert broken({**good, **change}, plain_recording()), change
+        assert broken({**good, **change}, plain_recording(rated=False)), change
 
 
 ELASTIC = (
@@ -266,7 +288,7 @@ def test_nothing_is_called_consistent_on_a_linear_fit_that_cannot_be_trusted() -
 def test_a_document_that_misses_more_than_half_is_not_trusted() -> None:
     start = document_of(verdict=Verdict.UNEXPLAINED, explained=None)
     rows = [AxisResidual(a, "N·m", 6.0, 6.0, 0.05) for a in ("A1", "A2", "A3")]
-    recording = plain_recording()
+    recording = plain_recording(rated=False)
     result = assemble_diagnosis(
         recording, rows, (), start.model, missing=True, complete=False, explained=None
     )
