@@ -71,7 +71,8 @@ def begin(
     """
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
-    plants = fraction_plants(bench.stacks, structure)
+    # Where to start may be read from all records: as many as motors tell couplings apart.
+    plants = fraction_plants((*bench.stacks, *(kept.stacks if kept else ())), structure)
     if fewer is not None:
         plants += grown_plants(fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
     lowest, least = None, np.inf
