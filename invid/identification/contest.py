@@ -1,4 +1,4 @@
-"""Where a search begins: starts of both classes in short fits, the best of each class to the end."""
+"""Where a search begins: chains that follow the motors' own stiffness, each to its end until one is home."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from invid.numerics import budget
 Benches = tuple[Bench, Bench | None]
 """Records fitted and kept out."""
 RANDOM = 12
-"""Random splits: of one alone one in three comes home."""
+"""Random splits where no continued fraction is a chain: of one alone one in three comes home."""
 ROUNDS = ((6, 4), (12, 2), (40, 1))
 """Iterations of each round, and how many of each class go on."""
 MOST_MASSES = 8
@@ -76,35 +76,29 @@ def begin(
     structure: Structure,
     kept: Bench | None = None,
     known: Known = NOTHING,
-    seed: int = 1,
 ) -> Supposed:
-    """The fit of a structure with friction at the motors, from the best of all starts."""
+    """The fit of a structure with friction at the motors, from the first start at home, else the lowest."""
     fewer = known.fewer
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
-    benches, rng = (bench, kept), np.random.default_rng(seed)
-    fractions = fraction_plants(bench.stacks, structure)
-    first_of_all = [p for p in (known.plant, *fractions[:1]) if p is not None]
-    classes = [[(p, ROUNDS[-1][0])] for p in first_of_all]
-    classes.append([(p, ROUNDS[0][0]) for p in fractions])
-    classes.append([(p, ROUNDS[0][0]) for p in random_plants(bench.stacks, structure, RANDOM, rng)])
+    plants = [] if known.plant is None else [known.plant]
+    # Where to start may be read from all records: as many as motors tell couplings apart.
+    plants += fraction_plants((*bench.stacks, *(kept.stacks if kept else ())), structure)
     if fewer is not None:
-        grown = grown_plants(fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
-        classes.append([(p, ROUNDS[0][0]) for p in grown])
-    ends: list[Supposed] = []
-    for plants in classes:
-        first = [_from_plant(benches, hypothesis, plant, count) for plant, count in plants]
-        end = contest([f for f in first if f is not None])
-        if end is None:
+        plants += grown_plants(fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
+    lowest, least = None, np.inf
+    for plant in plants or random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1)):
+        found = _from_plant((bench, kept), hypothesis, plant, ROUNDS[-1][0])
+        if found is None or found.total >= least:
             continue
-        if not is_home(end):
-            end = reshape(scan_friction(end))  # of the right plant friction's form is all that is left
-        if is_home(end):
-            return end
-        ends.append(end)
-    if not ends:
+        least = found.total
+        # Of the right plant friction's form is all that is left.
+        lowest = found if is_home(found) else reshape(scan_friction(found))
+        if is_home(lowest) or budget.is_left_out("further starts"):
+            break
+    if lowest is None:
         raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
-    return shaken(min(ends, key=lambda e: e.total), rng)
+    return lowest
 
 
 def shaken(now: Supposed, rng: np.random.Generator) -> Supposed:

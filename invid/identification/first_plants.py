@@ -264,14 +264,19 @@ def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64
     stack = max(stacks, key=lambda s: s.count)
     if not stack.records[0].periods:
         return _stiffness_in_bands(stack, motor)
-    torque = stack.parts.sum(axis=0)
-    driven = np.abs(stack.parts[0]).max(axis=(0, 2))
+    alike = [s for s in stacks if np.array_equal(s.omega, stack.omega)]
+    parts, position = (
+        np.concatenate(x, axis=-3) for x in zip(*((s.parts, s.position) for s in alike), strict=True)
+    )
+    records = [r for s in alike for r in s.records]
+    torque = parts.sum(axis=0)
+    driven = np.abs(parts[0]).max(axis=(0, 2))
     lines = np.flatnonzero((stack.omega > 0) & (driven > 0.1 * driven.max()))
     omega = stack.omega[lines]
-    theta, tau = (x[:, lines].transpose(1, 0, 2) for x in (stack.position, torque))
-    if stack.count >= theta.shape[2]:
+    theta, tau = (x[:, lines].transpose(1, 0, 2) for x in (position, torque))
+    if len(records) >= theta.shape[2]:
         return omega, np.abs((np.linalg.pinv(theta, rcond=STILL) @ tau)[:, motor, motor])
-    own = [k for k, r in enumerate(stack.records) if r.driven[motor]] or list(range(stack.count))
+    own = [k for k, r in enumerate(records) if r.driven[motor]] or list(range(len(records)))
     power = (np.abs(theta[:, own, motor]) ** 2).sum(axis=1)
     cross = (tau[:, own, motor] * theta[:, own, motor].conj()).sum(axis=1)
     return omega, np.abs(cross) / np.maximum(power, 1e-300)
