@@ -1,4 +1,4 @@
-"""The diagnosis of a recording: fit, search, judgement, check over time, sentences."""
+"""The diagnosis of a recording: its kind, the search, lost samples, what it means for the machine."""
 
 from __future__ import annotations
 
@@ -25,9 +25,8 @@ from invid.signals.dropped_rows import find_dropped_rows, interpolate_dropped_ro
 from invid.signals.plausibility import check_shaken, check_units
 from invid.signals.repair import repair
 
-TIME_TO_IDENTIFY, TIME_TO_SEARCH = 0.5, 0.85
-"""Share of the budget for the identification, and of the rest for the search; what remains is for the
-simulation over time and the sentences (empirical)."""
+TIME_TO_IDENTIFY = 0.5
+"""Share of the budget for the first fit of chains beside that of rigid axes (empirical)."""
 
 
 def diagnose(
@@ -80,9 +79,7 @@ def _diagnose_clean(
     dropped = find_dropped_rows(recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
     if model is None:
-        check_shaken(recording)
-        sizes = _requested_sizes(recording, masses)
-        begin = cache(partial(begin_elastic, repaired, sizes))
+        begin = cache(partial(_begin, recording, repaired, _requested_sizes(recording, masses)))
         with budget.use_share(1.0, 0.0, 0.3):
             kind = machine_kind(recording, masses, lambda: _chains_tried(begin()), TIME_TO_IDENTIFY)
         if kind.rigid:
@@ -99,6 +96,12 @@ def _diagnose_clean(
     check_shaken(recording)
     begun = begin_elastic(repaired, model.chains.masses_per_branch, model.chains)
     return with_lost_samples(diagnose_elastic(begun), recording, dropped)
+
+
+def _begin(recording: Recording, repaired: Recording, sizes: tuple[int, ...] | None) -> Begun:
+    """Where the search begins of a machine that is shaken; one that is moved need not show chains."""
+    check_shaken(recording)
+    return begin_elastic(repaired, sizes)
 
 
 def _chains_tried(begun: Begun) -> ChainsTried:

@@ -9,21 +9,22 @@ import pytest
 
 from hidden.arms import _arm, draw, inverse_dynamics
 from invid.cli.app import run
-from invid.identification.machine_kind import is_of_rigid_axes, machine_kind, rigid_model
+from invid.identification.machine_kind import ChainsTried, is_of_rigid_axes, machine_kind, rigid_model
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, Model
 from invid.recording.hdf5 import write_recording
 from invid.recording.model import Recording
 
 
-def chains_of(recording: Recording, masses: int) -> Model:
-    """A model as an identification of chains gives it."""
+def chains_of(recording: Recording, masses: int, missed: float = np.inf) -> ChainsTried:
+    """Chains as an identification of them gives them."""
     chains = CoupledChains.build(
         [np.ones(masses)] * recording.axis_count,
         [np.full(masses - 1, 1e4)] * recording.axis_count,
         axes=recording.axes,
     )
-    return Model("arm", "refined", chains, ChainStd.unknown(chains))
+    model = Model("arm", "refined", chains, ChainStd.unknown(chains))
+    return ChainsTried(chains.masses_per_branch, lambda: missed, model)
 
 
 @pytest.mark.parametrize(("seed", "axes"), [(2, 5), (3, 5), (5, 4), (8, 3)])
@@ -37,12 +38,9 @@ def test_an_arm_is_rigid_where_no_elasticity_shows(seed: int, axes: int) -> None
 
 @pytest.mark.panel
 @pytest.mark.parametrize(("missed", "rigid"), [(2.5, True), (0.9, True), (0.01, False)])
-def test_the_better_of_both_wins_and_what_the_other_misses_is_said(
-    monkeypatch: pytest.MonkeyPatch, missed: float, rigid: bool
-) -> None:
+def test_the_better_of_both_wins_and_what_the_other_misses_is_said(missed: float, rigid: bool) -> None:
     recording, _ = draw(8, 3, seconds=10.0)
-    monkeypatch.setattr("invid.identification.machine_kind.chains_missed_share", lambda *_: missed)
-    kind = machine_kind(recording, None, lambda: chains_of(recording, 2))
+    kind = machine_kind(recording, None, lambda: chains_of(recording, 2, missed))
     assert kind.rigid is rigid
     assert f"chains {missed:.1%}" in kind.sentence
     assert "rigid axes miss" in kind.sentence
