@@ -11,6 +11,7 @@ from invid.comparison.changes import Comparison
 from invid.comparison.compare import compare
 from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.headline import NAMELESS, Beside, facts_of, headline
+from invid.effects.registry import BY_CAUSE
 from invid.errors import ModelError, NotIdentifiableError
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model
@@ -59,7 +60,7 @@ def screen(recording: Recording, model: Model) -> Screening:
             "--method refined and data that show every parameter"
         )
     try:
-        found = diagnose(recording, model=with_its_causes(model))
+        found = _beside(diagnose(recording, model=with_its_causes(model)), model)
     except NotIdentifiableError as error:
         return Screening("cannot tell", (), f"cannot tell: {error}", None)
     compared = compare(model, found.model)
@@ -88,6 +89,20 @@ def verdict_on(model: Model) -> Verdict:
     that nothing was left."""
     known = model.fit.get("verdict")
     return Verdict(known) if known in set(Verdict) else Verdict.EXPLAINED
+
+
+def _beside(found: Diagnosis, model: Model) -> Diagnosis:
+    """Return the diagnosis with what it finds beside the causes of the accepted model; consistent if nothing.
+    nothing. Friction of a motor counts as known whatever its law: a record of seconds does not tell laws."""
+    known = {(_kind(e.cause), e.axis) for e in model.effects}
+    new = tuple(f for f in found.findings if (_kind(f.cause), f.axis) not in known)
+    quiet = not new and found.verdict is Verdict.EXPLAINED
+    return replace(found, findings=new, verdict=Verdict.CONSISTENT if quiet else found.verdict)
+
+
+def _kind(cause: str) -> str:
+    family = BY_CAUSE[cause].family
+    return family if family == "friction" else cause
 
 
 def _is_open(found: Diagnosis, compared: Comparison, before: Verdict) -> bool:

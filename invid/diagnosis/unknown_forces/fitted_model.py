@@ -73,7 +73,7 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
     blind = blind_directions(built, known, values, covariance, band)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     std = {n: np.nan if n in blind.unseen else float(d) for n, d in zip(known, deviation, strict=True)}
-    doubts = [Doubt(DoubtCode.UNSEEN, said) for said in blind.sentences]
+    doubts = [*_short_experiments(recording), *(Doubt(DoubtCode.UNSEEN, said) for said in blind.sentences)]
     return Model(
         robot=recording.robot,
         method="refined",
@@ -98,6 +98,18 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
             "experiments": [e.key for e in recording.with_role(Role.IDENTIFY)],
         },
     )
+
+
+def _short_experiments(recording: Recording) -> list[Doubt]:
+    """The doubt about an experiment that ends before its first period does: its lines are not resolved."""
+    return [
+        Doubt(
+            DoubtCode.SHORT_RECORD,
+            f"experiment {e.key} holds {e.samples / e.period_samples:.0%} of one period of its excitation",
+        )
+        for e in recording.experiments
+        if 0 < e.samples < e.period_samples
+    ][:1]
 
 
 def _band(recording: Recording) -> tuple[float, float]:

@@ -250,7 +250,7 @@ def concluded(start: Diagnosis, recording: Recording) -> Diagnosis:
 def test_words_keep_the_contract_whatever_an_engine_says() -> None:
     rival = Alternative("viscous_friction", "A1", "mass 1", 0.06)
     found = diagnosis(term("coulomb_friction", torque=0.4), explained=0.7, rivals=(rival,))
-    result = concluded(found, recording())
+    result = concluded(found, recording(rated=False))
     assert result.verdict is Verdict.PARTLY_EXPLAINED
     assert result.unexplained is not None
     assert result.unexplained.sentence in result.sentences
