@@ -93,7 +93,9 @@ def verdict_on(model: Model) -> Verdict:
 
 def _beside(found: Diagnosis, model: Model) -> Diagnosis:
     """Return the diagnosis with what it finds beside the causes of the accepted model; consistent if nothing.
-    nothing. Friction of a motor counts as known whatever its law: a record of seconds does not tell laws."""
+
+    Friction of a motor counts as known whatever its law: a record of seconds does not tell laws.
+    """
     known = {(_kind(e.cause), e.axis) for e in model.effects}
     new = tuple(f for f in found.findings if (_kind(f.cause), f.axis) not in known)
     quiet = not new and found.verdict is Verdict.EXPLAINED
