@@ -22,7 +22,6 @@ from invid.effects.elements import Element, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import Size
 from invid.errors import InputError, ModelError
-from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm
 from invid.model.law_table import LawTable
 from invid.model.parameters import ChainStructure
@@ -167,10 +166,6 @@ class Effect:
 
     def of_structure(self, structure: ChainStructure) -> Effect:
         """The law with as many parameters as a machine of this structure asks for."""
-        return self
-
-    def of_machine(self, chains: CoupledChains) -> Effect:
-        """The law with what its parameters' names and values need of the machine."""
         return self
 
     def known(self, term: EffectTerm) -> Self:

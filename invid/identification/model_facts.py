@@ -36,7 +36,8 @@ CUT_SHORT = "cut_short"
 """Name of the doubts, among the facts of a fit, that a spent budget makes: nothing is concluded from them."""
 
 
-def _provenance(recording: Recording) -> dict[str, Any]:
+def provenance_of(recording: Recording) -> dict[str, Any]:
+    """What a model says of where it comes from."""
     return {
         "software": f"invid {version('invid')}",
         "recording": recording.source,
@@ -82,7 +83,7 @@ def paper_model(
             "band_hz": [float(measured.frequency_hz[0]), float(measured.frequency_hz[-1])],
             **({"order": order} if order else {}),
         },
-        provenance=_provenance(recording),
+        provenance=provenance_of(recording),
     )
 
 
@@ -194,7 +195,7 @@ def refined_model(
         covariance=frozen_float(covariance) if finite else None,
         parameter_names=names if finite else (),
         fit=_plain_json(facts),
-        provenance=_provenance(recording),
+        provenance=provenance_of(recording),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from invid.diagnosis.unknown_forces.left_over import AxisMissing, axis_missing
 from invid.effects.units import unit_of
 from invid.identification.identifiability import blind_directions
+from invid.identification.model_facts import provenance_of
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import curvature
 from invid.likelihood.unknown_forces.supposition import Supposed
@@ -18,7 +18,7 @@ from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts
 from invid.numerics.arrays import Float64, frozen_float
-from invid.recording.model import Recording, Role
+from invid.recording.model import Recording
 
 EARLY = 0.05
 """Samples by which a hold acts before its command from which a warning says so (empirical)."""
@@ -91,12 +91,7 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
             "band_hz": list(band),
             **_timing(end, axes),
         },
-        provenance={
-            "software": f"invid {version('invid')}",
-            "recording": recording.source,
-            "recorded": recording.created,
-            "experiments": [e.key for e in recording.with_role(Role.IDENTIFY)],
-        },
+        provenance=provenance_of(recording),
     )
 
 

@@ -22,6 +22,7 @@ from invid.diagnosis.unknown_forces.backward import FRICTION, PRICE_OF_FRICTION
 from invid.diagnosis.unknown_forces.machine_search import ElasticSearch
 from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.pursuit import LEAST_FITTED, LEAST_KEPT, PRICE
+from invid.diagnosis.unknown_forces.resonances import mode_answer, top
 from invid.diagnosis.unknown_forces.scoring import spot_at, spots_of
 from invid.effects.effect import Effect
 from invid.effects.registry import effects
@@ -287,15 +288,13 @@ class Screen:
     def of_mode(self, place: Place, parameter: str) -> Iterator[Limit | None]:
         """Limits of a further mass on a spring at a mass, at frequencies in the band."""
         vector, fit = self._vector(spot_at(self.structure, place)), self.end.fit
-        top = 2 * np.pi * max(r.top_hz for s in self.end.bench.stacks for r in s.records)
         moved = [inner_motion(fit.problem, fit.value, k) @ vector for k in range(len(fit.value.work))]
         for band in MODE_BANDS:
-            natural = band * top
-            lines = []
-            for work, motion in zip(fit.value.work, moved, strict=True):
-                w = work.stack.omega
-                spring = natural**2 + 2j * MODE_DAMPING * natural * w
-                lines.append((-(w**2) * spring / (spring - w**2) * motion)[..., None])
+            natural = band * top(self.end)
+            lines = [
+                (mode_answer(work.stack.omega, natural, MODE_DAMPING) * motion)[..., None]
+                for work, motion in zip(fit.value.work, moved, strict=True)
+            ]
             left = self.rows.of_force(lines, vector)[:, 0]
             if not float(left @ left) > UNSEEN**2 * float((self.rows.felt(lines, vector) ** 2).sum()):
                 yield None

@@ -107,10 +107,8 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
         budget.tell("weighing each cause", 0.0)
         found, weighed = budget.or_else(
-            "what each cause is worth",
-            lambda: _weighed(with_masses_seen(pursued.end)),
-            _by_first_order(pursued.end),
-        )
+            "what each cause is worth", lambda: _weighed(with_masses_seen(pursued.end)), None
+        ) or _by_first_order(pursued.end)
     budget.tell("what is left", 0.85)
     named = budget.or_else("what is left at each place", lambda: at_their_places(weighed), weighed)
     bare = without_causes(named)
@@ -120,8 +118,8 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     with_law = budget.or_else("a law without a name", lambda: add_laws(named, forces_named), None)
     if with_law is not None:
         found, end = budget.or_else(
-            "what each cause is worth", lambda: _weighed(with_law), _by_first_order(with_law)
-        )
+            "what each cause is worth", lambda: _weighed(with_law), None
+        ) or _by_first_order(with_law)
         forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), nothing)
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 

@@ -14,6 +14,24 @@ from invid.likelihood.unknown_forces.value import along
 from invid.numerics.arrays import Complex128, Float64
 
 
+def law_rows(now: Supposed, placed: PlacedLaw) -> list[Float64]:
+    """(rows, k) whitened rows of a law in each stack, one column a coefficient of one: of a force at its
+    place, of what its motor's reading errs by, or of the torque that it scales."""
+    lines = now.bench.law_lines(placed, now.motions, quick=True)
+    vector = vector_of(now.hypothesis.structure, placed.spot)[:, None]
+    out = []
+    for work, wave in zip(now.fit.value.work, lines, strict=True):
+        if placed.law.scales:
+            torque = -now.numbers.timing.acting(work.stack)[:, :, placed.spot.number]
+            rows = torque[..., None, None] * np.eye(work.shape[2])[placed.spot.number][:, None]
+        elif placed.law.reads:
+            rows = wave[:, :, None] * work.condensed.stiffness[:, :, placed.spot.number, None]
+        else:
+            rows = wave[:, :, None] * along(work.condensed.motion, vector)
+        out.append(whitened_rows(work, rows).reshape(-1, wave.shape[2]))
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Rows at a fit, those of the weak prior of its numbers at the end."""
@@ -52,14 +70,7 @@ class Rows:
 
     def felt_of(self, placed: PlacedLaw) -> Float64:
         """(rows, k) of a law with nothing projected out."""
-        lines = self.now.bench.law_lines(placed, self.now.motions, quick=True)
-        if not placed.law.reads:
-            return self.felt(lines, vector_of(self.now.hypothesis.structure, placed.spot))
-        out = []
-        for work, wave in zip(self.now.fit.value.work, lines, strict=True):
-            reach = work.condensed.stiffness[:, :, placed.spot.number, None]
-            out.append(whitened_rows(work, wave[:, :, None] * reach).reshape(-1, wave.shape[2]))
-        return np.concatenate(out)
+        return np.concatenate(law_rows(self.now, placed))
 
     def of_force(self, lines: list[Complex128], vector: Float64) -> Float64:
         """(rows, k) of forces with lines (R, F, k) of each stack along ``vector`` (n,)."""

@@ -41,7 +41,6 @@ SURELY_LATE = 5.0
 LOST = 0.2
 """Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
 
-Say = Callable[[str], None]
 Tell = Callable[[Supposed, float], None]
 """Given what is found so far, and the share of the search that lies behind."""
 
@@ -238,7 +237,6 @@ def finish(trials: Sequence[Trial]) -> list[Trial]:
 def pursue(
     now: Supposed,
     laws: Sequence[SupposedLaw] = SUPPOSED,
-    say: Say = lambda _: None,
     tell: Tell = lambda _, __: None,
     rounds: int = 8,
     *,
@@ -250,7 +248,6 @@ def pursue(
     """
     rivals: list[tuple[Trial, Trial]] = []
     now = reshape(scan_friction(now))
-    say(f"null {now.total:.1f} inner {now.inner_strength:.2f}")
     for number in range(rounds):
         tell(now, number / rounds)
         if budget.is_left_out("further causes"):
@@ -275,12 +272,10 @@ def pursue(
             trials += try_structures(now, best, growing=growing)
         trials += try_channels(now)
         trials = finish(trials)
-        say("  " + ", ".join(f"{t.cause} {t.spot.where.value} {t.spot.number} {t.fall:.0f}" for t in trials))
         taken = next((t for t in trials if pays(*role_falls(t.base, t.found))), None)
         if taken is None:
             break
         close = taken.fall - max(NEARLY_AS_WELL * taken.fall, LEAST_FITTED)
         rivals += [(taken, t) for t in trials if t is not taken and t.fall > close and not t.holds(taken)]
         now = settle(reshape(scan_friction(taken.found)))
-        say(f"  took {taken.cause} {taken.spot}: {now.total:.1f} inner {now.inner_strength:.2f}")
     return Pursued(now, tuple(rivals))

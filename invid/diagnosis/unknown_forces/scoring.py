@@ -8,14 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.effects.effect import Effect
+from invid.diagnosis.unknown_forces.projected_rows import law_rows
 from invid.effects.supposed_laws import SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.shapes import joint_rows
-from invid.likelihood.unknown_forces.slope import whitened_rows
-from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, axis_of, vector_of
-from invid.likelihood.unknown_forces.value import along
+from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.value import bounded_minimum
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics import budget
@@ -60,25 +59,6 @@ def candidates(now: Supposed, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
             shapes = law.shapes(now.motions.flat(spot))
             out += [PlacedLaw(law, spot, shape, number) for shape in shapes]
     return out
-
-
-def look_alikes(now: Supposed, cause: Effect, spot: Spot, laws: Sequence[SupposedLaw]) -> list[PlacedLaw]:
-    """Laws on the axis of ``spot`` for which a cause there is easily mistaken, at all shapes.
-
-    ``now`` is the hypothesis without the cause. The same cause elsewhere on the axis is one of them.
-    """
-    structure = now.hypothesis.structure
-    alike = [
-        law
-        for law in laws
-        if law.cause == cause.cause or law.cause in cause.looks_like or cause.cause in law.effect.looks_like
-    ]
-    return [
-        p
-        for p in candidates(now, alike)
-        if axis_of(structure, p.spot) == axis_of(structure, spot)
-        and (p.law.cause, p.spot) != (cause.cause, spot)
-    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,19 +109,7 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
         if budget.is_left_out("further causes"):
             out.append(0.0)
             continue
-        lines = now.bench.law_lines(placed, now.motions, quick=True)
-        vector = vector_of(now.hypothesis.structure, placed.spot)[:, None]
-        columns = []
-        for work, wave in zip(now.fit.value.work, lines, strict=True):
-            if placed.law.scales:
-                torque = -now.numbers.timing.acting(work.stack)[:, :, placed.spot.number]
-                rows = torque[..., None, None] * np.eye(work.shape[2])[placed.spot.number][:, None]
-            elif placed.law.reads:
-                rows = wave[:, :, None] * work.condensed.stiffness[:, :, placed.spot.number, None]
-            else:
-                rows = wave[:, :, None] * along(work.condensed.motion, vector)
-            columns.append(whitened_rows(work, rows).reshape(-1, wave.shape[2]))
-        own, pull = background.beside(columns)
+        own, pull = background.beside(law_rows(now, placed))
         out.append(bounded_fall(own, pull, placed.law.limits(now.motions.flat(placed.spot))))
     return np.array(out)
 
@@ -162,25 +130,7 @@ def own_share(found: Supposed, placed: PlacedLaw) -> float:
 
 
 def bounded_fall(own: Float64, pull: Float64, limits: Sequence[tuple[float, float]]) -> float:
-    """Largest −2·pull·β − βᵀ·own·β with β within its limits: one at a time the worst violator is put at
-    its bound."""
+    """Largest −2·pull·β − βᵀ·own·β with β within its limits."""
     low, high = np.array(limits).T
-    beta, free = np.zeros(pull.size), np.ones(pull.size, dtype=bool)
-    while free.any():
-        beta[free] = -solve_scaled(
-            own[np.ix_(free, free)], pull[free] + own[np.ix_(free, ~free)] @ beta[~free]
-        )
-        bound = np.clip(beta, low, high)
-        beyond = np.abs(beta - bound) * np.sqrt(np.diag(own))
-        worst = int(np.argmax(beyond))
-        if beyond[worst] <= 0.0:
-            break
-        beta[worst], free[worst] = bound[worst], False
+    beta, _ = bounded_minimum(own, pull, (low, high))
     return float(-2.0 * pull @ beta - beta @ own @ beta)
-
-
-def solve_scaled(own: Float64, pull: Float64) -> Float64:
-    """Solution of a positive system whose unknowns have units of their own."""
-    unit = np.sqrt(np.diag(own)) + 1e-300
-    out: Float64 = np.linalg.solve(own / unit[:, None] / unit, pull / unit) / unit
-    return out

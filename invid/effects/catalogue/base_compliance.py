@@ -32,7 +32,6 @@ from invid.effects.laws.moving_base import (
     unit_direction,
 )
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_base
-from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
@@ -80,9 +79,6 @@ class BaseCompliance(Effect):
 
     def of_structure(self, structure: ChainStructure) -> BaseCompliance:
         return _law_of(structure.motors)
-
-    def of_machine(self, chains: CoupledChains) -> BaseCompliance:
-        return BaseCompliance(chains.branches, load_inertia(chains))
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return [Place("base", 0)]

@@ -13,9 +13,6 @@ from invid.effects.sizes import RESONANCE, Size, resonance_change, with_mode
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
 
-MOST_PEAKS = 8
-"""Peaks of the missing torque that are tried as frequencies of the mode."""
-
 
 class ExtraMode(Effect):
     """A mass m on a spring k (and a light damper) at one of the masses; shapes: frequency and damping."""

@@ -108,11 +108,11 @@ def _through_laws(problem: Problem, value: Value, joint: Float64, size: int) -> 
             pull[k] += column.stretch * stretched[column.reads] if column.reads >= 0 else 0.0
     if not pull.any():
         return np.zeros(size)
-    out: Float64 = joint[:size, size:] @ _solve_scaled(joint[size:, size:], pull)
+    out: Float64 = joint[:size, size:] @ solve_scaled(joint[size:, size:], pull)
     return out
 
 
-def _solve_scaled(matrix: Float64, right: Float64) -> Float64:
+def solve_scaled(matrix: Float64, right: Float64) -> Float64:
     """Solution of a positive system whose unknowns have units of their own."""
     unit = np.sqrt(np.diag(matrix)) + 1e-300
     scaled = matrix / unit[:, None] / unit + NEARLY_SINGULAR * np.eye(unit.size)
@@ -125,7 +125,7 @@ def _profiled(joint: Float64, size: int) -> Float64:
     if joint.shape[0] == size:
         return joint
     cross = joint[:size, size:]
-    out: Float64 = joint[:size, :size] - cross @ _solve_scaled(joint[size:, size:], cross.T)
+    out: Float64 = joint[:size, :size] - cross @ solve_scaled(joint[size:, size:], cross.T)
     return out
 
 

@@ -266,30 +266,36 @@ def real_rows(values: Complex128) -> Float64:
 
 
 def _coefficients(problem: Problem, work: tuple[StackWork, ...]) -> tuple[Float64, Bool]:
-    """(J,) coefficients that minimise the sum of squares within their bounds, and which are free.
-
-    One at a time the coefficient that violates its bound most (in standard deviations) is put there.
-    """
+    """(J,) coefficients that minimise the sum of squares within their bounds, and which are free."""
     count = len(problem.columns)
     normal, right = np.zeros((count, count)), np.zeros(count)
     for w in work:
         flat = w.laws.reshape(-1, count)
         normal += flat.T @ flat
         right += flat.T @ w.missing.ravel()
+    found, free = bounded_minimum(normal, right, problem.bounds)
+    if not np.isfinite(found).all():
+        raise np.linalg.LinAlgError("no coefficients of the laws are finite")
+    return found, free
+
+
+def bounded_minimum(normal: Float64, right: Float64, bounds: tuple[Float64, Float64]) -> tuple[Float64, Bool]:
+    """(J,) minimum of xᵀ·normal·x + 2·right·x within bounds (J,) low and high, and which x are free.
+
+    One at a time the one that violates its bound most (in standard deviations) is put there.
+    """
     size = np.sqrt(np.diag(normal)) + 1e-300
-    normal = normal / size[:, None] / size + NEARLY_SINGULAR * np.eye(count)
-    low, high = problem.bounds
-    found, free = np.zeros(count), np.ones(count, dtype=bool)
+    scaled = normal / size[:, None] / size + NEARLY_SINGULAR * np.eye(size.size)
+    low, high = bounds
+    found, free = np.zeros(size.size), np.ones(size.size, dtype=bool)
     while free.any():
         fixed = ~free
-        target = -right[free] / size[free] - normal[np.ix_(free, fixed)] @ (found[fixed] * size[fixed])
-        found[free] = np.linalg.solve(normal[np.ix_(free, free)], target) / size[free]
-        if not np.isfinite(found).all():
-            raise np.linalg.LinAlgError("no coefficients of the laws are finite")
+        target = -right[free] / size[free] - scaled[np.ix_(free, fixed)] @ (found[fixed] * size[fixed])
+        found[free] = np.linalg.solve(scaled[np.ix_(free, free)], target) / size[free]
         bound = np.clip(found, low, high)
         beyond = np.abs(found - bound) * size
         worst = int(np.argmax(beyond))
-        if beyond[worst] <= 0:
+        if not beyond[worst] > 0:
             break
         found[worst], free[worst] = bound[worst], False
     return found, free
