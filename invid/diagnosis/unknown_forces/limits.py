@@ -37,7 +37,7 @@ from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.slope import inner_motion, whitened_rows
 from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed, vector_of
-from invid.likelihood.unknown_forces.timing import COMMAND, HOLD
+from invid.likelihood.unknown_forces.timing import COMMAND, CONVENTION, EXPECTED_DELAY, HOLD
 from invid.model.diagnosis_document import Finding, RuledOut
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
@@ -59,8 +59,8 @@ MODE_BANDS, MODE_DAMPING = (0.3, 0.45, 0.6, 0.8), 0.02
 """Frequencies of a mode over the highest excited one at which its limit is asked for, its damping ratio."""
 LAGS = tuple(0.25 * 2.0**k for k in range(9))
 """Lags that are tried [samples]."""
-SAMPLE = 1.0
-"""Samples of delay that are convention and no cause (the contract)."""
+HIDDEN = CONVENTION - EXPECTED_DELAY[COMMAND]
+"""Samples of delay that conventions may hide, from the earliest of them on."""
 UNTOLD = "nothing in these records tells it from the parameters of the model"
 TOO_SMALL = "even as large as all that acts there it would not have stood out of the noise"
 NO_LAW = "it is not sought there, and would have been a force without a name"
@@ -253,7 +253,7 @@ class Screen:
         return self._open[key]
 
     def of_channel(self, channel: Channel, axis: int, parameter: str) -> Limit | None:
-        """Limit of a drive's delay beyond a sample, or of its lag."""
+        """Limit of a drive's delay beyond conventions, or of its lag."""
         step = self.end.numbers.timing.step
         if channel is Channel.LAG:
             falls = [(lag * step, self._fall_of_lag(lag * step, axis)) for lag in LAGS]
@@ -262,7 +262,7 @@ class Screen:
         first = self.end.numbers.plant.x.size
         number = first + (COMMAND if driven else HOLD) * self.structure.motors + axis
         left = self.rows.of_number(number)
-        return Limit(parameter, (self.size_seen(left, PRICE) + SAMPLE) * step, {}) if left.any() else None
+        return Limit(parameter, (self.size_seen(left, PRICE) + HIDDEN) * step, {}) if left.any() else None
 
     def _fall_of_lag(self, lag: float, axis: int) -> float:
         """Fall of a lag [s] over what is asked for: in the logarithm, where delays and lags add up."""
