@@ -9,15 +9,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.identification.first_plants import (
+    chains_of_plant,
     fraction_plants,
     grown_plants,
     masses_seen,
+    plant_of_chains,
     random_plants,
 )
+from invid.likelihood.unknown_forces.forces import Where
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
-from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
+from invid.likelihood.unknown_forces.supposition import (
+    Bench,
+    Hypothesis,
+    Supposed,
+    axis_of,
+    first_strength,
+    suppose,
+)
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Numbers
 from invid.numerics import budget
@@ -25,7 +35,7 @@ from invid.numerics import budget
 Benches = tuple[Bench, Bench | None]
 """Records fitted and kept out."""
 RANDOM = 12
-"""Random splits where no continued fraction is a chain: of one alone one in three comes home."""
+"""Random splits where no continued fraction comes home: of one alone one in three does."""
 ROUNDS = ((6, 4), (12, 2), (40, 1))
 """Iterations of each round, and how many of each class go on."""
 MOST_MASSES = 8
@@ -87,7 +97,7 @@ def begin(
     if fewer is not None:
         plants += grown_plants(fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
     lowest, least = None, np.inf
-    for plant in plants or random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1)):
+    for plant in plants:
         found = _from_plant((bench, kept), hypothesis, plant, ROUNDS[-1][0])
         if found is None or found.total >= least:
             continue
@@ -96,9 +106,30 @@ def begin(
         lowest = found if is_home(found) else reshape(scan_friction(found))
         if is_home(lowest) or budget.is_left_out("further starts"):
             break
+    if lowest is None or not (is_settled(lowest) or budget.is_left_out("further starts")):
+        split = _contest((bench, kept), hypothesis, _splits(bench, structure, lowest))
+        if split is not None and split.total < least:
+            lowest = split if is_home(split) else reshape(scan_friction(split))
     if lowest is None:
         raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
     return lowest
+
+
+def _splits(bench: Bench, structure: Structure, lowest: Supposed | None) -> list[Plant]:
+    """Random splits of every chain; beside a fit, of those alone in which something unknown acts."""
+    plants = random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1))
+    if lowest is None:
+        return plants
+    level = HOME * torque_rms(bench)
+    astray = {axis_of(structure, s) for v, s in lowest.strength if s.where is not Where.MOTOR and v > level}
+    home = chains_of_plant(lowest.numbers.plant)
+    return [
+        plant_of_chains(
+            structure,
+            [own if i in astray else at for i, (own, at) in enumerate(zip(chains, home, strict=True))],
+        )
+        for chains in map(chains_of_plant, plants)
+    ]
 
 
 def shaken(now: Supposed, rng: np.random.Generator) -> Supposed:

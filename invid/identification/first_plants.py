@@ -118,12 +118,7 @@ def grown_plants(plant: Plant, structure: Structure, top_hz: float) -> list[Plan
 
     A mode that shows little is beside the others where they are, not where their starts put it.
     """
-    old, mass, spring = plant.structure, plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
-    chains, link = [], 0
-    for first, n in zip(old.motor, old.sizes, strict=True):
-        chains.append((mass[first : first + n], spring[link : link + n - 1]))
-        link += n - 1
-    out = []
+    old, chains, out = plant.structure, chains_of_plant(plant), []
     for split in range(max(old.sizes)):
         for share in GROWN:
             stiffness = (2 * np.pi * share * top_hz) ** 2 * TORN * (1.0 - TORN)
@@ -137,6 +132,16 @@ def grown_plants(plant: Plant, structure: Structure, top_hz: float) -> list[Plan
                 )
             )
     return out
+
+
+def chains_of_plant(plant: Plant) -> list[Chain]:
+    """Masses and springs of every chain."""
+    mass, spring = plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
+    chains, link = [], 0
+    for first, n in zip(plant.structure.motor, plant.structure.sizes, strict=True):
+        chains.append((mass[first : first + n], spring[link : link + n - 1]))
+        link += n - 1
+    return chains
 
 
 def _split(mass: Float64, spring: Float64, at: int, stiffness: float) -> Chain:
