@@ -19,7 +19,8 @@ from invid.identification.own_stiffness import follow
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.numerics.arrays import Float64, Int64
-from invid.signals.band import apparent_inertia
+from invid.signals.band import apparent_inertia, hann
+from invid.signals.record import Record
 
 DAMPING_RATIO = 0.02
 """Of every spring at the start."""
@@ -34,6 +35,8 @@ LOWEST = 0.08
 RIGID_END, BENT, BEYOND = 10, 0.3, 1.3
 """Share of the highest lines that may show a motor's own mass; logarithm by which its stiffness differs from
 that where chains bend it; and how far beyond there a pole may be."""
+BAND_LINES = 3
+"""Lines of a record without a period whose median counts: its ends bend single ones."""
 FEW_LINES = 8
 """Lines of a record below which those of all records are taken together: five numbers of two masses."""
 RIGID = 3.0
@@ -319,9 +322,12 @@ def _stiffness_on_lines(alike: Sequence[Stack], motor: int) -> tuple[Float64, Fl
 def _stiffness_in_bands(stack: Stack, motor: int) -> tuple[Float64, Float64]:
     first = stack.records[0]
     within = first.wide <= 2 * np.pi * first.top_hz
+    hertz = first.wide[within] / (2 * np.pi)
     own = [r for r in stack.records if r.driven[motor]] or list(stack.records)
+    if len(own) >= first.driven.size > 1:
+        return _stiffness_of_many(hertz, own, motor)
     seen = apparent_inertia(
-        first.wide[within] / (2 * np.pi),
+        hertz,
         np.array([r.position[within] for r in own]),
         np.array([r.torque[within] for r in own]),
         motor,
@@ -329,6 +335,21 @@ def _stiffness_in_bands(stack: Stack, motor: int) -> tuple[Float64, Float64]:
     )
     omega = 2 * np.pi * seen.frequency
     return omega, seen.inertia * omega**2
+
+
+def _stiffness_of_many(hertz: Float64, records: Sequence[Record], motor: int) -> tuple[Float64, Float64]:
+    """By least squares over as many records as motors that drive them all, the median of each band."""
+    theta, torque = (
+        hann(np.array([lines[: hertz.size].T for lines in each])).transpose(2, 0, 1)
+        for each in ([r.position for r in records], [r.torque for r in records])
+    )
+    size = np.abs((np.linalg.pinv(theta, rcond=STILL) @ torque)[:, motor, motor])
+    omega = 2 * np.pi * hertz[1:-1]
+    bands = np.array_split(np.arange(omega.size), max(1, omega.size // BAND_LINES))
+    return (
+        np.array([omega[at].mean() for at in bands]),
+        np.array([np.median(size[at] / omega[at] ** 2) * omega[at].mean() ** 2 for at in bands]),
+    )
 
 
 def cauer_chain(inertia: float, poles: Float64, zeros: Float64) -> Chain:

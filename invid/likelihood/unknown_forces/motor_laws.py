@@ -42,9 +42,10 @@ WIDTH, STRIBECK = 0.0067, 0.13
 
 
 def first_shapes(stacks: Sequence[Stack]) -> tuple[FrictionShape, ...]:
-    """Shapes to start from, by each motor's speed."""
+    """Shapes to start from, by each motor's speed; of one that stands by that of the fastest."""
     power = np.mean([(r.motion.velocity**2).mean(axis=0) for s in stacks for r in s.records], axis=0)
-    return tuple(FrictionShape(WIDTH * float(v), STRIBECK * float(v)) for v in np.sqrt(power))
+    speed = np.sqrt(np.where(power > 0.0, power, power.max()))
+    return tuple(FrictionShape(WIDTH * float(v), STRIBECK * float(v)) for v in speed)
 
 
 class MotorLaws:
