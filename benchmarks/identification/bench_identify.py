@@ -24,13 +24,13 @@ import numpy as np
 
 from benchmarks.shared import plant_oracle as oracle
 from invid.errors import NotIdentifiableError
+from invid.identification.begun import settled_about
+from invid.identification.fitted_model import chains_covariance
 from invid.identification.identify import identify
-from invid.likelihood.records import problem_from_spectra
+from invid.identification.kept_out import all_records
 from invid.model.chains import CoupledChains
-from invid.model.document import Model
-from invid.model.parameters import ChainStructure
+from invid.model.document import Model, parameter_vector
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.signals.spectra import all_spectra
 
 RATE = 1000.0
 
@@ -131,28 +131,20 @@ def estimate(model: Model) -> tuple[np.ndarray, np.ndarray]:
 def bound(
     plant: oracle.OraclePlant, recording: Recording, peak: np.ndarray, noise: float, position: float
 ) -> np.ndarray:
-    """Cramér-Rao standard deviations: true plant, true white noise, time offsets and friction unknown."""
-    spectra = []
-    for s in all_spectra(recording):
-        n = s.periods * s.position_wave.shape[0]
-        level = np.concatenate((np.full(peak.size, position), noise * peak)) ** 2 * 4 / n
-        spectra.append(replace(s, floor=level))
+    """Cramér-Rao standard deviations: true plant, true white noise, timing and friction unknown."""
+    records = []
+    for r in all_records(recording):
+        share = 4.0 * r.step / r.span
+        level = share * np.full(peak.size, position) ** 2, share * (noise * peak) ** 2
+        records.append(replace(r, position_noise=level[0], torque_noise=level[1]))
     couplings = np.zeros((peak.size, peak.size))
     for (i, j), value in plant.couplings.items():
         couplings[i, j] = couplings[j, i] = value
-    chains = CoupledChains.build(plant.masses, plant.springs, plant.dampers, couplings)
-    structure = ChainStructure(chains.masses_per_branch, recording.axes)
-    problem = problem_from_spectra(structure, spectra)
-    problem = replace(problem, fixed=problem.staircase_names)
-    p = problem.start(structure.vector(chains))
-    p[problem.slices["delay"]] = 0.5 / RATE
-    p[problem.slices["staircase"]] = 1.0
-    _, jacobian = problem.evaluate(p)
-    deviation = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
-    s = structure.slices
-    relative = np.concatenate((deviation[s["mass"]], deviation[s["spring"]]))
-    values = truth(plant)
-    return np.concatenate((relative * values[: relative.size], deviation[s["coupling"]]))
+    chains = CoupledChains.build(plant.masses, plant.springs, plant.dampers, couplings, axes=recording.axes)
+    settled, covariance = chains_covariance(settled_about(chains, records), recording.axes)
+    deviation = dict(zip(parameter_vector(settled)[0], np.sqrt(np.diag(covariance)), strict=True))
+    ordered = [n for kind in (".mass.", ".spring.", ".coupling") for n in deviation if kind in n]
+    return np.array([deviation[n] for n in ordered])
 
 
 def white(seeds: range) -> bool:

@@ -23,16 +23,16 @@ import numpy as np
 
 from invid.config import CellConfig, load_config
 from invid.errors import InvidError
+from invid.identification.begun import settled_about
+from invid.identification.fitted_model import chains_covariance
 from invid.identification.identify import identify
-from invid.likelihood.fit import fit_structure
+from invid.identification.kept_out import all_records
 from invid.model.document import parameter_vector
-from invid.model.parameters import structure_of
 from invid.planning import make_plan
 from invid.planning.belief import Belief, guess
 from invid.planning.expected_covariance import expected, is_in_goal, parameter_scale
 from invid.planning.goal import plan_for_goal
 from invid.recording import read_recording
-from invid.signals.spectra import all_spectra
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.goal import measure_to_goal
 from invid_drivers.measurement import measure_to_file
@@ -169,21 +169,15 @@ def stepped(seeds: range, peaks: np.ndarray, folder: Path) -> tuple[float, float
 
 
 def stepped_error(config: CellConfig, path: Path) -> float:
-    """Largest relative error of the same fit on stepped sine, made as easy as can be.
-
-    It starts at the truth and leaves out the boundary terms, which a record of one line cannot carry:
-    what has not settled after five cycles is its error, as it is for whoever measures that way.
-    """
+    """Largest relative error of the same fit on stepped sine, from the truth."""
     plant = replace(truth(config), ground_dampers=np.zeros(3))
-    spectra = [replace(s, transient=False) for s in all_spectra(read_recording(path))]
     try:
-        fit = fit_structure(spectra, structure_of(plant), [plant])
-    except InvidError as error:
+        chains, _ = chains_covariance(settled_about(plant, all_records(read_recording(path))), plant.axes)
+    except (InvidError, np.linalg.LinAlgError) as error:
         print(f"    {error}"[:150])
         return float("inf")
     names, values = parameter_vector(plant)
-    place = {n: k for k, n in enumerate(fit.names)}
-    off = np.abs(fit.values[[place[n] for n in names]] - values) / parameter_scale(plant)
+    off = np.abs(parameter_vector(chains)[1] - values) / parameter_scale(plant)
     return float(off[is_in_goal(names)].max())
 
 

@@ -13,17 +13,26 @@ from invid.identification.fitted_model import plant_of
 from invid.identification.kept_out import Split, all_records, records_of
 from invid.identification.missing_torque import missed_share
 from invid.identification.own_time import AxisTones, changes_within, sized, tones_of
+from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
-from invid.likelihood.unknown_forces.supposition import Bench, Supposed, suppose
+from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.value import Numbers
 from invid.model.chains import CoupledChains
 from invid.numerics import budget
 from invid.recording.model import Recording
+from invid.signals.record import Record
 from invid.signals.tones import refine_tones, remove_tones
 
 TIME_TO_BEGIN = 0.5
 """Share of the time that is left for the first fits (empirical: what is done of them without a budget)."""
+
+STILL = 1e-4
+"""Velocity over that of the fastest axis below which friction of an axis is not seen (numerical)."""
+SETTLED = 4
+"""Iterations from the believed plant by which strengths and timing are as the drawn noise has them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,3 +121,15 @@ def on_all_records(now: Supposed, recording: Recording) -> Supposed:
     records = all_records(recording)
     bench = Bench(stack_records(records, hold_damping(records)))
     return reshape(suppose((bench, None), now.hypothesis, now.numbers))
+
+
+def settled_about(chains: CoupledChains, records: Sequence[Record]) -> Supposed:
+    """A known plant with friction at its motors on records: strengths and timing as the records have them."""
+    bench, plant = Bench(stack_records(records, hold_damping(records))), plant_of(chains)
+    timing = Timing.nominal(plant.structure.motors, records[0].step)
+    power = np.mean([(r.motion.velocity**2).mean(axis=0) for r in records], axis=0)
+    still = np.flatnonzero(power <= STILL**2 * power.max())
+    absent = frozenset((part, int(motor)) for motor in still for part in Part)
+    hypothesis = Hypothesis(plant.structure, first_shapes(bench.stacks), absent=absent)
+    numbers = Numbers(plant, timing, first_strength(bench.stacks, plant.structure))
+    return suppose((bench, None), hypothesis, numbers, SETTLED)

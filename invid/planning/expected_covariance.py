@@ -14,12 +14,8 @@ from typing import Any
 import numpy as np
 
 from invid.config import CellConfig
-from invid.identification.fitted_model import chains_covariance, plant_of
-from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
-from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
-from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
-from invid.likelihood.unknown_forces.timing import Timing
-from invid.likelihood.unknown_forces.value import Numbers
+from invid.identification.begun import settled_about
+from invid.identification.fitted_model import chains_covariance
 from invid.model.chains import CoupledChains
 from invid.model.document import parameter_vector
 from invid.numerics.arrays import Bool, Float64, frozen_float
@@ -33,12 +29,8 @@ from invid.signals.spectra import spectra_of
 COUPLING_SHARE = 0.1
 """A coupling's uncertainty is taken relative to its value, or to this share of √(m_i·m_j) of the masses it
 joins where that is more: one per cent of a coupling of zero cannot be reached by anybody."""
-STILL = 1e-4
-"""Velocity over that of the fastest axis below which friction of an axis is not seen (numerical)."""
 UNSEEN = 3.0
 """Relative deviation from which a plan shows nothing of a parameter: the prior speaks (numerical)."""
-SETTLED = 4
-"""Iterations from the believed plant by which strengths and timing are as the drawn noise has them."""
 ASSUMED_TORQUE_NOISE = 0.005
 """Noise of 0x6077 as a share of rated torque where nothing is known (the case of the notes)."""
 ASSUMED_COUNTS = 2**17
@@ -176,7 +168,7 @@ def expected(
         if e.role is Role.IDENTIFY and e.kind is not Kind.CONSTANT_VELOCITY
     )
     records = read_holds([_with_least_noise(make_record(e, None), noise) for e in recorded])
-    now = _supposed(records, belief)
+    now = settled_about(belief.chains, records)
     names, values = parameter_vector(belief.chains)
     covariance = chains_covariance(now, belief.chains.axes)[1]
     scale = parameter_scale(belief.chains)
@@ -201,20 +193,6 @@ def _with_least_noise(record: Record, noise: Noise) -> Record:
     position = np.maximum(record.position_noise, share * noise.position_step**2)
     torque = np.maximum(record.torque_noise, share * noise.torque_step**2)
     return replace(record, position_noise=position, torque_noise=torque)
-
-
-def _supposed(records: Sequence[Record], belief: Belief) -> Supposed:
-    """The believed plant with friction at its motors on records, unknown forces as small as there."""
-    damping = hold_damping(records)
-    bench = Bench(stack_records(records, damping))
-    plant = plant_of(belief.chains)
-    timing = Timing.nominal(plant.structure.motors, records[0].step)
-    numbers = Numbers(plant, timing, first_strength(bench.stacks, plant.structure))
-    power = np.mean([(r.motion.velocity**2).mean(axis=0) for r in records], axis=0)
-    still = np.flatnonzero(power <= STILL**2 * power.max())
-    absent = frozenset((part, int(motor)) for motor in still for part in Part)
-    hypothesis = Hypothesis(plant.structure, first_shapes(bench.stacks), absent=absent)
-    return suppose((bench, None), hypothesis, numbers, SETTLED)
 
 
 def is_in_goal(names: Sequence[str]) -> Bool:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hidden.generator import make
-from invid.diagnosis.diagnose import diagnose
+from invid.diagnosis import diagnose as search
 from invid.errors import NotIdentifiableError
 from invid.identification import identify as identification
 
@@ -18,8 +18,9 @@ def test_a_search_that_ends_in_no_number_is_a_plain_error(monkeypatch: pytest.Mo
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
     recording, _ = make(None, seed=3, masses=(2,), noise=0.003)
-    monkeypatch.setattr(identification, "fit_sizes", lost)
+    monkeypatch.setattr(identification, "begin_elastic", lost)
+    monkeypatch.setattr(search, "begin_elastic", lost)
     with pytest.raises(NotIdentifiableError, match="no chain of masses and springs"):
         identification.identify(replace(recording, source="cell.h5"))
     with pytest.raises(NotIdentifiableError):
-        diagnose(recording)
+        search.diagnose(recording)
