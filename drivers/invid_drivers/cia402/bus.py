@@ -35,7 +35,7 @@ from invid_drivers.cia402.moving_cell import MovingCell
 from invid_drivers.cia402.relief import WeightRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
-from invid_drivers.cia402.takeover import find_powered, require_ours
+from invid_drivers.cia402.takeover import find_powered, require_mode, require_ours
 from invid_drivers.cia402.way_out import WayOut
 
 LEAVING_S = 0.1
@@ -228,11 +228,15 @@ class Cia402Cell:
         unset: list[ModeSet] = []
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
-        for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
+        for i, (drive, report, mode) in enumerate(zip(self._drives, self._reports, modes, strict=True)):
             drive.command(od.TORQUE_OFFSET if drive.by_offset else od.TARGET_TORQUE, 0)
             if mode is Mode.HOLD or drive.by_offset:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
-            unset.append(drive.set_mode(self._operation_mode(report, mode), CHANGE_S))
+            operation = self._operation_mode(report, mode)
+            set_by_now = drive.set_mode(operation, CHANGE_S)
+            if set_by_now is ModeSet.LATER and self.holdings[i].taken_over:
+                set_by_now = require_mode(drive, operation)
+            unset.append(set_by_now)
         self._refuse_disturbed()
         self._link.events.clear()
         self._link.refuse_others()
@@ -301,20 +305,27 @@ class Cia402Cell:
                 raise SafetyStop(
                     "stopped on request while the drives were being enabled; nothing was recorded yet"
                 )
-            if self.clock.now() >= end and not enabled:  # a mode that does not come has an end of its own
-                i = next(
-                    (
-                        k
-                        for k, s in enumerate(found)
-                        if not sample.fresh[k] or s is not DriveState.OPERATION_ENABLED
-                    )
-                )
-                seen = found[i].words if sample.fresh[i] else "silence (no TPDO comes)"
-                raise DriveError(
-                    f"axis {self.axes[i]} (node {self._drives[i].node_id}): not enabled after "
-                    f"{ENABLE_S:g} s, the drive "
-                    f"shows {seen}; check its supply, its enable input, safe torque off and the brake"
-                )
+            late = self.clock.now() - end
+            if late >= (CHANGE_S if enabled else 0.0):  # a mode that is asked for in the cycle takes its time
+                missing = [
+                    i
+                    for i, state in enumerate(found)
+                    if not sample.fresh[i] or state is not DriveState.OPERATION_ENABLED
+                ]
+                raise self._not_enabled(missing, sample, unset)
+
+    def _not_enabled(self, missing: Sequence[int], sample: Sample, unset: Sequence[ModeSet]) -> DriveError:
+        """The error of the first axis that is not enabled, or else has no mode yet."""
+        i = next(iter(missing), next((k for k, m in enumerate(unset) if m is not ModeSet.SHOWN), 0))
+        seen = state_of(sample.status[i]).words if sample.fresh[i] else "silence (no TPDO comes)"
+        what = f"not enabled after {ENABLE_S:g} s, the drive shows {seen}"
+        if not missing:
+            what = f"enabled, but without its mode (0x6060) after {ENABLE_S + CHANGE_S:g} s"
+        return DriveError(
+            f"axis {self.axes[i]} (node {self._drives[i].node_id}): {what}; check its supply, its enable "
+            "input, safe torque off and the brake",
+            axis=self.axes[i],
+        )
 
     def _mode_follows(self, axis: int, state: DriveState, mode: Mode, unset: list[ModeSet]) -> bool:
         """Ask for a mode that was not set without power, where the drive takes it; whether to go on."""

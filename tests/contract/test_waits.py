@@ -1,0 +1,99 @@
+"""Every wait ends in a stated time, at the way out; judged on drives and plant of another author."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from durand.services.sdo.server import SDODomainAbort
+from other_cell import OtherCell
+
+from invid.errors import DriveError
+from invid.sweep import Mode
+from invid_drivers.cia402.bus import ENABLE_S, Cia402Cell
+from invid_drivers.cia402.mode_change import CHANGE_S
+
+LOADED = {"gravity": 5.0, "values": {"0x605A": 6}}
+"""5 N·m of 10 rated; the drive stays in quick stop active."""
+
+
+def energise_held(cell: OtherCell, master: Cia402Cell) -> None:
+    master.check()
+    master.energise([Mode.HOLD] * len(cell.drives))
+
+
+def refuse_modes(drive: Any, when: set[str]) -> None:
+    """The drive takes 0x6060 only in other states than these."""
+
+    def validate(value: int) -> None:
+        if drive.state in when:
+            raise SDODomainAbort(0x08000022, (0x6060, 0))
+
+    drive.od.validate_callbacks[(0x6060, 0)].add(validate)
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> OtherCell:
+    loads = [{"gravity_loaded": True}, {"gravity_loaded": False}]
+    return OtherCell(tmp_path, [LOADED, {}], loads)
+
+
+def left_held(cell: OtherCell) -> None:
+    """A run that ended as it began: A1 is held by its drive, in the mode of the way out."""
+    master = cell.connect()
+    energise_held(cell, master)
+    master.secure([True, False])
+    master.close()
+    assert cell.drives[0].state == "quick stop active"
+
+
+def test_a_held_drive_that_takes_no_mode_in_quick_stop_is_refused_and_goes_on_holding(
+    cell: OtherCell,
+) -> None:
+    left_held(cell)
+    cell.drives[0].od.write(0x6061, 0, 10)  # as after a stop in torque mode
+    refuse_modes(cell.drives[0], {"quick stop active"})
+    began, place = cell.bus.time, cell.drives[0].axis.x[0]
+    master = cell.connect()
+    with pytest.raises(DriveError, match="takes no other there") as refused:
+        energise_held(cell, master)
+    assert refused.value.axis == "A1"
+    assert "A1" in " ".join(master.close())
+    assert cell.drives[0].state == "quick stop active"
+    assert abs(cell.drives[0].axis.x[0] - place) < 0.005
+    assert cell.bus.time - began < 30.0
+
+
+def test_a_held_drive_that_takes_no_mode_in_quick_stop_but_has_the_right_one_is_taken_over(
+    cell: OtherCell,
+) -> None:
+    left_held(cell)
+    refuse_modes(cell.drives[0], {"quick stop active"})
+    assert cell.drives[0].number(0x6061) == 8
+    began, place = cell.bus.time, cell.drives[0].axis.x[0]
+    master = cell.connect()
+    master.cancelled = lambda: cell.bus.time > began + 30.0
+    energise_held(cell, master)
+    assert [d.state for d in cell.drives] == ["operation enabled"] * 2
+    assert abs(cell.drives[0].axis.x[0] - place) < 0.005
+    master.close()
+
+
+def test_a_mode_that_never_comes_ends_the_way_to_operation(cell: OtherCell) -> None:
+    """A drive that enables without stopping in switched on, from which it would take its mode."""
+    drive = cell.drives[1]
+    drive.od.write(0x6061, 0, 8)
+    refuse_modes(drive, {"switch on disabled", "ready to switch on"})
+    enter = drive.enter
+    drive.enter = lambda state: enter("operation enabled" if state == "switched on" else state)
+    master = cell.connect()
+    master.check()
+    began = cell.bus.time
+    master.cancelled = lambda: cell.bus.time > began + 30.0
+    with pytest.raises(DriveError, match="without its mode") as refused:
+        master.energise([Mode.HOLD] * 2)
+    assert refused.value.axis == "A2"
+    assert cell.bus.time - began < ENABLE_S + CHANGE_S + 2.0
+    master.close()
+    assert drive.state == "switch on disabled"
