@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 from durand.services.sdo.server import SDODomainAbort
-from other_cell import OtherCell
+from other_cell import CYCLE, OtherCell
 
-from invid.errors import DriveError
+from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import ENABLE_S, Cia402Cell
 from invid_drivers.cia402.mode_change import CHANGE_S
@@ -97,3 +98,26 @@ def test_a_mode_that_never_comes_ends_the_way_to_operation(cell: OtherCell) -> N
     assert cell.bus.time - began < ENABLE_S + CHANGE_S + 2.0
     master.close()
     assert drive.state == "switch on disabled"
+
+
+@pytest.mark.parametrize("late", [0.6, 1.7])
+def test_a_computer_that_is_always_late_sends_sync_and_heartbeat_and_ends_the_run(
+    cell: OtherCell, late: float
+) -> None:
+    master = cell.connect()
+    energise_held(cell, master)
+    bus, sleep = cell.bus, cell.bus.clock.sleep_until
+    bus.clock.sleep_until = lambda instant: sleep(instant + late * CYCLE)
+    bus.at.append((bus.time + 5.0, lambda: pytest.fail("no SYNC for seconds")))
+    began = bus.time
+    with pytest.raises(SafetyStop) as stopped:
+        master._watched([0.0, 0.0])
+    assert stopped.value.code == "computer_late"
+    pause = bus.time - began
+    assert pause < (master._config.safety.overrun_cycles + 4) * CYCLE * (1 + late)
+    syncs = [t for t, cob, _ in bus.sent if cob == 0x80]
+    assert min(b - a for a, b in pairwise(syncs)) >= 0.5 * CYCLE
+    assert [t for t, cob, _ in bus.sent if cob == 0x77F and t > began] or pause < master._config.safety.heartbeat_s
+    master.close()
+    assert [d.state for d in cell.drives] == ["quick stop active", "switch on disabled"]
+    assert abs(cell.drives[0].axis.x[0]) < 0.02

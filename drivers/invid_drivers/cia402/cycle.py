@@ -290,10 +290,13 @@ class Cycle:
         Whoever is later, because the targets took long or because the system woke this process late, goes
         on to the next slot still ahead: a pause is never made up for by a burst. Nor is one in the middle of
         sending SYNC, after which the frame may have left at any moment until ``_sent``: a slot less than half
-        a cycle after that is skipped. So two SYNCs are never closer than half a cycle.
+        a cycle after that is skipped. So two SYNCs are never closer than half a cycle. A computer that is
+        always late sends SYNC all the same once it has skipped more slots than are forgiven: the drives get
+        their targets, and whoever makes the cycle ends it.
         """
         clock, cycle = self._link.clock, self._cycle
         slot = self._slot + 1
+        last = slot + self._config.safety.overrun_cycles
         while True:
             deadline = self._started + slot * cycle
             if deadline - self._sent >= CLOSEST_CYCLES * cycle:
@@ -301,11 +304,12 @@ class Cycle:
                     clock.sleep_until(deadline)
                 self._drain()  # it may have taken its time: only now is it known how late SYNC is
                 instant = clock.now()
-                if instant <= deadline + CLOSEST_CYCLES * cycle:
+                if instant <= deadline + CLOSEST_CYCLES * cycle or slot > last:
                     return slot, deadline, instant
                 self.jitter.add(instant - deadline)
             else:
                 instant = self._sent
+            self._link.beat(clock.now())
             ahead = max(int((instant - self._started) / cycle), slot) + 1
             self.skipped_slots += ahead - slot
             slot = ahead
