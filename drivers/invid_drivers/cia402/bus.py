@@ -59,6 +59,7 @@ class Cia402Cell:
         self._touched = False
         self._stopped = True
         self._relief: WeightRelief | None = None
+        self._yielded: list[str] = []
         self.bounds: Bounds | None = None
         """What no cycle may pass, from before the first axis is enabled to the last one off."""
         self._torque_off: dict[int, float] = {}
@@ -199,7 +200,7 @@ class Cia402Cell:
         said = [f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves]
         protection = (note for d in self._drives for note in d.protection.notes)
         holds = (s for h in self.holdings if (s := h.said(f"axis {h.config.name}")))
-        return (*said, *(f"{text} are on the bus too" for text in others), *protection, *holds)
+        return (*said, *(f"{text} are on the bus too" for text in others), *protection, *holds, *self._yielded)
 
     def energise(self, modes: Sequence[Mode]) -> None:
         """Protect, map, start and enable every drive at rest where it stands."""
@@ -249,6 +250,7 @@ class Cia402Cell:
         self._cycle.leaving = False
         units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self._reports]
         self._relief = WeightRelief(self._config, self._drives, self._cycle, units, self.held.too_heavy)
+        self._yielded = self._relief.notes
         self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._enable(modes, unset)

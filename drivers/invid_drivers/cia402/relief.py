@@ -46,7 +46,8 @@ class _Axis:
     """Acceleration at the limit, once that is known; from then on the limit is halved."""
     since: float = 0.0
     back: SettingWrite | None = None
-    """What was written before, for a load."""
+    """What was written before, for a load or where nobody can tell."""
+    is_load: bool = False
 
 
 class WeightRelief:
@@ -63,6 +64,8 @@ class WeightRelief:
         """``units``: position of a count [rad or m] and torque of a thousandth [N·m or N] of each axis;
         ``remember`` takes an axis and the thousandths that its load needs at least.
         """
+        self.notes: list[str] = []
+        """What a person must know of axes that yielded, and nobody knows why."""
         self._config, self._drives, self._cycle, self._remember = config, drives, cycle, remember
         self._counts = [abs(count) for count, _ in units]
         self._torque = [abs(torque) for _, torque in units]
@@ -89,7 +92,7 @@ class WeightRelief:
                 self._end(i, axis, axis.back, sample)
                 continue
             if axis.before is not None and sample.time - axis.since > PROBE_S:
-                del self._axes[i]  # it stays at half: nothing is known of what drives it
+                self._give_back(i, axis, sample)
                 continue
             held = self._cycle.modes[i] is Mode.HOLD and doubted[i]
             if not held or not sample.fresh[i] or state_of(sample.status[i]) != DriveState.OPERATION_ENABLED:
@@ -136,15 +139,31 @@ class WeightRelief:
                 axis=name,
             )
         if faster > DECISIVE * noise:
-            axis.back, axis.since = self._write(i, max(1, axis.wrote // 2), axis.wrote), sample.time
+            axis.is_load = True
+            self._give_back(i, axis, sample)
+
+    def _give_back(self, i: int, axis: _Axis, sample: Sample) -> None:
+        axis.back, axis.since = self._write(i, max(1, axis.wrote // 2), axis.wrote), sample.time
 
     def _end(self, i: int, axis: _Axis, back: SettingWrite, sample: Sample) -> None:
-        """End the run once the load has what the config permits: on the way out no limit rises."""
+        """End the run once the load has what the config permits: on the way out no limit rises.
+
+        Where nobody could tell what made the axis yield, the run goes on with the whole limit, which is said;
+        the watch ends it if the axis yields again.
+        """
         if not back.done and sample.time - axis.since < PROBE_S:
             return
         del self._axes[i]
-        self._remember(i, axis.wrote + 1)
         name = self._config.axes[i].name
+        if not axis.is_load:
+            kept = "given back" if back.done and back.refused is None else "not taken back, and is half"
+            self.notes.append(
+                f"axis {name}: it yielded to its torque limit when it was enabled, and half of the limit did "
+                f"not tell within {PROBE_S:g} s whether to its load or to a wrong sign; the limit (0x6072, "
+                f"{axis.wrote} ‰) was {kept}"
+            )
+            return
+        self._remember(i, axis.wrote + 1)
         raise SafetyStop(
             f"axis {name}: its drive does not hold it within {axis.wrote} ‰ of rated torque, as the config "
             "limits it, and it sinks",
