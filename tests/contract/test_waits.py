@@ -13,6 +13,7 @@ from other_cell import CYCLE, OtherCell
 from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import ENABLE_S, Cia402Cell
+from invid_drivers.cia402.link import HEARD_S
 from invid_drivers.cia402.mode_change import CHANGE_S
 from tests.system.durand_process import RATED
 
@@ -118,7 +119,9 @@ def test_a_computer_that_is_always_late_sends_sync_and_heartbeat_and_ends_the_ru
     assert pause < (master._config.safety.overrun_cycles + 4) * CYCLE * (1 + late)
     syncs = [t for t, cob, _ in bus.sent if cob == 0x80]
     assert min(b - a for a, b in pairwise(syncs)) >= 0.5 * CYCLE
-    assert [t for t, cob, _ in bus.sent if cob == 0x77F and t > began] or pause < master._config.safety.heartbeat_s
+    assert [
+        t for t, cob, _ in bus.sent if cob == 0x77F and t > began
+    ] or pause < master._config.safety.heartbeat_s
     master.close()
     assert [d.state for d in cell.drives] == ["quick stop active", "switch on disabled"]
     assert abs(cell.drives[0].axis.x[0]) < 0.02
@@ -152,4 +155,46 @@ def test_half_a_torque_limit_that_told_nothing_is_given_back_and_said(tmp_path: 
     assert limit // 2 in [value for _, value in written]
     assert number(0x6072) == limit
     assert "did not tell within 0.15 s" in " ".join(master.notes)
+    master.close()
+
+
+def test_a_stop_is_heard_at_once_in_the_silence_of_the_stop_test(tmp_path: Path) -> None:
+    """A heartbeat of 5 s makes a silence of 22.7 s."""
+    cell = OtherCell(tmp_path, [LOADED], [{"gravity_loaded": True}], heartbeat_s=5.0)
+    master = cell.connect()
+    energise_held(cell, master)
+    asked: list[float] = []
+    master.cancelled = lambda: bool(asked)
+
+    def ask_in_silence() -> None:
+        last = max(t for t, cob, _ in cell.bus.sent if cob == 0x80)
+        if cell.bus.time - last > 1.0:
+            asked.append(cell.bus.time)
+        else:
+            cell.bus.at.append((cell.bus.time + 0.1, ask_in_silence))
+
+    cell.bus.at.append((cell.bus.time, ask_in_silence))
+    with pytest.raises(SafetyStop, match="on request"):
+        master.secure([True])
+    assert cell.bus.time - asked[0] < HEARD_S + 0.01
+    master.stop()
+    back = min(t for t, cob, _ in cell.bus.sent if cob == 0x201 and t > asked[0])
+    assert back - asked[0] < HEARD_S + 0.05
+    assert master.held_at_end == ("A1",)
+    master.close()
+    assert cell.drives[0].state == "quick stop active"
+    assert abs(cell.drives[0].axis.x[0]) < 0.02
+
+
+def test_a_stop_is_heard_while_a_drive_that_answers_slowly_is_prepared(cell: OtherCell) -> None:
+    master = cell.connect()
+    master.check()
+    arrive = cell.bus.arrive
+    cell.bus.arrive = lambda cob, data: None if cob & 0x780 == 0x580 else arrive(cob, data)
+    asked = cell.bus.time + 0.5
+    master.cancelled = lambda: cell.bus.time > asked
+    with pytest.raises(SafetyStop, match="on request"):
+        master.energise([Mode.HOLD] * 2)
+    assert cell.bus.time - asked < HEARD_S + 0.01
+    cell.bus.arrive = arrive
     master.close()

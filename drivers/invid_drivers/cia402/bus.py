@@ -29,7 +29,7 @@ from invid_drivers.cia402.holding import (
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import tighten
-from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
+from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link, never
 from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.moving_cell import MovingCell
 from invid_drivers.cia402.relief import WeightRelief
@@ -68,8 +68,8 @@ class Cia402Cell:
         """Axes that their drives hold in quick stop active."""
         self.not_off: tuple[str, ...] = ()
         """Axes that were not seen to switch off."""
-        self.cancelled: Callable[[], bool] = lambda: False
-        """Asked while the drives are being enabled: brakes take their time, a stop must not."""
+        self.cancelled: Callable[[], bool] = never
+        """Asked in every wait until the way out: brakes and drives take their time, a stop must not."""
 
     # --- facts ---------------------------------------------------------------------------------
     @property
@@ -120,6 +120,7 @@ class Cia402Cell:
     # --- before motion -------------------------------------------------------------------------
     def check(self) -> tuple[DriveReport, ...]:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
+        self._hear_stops()
         self._link.require_bus()
         for drive in self._drives:
             drive.refuse_declared()
@@ -149,6 +150,9 @@ class Cia402Cell:
     def link(self) -> Link:
         """The bus, for whoever probes it before the drives are enabled."""
         return self._link
+
+    def _hear_stops(self) -> None:
+        self._link.cancelled = lambda: self.cancelled()
 
     def _pre_operational(self) -> None:
         """But for drives under power: leaving operational may make one of them let go."""
@@ -200,12 +204,19 @@ class Cia402Cell:
         said = [f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves]
         protection = (note for d in self._drives for note in d.protection.notes)
         holds = (s for h in self.holdings if (s := h.said(f"axis {h.config.name}")))
-        return (*said, *(f"{text} are on the bus too" for text in others), *protection, *holds, *self._yielded)
+        return (
+            *said,
+            *(f"{text} are on the bus too" for text in others),
+            *protection,
+            *holds,
+            *self._yielded,
+        )
 
     def energise(self, modes: Sequence[Mode]) -> None:
         """Protect, map, start and enable every drive at rest where it stands."""
         if not self._reports:
             self.check()
+        self._hear_stops()
         for reason in self.not_ready:
             if reason.code == "axis_suspect":
                 raise DriveError(f"{reason.text}; {reason.fix}")
@@ -409,6 +420,7 @@ class Cia402Cell:
 
         Where it is interrupted itself (a second Ctrl-C), the next call begins again.
         """
+        self._link.cancelled = never
         if self._stopped:
             return
         with contextlib.suppress(Exception):

@@ -213,19 +213,24 @@ class StopTest:
         link.beating = False
         watch = 3 * self._config.safety.heartbeat_s
         began = link.clock.now()
-        while link.clock.now() < began + 1.5 * watch + SILENCE_S and not self._lost(axes):
-            for i in axes:  # a question is no sign of life of a master
-                link.ask(self._drives[i].node_id, upload(od.STATUSWORD))
-            link.wait(LOOK_S)
-        link.beating = True
+        try:
+            while link.clock.now() < began + 1.5 * watch + SILENCE_S and not self._lost(axes):
+                for i in axes:  # a question is no sign of life of a master
+                    link.ask(self._drives[i].node_id, upload(od.STATUSWORD))
+                link.wait(LOOK_S)
+        finally:  # a stop ends the silence as well
+            link.beating = True
+            for peer in link.peers.values():
+                peer.last_heartbeat = None
+            for drive in self._drives:
+                link.nmt(NMT_START, drive.node_id)  # a drive may leave operational when its master is gone
+            self._cycle.restart_slots()
         for peer in link.peers.values():
             for code in peer.own_errors(since=began):
-                raise DriveError(f"axis {peer.name} reports error 0x{code:04X} in the stop test")
+                raise DriveError(
+                    f"axis {peer.name} reports error 0x{code:04X} in the stop test", axis=peer.name
+                )
         link.events[:] = [e for e in link.events if e.severity is not Severity.DRIVE]
-        for peer in link.peers.values():
-            peer.last_heartbeat = None
-        for drive in self._drives:
-            link.nmt(NMT_START, drive.node_id)  # a drive may leave operational when its master is gone
         link.wait(0.005)
         lost = self._lost(axes)
         if lost:
