@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import yaml
 
 from invid.config import CellConfig
-from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
+from invid.errors import ConfigError, DriveError, InvidError, SafetyStop, left_by, note_left
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import frozen_float
 from invid.planning import AxisForecast, Plan, make_plan
@@ -27,7 +27,7 @@ from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.collecting import Judged
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.readiness import prepare
-from invid_drivers.relay import measure_in_process
+from invid_drivers.relay import ALL_OFF, measure_in_process
 from invid_drivers.stopping_budgets import Wish, measured_budgets, plan_within
 
 __all__ = ["MeasurementResult", "Progress", "measure_to_file"]
@@ -232,8 +232,6 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
     the next experiment is needed (see ``Sweep.go_on``); without it ``go_on`` is called in between, which
     only a cell in virtual time can wait for.
     """
-    complaints: list[str] = []
-    closed = False
     recorder: ClosingSink | None = None
     outcome = Outcome.FAILED
     try:
@@ -259,45 +257,46 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         result = sweep.run()
         outcome = Outcome.COMPLETED
         complaints = cell.close()
-        closed = True
         if cell.not_off:
-            raise DriveError(" ".join((_not_off(cell.not_off), *cell.endings)))
-        return _result(config, cell, out, result, [*notes, *complaints])
-    except (SafetyStop, KeyboardInterrupt) as error:
-        outcome = Outcome.ABORTED
-        cell.suspect(str(error))
-        ending = _ending(cell)
-        if ending and isinstance(error, SafetyStop):
-            raise error.saying(f"{error}. {ending}") from None
+            raise DriveError(
+                "the measurement is complete, but not every drive switched off", axes=cell.not_off
+            )
+    except BaseException as error:
+        if isinstance(error, (SafetyStop, KeyboardInterrupt)):
+            outcome = Outcome.ABORTED
+        _leave(cell, recorder, outcome, error)
         raise
-    except (BusError, ConfigError) as error:
-        cell.suspect(str(error))
-        ending = _ending(cell)
-        if ending and not str(error).endswith(ending):
-            raise error.saying(f"{error}. {ending}") from None
+    recorder.close(outcome)
+    return _result(config, cell, out, result, [*notes, *complaints])
+
+
+def _leave(cell: Cia402Cell, recorder: ClosingSink | None, outcome: Outcome, error: BaseException) -> None:
+    """Stop the drives, restore them, close the file, in this order; what is left is noted in the error.
+
+    The drives first: a file that cannot be closed must not keep an axis energised. What interrupts this, a
+    second Ctrl-C or a fault of this program, carries what is known by then.
+    """
+    try:
+        cell.suspect(error)
+        cell.close()
+    except BaseException as worse:
+        cell.stop()  # it may have been interrupted
+        note_left(worse, (*left_by(error), *_left(cell, worse)))
         raise
     finally:
-        # The drives first: a file that cannot be closed must not keep an axis energised.
+        note_left(error, _left(cell, error))
         try:
-            if not closed:
-                cell.close()
-        finally:
             if recorder is not None:
                 recorder.close(outcome)
+        except InvidError as failure:
+            note_left(error, (str(failure),))
 
 
-def _not_off(axes: tuple[str, ...]) -> str:
-    return (
-        f"Axis {', '.join(axes)} was not seen to switch off (its heartbeat watch should stop it): make sure "
-        "of it, with the emergency stop if need be"
-    )
-
-
-def _ending(cell: Cia402Cell) -> str:
-    """Stop the drives after any end; return which of them are on and what to do, empty where all are off."""
-    cell.stop()
-    not_off = (_not_off(cell.not_off),) if cell.not_off else ()
-    return ". ".join((*not_off, *cell.endings))
+def _left(cell: Cia402Cell, error: BaseException) -> tuple[str, ...]:
+    """What is known of the axes; whoever ended it at once is told where all are off, too."""
+    if cell.left or not isinstance(error, KeyboardInterrupt):
+        return cell.left
+    return (ALL_OFF,)
 
 
 def _header(config: CellConfig, cell: Cia402Cell) -> Recording:

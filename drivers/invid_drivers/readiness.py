@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from invid.config import CellConfig
-from invid.errors import InvidError
 from invid.planning import Plan
 from invid.planning.budget import RoundTrip
 from invid.planning.forecast import fit_to_limits
@@ -14,6 +13,7 @@ from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import Reason, remembered, to_support
 from invid_drivers.cia402.journal import journal_path
+from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.round_trip import probe, require
 from invid_drivers.stopping_budgets import Budgets, Wish, plan_within
@@ -89,7 +89,7 @@ def loads_to_support(config: CellConfig) -> tuple[str, ...]:
     """
     if config.simulated:
         return ()
-    return to_support(config, HoldMemory.beside(journal_path(config.bus.interface, config.bus.channel)))
+    return to_support(config, _memory(config))
 
 
 def support_sentence(axes: Sequence[str]) -> str:
@@ -101,23 +101,26 @@ def support_sentence(axes: Sequence[str]) -> str:
 
 
 def not_ready(config: CellConfig) -> tuple[Reason, ...]:
-    """Reasons of axes that an earlier run left energised, or at which it ended; empty: none.
+    """Reasons of axes that an earlier run left energised, or at which it ended, as of when that was seen.
 
-    The bus is opened only where there was one: then the drives say whether they still are, as in ``check``.
+    Nothing is asked or sent: what the drives say now is for ``invid check``, which writes to them.
+    """
+    return () if is_virtual(config) else remembered(config, _memory(config))
+
+
+def known_after_death(config: CellConfig, longest_s: float) -> tuple[str, ...]:
+    """What is known of the axes of a run whose processes were killed or died, as sentences; asks no drive.
+
+    A cycle process that is still stopping its drives is waited for, at most so long [s].
     """
     if is_virtual(config):
         return ()
-    said = remembered(config, HoldMemory.beside(journal_path(config.bus.interface, config.bus.channel)))
-    if not said:
-        return ()
-    try:
-        cell = connect(config)
-    except InvidError:
-        return said
-    try:
-        cell.check()
-        return cell.not_ready
-    except InvidError:
-        return said
-    finally:
-        cell.close()
+    free = Reservation.await_free(config.bus.interface, config.bus.channel, longest_s)
+    said = [f"{r.text}; {r.fix}" for r in remembered(config, _memory(config))]
+    if not free:
+        said.insert(0, f"the process that drives the axes still has the bus after {longest_s:.0f} s")
+    return tuple(said)
+
+
+def _memory(config: CellConfig) -> HoldMemory:
+    return HoldMemory.beside(journal_path(config.bus.interface, config.bus.channel))

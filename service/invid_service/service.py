@@ -16,10 +16,12 @@ from datetime import UTC, datetime, timedelta
 from sqlalchemy.exc import SQLAlchemyError
 
 from invid.config import CellConfig
-from invid.errors import InvidError, ModelError
+from invid.errors import ConfigError, InvidError, ModelError
 from invid.planning.belief import from_model
 from invid_drivers.cia402.holding import Reason as CellReason
+from invid_drivers.connect import is_virtual
 from invid_drivers.readiness import foresee, not_ready
+from invid_drivers.relay import STOP_S
 from invid_drivers.stopping_budgets import Wish
 from invid_service.audit import AuditLog
 from invid_service.auth import check_bind
@@ -302,11 +304,17 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
         results = Results(
             store, blobs, auto_accept=settings.auto_accept, unchanged_percent=settings.unchanged_percent
         )
+        if settings.stop_grace_s < STOP_S and not all(is_virtual(c.config) for c in cells.values()):
+            raise ConfigError(
+                f"stop_grace_s is {settings.stop_grace_s:g}: a runner that stops its drives in order may "
+                f"take {STOP_S:.0f} s; leave it out, or set more"
+            )
         limits = Limits(
             settings.check_timeout_s,
             settings.arm_timeout_s,
             settings.analysis_timeout_s,
             settings.stop_grace_s,
+            settings.motion_silence_s,
         )
         jobs = JobManager(store, results, launcher, limits, clock, parallel_uploads=settings.parallel_uploads)
         metrics = Metrics(lambda: len([c for c in cells if jobs.occupying(c) is not None]))

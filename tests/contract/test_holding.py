@@ -273,7 +273,7 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     master = enabled(bench)
     master.secure([True, False])
     master.stop()
-    master.suspect("axis A1: position left its window")
+    master.suspect(SafetyStop("axis A1: position left its window", axis="A1"))
     master.close()
     again = bench.connect()
     again.check()

@@ -10,11 +10,16 @@ import pytest
 from durand.services.sdo.server import SDODomainAbort
 from other_cell import CYCLE, OtherCell
 
-from invid.errors import DriveError, SafetyStop
+from invid.errors import DriveError, RecordingError, SafetyStop, left_by
+from invid.recording import Outcome
 from invid.sweep import Mode
-from invid_drivers.cia402.bus import ENABLE_S, Cia402Cell
+from invid_drivers.cia402.bus import ENABLE_S, STOPPED_S, Cia402Cell
+from invid_drivers.cia402.hold_memory import HoldMemory
+from invid_drivers.cia402.holding import remembered
 from invid_drivers.cia402.link import HEARD_S
 from invid_drivers.cia402.mode_change import CHANGE_S
+from invid_drivers.cli.measure import stop_on_signals
+from invid_drivers.measurement import run_measurement
 from tests.system.durand_process import RATED
 
 LOADED = {"gravity": 5.0, "values": {"0x605A": 6}}
@@ -198,3 +203,114 @@ def test_a_stop_is_heard_while_a_drive_that_answers_slowly_is_prepared(cell: Oth
     assert cell.bus.time - asked < HEARD_S + 0.01
     cell.bus.arrive = arrive
     master.close()
+
+
+def test_the_axes_of_an_error_are_remembered_and_no_number_in_its_words(tmp_path: Path) -> None:
+    cell = OtherCell(tmp_path, [LOADED, {}], [{"name": "1", "gravity_loaded": True}, {"name": "2"}])
+    master = cell.connect()
+    energise_held(cell, master)
+    master.suspect(SafetyStop("axis 2: moved by 0.1 rad", axis="2"))
+    assert [bool(h.seen.suspect) for h in master.holdings] == [False, True]
+    master.close()
+
+
+class Failing:
+    """A sink whose file fails in the first row, and again when it is closed."""
+
+    def begin(self, *_: Any) -> None:
+        pass
+
+    def row(self, *_: Any) -> None:
+        raise ZeroDivisionError("a fault of this program")
+
+    def end(self) -> None:
+        pass
+
+    def close(self, _: Outcome) -> None:
+        raise RecordingError("rec.h5: cannot be closed")
+
+
+def test_an_error_that_nobody_expected_carries_what_could_not_be_restored(cell: OtherCell) -> None:
+    master = cell.connect()
+    master.check()
+
+    def refuse(value: int) -> None:
+        if cell.drives[1].state == "switch on disabled" and value == 10_000:
+            raise SDODomainAbort(0x08000021, (0x6072, 0))
+
+    cell.drives[1].od.validate_callbacks[(0x6072, 0)].add(refuse)
+    with pytest.raises(ZeroDivisionError) as failed:
+        run_measurement(
+            cell.config, cell.plan(), master, cell.folder / "rec.h5", open_sink=lambda _: Failing()
+        )
+    left = " ".join(left_by(failed.value))
+    assert "axis A1 is energised" in left
+    assert "0x6072" in left
+    assert "cannot be closed" in left
+
+
+@pytest.mark.parametrize("loaded", [True, False])
+def test_who_stops_at_once_is_told_which_axes_stay_energised(tmp_path: Path, loaded: bool) -> None:
+    cell = OtherCell(tmp_path, [LOADED if loaded else {}], [{"gravity_loaded": loaded}])
+    master = cell.connect()
+    plan = cell.plan()
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    sink = Failing()
+    sink.row, sink.close = interrupt, lambda _: None  # type: ignore[method-assign]
+    with pytest.raises(SafetyStop, match="stopped at once on request") as stopped, stop_on_signals():
+        run_measurement(cell.config, plan, master, cell.folder / "rec.h5", open_sink=lambda _: sink)
+    assert cell.drives[0].state == ("quick stop active" if loaded else "switch on disabled")
+    assert ("axis A1 is energised" in str(stopped.value)) is loaded
+    assert ("it left no axis under power" in str(stopped.value)) is not loaded
+
+
+@pytest.mark.parametrize("slow", ["answers", "mute", "ramp"])
+def test_the_way_out_ends_in_its_stated_time_whatever_drives_do(tmp_path: Path, slow: str) -> None:
+    """SDO answers of 0.9 s, none at all, a quick stop of a minute from 3 rad/s: off or held, and closed."""
+    ramp = {"values": {"0x6085": 1000, "0x6084": 1000}} if slow == "ramp" else {}
+    cell = OtherCell(tmp_path, [ramp] * 6, [{"gravity_loaded": False}] * 6)
+    master, bus = cell.connect(), cell.bus
+    master.check()
+    master.energise([Mode.TORQUE] * 6)
+    for _ in range(10):
+        master._watched([0.0] * 6)
+    for drive in cell.drives:
+        drive.axis.v[0] = 1.0 if slow == "ramp" else 0.0
+    arrive = bus.arrive
+
+    def late(cob: int, data: bytes) -> None:
+        if slow != "ramp" and cob & 0x780 == 0x180:
+            return
+        if slow == "answers" and cob & 0x780 == 0x580:
+            bus.at.append((bus.time + 0.9, lambda: arrive(cob, data)))
+            bus.at.sort(key=lambda e: e[0])
+        elif slow != "mute" or cob & 0x780 != 0x580:
+            arrive(cob, data)
+
+    bus.arrive = late
+    began = bus.time
+    said = master.close()
+    assert bus.time - began < STOPPED_S
+    assert {d.state for d in cell.drives} == {"switch on disabled"}
+    assert bool(said) is (slow != "ramp")
+
+
+def test_a_run_that_is_killed_leaves_that_its_axes_may_be_energised(cell: OtherCell) -> None:
+    master = cell.connect()
+    energise_held(cell, master)
+    memory = HoldMemory.beside(cell.folder / "bus.journal")  # as another process reads it after kill -9
+    found = remembered(cell.config, memory)
+    assert [(r.axis, r.code, r.taken_over) for r in found] == [
+        ("A1", "axis_energised", True), ("A2", "axis_energised", True),
+    ]  # fmt: skip
+    assert all("may be energised" in r.text and r.at is not None for r in found)
+    master.secure([True, False])
+    master.close()
+    left = remembered(cell.config, HoldMemory.beside(cell.folder / "bus.journal"))
+    assert ["its drive holds it" in r.text for r in left] == [True]
+    cell.drives[0].enter("switch on disabled")
+    assert cell.check() == ""
+    assert remembered(cell.config, HoldMemory.beside(cell.folder / "bus.journal")) == ()

@@ -41,7 +41,8 @@ class Access:
         if row is None:
             raise DriveError(
                 f"axis {self.name}: vendor {config.vendor!r} is not in the table; known are "
-                f"{', '.join(sorted(VENDORS))} (generic asks the drive for everything)"
+                f"{', '.join(sorted(VENDORS))} (generic asks the drive for everything)",
+                axis=self.name,
             )
         self.vendor = row
         self.declared, self.eds_warnings = declared_of(self.name, config.eds, config.node_id)

@@ -124,7 +124,8 @@ class Drive(Access):
         if timer is not None and timer < 2 * self._cycle_s * 1000:
             raise DriveError(
                 f"{self.who}: 0x1400:5 of the drive stops it after {timer} ms without its RPDO, and is not "
-                f"loosened; set bus.cycle_s to {timer / 2000:g} at most, or 0x1400:5 with the drive's tool"
+                f"loosened; set bus.cycle_s to {timer / 2000:g} at most, or 0x1400:5 with the drive's tool",
+                axis=self.name,
             )
         return timer
 
@@ -149,7 +150,8 @@ class Drive(Access):
             code = self.find(od.ERROR_CODE) or 0
             raise DriveError(
                 f"{self.who}: in fault (error 0x{code:04X}); find the cause, then reset it at the drive or "
-                "with its tool: this service never resets a fault by itself"
+                "with its tool: this service never resets a fault by itself",
+                axis=self.name,
             )
         limits = self.protection.limits(scaling, warnings)
         if (
@@ -180,7 +182,9 @@ class Drive(Access):
             warnings.append(f"{self.who}: 0x1000 is 0: it does not say that it is a drive")
         elif profile != PROFILE:
             name = PROFILES.get(profile, f"a device of profile {profile}")
-            raise DriveError(f"{said}: {name}, no CiA 402 drive; is node_id that of this axis's drive?")
+            raise DriveError(
+                f"{said}: {name}, no CiA 402 drive; is node_id that of this axis's drive?", axis=self.name
+            )
         elif kinds == 0:
             warnings.append(f"{said}: it does not say what kind of drive it is")
         elif not kinds & SERVO:
@@ -189,7 +193,8 @@ class Drive(Access):
             if reason is None:
                 raise DriveError(
                     f"{said}: {' and '.join(names)}, no servo drive; is node_id that of this axis's drive? "
-                    'If it is, and it controls torque all the same, say why: overrides: {"0x1000": "reason"}'
+                    'If it is, and it controls torque all the same, say why: overrides: {"0x1000": "reason"}',
+                    axis=self.name,
                 )
             warnings.append(f"{said}: {' and '.join(names)}; used all the same, as overrides says ({reason})")
 
@@ -201,7 +206,8 @@ class Drive(Access):
             raise DriveError(
                 f"{self.who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be "
                 "shaken. Log its motion with another tool and use `invid import`; if the file is not this "
-                "drive's, leave eds out and the drive itself is asked"
+                "drive's, leave eds out and the drive itself is asked",
+                axis=self.name,
             )
 
     def _compare_identity(self, warnings: list[str]) -> None:
@@ -238,7 +244,8 @@ class Drive(Access):
             if self.find(what) is None:
                 raise DriveError(
                     f"{self.who}: the drive has no {what.address} ({what.name}): {why}; this drive cannot be "
-                    "shaken. Log its motion with another tool and use `invid import`"
+                    "shaken. Log its motion with another tool and use `invid import`",
+                    axis=self.name,
                 )
 
     def _modes(self, warnings: list[str]) -> tuple[OperationMode, bool]:
@@ -265,7 +272,8 @@ class Drive(Access):
             f"{self.who}: the drive has no torque mode (0x6502 is 0x{supported:08X}, bits 9 and 3 are "
             "clear); it cannot be shaken. Choose a drive or firmware with cyclic synchronous torque, or with "
             "cyclic synchronous position and a torque offset (0x60B2), or record with its own tool and use "
-            "`invid import`"
+            "`invid import`",
+            axis=self.name,
         )
 
     def _tried_modes(self) -> int:
@@ -293,7 +301,8 @@ class Drive(Access):
                 raise DriveError(
                     f"{self.who}: the drive cannot watch the master's heartbeat (0x1016 is missing): if this "
                     "computer dies, the axis keeps its last torque. Where another device stops it then, set "
-                    "allow_missing_heartbeat: true for the axis"
+                    "allow_missing_heartbeat: true for the axis",
+                    axis=self.name,
                 )
             lacks.append("0x1016 consumer heartbeat: the drive does not notice when the master dies")
         else:
@@ -360,7 +369,8 @@ class Drive(Access):
                 names = ", ".join(f"{o.address} {o.name}" for o in wanted)
                 raise DriveError(
                     f"{self.who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
-                    "the cycle"
+                    "the cycle",
+                    axis=self.name,
                 ) from None
 
     def _write_timer(self) -> None:

@@ -7,6 +7,7 @@ Raw ``struct`` in the cycle; SDO, maps and states before and after it. Whoever e
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -15,12 +16,14 @@ import can
 from invid.config import CellConfig
 from invid.errors import BusError, DriveError, InvidError, SafetyStop
 from invid.sweep.bounds import Bounds, bounds_of
+from invid.sweep.motion import FADE_S
 from invid.sweep.ports import Clock, Mode, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive, DriveReport, ModeSet
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_time import tell_cycle
+from invid_drivers.cia402.disk import PATIENCE_S
 from invid_drivers.cia402.held_axes import HeldAxes
 from invid_drivers.cia402.holding import (
     AxisHolding,
@@ -29,19 +32,27 @@ from invid_drivers.cia402.holding import (
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import tighten
-from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link, never
+from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, Link, never
 from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.moving_cell import MovingCell
 from invid_drivers.cia402.relief import WeightRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
 from invid_drivers.cia402.takeover import find_powered, require_mode, require_ours
-from invid_drivers.cia402.way_out import WayOut
+from invid_drivers.cia402.way_out import WAY_OUT_S, WayOut
 
+RESTORE_S = 10.0
+"""Longest restoring of all drives together; a drive takes tenths of a second. The rest is left to the next
+start, which finds it in the journal."""
 LEAVING_S = 0.1
 """Longest wait on the way out for a setting that a loaded axis is better held with."""
 ENABLE_S = 3.0
 """Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
+
+
+STOPPED_S = FADE_S + HEARD_S + LEAVING_S + WAY_OUT_S + 2 * PATIENCE_S + RESTORE_S
+"""From a request to stop to drives that are off or held, restored, and a bus that is free: longest, whatever
+drives, disk and bus do."""
 
 
 class Cia402Cell:
@@ -56,7 +67,8 @@ class Cia402Cell:
         """How each axis is held when nobody commands it."""
         self._reports: list[DriveReport] = []
         self._cycle = Cycle(self._link, config)
-        self._touched = False
+        self.touched = False
+        """Whether the drives were prepared to be enabled."""
         self._stopped = True
         self._relief: WeightRelief | None = None
         self._yielded: list[str] = []
@@ -66,6 +78,9 @@ class Cia402Cell:
         """What each drive showed as torque without voltage [N·m or N]."""
         self.held_at_end: tuple[str, ...] = ()
         """Axes that their drives hold in quick stop active."""
+        self.complaints: list[str] = []
+        """What could not be restored, in words."""
+        self._closed = False
         self.not_off: tuple[str, ...] = ()
         """Axes that were not seen to switch off."""
         self.cancelled: Callable[[], bool] = never
@@ -180,10 +195,10 @@ class Cia402Cell:
         """A person has found the cause: these axes may be enabled again. Before ``check``."""
         self.held.clear(names)
 
-    def suspect(self, why: str) -> None:
-        """The run ended for a reason that names axes: remembered where any axis carries a load."""
-        if self._touched:
-            self.held.suspect(why)
+    def suspect(self, error: BaseException) -> None:
+        """The run ended at the axes of an error: remembered where any axis carries a load."""
+        if self.touched and isinstance(error, InvidError):
+            self.held.suspect(error.axes, error.reason)
 
     def _refuse_owned(self, drive: Drive) -> None:
         """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
@@ -193,7 +208,8 @@ class Cia402Cell:
             raise BusError(
                 f"axis {drive.name} (node {drive.node_id}): it watches the heartbeat of node {producer} "
                 "(0x1016), which is on this bus: it belongs to that master. Switch that off, or clear 0x1016 "
-                "if it is none"
+                "if it is none",
+                axis=drive.name,
             )
 
     @property
@@ -227,7 +243,7 @@ class Cia402Cell:
             self._link.gate.take(drive.node_id)
             self._link.peers[drive.node_id].booted = False
         self._stopped = False
-        self._touched = True
+        self.touched = True
         self._link.beating = True
         self._pre_operational()
         for drive, report, holding in zip(self._drives, self._reports, self.holdings, strict=True):
@@ -250,6 +266,7 @@ class Cia402Cell:
                 set_by_now = require_mode(drive, operation)
             unset.append(set_by_now)
         self._refuse_disturbed()
+        self.held.note_begin()
         self._link.events.clear()
         self._link.refuse_others()
         for peer in self._link.peers.values():
@@ -272,13 +289,15 @@ class Cia402Cell:
         if restarted:
             raise DriveError(
                 f"axis {', '.join(restarted)} has restarted while its protection was written, and may have "
-                "lost it; look at its supply, then start again"
+                "lost it; look at its supply, then start again",
+                axes=restarted,
             )
         for peer in self._link.peers.values():
             for code in peer.own_errors(since=peer.recovered):
                 raise DriveError(
                     f"axis {peer.name} reported error 0x{code:04X} before it was enabled; find out why, then "
-                    "start again"
+                    "start again",
+                    axis=peer.name,
                 )
 
     def _operation_mode(self, report: DriveReport, mode: Mode) -> OperationMode:
@@ -437,7 +456,8 @@ class Cia402Cell:
             for i, h in enumerate(self.holdings)
             if h.stays and h.config.name not in self.not_off and not self._is_surely_off(i)
         )
-        self.held.note_end(self.held_at_end)
+        self.held.note_end(self.held_at_end, self.not_off)
+        self._link.until = math.inf
         self._stopped = True
 
     def _is_surely_off(self, axis: int) -> bool:
@@ -463,24 +483,41 @@ class Cia402Cell:
         return {d.name: state_of(s) for d, s in zip(self._drives, self._cycle.sample.status, strict=True)}
 
     def close(self) -> list[str]:
-        """Stop, restore every object that was written, close the bus; what could not be restored."""
-        complaints: list[str] = []
+        """Stop, restore every object that was written, close the bus; what could not be restored.
+
+        Once closed, or where it is interrupted, ``complaints`` has what was found by then.
+        """
+        complaints = self.complaints
         self.stop()
+        if self._closed:
+            return complaints
         try:
-            self.journal.settle()
-            self.held.memory.settle()
-        except BusError as error:
-            complaints.append(str(error))
-        try:
-            if self._touched or self.journal.entries:
+            for disk in (self.journal, self.held.memory):
+                try:
+                    disk.settle()
+                except BusError as error:
+                    complaints.append(str(error))
+                    disk.defer()
+            self._link.until = self.clock.now() + RESTORE_S
+            if self.touched or self.journal.entries:
                 self._restore(complaints)
         except InvidError as error:
             complaints.append(str(error))
         finally:
+            self._closed = True
             self._link.beating = False
             self._link.close()
             self.journal.release()
         return complaints
+
+    @property
+    def left(self) -> tuple[str, ...]:
+        """What is known of the axes after the stop, and what could not be restored, as sentences."""
+        not_off = [
+            f"axis {', '.join(self.not_off)} was not seen to switch off (its heartbeat watch should stop "
+            "it): make sure of it, with the emergency stop if need be"
+        ]
+        return tuple(dict.fromkeys((*(not_off if self.not_off else ()), *self.endings, *self.complaints)))
 
     def _restore(self, complaints: list[str]) -> None:
         on = self._perhaps_on(complaints)
@@ -493,10 +530,22 @@ class Cia402Cell:
         for drive in self._drives:
             if drive.name in on | suspects:
                 continue
-            try:
-                complaints += drive.restore()
-            except InvidError as error:
-                complaints.append(str(error))
+            said: tuple[str, ...] = ()
+            if not self._is_late:
+                try:
+                    said = drive.restore()
+                except InvidError as error:
+                    said = (str(error),)
+            if self._is_late:
+                said = (
+                    f"axis {drive.name}: its settings were not restored within {RESTORE_S:g} s; the next "
+                    "start restores them",
+                )
+            complaints += said
+
+    @property
+    def _is_late(self) -> bool:
+        return self.clock.now() >= self._link.until
 
     def _perhaps_on(self, complaints: list[str]) -> set[str]:
         """Axes that keep their heartbeat watch and limits until the next start, because they may be on."""

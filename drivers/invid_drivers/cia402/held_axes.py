@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
 
@@ -54,8 +53,8 @@ class HeldAxes:
             state = powered.get(drive.name, DriveState.SWITCH_ON_DISABLED)
             holding = found_holding(drive, state, self.memory, report)
             if not holding.is_left_alone:
-                if holding.seen.left_held:
-                    holding.note(self.memory, left_held=False)
+                if holding.seen.left_held or holding.seen.in_run:
+                    holding.note(self.memory, left_held=False, in_run=False)
                 require_holdable(drive, holding)
             self.holdings.append(holding)
 
@@ -80,17 +79,17 @@ class HeldAxes:
             if drive.name in names:
                 self.memory.clear(drive.node_id)
 
-    def suspect(self, why: str) -> None:
-        """Remember the axes that the reason of a run's end names, where any axis carries a load.
+    def suspect(self, axes: Collection[str], why: str) -> None:
+        """Remember the axes at which a run ended, where any axis carries a load.
 
         What moves an axis that carries nothing moves the loaded ones that are coupled to it.
         """
         if not any(h.loaded for h in self.holdings):
             return
         for h in self.holdings:
-            if re.search(rf"(?<!\w){re.escape(h.config.name)}(?!\w)", why):
+            if h.config.name in axes:
                 with contextlib.suppress(BusError):  # the error that is on its way says more
-                    h.note(self.memory, suspect=why.partition(";")[0][:200])
+                    h.note(self.memory, suspect=why[:200])
 
     def too_heavy(self, axis: int, weight: int) -> None:
         """Remember that the load of an axis needs so many thousandths of rated torque at least."""
@@ -148,8 +147,16 @@ class HeldAxes:
             if h.loaded and abs(shown) > DEAD_PERMILLE * unit and sample.torque[i] == shown:
                 raise SafetyStop(
                     f"axis {h.config.name}: 0x6077 showed {shown / unit:.0f} ‰ of rated torque before the "
-                    "drive was switched on and shows it while it holds a load: it is not its torque"
+                    "drive was switched on and shows it while it holds a load: it is not its torque",
+                    axis=h.config.name,
                 )
+
+    def note_begin(self) -> None:
+        """Remember, before power, that a run commands these axes: whoever kills it leaves that behind."""
+        self.memory.defer()
+        for h in self.holdings:
+            h.note(self.memory, in_run=True)
+        self.memory.settle()
 
     def foresee_options(self) -> None:
         """Put both values that 0x605A may come to have into the journal, before power."""
@@ -182,13 +189,12 @@ class HeldAxes:
             exchange([0.0] * len(self._drives))
 
     # --- after the stop ------------------------------------------------------------------------
-    def note_end(self, held: Sequence[str]) -> None:
-        """Remember which axes their drives hold."""
+    def note_end(self, held: Sequence[str], not_off: Sequence[str]) -> None:
+        """Remember which axes their drives hold, and which were not seen to switch off."""
         for h in self.holdings:
             is_held = h.config.name in held
-            if is_held or h.seen.left_held:
-                with contextlib.suppress(BusError):
-                    h.note(self.memory, left_held=is_held)
+            with contextlib.suppress(BusError):
+                h.note(self.memory, left_held=is_held, in_run=h.config.name in not_off)
             if is_held:
                 h.state, h.taken_over = DriveState.QUICK_STOP_ACTIVE, True
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -32,6 +33,10 @@ class Seen:
     """Thousandths of rated torque that held its load at rest."""
     left_held: bool = False
     """A run left it energised in quick stop active."""
+    in_run: bool = False
+    """A run commands it, or did when it was killed: it may be energised."""
+    at: float = 0.0
+    """When something new was noted of it last [s since 1970]."""
     suspect: str = ""
     """Why a run ended at this axis beside a load or under one: not enabled again until a person says so."""
 
@@ -76,6 +81,7 @@ class HoldMemory:
             node_id=node_id,
             loaded=place.loaded if drive is None else drive.loaded or place.loaded,
             left_held=place.left_held,
+            in_run=place.in_run,
             suspect=place.suspect,
         )
 
@@ -95,8 +101,10 @@ class HoldMemory:
     def keep(self, identity: str, seen: Seen) -> None:
         """Remember what was seen: on disk at once, or later under power; BusError where it fails."""
         name = identity or f"node {seen.node_id}"
-        if self._seen.get(name) == seen:
+        before = self._seen.get(name)
+        if before is not None and replace(seen, at=before.at) == before:
             return
+        seen = replace(seen, at=time.time())
         others = {k: v for k, v in self._seen.items() if v.node_id != seen.node_id or k == name}
         self._seen = {**others, name: seen}
         if self.path is not None:

@@ -199,7 +199,8 @@ def require_holdable(drive: Access, holding: AxisHolding) -> None:
     if h.seen.weight is not None and h.seen.weight > h.limit:
         raise DriveError(
             f"{drive.who}: it took {h.seen.weight} ‰ of rated torque to hold its load, and the limit is "
-            f"{h.limit} ‰ now: it would fall. Compare 0x6076 with the motor's plate, or raise the limit"
+            f"{h.limit} ‰ now: it would fall. Compare 0x6076 with the motor's plate, or raise the limit",
+            axis=drive.name,
         )
     if h.can_stay or (h.config.brake == "drive" and h.brake_in_time is not False):
         return
@@ -210,7 +211,8 @@ def require_holdable(drive: Access, holding: AxisHolding) -> None:
         way_out = f"where it does not fall without torque, set gravity_loaded: false; else {way_out}"
     raise DriveError(
         f"{drive.who}: {_load(h)}, and it is not known that its drive holds it after a quick stop or without "
-        f"its master: {why}{late}. It would fall; {way_out}"
+        f"its master: {why}{late}. It would fall; {way_out}",
+        axis=drive.name,
     )
 
 
@@ -228,7 +230,9 @@ class Reason:
     axis: str
     node_id: int
     taken_over: bool = False
-    """Held as this program leaves an axis: the next measurement takes it over without letting go."""
+    """Nothing to wait for: the next measurement takes it over without letting go, or finds it off."""
+    at: float | None = None
+    """When that was seen [s since 1970]; ``None``: now."""
 
 
 def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool | None) -> Reason:
@@ -270,17 +274,35 @@ def suspect_reason(name: str, node_id: int, why: str) -> Reason:
     )
 
 
+def unended_reason(name: str, node_id: int) -> Reason:
+    """The reason of an axis whose run was killed: nobody has looked at its drive since."""
+    return Reason(
+        "axis_energised",
+        f"axis {name} (node {node_id}) may be energised: a run that commanded it did not end in order, and "
+        "its drive was not asked since",
+        "make sure of it; `invid check` asks its drive, and the next measurement does",
+        name,
+        node_id,
+        taken_over=True,
+    )
+
+
 def remembered(config: CellConfig, memory: HoldMemory) -> tuple[Reason, ...]:
-    """Reasons by the memory alone: axes left energised and not seen off since; axes under suspicion."""
+    """Reasons by the memory alone, as of when it was noted: axes left energised, or in a run that was killed,
+    and not seen off since; axes under suspicion.
+    """
     found = []
     for axis in config.axes:
         seen = memory.of_node(axis.node_id)
-        if seen is not None and seen.suspect:
+        if seen is None:
+            continue
+        if seen.suspect:
             found.append(suspect_reason(axis.name, axis.node_id, seen.suspect))
-        if seen is not None and seen.left_held:
-            found.append(
-                energised_reason(axis.name, axis.node_id, DriveState.QUICK_STOP_ACTIVE, seen.resumes)
-            )
+        if seen.left_held:
+            state = DriveState.QUICK_STOP_ACTIVE
+            found.append(replace(energised_reason(axis.name, axis.node_id, state, seen.resumes), at=seen.at))
+        elif seen.in_run:
+            found.append(replace(unended_reason(axis.name, axis.node_id), at=seen.at))
     return tuple(found)
 
 

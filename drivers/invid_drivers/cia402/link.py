@@ -6,6 +6,7 @@ nothing else ever touches the bus and virtual time only advances here.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -121,6 +122,8 @@ class Link:
         self._echoes: Counter[tuple[int, bytes]] = Counter()
         self.answer_s = ANSWER_S
         """How long a request waits for its answer, twice."""
+        self.until = math.inf
+        """No answer is waited for beyond this instant; requests leave all the same."""
         self.cancelled: Callable[[], bool] = never
         """Asked in every wait but those of the way out, which a stop does not end."""
 
@@ -372,7 +375,7 @@ class _PumpedSdo(SdoClient):
             try:
                 return self._answer_for(named)
             except SdoCommunicationError:
-                if attempt == 2:
+                if attempt == 2 or self._link.clock.now() >= self._link.until:
                     raise
         raise SdoCommunicationError("No SDO response received")
 
@@ -391,7 +394,7 @@ class _PumpedSdo(SdoClient):
     def _answer_for(self, named: bytes | None) -> bytes:
         """The next answer, or the next about the object ``named`` (index and subindex as sent)."""
         clock = self._link.clock
-        end = clock.now() + self._link.answer_s
+        end = min(clock.now() + self._link.answer_s, self._link.until)
         while True:
             while not self._answers:
                 rest = end - clock.now()

@@ -85,10 +85,12 @@ class StopTest:
         end = sample.time + SETTLE_S
         while not standing.all(sample, axes):
             if sample.time > end:
-                moving = ", ".join(self._name(i) for i in axes if not standing.stands(i))
+                moving = [self._name(i) for i in axes if not standing.stands(i)]
                 raise SafetyStop(
-                    f"axis {moving}: moves, though its drive is to hold it at rest (before the stop test). "
-                    "Somebody moves it, its load is beyond the drive's torque limit, or a sign is wrong in it"
+                    f"axis {', '.join(moving)}: moves, though its drive is to hold it at rest (before the "
+                    "stop test). Somebody moves it, its load is beyond the drive's torque limit, or a sign "
+                    "is wrong in it",
+                    axes=moving,
                 )
             sample = self._exchange()
 
@@ -116,7 +118,8 @@ class StopTest:
                 falls = [self._name(i) for i in axes if sample.time - moved_at[i] <= REST_S]
                 raise SafetyStop(
                     f"axis {', '.join(falls)}: its drive was switched off at rest, and {BRAKE_S:g} s later "
-                    "no brake held it (stop test). Set brake: none, or see to the brake"
+                    "no brake held it (stop test). Set brake: none, or see to the brake",
+                    axes=falls,
                 )
         for i in axes:
             delay = max(0.0, moved_at[i] - began)
@@ -165,8 +168,10 @@ class StopTest:
                 if state is not DriveState.QUICK_STOP_ACTIVE:
                     self._lets_go(i, f"{when} its drive is in {state.words}")
         if silent:
-            names = ", ".join(self._name(i) for i in sorted(silent))
-            raise BusError(f"axis {names}: no answer for {ANSWER_S:g} s {when}, in the stop test")
+            names = [self._name(i) for i in sorted(silent)]
+            raise BusError(
+                f"axis {', '.join(names)}: no answer for {ANSWER_S:g} s {when}, in the stop test", axes=names
+            )
 
     def _require_power(self, sample: Sample, axes: Sequence[int], when: str) -> None:
         """Catch a drive that lets go in the cycle in which it does, before its load has got anywhere."""
@@ -204,7 +209,9 @@ class StopTest:
         self._note(axis, holds=False)
         raise SafetyStop(
             f"axis {self._name(axis)}: it carries a load, and {what} (stop test at rest): its drive would "
-            "let it fall. Use a brake that the drive closes (brake: drive), another drive, or unload the axis"
+            "let it fall. Use a brake that the drive closes (brake: drive), another drive, or unload the "
+            "axis",
+            axis=self._name(axis),
         )
 
     def _fall_silent(self, axes: Sequence[int], start: Sequence[float]) -> None:
@@ -260,7 +267,8 @@ class StopTest:
                 return state
         raise BusError(
             f"axis {self._name(axis)}: no answer for {ANSWER_S:g} s after its master was silent, in the "
-            "stop test"
+            "stop test",
+            axis=self._name(axis),
         )
 
     # --- back ----------------------------------------------------------------------------------
@@ -277,7 +285,8 @@ class StopTest:
             raise SafetyStop(
                 f"axis {', '.join(self._name(i) for i in axes)}: seen to be held after a quick stop, which "
                 "is remembered, but its drive does not go back to operation from there (transition 16). With "
-                "the load supported, take its enable or supply away and give it back, then start again"
+                "the load supported, take its enable or supply away and give it back, then start again",
+                axes=[self._name(i) for i in axes],
             )
 
     def _enable(self, axes: Sequence[int]) -> None:
@@ -286,8 +295,11 @@ class StopTest:
             return
         self._hold_here(axes)
         if not self._until_enabled(axes):
-            names = ", ".join(self._name(i) for i in axes)
-            raise SafetyStop(f"axis {names}: not enabled again within {RESUME_S:g} s after the stop test")
+            names = [self._name(i) for i in axes]
+            raise SafetyStop(
+                f"axis {', '.join(names)}: not enabled again within {RESUME_S:g} s after the stop test",
+                axes=names,
+            )
 
     def _hold_here(self, axes: Sequence[int]) -> None:
         for i in axes:
@@ -317,9 +329,9 @@ class StopTest:
         for event in sample.events:
             if event.severity is not Severity.NOTE:
                 failed = BusError if event.severity is Severity.BUS else DriveError
-                raise failed(f"{event.text}, in the stop test")
+                raise failed(f"{event.text}, in the stop test", axis=event.axis)
         if self._cancelled():
-            raise SafetyStop("stopped on request in the stop test; nothing was recorded yet")
+            raise SafetyStop("stopped on request in the stop test; nothing was recorded yet", code="asked")
         return sample
 
     def _note(self, axis: int, **seen: bool | float) -> None:

@@ -67,17 +67,20 @@ def require_ours(drive: Drive, holding: AxisHolding) -> None:
     if state is not DriveState.QUICK_STOP_ACTIVE:
         raise DriveError(
             f"{drive.who}: it is energised, in {state.words}, and not by this program: end the program that "
-            f"drives it. Or: {way_out[0].lower()}{way_out[1:]}"
+            f"drives it. Or: {way_out[0].lower()}{way_out[1:]}",
+            axis=drive.name,
         )
     if holding.seen.resumes is False:
         raise DriveError(
             f"{drive.who}: it is held in {state.words}, and does not go back to operation from there "
-            f"(transition 16, seen in a stop test): it cannot be taken over without letting go. {way_out}"
+            f"(transition 16, seen in a stop test): it cannot be taken over without letting go. {way_out}",
+            axis=drive.name,
         )
     if not _is_mapped(drive):
         raise DriveError(
             f"{drive.who}: it is held in {state.words}, and its PDOs are not those of this program: they "
-            f"cannot be changed under power. {way_out}"
+            f"cannot be changed under power. {way_out}",
+            axis=drive.name,
         )
 
 

@@ -24,6 +24,8 @@ from invid_drivers.cia402.states import DriveState, state_of
 
 QUICK_STOP_S = 1.0
 """Longest quick stop before the voltage is taken away regardless, where the drive's ramp is not longer."""
+LONGEST_RAMP_S = 10.0
+"""However gentle a drive's ramp is: an axis that is still moving then is let go, or held."""
 RAMP_MARGIN = 1.25
 """On the time of a ramp from the speed limit: the axis may be faster, the drive settles at its end."""
 STILL_SHARE = 0.002
@@ -36,6 +38,10 @@ DEAF_S = 0.2
 """A drive that is still enabled so long after quick stop does not hear its controlword (drives take it up in
 a few cycles). NMT stop, which it may hear, has it stop by its abort option."""
 DISABLE_S = 0.2
+BY_SDO_S = 5.0
+"""For all drives together that their TPDOs did not show off: they are asked, and told, by SDO."""
+WAY_OUT_S = LONGEST_RAMP_S + (1 + WEIGHINGS) * DISABLE_S + WEIGHINGS * CONFIRM_S + BY_SDO_S
+"""Longest way out."""
 STATE_POLL_S = 0.005
 """Between two questions for the statusword by SDO, on the way out."""
 
@@ -76,7 +82,7 @@ class WayOut:
         self._given_up: set[int] = set()
         self._deaf: set[int] = set()
         self._began: float | None = None
-        self._quick_stop_s = max(QUICK_STOP_S, RAMP_MARGIN * ramp_s)
+        self._quick_stop_s = min(max(QUICK_STOP_S, RAMP_MARGIN * ramp_s), LONGEST_RAMP_S)
 
     def take(self) -> tuple[str, ...]:
         """Quick stop, disable voltage, NMT stop; the axes that were not seen to switch off. Never raises."""
@@ -97,6 +103,7 @@ class WayOut:
         unsure = [i for i in range(len(self._drives)) if self._may_disable(i) and self._may_be_on(i)]
         deaf = {i for i in unsure if self._disobeys(i)} | self._deaf
         on = [self._drives[i].name for i in sorted(self._deaf.difference(unsure))]
+        self._link.until = self._link.clock.now() + BY_SDO_S
         for i in unsure:
             off = False
             with contextlib.suppress(Exception):
@@ -165,7 +172,7 @@ class WayOut:
         if state is None:
             drive.shout(od.CONTROLWORD, states.DISABLE_VOLTAGE)
             return False
-        while state in _RAMPING and clock.now() < ramp_ends:
+        while state in _RAMPING and clock.now() < min(ramp_ends, self._link.until):
             self._link.wait(STATE_POLL_S)
             state = drive.quiet_state()
         if state is None or not states.is_energised(state):

@@ -13,7 +13,7 @@ import typer
 
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.config import CellConfig, load_config
-from invid.errors import InputError, SafetyStop
+from invid.errors import InputError, SafetyStop, left_by, note_left
 from invid.model.document import Model, load_json, load_model
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
@@ -62,8 +62,10 @@ def stop_on_signals() -> Iterator[threading.Event]:
             before[number] = signal.signal(number, ask)
     try:
         yield stop
-    except KeyboardInterrupt:
-        raise SafetyStop("stopped at once on request; the drives were told to switch off") from None
+    except KeyboardInterrupt as error:
+        stopped = SafetyStop("stopped at once on request", code="asked")
+        note_left(stopped, left_by(error) or ("make sure that every axis is off",))
+        raise stopped from None
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

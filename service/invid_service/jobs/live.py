@@ -31,6 +31,11 @@ class Progress:
     most_s: float | None = None
     found: tuple[Mapping[str, Any], ...] = ()
 
+    @property
+    def place(self) -> tuple[float, str, str | None]:
+        """Where it is: a run that goes on comes to another one."""
+        return self.fraction, self.phase, self.axis
+
     @classmethod
     def of(cls, record: RunRecord) -> Progress:
         """Return the progress of a stored run, in which nothing goes on any more."""
@@ -70,6 +75,8 @@ class LiveRun:
         """When it came into its state; the ids of events are a clock."""
         self.worker: Worker | None = None
         self.wish: Wish | None = None
+        self.killed = False
+        """Its runner did not stop in time: nobody knows what its axes do."""
         self.unsaved = False
         """The store has not taken its state yet: memory alone knows it."""
         self.motion_ended = asyncio.Event()

@@ -17,6 +17,8 @@ from typing import Any
 from sqlalchemy.exc import SQLAlchemyError
 
 from invid import disk
+from invid.config import CellConfig
+from invid_drivers.readiness import known_after_death
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Progress, WrongStateError
 from invid_service.jobs.protocol import DISK_FULL_FIX, ErrorInfo, Job
@@ -43,6 +45,8 @@ class Limits:
     arm_s: float
     analysis_s: float
     stop_grace_s: float
+    motion_silence_s: float
+    """Longest that a motion says nothing new of itself."""
 
 
 @dataclass(frozen=True)
@@ -218,6 +222,7 @@ class JobManager:
                 await run.motion_ended.wait()
                 return
         log.error("run %s: the runner did not stop in time and is killed", run.record.id)
+        run.killed = True
         worker.kill()
 
     # --- the life of a run ---------------------------------------------------------------------
@@ -328,19 +333,21 @@ class JobManager:
                 log.warning("run %s: the runner said %r", run.record.id, other)
 
     async def _watchdog(self, run: LiveRun) -> None:
-        """End a run that hangs: each state has its time; motion itself is watched by the sweep."""
+        """End a run that hangs: each state has its time, a motion from one thing that it says to the next."""
         while not run.ended:
-            state, changed = run.record.state, run.changed
+            state = run.record.state
+            moves = state is State.RUNNING
             bound = {
                 State.CHECKING: self._limits.check_s,
                 State.AWAITING_ARM: self._limits.arm_s,
+                State.RUNNING: self._limits.motion_silence_s,
                 State.ANALYSING: self._limits.analysis_s,
             }.get(state)
+            said = run.progress.place
             try:
                 async with asyncio.timeout(bound):
-                    while run.record.state is state:
+                    while run.record.state is state and not (moves and run.progress.place != said):
                         await run.changed.wait()
-                del changed
             except TimeoutError:
                 if run.wish is None:
                     what = "was not armed" if state is State.AWAITING_ARM else f"hung while {state}"
@@ -351,7 +358,9 @@ class JobManager:
                     }
                     run.record = replace(run.record, facts={**run.record.facts, "error": error})
                     run.wish = "cancel"
-                if run.worker is not None:
+                if moves:
+                    await self._stop_worker(run)
+                elif run.worker is not None:
                     run.worker.kill()
                 return
 
@@ -359,15 +368,17 @@ class JobManager:
         self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int, kept: set[str] | Exception
     ) -> None:
         self._note_stop(run, verdict)
-        if run.wish is not None:
+        moved = run.record.state is State.RUNNING
+        if verdict is None and moved and (run.killed or run.wish is None):
+            await self._lost(run, job, status)
+        elif run.wish is not None:
             await self._finish_early(run)
         elif verdict is None:
             await self._fail(
                 run,
                 "runner-died",
-                f"the runner process ended without a result (exit status {status}); its drives stop by "
-                f"themselves when the master's heartbeat is missing",
-                "look at the robot, then start again; the log of the service says more",
+                f"the runner process ended without a result (exit status {status})",
+                "start again; the log of the service says more",
             )
         elif verdict["type"] != "done":
             error = ErrorInfo.model_validate(verdict["error"])
@@ -386,6 +397,26 @@ class JobManager:
             )
         else:
             await self._succeed(run, job, verdict.get("summary", {}))
+
+    async def _lost(self, run: LiveRun, job: Job, status: int) -> None:
+        """End a run whose runner was killed, or died, in motion: nobody has seen its axes at rest."""
+        known: tuple[str, ...] = ()
+        if job.config is not None:
+            config = CellConfig.model_validate(job.config)
+            known = await asyncio.to_thread(known_after_death, config, self._limits.stop_grace_s)
+        what = (
+            f"the runner process did not stop within {self._limits.stop_grace_s:.0f} s and was killed"
+            if run.killed
+            else f"the runner process ended without a result (exit status {status})"
+        )
+        text = f"{what}; its drives stop by themselves when the master's heartbeat is missing"
+        await self._fail(
+            run,
+            "not-stopped" if run.killed else "runner-died",
+            ". ".join((text, *known)),
+            "look at the robot: make sure that every axis stands, and is off or held; then start again; the "
+            "log of the service says more",
+        )
 
     @staticmethod
     def _note_stop(run: LiveRun, verdict: dict[str, Any] | None) -> None:
