@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from invid.config import CellConfig
-from invid.planning import Plan
+from invid.errors import InvidError
+from invid.planning import Plan, make_plan
 from invid.planning.budget import RoundTrip
 from invid.planning.forecast import fit_to_limits
 from invid_drivers.cia402.bus import Cia402Cell
@@ -106,6 +107,41 @@ def not_ready(config: CellConfig) -> tuple[Reason, ...]:
     Nothing is asked or sent: what the drives say now is for ``invid check``, which writes to them.
     """
     return () if is_virtual(config) else remembered(config, _memory(config))
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the drives of a cell said when they were asked."""
+
+    reasons: tuple[Reason, ...]
+    """Axes that are energised though nobody measures, or at which a run ended."""
+    refusal: InvidError | None
+    """The first thing that keeps a measurement from starting."""
+    said: tuple[str, ...]
+    """What is to be known beside: of drives, bus, limits and adapter."""
+
+
+def ask(config: CellConfig, wish: Wish = Wish()) -> Asked:
+    """Ask the drives what ``invid check`` asks, and restore what an earlier run left in them.
+
+    This writes to drives that are off: it is for somebody who asked for it, never for a poll.
+    """
+    try:
+        make_plan(
+            config, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model
+        )  # refused before a bus is opened
+        cell = connect(config)
+    except InvidError as error:
+        return Asked((), error, ())
+    refusal: InvidError | None = None
+    said: tuple[str, ...] = ()
+    try:
+        said = prepare(cell, config, wish).said
+    except InvidError as error:
+        refusal = error
+    complaints = cell.close()
+    said = (*said, *cell.notes, *(w for r in cell.reports for w in r.warnings), *complaints)
+    return Asked(cell.not_ready, refusal, said)
 
 
 def known_after_death(config: CellConfig, longest_s: float) -> tuple[str, ...]:
