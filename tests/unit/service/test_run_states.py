@@ -279,7 +279,7 @@ def test_a_motion_of_which_nothing_is_heard_is_stopped(tmp_path: Path) -> None:
     with running(tmp_path, director, motion_silence_s=0.3) as (client, _):
         location = start(client)
         ended = wait_for(client, location, "cancelled", timeout=5.0)
-        assert director.workers[0].said[-1] == {"type": "stop"}
+        assert director.workers[0].said[-1] == "stop"
         assert not director.workers[0].killed.is_set() or ended["error"]["code"] == "timeout"
         assert "hung while running" in ended["error"]["text"]
 
