@@ -65,7 +65,13 @@ def prepare(
     return Prepared(plan, found.config, found.budgets, said, trip)
 
 
-def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
+def require_plan(config: CellConfig, wish: Wish) -> None:
+    """ConfigError for what no drive could change: before a bus is opened, or a process started."""
+    if wish.plan is None:
+        make_plan(config, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model)
+
+
+def foresee(config: CellConfig, wish: Wish = Wish(), *, why: str = "") -> Prepared:
     """Do as ``prepare``, but touch no bus that hardware may be on: its drives are taken at their best.
 
     Raises
@@ -73,14 +79,32 @@ def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
     ConfigError, DriveError
         What ``prepare`` would refuse whatever the drives say; in virtual time, what it refuses.
     """
-    if is_virtual(config):
+    if is_virtual(config) and not why:
         cell = connect(config)
         try:
             return prepare(cell, config, wish)
         finally:
             cell.close()
     found = plan_within(config, None, wish)
-    return Prepared(found.plan, found.config, found.budgets, found.said)
+    return Prepared(found.plan, found.config, found.budgets, (why, *found.said) if why else found.said)
+
+
+def ask_drives(config: CellConfig, wish: Wish = Wish()) -> Prepared:
+    """Do as ``prepare``; where nobody can be asked the drives are taken at their best, and why is said."""
+    require_plan(config, wish)
+    try:
+        cell = connect(config)
+    except InvidError as error:
+        return foresee(config, wish, why=f"the drives were not asked, the limits are the config's: {error}")
+    try:
+        try:
+            cell.check()
+        except InvidError as error:
+            why = f"the drives are not ready, the limits are the config's: {error}"
+            return foresee(config, wish, why=why)
+        return prepare(cell, config, wish)
+    finally:
+        cell.close()
 
 
 def loads_to_support(config: CellConfig) -> tuple[str, ...]:
@@ -127,9 +151,7 @@ def ask(config: CellConfig, wish: Wish = Wish()) -> Asked:
     This writes to drives that are off: it is for somebody who asked for it, never for a poll.
     """
     try:
-        make_plan(
-            config, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model
-        )  # refused before a bus is opened
+        require_plan(config, wish)
         cell = connect(config)
     except InvidError as error:
         return Asked((), error, ())

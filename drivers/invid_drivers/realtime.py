@@ -38,7 +38,8 @@ from invid.numerics.arrays import frozen_float
 from invid.planning.model import PlannedExperiment
 from invid.recording import Outcome, Recording
 from invid.sweep import Sample
-from invid_drivers.measurement import run_measurement, start_measurement
+from invid_drivers.connect import connect
+from invid_drivers.measurement import run_measurement
 from invid_drivers.memory import lock_memory
 from invid_drivers.relay import KEEP_ALIVE_S
 from invid_drivers.stop_flag import StopFlag
@@ -194,24 +195,20 @@ def child_main(fd: int) -> None:
     sender.start()
     config = CellConfig.model_validate(task["config"])
     try:
-        plan, cell = start_measurement(
-            config, task["axes"], task["amplitude_scale"], task["model"], task["plan"]
-        )
-        notes = make_realtime()
+        cycle_s = config.bus.cycle_s
 
-        def open_sink(header: Recording) -> RemoteSink:
-            outbox.put(("open", header, plan.cycle_s))
-            return RemoteSink(outbox.put, plan.cycle_s, len(plan.axes))
+        def open_sink(header: Recording) -> tuple[RemoteSink, tuple[str, ...]]:
+            outbox.put(("open", header, cycle_s))
+            return RemoteSink(outbox.put, cycle_s, len(header.axes)), make_realtime()
 
         result = run_measurement(
             config,
-            plan,
-            cell,
+            task["wish"],
+            connect(config),
             Path(task["out"]),
             progress=lambda p: outbox.put(("progress", p)),
             stop=stop,
             open_sink=open_sink,
-            notes=notes,
             asked=ask if task["judged"] else None,
         )
         outbox.put(("result", result))

@@ -9,21 +9,19 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop, left_by, note_left
-from invid.model.chains import CoupledChains
-from invid.planning.belief import Belief
-from invid.planning.model import Plan
 from invid.recording import Outcome, Recording
 from invid.sweep import Progress
 from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.filing import Filing, Teller
 from invid_drivers.readiness import known_after_death
+from invid_drivers.stopping_budgets import Wish
 
 KEEP_ALIVE_S = 1.0
 """A parent from which nothing came for so long counts as gone. It speaks ten times as often; a busy computer
@@ -41,16 +39,13 @@ SPEAK_S = 0.1
 """The cycle process is told so often that this one is there."""
 
 
-def measure_in_process(  # noqa: PLR0913 - as measure_to_file
+def measure_in_process(
     config: CellConfig,
     out: Path,
+    wish: Wish,
     *,
-    axes: Sequence[str] | None,
-    amplitude_scale: float,
     progress: Callable[[Progress], None] | None,
     stop: threading.Event | None,
-    model: CoupledChains | Belief | None,
-    plan: Plan | None = None,
     go_on: Callable[[Recording], bool] | None = None,
 ) -> Any:
     """Measure with the cycle in a process of its own; return its ``MeasurementResult``.
@@ -73,10 +68,7 @@ def measure_in_process(  # noqa: PLR0913 - as measure_to_file
                 "parent": os.getpid(),
                 "config": config.model_dump(mode="python"),
                 "out": str(out),
-                "axes": None if axes is None else list(axes),
-                "amplitude_scale": amplitude_scale,
-                "model": model,
-                "plan": plan,
+                "wish": wish,
                 "judged": go_on is not None,
             }
         )

@@ -241,7 +241,7 @@ def test_an_error_that_nobody_expected_carries_what_could_not_be_restored(cell: 
     cell.drives[1].od.validate_callbacks[(0x6072, 0)].add(refuse)
     with pytest.raises(ZeroDivisionError) as failed:
         run_measurement(
-            cell.config, cell.plan(), master, cell.folder / "rec.h5", open_sink=lambda _: Failing()
+            cell.config, cell.plan(), master, cell.folder / "rec.h5", open_sink=lambda _: (Failing(), ())
         )
     left = " ".join(left_by(failed.value))
     assert "axis A1 is energised" in left
@@ -261,7 +261,7 @@ def test_who_stops_at_once_is_told_which_axes_stay_energised(tmp_path: Path, loa
     sink = Failing()
     sink.row, sink.close = interrupt, lambda _: None  # type: ignore[method-assign]
     with pytest.raises(SafetyStop, match="stopped at once on request") as stopped, stop_on_signals():
-        run_measurement(cell.config, plan, master, cell.folder / "rec.h5", open_sink=lambda _: sink)
+        run_measurement(cell.config, plan, master, cell.folder / "rec.h5", open_sink=lambda _: (sink, ()))
     assert cell.drives[0].state == ("quick stop active" if loaded else "switch on disabled")
     assert ("axis A1 is energised" in str(stopped.value)) is loaded
     assert ("it left no axis under power" in str(stopped.value)) is not loaded

@@ -26,7 +26,8 @@ from invid.sweep import Progress
 from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal
-from invid_drivers.measurement import MeasurementResult, ask_drives, measure_to_file
+from invid_drivers.measurement import MeasurementResult, measure_to_file
+from invid_drivers.readiness import ask_drives
 from invid_drivers.screening import screen_cell, screening_plan
 from invid_drivers.stop_flag import StopFlag
 from invid_drivers.stopping_budgets import Wish
@@ -202,11 +203,10 @@ def parse_goal(text: str) -> float:
 
 def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, noise: Noise, *, as_json: bool) -> int:
     """Print the dry run of a plan, within what the drives that are there leave."""
-    plan, cell, budgets, limited = ask_drives(
-        cell, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model
-    )
+    within = ask_drives(cell, wish)
+    plan, cell, budgets = within.plan, within.config, within.budgets
     found, timing = expectation(cell, plan, belief, noise), timing_of(cell)
-    beyond = [*limited, *timing.warnings(plan)]
+    beyond = [*within.said, *timing.warnings(plan)]
     document = {
         "dry_run": True,
         "robot": cell.robot,

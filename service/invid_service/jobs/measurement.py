@@ -12,9 +12,10 @@ from invid.model.document import model_from_json
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid_drivers.foretelling import sensor_noise
-from invid_drivers.measurement import ask_drives, measure_to_file
-from invid_drivers.readiness import loads_to_support, support_sentence
+from invid_drivers.measurement import measure_to_file
+from invid_drivers.readiness import ask_drives, loads_to_support, support_sentence
 from invid_drivers.screening import screening_plan
+from invid_drivers.stopping_budgets import Wish
 from invid_service.jobs.analysis_progress import BEGINS
 from invid_service.jobs.line import Line, plain
 from invid_service.jobs.protocol import Job, Measured, Planned, Progress, Running
@@ -50,15 +51,13 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
         accepted = None
     model = None if accepted is None else from_model(accepted, config, source="the accepted model")
     short = _short_plan(config, model, job.amplitude_scale) if job.mode == "screen" else None
-    plan, _, budgets, warned = ask_drives(
-        config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model, plan=short
-    )
-    document = {**told_plan(plan, job), "budgets": [b.to_json() for b in budgets]}
+    found = ask_drives(config, Wish(job.axes, job.amplitude_scale, model, short))
+    document = {**told_plan(found.plan, job), "budgets": [b.to_json() for b in found.budgets]}
     support = loads_to_support(config)
     document["support"] = {"axes": list(support), "text": support_sentence(support)} if support else None
-    document["warnings"] = [*document["warnings"], *warned]
+    document["warnings"] = [*document["warnings"], *found.said]
     line.tell(Planned(plan=plain(document), arm=job.arm))
-    del plan
+    del found
     while not (job.arm or line.armed.is_set()):
         line.stop.wait(0.05)
         line.check_stop()

@@ -16,7 +16,7 @@ from sqlalchemy.exc import OperationalError
 from invid.config import load_config
 from invid.errors import ConfigError
 from invid_drivers.cia402.bus import STOPPED_S
-from invid_drivers.measurement import ask_drives
+from invid_drivers.readiness import ask_drives
 from invid_drivers.relay import STOP_S
 from invid_service.app import create_app
 from invid_service.settings import Settings
