@@ -29,7 +29,6 @@ from invid_drivers.cia402.holding import (
     AxisHolding,
     Reason,
 )
-from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, Link, never
@@ -41,9 +40,9 @@ from invid_drivers.cia402.stop_test import StopTest
 from invid_drivers.cia402.takeover import find_powered, require_mode, require_ours
 from invid_drivers.cia402.way_out import WAY_OUT_S, WayOut
 
-RESTORE_S = 10.0
-"""Longest restoring of all drives together; a drive takes tenths of a second. The rest is left to the next
-start, which finds it in the journal."""
+RESTORE_S = 30.0
+"""Longest restoring of all drives together: tenths of a second for each, ten for one that takes 0.2 s for an
+answer. The rest is left to the next start, which finds it in the journal."""
 LEAVING_S = 0.1
 """Longest wait on the way out for a setting that a loaded axis is better held with."""
 ENABLE_S = 3.0
@@ -60,13 +59,27 @@ class Cia402Cell:
 
     def __init__(self, bus: can.BusABC, config: CellConfig, *, journal: Journal | None = None) -> None:
         self._config = config
-        self._link = Link(bus, heartbeat_s=config.safety.heartbeat_s)
+        self.link = self._link = Link(bus, heartbeat_s=config.safety.heartbeat_s)
+        self.clock: Clock = self.link.clock
         self.journal = journal if journal is not None else Journal(None)
         self._drives = [Drive(self._link, a, self.journal, config) for a in config.axes]
         self.held = HeldAxes(self._drives, self.journal)
         """How each axis is held when nobody commands it."""
-        self._reports: list[DriveReport] = []
+        self.axes = tuple(d.name for d in self._drives)
+        """Names, in the order of every list."""
+        self.reports: tuple[DriveReport, ...] = ()
+        """What each drive said at ``check``, and what follows from that."""
+        self.can_hold: tuple[bool, ...] = ()
+        self.by_offset: tuple[bool, ...] = ()
+        """Whether each axis is shaken by its torque offset while its drive goes on holding it."""
+        self.resolution: tuple[float, ...] = ()
+        """Position of one encoder count of each axis [rad or m]."""
+        self.rated_torque: tuple[float, ...] = ()
+        """[N·m or N]"""
         self._cycle = Cycle(self._link, config)
+        self.jitter = self._cycle.jitter
+        self.asked: Sequence[float] = self._cycle.asked
+        """Torque that each axis in a torque mode was sent with the last SYNC [N·m or N]; the list stays."""
         self.touched = False
         """Whether the drives were prepared to be enabled."""
         self._stopped = True
@@ -86,52 +99,6 @@ class Cia402Cell:
         self.cancelled: Callable[[], bool] = never
         """Asked in every wait until the way out: brakes and drives take their time, a stop must not."""
 
-    # --- facts ---------------------------------------------------------------------------------
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names, in the order of every list."""
-        return tuple(d.name for d in self._drives)
-
-    @property
-    def clock(self) -> Clock:
-        """The clock that the SYNC instants are of."""
-        return self._link.clock
-
-    @property
-    def skipped_slots(self) -> int:
-        """SYNC slots that passed without a SYNC, since the drives were enabled first."""
-        return self._cycle.skipped_slots
-
-    @property
-    def jitter(self) -> Jitter:
-        """How late the SYNCs were."""
-        return self._cycle.jitter
-
-    @property
-    def reports(self) -> tuple[DriveReport, ...]:
-        """What each drive said at ``check``."""
-        return tuple(self._reports)
-
-    @property
-    def can_hold(self) -> tuple[bool, ...]:
-        """Whether each drive can hold its place by itself."""
-        return tuple(r.can_hold for r in self._reports)
-
-    @property
-    def by_offset(self) -> tuple[bool, ...]:
-        """Whether each axis is shaken by its torque offset while its drive goes on holding it."""
-        return tuple(r.by_offset for r in self._reports)
-
-    @property
-    def resolution(self) -> tuple[float, ...]:
-        """Position of one encoder count of each axis [rad or m]."""
-        return tuple(r.scaling.position_per_count for r in self._reports)
-
-    @property
-    def rated_torque(self) -> tuple[float, ...]:
-        """Rated torque of each axis [N·m or N]."""
-        return tuple(r.scaling.rated_torque for r in self._reports)
-
     # --- before motion -------------------------------------------------------------------------
     def check(self) -> tuple[DriveReport, ...]:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
@@ -147,24 +114,23 @@ class Cia402Cell:
         powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
         left = [() if drive.left_alone else drive.restore() for drive in self._drives]
         try:
-            self._reports = [d.check(found) for d, found in zip(self._drives, left, strict=True)]
+            self.reports = tuple(d.check(found) for d, found in zip(self._drives, left, strict=True))
         except DriveError as error:  # what was left as somebody set it is said once
             raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
         for drive in self._drives:
             self._refuse_owned(drive)
-        self.held.find(self._reports, powered)
+        self.held.find(self.reports, powered)
         self._link.refuse_others()
-        for i, r in enumerate(self._reports):
+        self.can_hold = tuple(r.can_hold for r in self.reports)
+        self.by_offset = tuple(r.by_offset for r in self.reports)
+        self.resolution = tuple(r.scaling.position_per_count for r in self.reports)
+        self.rated_torque = tuple(r.scaling.rated_torque for r in self.reports)
+        for i, r in enumerate(self.reports):
             position = r.scaling.direction * r.scaling.position_per_count
             most = r.scaling.most_permille(r.limits.torque.value)
             self._cycle.scale(i, position=position, torque=r.scaling.torque(1), most=most)
-        self.bounds = bounds_of(tighten(self._config, self._reports), self.resolution, self.rated_torque)
+        self.bounds = bounds_of(tighten(self._config, self.reports), self.resolution, self.rated_torque)
         return self.reports
-
-    @property
-    def link(self) -> Link:
-        """The bus, for whoever probes it before the drives are enabled."""
-        return self._link
 
     def _hear_stops(self) -> None:
         self._link.cancelled = lambda: self.cancelled()
@@ -230,7 +196,7 @@ class Cia402Cell:
 
     def energise(self, modes: Sequence[Mode]) -> None:
         """Protect, map, start and enable every drive at rest where it stands."""
-        if not self._reports:
+        if not self.reports:
             self.check()
         self._hear_stops()
         for reason in self.not_ready:
@@ -246,7 +212,7 @@ class Cia402Cell:
         self.touched = True
         self._link.beating = True
         self._pre_operational()
-        for drive, report, holding in zip(self._drives, self._reports, self.holdings, strict=True):
+        for drive, report, holding in zip(self._drives, self.reports, self.holdings, strict=True):
             drive.protection.quick_stop_option = holding.first_option
             drive.protect(report)
             if not holding.taken_over:
@@ -256,7 +222,7 @@ class Cia402Cell:
         unset: list[ModeSet] = []
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
-        for i, (drive, report, mode) in enumerate(zip(self._drives, self._reports, modes, strict=True)):
+        for i, (drive, report, mode) in enumerate(zip(self._drives, self.reports, modes, strict=True)):
             drive.command(od.TORQUE_OFFSET if drive.by_offset else od.TARGET_TORQUE, 0)
             if mode is Mode.HOLD or drive.by_offset:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
@@ -276,7 +242,7 @@ class Cia402Cell:
         self._link.wait(0.005)
         self._cycle.restart_slots()
         self._cycle.leaving = False
-        units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self._reports]
+        units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self.reports]
         self._relief = WeightRelief(self._config, self._drives, self._cycle, units, self.held.too_heavy)
         self._yielded = self._relief.notes
         self.held.memory.defer()  # from here on no cycle waits for a disk
@@ -305,7 +271,7 @@ class Cia402Cell:
 
     def _now_in(self, axis: int, mode: Mode) -> None:
         self._cycle.modes[axis] = mode
-        self._cycle.operation[axis] = self._operation_mode(self._reports[axis], mode)
+        self._cycle.operation[axis] = self._operation_mode(self.reports[axis], mode)
 
     def _enable(self, modes: Sequence[Mode], unset: list[ModeSet]) -> None:
         """To operation enabled; ``unset``: what came of each mode, which is set and seen on the way."""
@@ -364,7 +330,7 @@ class Cia402Cell:
         late = unset[axis]
         due = {ModeSet.LATER: DriveState.SWITCHED_ON, ModeSet.TAKEN: DriveState.OPERATION_ENABLED}.get(late)
         if state is due:
-            operation = self._operation_mode(self._reports[axis], mode)
+            operation = self._operation_mode(self.reports[axis], mode)
             self._cycle.change(axis, mode, operation, taken=late is ModeSet.TAKEN)
             unset[axis] = ModeSet.SHOWN  # or the change ends the run
         return self._cycle.has_taken(axis)
@@ -375,7 +341,7 @@ class Cia402Cell:
         self._watch.resting = set()  # the tests let axes go
         self._relief = None
         self.held.settle(loaded, self._cycle.permille)
-        self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
+        self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self.reports)
         self.held.set_options(self._cycle, self.clock, self._watched)
         moving, rated = self._moving(self._watched), self.rated_torque
         return StopTest(moving, self.holdings, self.held.memory, self.cancelled, rated).run()
@@ -385,11 +351,6 @@ class Cia402Cell:
         return MovingCell(
             self._config, self._link, self._drives, self._cycle, exchange, self.resolution, permitted
         )
-
-    @property
-    def asked(self) -> Sequence[float]:
-        """Torque that each axis in a torque mode was sent with the last SYNC [N·m or N]; the list stays."""
-        return self._cycle.asked
 
     @property
     def _watch(self) -> Bounds:
@@ -403,7 +364,7 @@ class Cia402Cell:
         An axis that is to be held keeps the place at which it is asked; torque for every axis that changes is
         taken from ``exchange`` meanwhile.
         """
-        for i, (report, mode) in enumerate(zip(self._reports, modes, strict=True)):
+        for i, (report, mode) in enumerate(zip(self.reports, modes, strict=True)):
             operation = self._operation_mode(report, mode)
             if operation is not self._cycle.operation[i]:
                 self._cycle.change(i, mode, operation)
@@ -472,7 +433,7 @@ class Cia402Cell:
         return max(
             (
                 a.limits.velocity / r.stopping.deceleration
-                for a, r in zip(self._config.axes, self._reports, strict=False)
+                for a, r in zip(self._config.axes, self.reports, strict=False)
                 if r.stopping.deceleration
             ),
             default=0.0,

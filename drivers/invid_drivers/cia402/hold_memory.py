@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ class Seen:
     """A run left it energised in quick stop active."""
     in_run: bool = False
     """A run commands it, or did when it was killed: it may be energised."""
-    at: float = 0.0
+    at: float = field(default=0.0, compare=False)
     """When something new was noted of it last [s since 1970]."""
     suspect: str = ""
     """Why a run ended at this axis beside a load or under one: not enabled again until a person says so."""
@@ -101,8 +101,7 @@ class HoldMemory:
     def keep(self, identity: str, seen: Seen) -> None:
         """Remember what was seen: on disk at once, or later under power; BusError where it fails."""
         name = identity or f"node {seen.node_id}"
-        before = self._seen.get(name)
-        if before is not None and replace(seen, at=before.at) == before:
+        if self._seen.get(name) == seen:
             return
         seen = replace(seen, at=time.time())
         others = {k: v for k, v in self._seen.items() if v.node_id != seen.node_id or k == name}
