@@ -22,6 +22,8 @@ CELLS = "/api/v1/cells"
 class Wire:
     """A bus on which nobody answers; what is sent on it is kept."""
 
+    memory: HoldMemory
+
     def __init__(self, path: Path) -> None:
         self.path, self.frames = path, list[can.Message]()
         self._over = threading.Event()
@@ -51,6 +53,7 @@ def wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Wire]:
     (tmp_path / "cell.yaml").write_text(CELL.split("simulation:")[0].replace(virtual, bus))
     memory = HoldMemory.beside(journal_path("invid-unix", str(made.path)))
     memory.keep("a drive", Seen(2, loaded=True, holds=True, resumes=False, left_held=True))
+    made.memory = memory
     yield made
     made.close()
 
@@ -105,3 +108,22 @@ def test_a_cell_in_which_a_run_goes_on_is_not_asked(tmp_path: Path) -> None:
         assert refused.status_code == 409
         assert refused.json()["type"] == "urn:invid:problem:run-in-progress"
         assert refused.json()["identification"] in started.headers["Location"]
+
+
+def test_a_runner_that_dies_in_motion_leaves_what_is_known_of_each_axis(wire: Wire, tmp_path: Path) -> None:
+    wire.memory.keep("a drive", Seen(2, loaded=True, holds=True, resumes=True, left_held=True))
+    wire.memory.keep("another", Seen(1, in_run=True))
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        location = client.post(f"{CELLS}/cell/identifications", json={"mode": "full", "arm": True}).headers[
+            "Location"
+        ]
+        wait_for(client, location, "running")
+        client.portal.call(director.workers[0].killed.set)  # type: ignore[union-attr]
+        failed = wait_for(client, location, "failed")
+        assert failed["error"]["code"] == "runner-died"
+        assert "axis A1 (node 1) may be energised" in failed["error"]["text"]
+        assert "axis A2 (node 2) is energised" in failed["error"]["text"]
+        assert "make sure that every axis stands" in failed["error"]["fix"]
+    assert wire.frames == []
