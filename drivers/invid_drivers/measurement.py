@@ -23,8 +23,8 @@ from invid.recording.writer import require_room
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.collecting import Judged
 from invid_drivers.connect import connect, is_virtual
+from invid_drivers.filing import Judged
 from invid_drivers.readiness import prepare, require_plan
 from invid_drivers.relay import ALL_OFF, measure_in_process
 from invid_drivers.stopping_budgets import Wish, measured_budgets
