@@ -260,8 +260,9 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         outcome = Outcome.COMPLETED
         complaints = cell.close()
         closed = True
-        if cell.not_off:
-            raise DriveError(" ".join((_not_off(cell.not_off), *cell.endings)))
+        if cell.not_off or cell.not_held:
+            said = [_not_off(cell.not_off)] if cell.not_off else []
+            raise DriveError(". ".join((*said, *cell.endings)))
         return _result(config, cell, out, result, [*notes, *complaints])
     except (SafetyStop, KeyboardInterrupt) as error:
         outcome = Outcome.ABORTED
