@@ -197,7 +197,8 @@ class Bounds:
         self._last_slot = slot
 
     def _check_standing(self, sample: Sample) -> None:
-        self.falls = self._falling.check(sample, self._all - self.led, _is_energised)
+        standing = self._all - self.led
+        self.falls = self._falling.check(sample, standing, _is_energised, quiet=bool(self.resting))
         for i, fall in self.falls.items():
             limit = self.limits[i]
             driven = fall.kind is Kind.DRIVEN

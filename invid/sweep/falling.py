@@ -98,7 +98,7 @@ class _Axis:
         self.due = 0
         self.rising = 0.0
 
-    def take(self, time: float, x: float, torque: float) -> Fall | None:
+    def take(self, time: float, x: float, torque: float, *, quiet: bool = True) -> Fall | None:
         if self.time is not None and time - self.time > 1.6 * self.h / (self.count / 4):
             self.x.clear()  # a gap: quarters are no longer of one length
             self.torque.clear()
@@ -113,9 +113,9 @@ class _Axis:
         if max(abs(x - self.x[0]), abs(x - self.x[self.count // 2])) <= self.least:
             self.rest = x
             return None
-        return self.judge()
+        return self.judge(quiet)
 
-    def judge(self) -> Fall | None:
+    def judge(self, quiet: bool) -> Fall | None:
         n = self.count // 4
         x, torque = list(self.x), list(self.torque)
         m1, m2, m3, m4 = (sum(x[k * n : (k + 1) * n]) / n for k in range(4))
@@ -136,7 +136,7 @@ class _Axis:
         pushes = late < -2 * self.grows and grown < 0 and away > self.away
         curve = self._curve(x, n, d)
         steep = max(curve, self._curve(x, max(2, n // 2), d)) > STEEPER
-        if pushes or (grown > self.grows and steep):
+        if pushes or (grown > self.grows and steep and (quiet or full)):
             return Fall(Kind.DRIVEN, acceleration, -d * late, full)
         if away > self.away and (grown <= self.grows or full) and (curve == 0.0 or curve > SHALLOWER):
             return Fall(Kind.FALLS, acceleration, -d * late, full)
@@ -175,7 +175,12 @@ class Falling:
             axis.forget()
 
     def check(
-        self, sample: Sample, axes: Collection[int], judged: Callable[[int], bool] = lambda status: True
+        self,
+        sample: Sample,
+        axes: Collection[int],
+        judged: Callable[[int], bool] = lambda status: True,
+        *,
+        quiet: bool = False,
     ) -> dict[int, Fall]:
         """Which of ``axes`` do not stand; of the others everything is forgotten.
 
@@ -188,7 +193,7 @@ class Falling:
                 if axis.time is not None:
                     axis.forget()
             elif sample.fresh[i]:
-                fall = axis.take(sample.time, sample.position[i], sample.torque[i])
+                fall = axis.take(sample.time, sample.position[i], sample.torque[i], quiet=quiet)
                 if fall is not None and judged(sample.status[i]):
                     found[i] = fall
         return found

@@ -21,7 +21,9 @@ def looked_at(
     watch = Falling([count], cycle, [WINDOW], [RATED], [2 * RATED])
     found = {}
     for k, (place, shown) in enumerate(zip(np.round(x / count) * count, torque, strict=True)):
-        falls = watch.check(Sample(k, k * cycle, [float(place)], [float(shown)], [0x27], [True], []), {0})
+        falls = watch.check(
+            Sample(k, k * cycle, [float(place)], [float(shown)], [0x27], [True], []), {0}, quiet=True
+        )
         if falls:
             found[k * cycle] = falls[0]
     return found
