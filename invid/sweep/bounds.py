@@ -111,6 +111,8 @@ class Bounds:
         """Demand against motion."""
         self.led: set[int] = set()
         """Axes whose loops the master closes."""
+        self.loaded: set[int] = set()
+        """Axes that fall where they get less torque than they are asked for; of the others it is a warning."""
         self.resting: set[int] = set()
         """Axes that their drives hold while nothing is shaken."""
         self._all = set(range(count))
@@ -219,7 +221,7 @@ class Bounds:
         """What is given and done against what is asked for; who fails is not trusted to hold afterwards."""
         try:
             kind = Kind.FALLS
-            self._shortfall.check(sample, asked, self.led)
+            self._shortfall.check(sample, asked, self.led & self.loaded)
             kind = Kind.DRIVEN
             self._signs.check(sample, asked)
             self.obedience.check(sample, asked)

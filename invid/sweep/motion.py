@@ -217,6 +217,7 @@ class Motion:
                 self.loads = self._weigh(held, rated)
             self.done_s = done  # no part of the plan
         self.watching.bounds.resting, self.watching.bounds.near = set(), {}
+        self.watching.bounds.loaded = {i for i, load in enumerate(self.loads) if load.loaded}
         for i, load in enumerate(self.loads):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
             # loaded axis is believed to need any, friction held at rest can be anything. A drive that is
