@@ -183,10 +183,9 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         result = sweep.run()
         outcome = Outcome.COMPLETED
         complaints = cell.close()
-        if cell.not_off:
-            raise DriveError(
-                "the measurement is complete, but not every drive switched off", axes=cell.not_off
-            )
+        if cell.not_off or cell.not_held:
+            failed = (*cell.not_off, *cell.not_held)
+            raise DriveError("the measurement is complete, but not every axis is off or held", axes=failed)
     except BaseException as error:
         if isinstance(error, (SafetyStop, KeyboardInterrupt)):
             outcome = Outcome.ABORTED

@@ -171,7 +171,8 @@ class Relay:
     @property
     def patience_s(self) -> float:
         """So long the cycle process may go on yet [s]."""
-        return STOP_S if self._asked is None else self._asked + STOP_S - time.monotonic()
+        waited = 0.0 if self._asked is None else time.monotonic() - self._asked
+        return STOP_S - waited
 
     @property
     def _is_to_stop(self) -> bool:

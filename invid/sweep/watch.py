@@ -70,8 +70,12 @@ class Watch:
                 energy += (bounds.speeds[i] / limit.velocity) ** 2
         self._watch_energy(energy)
         self.words.check(sample)
-        self.halting.check(sample)
-        self.standing.check(sample)
+        try:
+            self.halting.check(sample)
+            self.standing.check(sample)
+        except SafetyStop as error:
+            bounds.blind = {i for i, limit in enumerate(bounds.limits) if limit.name == error.axis}
+            raise
 
     def _watch_energy(self, energy: float) -> None:
         self._energy += energy

@@ -20,7 +20,6 @@ from invid_drivers.cia402.link import HEARD_S
 from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cli.measure import stop_on_signals
 from invid_drivers.measurement import run_measurement
-from tests.system.durand_process import RATED
 
 LOADED = {"gravity": 5.0, "values": {"0x605A": 6}}
 """5 N·m of 10 rated; the drive stays in quick stop active."""
@@ -130,37 +129,6 @@ def test_a_computer_that_is_always_late_sends_sync_and_heartbeat_and_ends_the_ru
     master.close()
     assert [d.state for d in cell.drives] == ["quick stop active", "switch on disabled"]
     assert abs(cell.drives[0].axis.x[0]) < 0.02
-
-
-def test_half_a_torque_limit_that_told_nothing_is_given_back_and_said(tmp_path: Path) -> None:
-    """0x6072 acts 0.3 s after it was written, and somebody pushes the axis for a fifth of a second."""
-    cell = OtherCell(tmp_path, [{"values": {"0x605A": 6}}], [{"gravity_loaded": None}])
-    drive, bus = cell.drives[0], cell.bus
-    number, written = drive.number, [(0.0, 10_000)]
-
-    def late(index: int, sub: int = 0, missing: int = 0) -> int:
-        value = number(index, sub, missing)
-        if index != 0x6072:
-            return value
-        if written[-1][1] != value:
-            written.append((bus.time, value))
-        return next(v for t, v in reversed(written) if t <= bus.time - 0.3 or t == 0.0)
-
-    drive.number = late
-    master = cell.connect()
-    energise_held(cell, master)
-    for _ in range(250):
-        master._watched([0.0])
-    limit = number(0x6072)
-    assert limit < 10_000
-    drive.axis.gravity = RATED * limit / 1000 + 1.0
-    bus.at.append((bus.time + 0.2, lambda: setattr(drive.axis, "gravity", 0.0)))
-    for _ in range(500):
-        master._watched([0.0])
-    assert limit // 2 in [value for _, value in written]
-    assert number(0x6072) == limit
-    assert "did not tell within 0.15 s" in " ".join(master.notes)
-    master.close()
 
 
 def test_a_stop_is_heard_at_once_in_the_silence_of_the_stop_test(tmp_path: Path) -> None:

@@ -34,17 +34,19 @@ from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, Link, never
 from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.moving_cell import MovingCell
-from invid_drivers.cia402.relief import WeightRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
 from invid_drivers.cia402.takeover import find_powered, require_mode, require_ours
-from invid_drivers.cia402.way_out import WAY_OUT_S, WayOut
+from invid_drivers.cia402.way_out import WAY_OUT_S, Loads, WayOut
 
 RESTORE_S = 30.0
 """Longest restoring of all drives together: tenths of a second for each, ten for one that takes 0.2 s for an
 answer. The rest is left to the next start, which finds it in the journal."""
 LEAVING_S = 0.1
 """Longest wait on the way out for a setting that a loaded axis is better held with."""
+LOOK_S = 0.35
+"""At rest, before power: longer than the longest window in which a fall is seen (0.32 s), and than a drive
+takes from showing a mode to being in it (0.1 s, one report)."""
 ENABLE_S = 3.0
 """Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
 
@@ -83,8 +85,6 @@ class Cia402Cell:
         self.touched = False
         """Whether the drives were prepared to be enabled."""
         self._stopped = True
-        self._relief: WeightRelief | None = None
-        self._yielded: list[str] = []
         self.bounds: Bounds | None = None
         """What no cycle may pass, from before the first axis is enabled to the last one off."""
         self._torque_off: dict[int, float] = {}
@@ -96,6 +96,9 @@ class Cia402Cell:
         self._closed = False
         self.not_off: tuple[str, ...] = ()
         """Axes that were not seen to switch off."""
+        self.not_held: tuple[str, ...] = ()
+        """Loaded axes that were not seen to stand after the stop, or whose brake was seen not to hold
+        them."""
         self.cancelled: Callable[[], bool] = never
         """Asked in every wait until the way out: brakes and drives take their time, a stop must not."""
 
@@ -155,7 +158,7 @@ class Cia402Cell:
     @property
     def endings(self) -> tuple[str, ...]:
         """Axes energised after the stop, by what, and what to do; and loaded ones without torque."""
-        return self.held.endings(self.held_at_end, self.not_off, self._cycle.sample)
+        return self.held.endings(self.held_at_end, self.not_off, self.not_held, self._cycle.sample)
 
     def clear(self, names: Sequence[str]) -> None:
         """A person has found the cause: these axes may be enabled again. Before ``check``."""
@@ -191,7 +194,6 @@ class Cia402Cell:
             *(f"{text} are on the bus too" for text in others),
             *protection,
             *holds,
-            *self._yielded,
         )
 
     def energise(self, modes: Sequence[Mode]) -> None:
@@ -241,13 +243,23 @@ class Cia402Cell:
             self._link.nmt(NMT_START, drive.node_id)
         self._link.wait(0.005)
         self._cycle.restart_slots()
-        self._cycle.leaving = False
-        units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self.reports]
-        self._relief = WeightRelief(self._config, self._drives, self._cycle, units, self.held.too_heavy)
-        self._yielded = self._relief.notes
+        self._cycle.support[:] = [0.0] * len(self._drives)
         self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
+        self._look_first()
         self._enable(modes, unset)
+
+    def _look_first(self) -> None:
+        """See every axis at rest before the first is enabled; a mode that is shown has begun to act by
+        then."""
+        self._cycle.control[:] = [
+            states.QUICK_STOP if h.taken_over else states.DISABLE_VOLTAGE for h in self.holdings
+        ]
+        end = self.clock.now() + LOOK_S
+        while self.clock.now() < end and not self.cancelled():
+            sample = self._watched([0.0] * len(self._drives))
+            if self._watch.origin is None and all(sample.fresh):
+                self._watch.start(sample.position)
 
     def _refuse_disturbed(self) -> None:
         """Raise DriveError where a drive restarted or reported an error while it was prepared."""
@@ -339,17 +351,29 @@ class Cia402Cell:
         """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""
         self._watch.pause()  # whoever made the cycles before may have watched them otherwise
         self._watch.resting = set()  # the tests let axes go
-        self._relief = None
         self.held.settle(loaded, self._cycle.permille)
         self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self.reports)
         self.held.set_options(self._cycle, self.clock, self._watched)
-        moving, rated = self._moving(self._watched), self.rated_torque
-        return StopTest(moving, self.holdings, self.held.memory, self.cancelled, rated).run()
+        permitted = [limit.velocity for limit in self._watch.limits]
+        for i in range(len(self._drives)):
+            self._watch.permit(i, math.inf)  # a fall in the tests is none of what was planned
+        try:
+            test = StopTest(self._moving(self._watched), self.holdings, self.held.memory, self.cancelled)
+            return test.run()
+        finally:
+            for i, velocity in enumerate(permitted):
+                self._watch.permit(i, velocity)
 
     def _moving(self, exchange: Callable[[Sequence[float]], Sample]) -> MovingCell:
-        permitted = [limit.velocity for limit in self._watch.limits] if self.bounds is not None else []
         return MovingCell(
-            self._config, self._link, self._drives, self._cycle, exchange, self.resolution, permitted
+            self._config,
+            self._link,
+            self._drives,
+            self._cycle,
+            exchange,
+            self.resolution,
+            self.rated_torque,
+            [r.torque_mode for r in self.reports],
         )
 
     @property
@@ -379,11 +403,7 @@ class Cia402Cell:
     # --- the cycle -----------------------------------------------------------------------------
     def exchange(self, torque: Sequence[float]) -> Sample:
         """Targets out, SYNC at its slot, samples in."""
-        sample = self._cycle.exchange(torque)
-        if self._relief is not None and not self._cycle.leaving:
-            self._relief.look(sample, [h.loaded is not False and not h.seen.loaded for h in self.holdings])
-            self._watch.weighed = self._relief.probing
-        return sample
+        return self._cycle.exchange(torque)
 
     def _watched(self, torque: Sequence[float]) -> Sample:
         """A cycle that the cell makes by itself: checked as the sweep checks those that it makes."""
@@ -406,17 +426,37 @@ class Cia402Cell:
         with contextlib.suppress(Exception):
             if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes):
                 self.held.set_options(self._cycle, self.clock, self.exchange, LEAVING_S)
-        stays = [h.stays for h in self.holdings]
         weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
-        opposed = self._relief.opposed if self._relief is not None else ()
-        moving = self._moving(self.exchange)
-        way = WayOut(moving, stays, self._ramp_s, self.held.doubted, opposed, weigh)
+        falls = {} if self.bounds is None else self.bounds.falls
+        loads = Loads(
+            [h.stays for h in self.holdings],
+            {
+                i
+                for i, h in enumerate(self.holdings)
+                if h.loaded is not False and h.config.brake == "drive" and not h.stays
+            },
+            self.held.doubted,
+            {i for i, h in enumerate(self.holdings) if h.has_position_mode},
+            falls,
+            set() if self.bounds is None else self.bounds.blind,
+            {i: h.seen.brake_s for i, h in enumerate(self.holdings) if h.seen.brake_s is not None},
+            {i: h.seen.brake_drop for i, h in enumerate(self.holdings) if h.seen.brake_drop is not None},
+        )
+        way = WayOut(self._moving(self.exchange), loads, self._ramp_s, weigh)
         self.not_off = way.take()
+        for i in way.too_heavy:
+            self.held.too_heavy(i, self.holdings[i].limit + 1)
         self.held_at_end = tuple(
             h.config.name
             for i, h in enumerate(self.holdings)
-            if h.stays and h.config.name not in self.not_off and not self._is_surely_off(i)
+            if (h.stays or i in way.caught)
+            and h.config.name not in self.not_off
+            and not self._is_surely_off(i)
         )
+        self.not_held = tuple(self.axes[i] for i in sorted(way.unheld | way.failed_brakes))
+        for i in way.failed_brakes:
+            self.holdings[i].note(self.held.memory, brake_drop=self.holdings[i].config.limits.position)
+            self.holdings[i].brake_failed = i in way.caught and i not in way.unheld
         self.held.note_end(self.held_at_end, self.not_off)
         self._link.until = math.inf
         self._stopped = True

@@ -69,8 +69,12 @@ class Cycle:
         self.sample = Sample(
             position=[0.0] * count, torque=[0.0] * count, status=[0] * count, fresh=[False] * count
         )
+        self.support = [0.0] * count
+        """Torque that carries the load of each axis [N·m or N], sent on while its drive is to hold it: a
+        drive may show its mode before it acts."""
         self.asked = [0.0] * count
-        """Torque that each axis was sent with the last SYNC [N·m or N]; 0 where its drive holds it."""
+        """Torque that each axis was sent with the last SYNC [N·m or N]; 0 where its drive holds it, or
+        may."""
         self.paused = False
         """No SYNC was sent on purpose, since somebody has looked."""
         self.skipped_slots = 0
@@ -97,8 +101,6 @@ class Cycle:
         self._answered_s = 0.5 * self._cycle
         self._mode_asked = 0
         self._changes: dict[int, ModeChange | SettingWrite] = {}
-        self.leaving = False
-        """On the way out nobody changes modes."""
         self._changes_asked = 0
         self._counts = [0] * count
         self._next_mode_poll = 0.0
@@ -138,6 +140,16 @@ class Cycle:
         change = self._changes.get(axis)
         return not isinstance(change, ModeChange) or change.taken
 
+    def leave(self) -> None:
+        """On the way out nobody goes on changing modes that were asked for before."""
+        self._changes = {i: c for i, c in self._changes.items() if c.operation is None}
+
+    def place_of(self, axis: int, counts: int) -> float:
+        """Position [rad or m] of counts that were read beside the cycle."""
+        origin = self._origin[axis]
+        moved = 0 if origin is None else wrapped_difference(counts, origin)
+        return ((origin or 0) + moved if origin is not None else counts) * self._position_unit[axis]
+
     def set_object(self, axis: int, what: Object, value: int) -> SettingWrite:
         """Write an object of a drive in the cycles to come, while ``changing``."""
         write = self._changes[axis] = SettingWrite(what, value, self._link.clock.now())
@@ -162,10 +174,10 @@ class Cycle:
         if self._doubt:
             self._listen()
         for i, cob in enumerate(self._rpdo_ids):
-            value = 0 if self.modes[i] is hold else round(torque[i] * self._per_mille[i])
+            value = round((self.support[i] if self.modes[i] is hold else torque[i]) * self._per_mille[i])
             if value > self._most[i] or value < -self._most[i]:
                 value = self._most[i] if value > 0 else -self._most[i]
-            by_torque = self.operation[i] is not OperationMode.CYCLIC_POSITION
+            by_torque = self.operation[i] is not OperationMode.CYCLIC_POSITION and i not in self._changes
             self.asked[i] = value * self._torque_unit[i] if by_torque else 0.0
             put(
                 can.Message(arbitration_id=cob, data=_RPDO.pack(self.control[i], value), is_extended_id=False)
@@ -371,9 +383,7 @@ class Cycle:
         """Conclude the changes of mode that are done or failed; send the next request of one of them."""
         for axis, change in list(self._changes.items()):
             why = change.failure(now)
-            if self.leaving and change.operation is not None:
-                del self._changes[axis]
-            elif why is not None:
+            if why is not None:
                 del self._changes[axis]
                 name = self._config.axes[axis].name
                 text = f"axis {name} (node {self._nodes[axis]}): {why}"

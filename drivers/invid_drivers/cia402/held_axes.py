@@ -178,7 +178,7 @@ class HeldAxes:
     ) -> None:
         """Write 0x605A as what each axis carries asks for, between two SYNCs."""
         for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
-            wanted = STAY if holding.stays or holding.needs_brake_test else SWITCH_OFF
+            wanted = SWITCH_OFF if holding.loaded is False and not holding.taken_over else STAY
             if drive.protection.quick_stop_option == wanted:
                 continue
             if holding.can_stay and holding.option_writable:
@@ -198,21 +198,40 @@ class HeldAxes:
             if is_held:
                 h.state, h.taken_over = DriveState.QUICK_STOP_ACTIVE, True
 
-    def endings(self, held: Sequence[str], not_off: Sequence[str], sample: Sample) -> tuple[str, ...]:
-        """Axes energised after the stop, by what, and what to do; and loaded ones without torque."""
+    def endings(
+        self, held: Sequence[str], not_off: Sequence[str], not_held: Sequence[str], sample: Sample
+    ) -> tuple[str, ...]:
+        """Axes energised after the stop, by what, and what to do; and loaded ones that were not seen to
+        stand."""
         said = [
             f"axis {name} is energised: it is held by its drive in quick stop active, with its limits and "
             "its heartbeat watch, which are restored when it is off. To have it off, support its load or set "
             "its brake, then take the drive's enable or supply away and run `invid check`; the next "
             "measurement takes it over as it is"
             for name in held
+            if name not in not_held or self._brake_failed(name)
         ]
         for i, h in enumerate(self.holdings):
+            name = h.config.name
+            if name not in not_held:
+                continue
             state = state_of(sample.status[i])
-            falls = h.loaded and h.stays and h.config.name not in (*held, *not_off)
-            if falls and sample.fresh[i] and not is_energised(state):
+            if name in held and self._brake_failed(name):
                 said.append(
-                    f"axis {h.config.name} carries a load and is without torque ({state.words}): its drive "
-                    "does not hold it any more. Support it before anybody goes near"
+                    f"axis {name}: its brake was seen not to hold it after the stop; see to the brake"
+                )
+            elif name in held or is_energised(state):
+                said.append(
+                    f"axis {name} carries a load and is not held: its drive ({state.words}) was not "
+                    f"seen to bring it to "
+                    "rest. Support it before anybody goes near, then take the drive's enable or supply away"
+                )
+            else:
+                said.append(
+                    f"axis {name} carries a load and is without torque ({state.words}): nothing was seen to "
+                    "hold it. Support it before anybody goes near"
                 )
         return tuple(said)
+
+    def _brake_failed(self, name: str) -> bool:
+        return any(h.config.name == name and h.brake_failed for h in self.holdings)

@@ -46,6 +46,10 @@ class AxisHolding:
         """Held by its drive since an earlier run: never let go before it is known what it carries."""
         self.loaded = self.config.gravity_loaded
         """``None``: not known yet."""
+        self.brake_failed = False
+        """It was seen not to hold the axis after the stop, and the drive was seen to."""
+        self.brake_tried = self.stop_tried = False
+        """In this run: what was seen before does not replace a look."""
         if self.seen.loaded:
             self.loaded = True
         elif self.taken_over and self.loaded is False:
@@ -79,19 +83,19 @@ class AxisHolding:
 
     @property
     def first_option(self) -> int:
-        """0x605A before the axis is weighed: its drive may have to hold it, unless a brake surely does."""
-        sure = self.loaded is False or self.brake_in_time is True
+        """0x605A before the axis is weighed: its drive may have to hold it, also where a brake did once."""
+        sure = self.loaded is False
         return SWITCH_OFF if sure or not self.can_stay else STAY
 
     @property
     def needs_brake_test(self) -> bool:
-        """Whether it is loaded and its brake was never measured."""
-        return bool(self.loaded) and self.config.brake == "drive" and self.seen.brake_drop is None
+        """Whether it is loaded and its brake was not measured in this run."""
+        return bool(self.loaded) and self.config.brake == "drive" and not self.brake_tried
 
     @property
     def needs_stop_test(self) -> bool:
-        """Whether it is loaded and its drive, which must hold it, was not seen to do so."""
-        return bool(self.loaded) and self.stays and self.seen.holds is not True
+        """Whether it is loaded and its drive, which must hold it, was not seen to do so in this run."""
+        return bool(self.loaded) and self.stays and not self.stop_tried
 
     def note(self, memory: HoldMemory, **seen: bool | float | str | None) -> None:
         """Remember what was seen."""

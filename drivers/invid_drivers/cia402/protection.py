@@ -93,6 +93,13 @@ class Protection:
             found.append(
                 Limit(permille * rated / 1000, f"0x6072 of the drive: {permille} ‰ of {rated:g} {unit}")
             )
+        for what in (od.POSITIVE_TORQUE_LIMIT, od.NEGATIVE_TORQUE_LIMIT):
+            one_way = drive.find(what)
+            if one_way == 0:
+                self._require_shipped_zero(what, warnings)
+            elif one_way is not None:
+                value = one_way * rated / 1000
+                found.append(Limit(value, f"{what.address} of the drive: {one_way} ‰ of {rated:g} {unit}"))
         current = drive.find(od.MAX_CURRENT)
         if current:
             found.append(

@@ -1,0 +1,96 @@
+"""Whether a drive gives less torque than it is asked for, by what it shows itself.
+
+Of the torque asked for over the last ``LAGS`` cycles the least counts, in the direction of its mean:
+whatever 0x6077 lags, it shows at least that, less a share for its scale and its noise. What is missing is
+summed up over time (CUSUM): an impulse, the speed that a load has gained by it. A healthy drive is on the
+other side of the allowance in every cycle, six deviations of its noise away, so its sum stays zero.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Sequence
+
+from invid.errors import SafetyStop
+from invid.sweep.ports import Sample
+from invid.sweep.torque_sign import LAGS
+
+SCALE, LEARNT = 0.25, 0.08
+"""Share of the asked torque that may be missing: what the trial of the signs lets pass, and once its scale
+was seen."""
+NOISE = 0.03
+"""Of rated torque: six deviations of the 0.5 % that drives' current sensing has."""
+MEAN_S, LEARN_S = 0.3, 1.0
+IMPULSE_S = 0.0015
+"""Sum at which a run ends, over rated torque: a load of rated torque that gets nothing has gained that in 2
+ms."""
+
+
+class _Axis:
+    def __init__(self) -> None:
+        self.asked: deque[float] = deque(maxlen=LAGS)
+        self.mean = self.due = self.shown = self.seconds = self.missing = 0.0
+
+    def forget(self) -> None:
+        self.asked.clear()
+        self.missing = 0.0
+
+
+class Shortfall:
+    """Watch over shown against asked torque of the axes whose loops the master closes."""
+
+    def __init__(
+        self, names: Sequence[str], rated_torque: Sequence[float], torque_unit: str, cycle_s: float
+    ) -> None:
+        self._names, self._rated, self._unit, self._cycle = (
+            list(names),
+            list(rated_torque),
+            torque_unit,
+            cycle_s,
+        )
+        self._keep = 1.0 - min(1.0, cycle_s / MEAN_S)
+        self._axes = [_Axis() for _ in names]
+        self._slot: int | None = None
+
+    def forget(self) -> None:
+        """Forget the last moments; scales that were seen stay known."""
+        self._slot = None
+        for axis in self._axes:
+            axis.forget()
+
+    def check(self, sample: Sample, asked: Sequence[float], led: Collection[int]) -> None:
+        """Raise SafetyStop where a drive gives less than it is asked for."""
+        if self._slot is not None and sample.slot != self._slot + 1:
+            self.forget()
+        self._slot = sample.slot
+        for i, axis in enumerate(self._axes):
+            if i not in led or asked[i] == 0.0:
+                axis.forget()
+                continue
+            if sample.fresh[i] and len(axis.asked) == LAGS:
+                self._judge(i, axis, sample.torque[i])
+            axis.asked.append(asked[i])
+            axis.mean = asked[i] + self._keep * (axis.mean - asked[i])
+
+    def _judge(self, i: int, axis: _Axis, torque: float) -> None:
+        sign = 1.0 if axis.mean > 0 else -1.0
+        due, shown, rated = min(sign * a for a in axis.asked), sign * torque, self._rated[i]
+        if due <= NOISE * rated:
+            axis.missing = 0.0
+            return
+        learnt = axis.seconds >= LEARN_S
+        scale = min(1.0, axis.shown / axis.due) if learnt else 1.0
+        short = due * scale * (1.0 - (LEARNT if learnt else SCALE)) - NOISE * rated - shown
+        axis.missing = max(0.0, axis.missing + short * self._cycle)
+        if axis.missing == 0.0 and axis.seconds < LEARN_S:
+            axis.due, axis.shown = axis.due + due, axis.shown + min(shown, due)
+            axis.seconds += self._cycle
+        if axis.missing > IMPULSE_S * rated:
+            raise SafetyStop(
+                f"axis {self._names[i]}: its drive shows {shown:.3g} {self._unit} and is asked for "
+                f"{due:.3g} at least",
+                way_out="it limits its torque by itself (I²t, temperature, 0x60E0, 0x60E1, supply): read its "
+                "error memory; a load is not held by that",
+                code="no_torque",
+                axis=self._names[i],
+            )
