@@ -154,7 +154,7 @@ def ask(config: CellConfig, wish: Wish = Wish()) -> Asked:
         require_plan(config, wish)
         cell = connect(config)
     except InvidError as error:
-        return Asked((), error, ())
+        return Asked(not_ready(config), error, ())
     refusal: InvidError | None = None
     said: tuple[str, ...] = ()
     try:
@@ -163,7 +163,8 @@ def ask(config: CellConfig, wish: Wish = Wish()) -> Asked:
         refusal = error
     complaints = cell.close()
     said = (*said, *cell.notes, *(w for r in cell.reports for w in r.warnings), *complaints)
-    return Asked(cell.not_ready, refusal, said)
+    # where the drives did not get to say it, what is remembered stands
+    return Asked(cell.not_ready if cell.holdings else not_ready(config), refusal, said)
 
 
 def known_after_death(config: CellConfig, longest_s: float) -> tuple[str, ...]:

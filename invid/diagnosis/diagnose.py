@@ -13,9 +13,9 @@ from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.lost_samples import with_lost_samples
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
-from invid.diagnosis.unknown_forces.machine_search import Begun, begin_elastic
 from invid.errors import InputError, NotIdentifiableError
-from invid.identification.machine_kind import ChainsTried, is_of_rigid_axes, machine_kind
+from invid.identification.begun import Begun, begin_elastic
+from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model
 from invid.numerics import budget
@@ -81,7 +81,7 @@ def _diagnose_clean(
     if model is None:
         begin = cache(partial(_begin, recording, repaired, _requested_sizes(recording, masses)))
         with budget.use_share(1.0, 0.0, 0.3):
-            kind = machine_kind(recording, masses, lambda: _chains_tried(begin()), TIME_TO_IDENTIFY)
+            kind = machine_kind(recording, masses, begin, TIME_TO_IDENTIFY)
         if kind.rigid:
             result = diagnose_trajectory(recording, analysis=kind.analysis)
         else:
@@ -102,10 +102,6 @@ def _begin(recording: Recording, repaired: Recording, sizes: tuple[int, ...] | N
     """Where the search begins of a machine that is shaken; one that is moved need not show chains."""
     check_shaken(recording)
     return begin_elastic(repaired, sizes)
-
-
-def _chains_tried(begun: Begun) -> ChainsTried:
-    return ChainsTried(begun.sizes, lambda: begun.missed)
 
 
 def _requested_sizes(

@@ -1,76 +1,81 @@
-"""Identify machines with fewer masses than declared."""
+"""Chains as short as the records show them, of a machine with fewer masses than declared."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
-from invid.errors import InvidError
-from invid.likelihood.fit import AT_NOISE, Fit, fit_structure
-from invid.model.chains import CoupledChains
-from invid.model.parameters import ChainStructure
+from invid.identification.contest import PRICE_OF_MASS
+from invid.likelihood.unknown_forces.correspondence import Correspondence
+from invid.likelihood.unknown_forces.descent import LARGEST_STEP
+from invid.likelihood.unknown_forces.plant import Element, Kind
+from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.numerics import budget
-from invid.signals.spectra import LineSpectra
 
-FEWER_PHRASE = "were declared, but"
-"""Phrase by which the warning about masses that are not seen is recognised."""
-MOST_AXES = 2
-"""Most axes of which each alone is tried with one mass less (empirical, for the time)."""
+LOOSE = 0.1
+"""Deviation of a mass' or spring's logarithm from which on its chain may have a mass too many."""
 
 
-class FewerExplain(Exception):
-    """Raised by the starts of a structure when smaller chains explain the records."""
+def expected(found: Supposed) -> float:
+    """−2 ln L after the next step, by its slope and curvature here."""
+    around = found.fit.slope
+    unit = np.sqrt(np.diag(around.curvature))
+    step = np.linalg.solve(around.curvature / unit[:, None] / unit, around.gradient / unit) / unit
+    share = min(1.0, LARGEST_STEP / float(np.abs(step).max()))
+    return found.total - float(around.gradient @ step) * share * (2.0 - share)
 
-    def __init__(self, fit: Fit) -> None:
-        super().__init__(f"{fit.structure.sizes} masses explain the records")
-        self.fit = fit
 
+def with_masses_seen(now: Supposed) -> Supposed:
+    """The fit with each chain as short as costs no more than the price of a mass.
 
-def fit_fewer_masses(
-    spectra: Sequence[LineSpectra],
-    sizes: Sequence[int],
-    axes: Sequence[str],
-    starts_for: Callable[[tuple[int, ...]], Iterable[CoupledChains]],
-) -> Fit | None:
-    """The fit with one mass less than ``sizes`` on every axis, or on one, that reaches the noise; else
-    ``None``.
-
-    A mass that the records do not show gives starts nothing to go by: its mode is put where the noise is, and
-    takes the others with it. Without it they are where they belong. More masses contain fewer, so no further
-    mass is seen where fewer reach the noise.
+    Only where a mass or spring of a chain is loosely known may one be too many.
     """
-    for fewer in _smaller_structures(tuple(sizes)):
-        if budget.is_left_out("fewer masses than declared"):
+    motors = now.hypothesis.structure.motors
+    while not budget.is_left_out("fewer masses"):
+        shorter = [shortened(now, axis) for axis in range(motors)]
+        known = [s for s in shorter if s is not None and s.total - now.total < PRICE_OF_MASS]
+        if not known:
             break
-        structure = ChainStructure(fewer, tuple(axes))
-        try:
-            first_pass = fit_structure(spectra, structure, starts_for(fewer), thorough=False)
-            if first_pass.noise_chi2 < AT_NOISE:
-                return fit_structure(spectra, structure, [first_pass.chains])
-        except (InvidError, np.linalg.LinAlgError):
-            continue
-    return None
+        now = min(known, key=lambda s: s.total)
+    return now
 
 
-def fewer_masses_warnings(sizes: Sequence[int], fit: Fit) -> list[str]:
-    """Warnings where the fit has other masses than the declared ``sizes``."""
-    found = fit.structure.sizes
-    if found == tuple(sizes):
+def shortened(now: Supposed, axis: int) -> Supposed | None:
+    """The fit with two masses of a chain made one; none where all of them are well known."""
+    structure = now.hypothesis.structure
+    chain = range(structure.motor[axis], structure.load[axis] + 1)
+    links = [structure.links.index((a, a + 1)) for a in chain[:-1]]
+    numbers = [structure.index(Kind.MASS).start + a for a in chain]
+    numbers += [structure.index(Kind.SPRING).start + k for k in links]
+    if not links or np.sqrt(np.diag(now.fit.covariance)[numbers]).max() < LOOSE:
+        return None
+    pool = []
+    for a in chain[:-1]:
+        with suppress(np.linalg.LinAlgError):
+            pool.append(_merged(now, axis, a))
+    best = min(pool, key=expected, default=None)
+    return None if best is None else best.refit(iterations=25)
+
+
+def _merged(now: Supposed, axis: int, first: int) -> Supposed:
+    """With the masses ``first`` and the next of a chain made one, not fitted."""
+    structure, mass = now.hypothesis.structure, now.numbers.plant.of_kind(Kind.MASS)
+    at = tuple(i - (i > first) for i in range(structure.coordinates))
+    sizes = tuple(n - (i == axis) for i, n in enumerate(structure.sizes))
+    fewer = replace(structure, sizes=sizes, modes=tuple(at[h] for h in structure.modes))
+    one = {Element(Kind.MASS, first): float(mass[first] + mass[first + 1])}
+    return now.in_structure(Correspondence(structure, fewer, at), one, 0)
+
+
+def fewer_masses_warnings(declared: Sequence[int] | None, found: Sequence[int]) -> list[str]:
+    """What is said where fewer masses than declared are seen."""
+    if declared is None or tuple(declared) == tuple(found):
         return []
-    declared, fewer = (", ".join(str(n) for n in each) for each in (sizes, found))
+    said, seen = (", ".join(str(n) for n in each) for each in (declared, found))
     return [
-        f"masses {declared} {FEWER_PHRASE} {fewer} explain the records to their noise and no further one "
-        "is seen, so these are what the model has: declare them, or excite higher frequencies to see more"
+        f"masses {said} were declared, but {seen} explain the records and no further one is seen, so these "
+        "are what the model has: declare them, or excite higher frequencies to see more"
     ]
-
-
-def _smaller_structures(sizes: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
-    """Sizes with one mass less wherever there are two or more; of two axes then the same on each alone."""
-    one_less_each = tuple(max(n - 1, 1) for n in sizes)
-    if one_less_each != sizes:
-        yield one_less_each
-    for i, n in enumerate(sizes if len(sizes) <= MOST_AXES else ()):
-        one = (*sizes[:i], max(n - 1, 1), *sizes[i + 1 :])
-        if one not in (sizes, one_less_each):
-            yield one

@@ -26,11 +26,18 @@ DAMPING_RATIO = 0.02
 SPLIT = 4.0
 """Concentration of the random shares: of two masses one is rarely less than a tenth of the other."""
 FREQUENCIES = (0.06, 1.1)
-"""Range of the springs' own frequencies over the highest excited one."""
+"""Range of the springs' own frequencies over the highest of elasticity."""
 GRIDS = {1: 60, 2: 26, 3: 19, 4: 15}
 """Frequencies of the grid by the number of zeros: ten thousand sets at most."""
 LOWEST = 0.08
-"""Lowest frequency of the grid over the highest excited one."""
+"""Lowest frequency of the grid over the highest of elasticity."""
+RIGID_END, BENT, BEYOND = 10, 0.3, 1.3
+"""Share of the highest lines that may show a motor's own mass; logarithm by which its stiffness differs from
+that where chains bend it; and how far beyond there a pole may be."""
+FEW_LINES = 8
+"""Lines of a record below which those of all records are taken together: five numbers of two masses."""
+RIGID = 3.0
+"""Lines beyond the highest frequency of elasticity, over it, that chains are compared on."""
 APART = 2
 """Sets of zeros and poles that differ by less than so many points of the grid are one."""
 LOOKED, FOLLOWED = 2000, 20
@@ -46,7 +53,7 @@ GROWN, TORN = (0.15, 0.3, 0.5, 0.8), 0.4
 STILL = 1e-3
 """Motion over the largest of a line below which motors stand still in every record."""
 SLOW = (0.025, 0.13)
-"""Lines that show a chain's whole inertia, over the highest excited one."""
+"""Lines that show a chain's whole inertia, over the highest of elasticity."""
 
 Chain = tuple[Float64, Float64]
 """Masses and springs."""
@@ -57,10 +64,10 @@ def total_inertias(stacks: Sequence[Stack]) -> Float64:
     motors = stacks[0].position.shape[2]
     out = np.ones(motors)
     for m in range(motors):
+        top = elastic_top(*own_stiffness(stacks, m))
         rows, right = [], []
         for stack in stacks:
             omega = stack.omega
-            top = 2 * np.pi * stack.records[0].top_hz
             torque = stack.parts.sum(axis=0)
             for k, record in enumerate(stack.records):
                 if not record.driven[m]:
@@ -101,11 +108,11 @@ def random_plants(
 ) -> list[Plant]:
     """Random splits of the chains' inertia."""
     total = total_inertias(stacks)
-    top = 2 * np.pi * stacks[0].records[0].top_hz
+    tops = [elastic_top(*own_stiffness(stacks, m)) for m in range(structure.motors)]
     out = []
     for _ in range(count):
         chains = []
-        for whole, n in zip(total, structure.sizes, strict=True):
+        for whole, top, n in zip(total, tops, structure.sizes, strict=True):
             mass = rng.dirichlet(np.full(n, SPLIT)) * whole
             frequency = top * np.exp(rng.uniform(np.log(FREQUENCIES[0]), np.log(FREQUENCIES[1]), n - 1))
             chains.append((mass, frequency**2 / (1 / mass[:-1] + 1 / mass[1:])))
@@ -118,12 +125,7 @@ def grown_plants(plant: Plant, structure: Structure, top_hz: float) -> list[Plan
 
     A mode that shows little is beside the others where they are, not where their starts put it.
     """
-    old, mass, spring = plant.structure, plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
-    chains, link = [], 0
-    for first, n in zip(old.motor, old.sizes, strict=True):
-        chains.append((mass[first : first + n], spring[link : link + n - 1]))
-        link += n - 1
-    out = []
+    old, chains, out = plant.structure, chains_of_plant(plant), []
     for split in range(max(old.sizes)):
         for share in GROWN:
             stiffness = (2 * np.pi * share * top_hz) ** 2 * TORN * (1.0 - TORN)
@@ -137,6 +139,16 @@ def grown_plants(plant: Plant, structure: Structure, top_hz: float) -> list[Plan
                 )
             )
     return out
+
+
+def chains_of_plant(plant: Plant) -> list[Chain]:
+    """Masses and springs of every chain."""
+    mass, spring = plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
+    chains, link = [], 0
+    for first, n in zip(plant.structure.motor, plant.structure.sizes, strict=True):
+        chains.append((mass[first : first + n], spring[link : link + n - 1]))
+        link += n - 1
+    return chains
 
 
 def _split(mass: Float64, spring: Float64, at: int, stiffness: float) -> Chain:
@@ -243,7 +255,9 @@ def _interlaced(
     omega, size = own_stiffness(stacks, motor)
     if zeros not in GRIDS or omega.size < 2 * zeros + 2:
         return None
-    top = 2 * np.pi * stacks[0].records[0].top_hz
+    top = elastic_top(omega, size)
+    within = omega < RIGID * top
+    omega, size = omega[within], size[within]
     keep = slice(None, None, max(1, omega.size // 70))
     omega, level = omega[keep], np.log(size[keep] / omega[keep] ** 2)
     grid = np.exp(np.linspace(np.log(LOWEST * top), np.log(1.3 * top), GRIDS[zeros]))
@@ -255,24 +269,44 @@ def _interlaced(
     return grid, sets, inertia, np.abs(level - shape - inertia[:, None]).mean(axis=1)
 
 
+def elastic_top(omega: Float64, size: Float64) -> float:
+    """Frequency [rad/s] above which a motor's own stiffness is that of a mass alone, or the highest line."""
+    level = np.log(size / omega**2)
+    apart = np.abs(level - np.median(level[-max(level.size // RIGID_END, 3) :])) > BENT
+    # Of three neighbours that all differ none is noise.
+    beyond = np.flatnonzero(np.convolve(apart, np.ones(3), mode="same") > 2.5)
+    last = int(beyond[-1]) if beyond.size else level.size - 1
+    return float(min(omega[-1], BEYOND * omega[last]))
+
+
 def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:
     """Lines [rad/s] and |Z| of a motor with the other motors still, by least squares over the records.
 
     Where there are fewer records than motors, torque over motion of the records that drive it; where a
-    record has no period, torque over motion in bands, which its ends do not bend.
+    record has no period, torque over motion in bands, which its ends do not bend. Where every record has few
+    lines of its own (stepped sines), those of all.
     """
     stack = max(stacks, key=lambda s: s.count)
     if not stack.records[0].periods:
         return _stiffness_in_bands(stack, motor)
-    alike = [s for s in stacks if np.array_equal(s.omega, stack.omega)]
+    omega, size = _stiffness_on_lines([s for s in stacks if np.array_equal(s.omega, stack.omega)], motor)
+    if omega.size >= FEW_LINES:
+        return omega, size
+    each = [_stiffness_on_lines([s], motor) for s in stacks if any(r.driven[motor] for r in s.records)]
+    omega, size = (np.concatenate(part) for part in zip(*each, strict=True))
+    order = np.argsort(omega)
+    return omega[order], size[order]
+
+
+def _stiffness_on_lines(alike: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:
     parts, position = (
         np.concatenate(x, axis=-3) for x in zip(*((s.parts, s.position) for s in alike), strict=True)
     )
     records = [r for s in alike for r in s.records]
     torque = parts.sum(axis=0)
     driven = np.abs(parts[0]).max(axis=(0, 2))
-    lines = np.flatnonzero((stack.omega > 0) & (driven > 0.1 * driven.max()))
-    omega = stack.omega[lines]
+    lines = np.flatnonzero((alike[0].omega > 0) & (driven > 0.1 * driven.max()))
+    omega = alike[0].omega[lines]
     theta, tau = (x[:, lines].transpose(1, 0, 2) for x in (position, torque))
     if len(records) >= theta.shape[2]:
         return omega, np.abs((np.linalg.pinv(theta, rcond=STILL) @ tau)[:, motor, motor])

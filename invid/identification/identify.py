@@ -1,48 +1,39 @@
-"""Recording to model: starts from the paper's inverse, then the structured maximum-likelihood fit."""
+"""Recording to model: the likelihood of chains with friction at the motors, or the paper's inverse alone."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from functools import cache, partial
+from typing import Literal
 
 import numpy as np
 
-from invid.errors import InputError, InvidError, NotIdentifiableError
-from invid.identification.crosscheck import (
-    MOST_BEATEN,
-    SUSPECT,
-    compare_routes,
-    missed_by_structure,
-    second_route,
-    widen_by_method_error,
-)
-from invid.identification.fewer_masses import fewer_masses_warnings
-from invid.identification.ground_springs import fit_ground_springs
-from invid.identification.machine_kind import ChainsTried, machine_kind, rigid_model
-from invid.identification.model_facts import paper_model, refined_model
-from invid.identification.model_order import choose_order
-from invid.identification.starts import chain_starts, fit_sizes, measured_frf
+from invid.errors import InputError, NotIdentifiableError
+from invid.identification.begun import Begun, begin_elastic
+from invid.identification.crosscheck import widen_by_method_error
+from invid.identification.elastic_model import model_of_chains
+from invid.identification.machine_kind import machine_kind, rigid_model
+from invid.identification.paper_model import paper_model
 from invid.identification.stated_inertia import against_stated
-from invid.identification.torque_timing import refit_with_late_torque
 from invid.inverse import PaperResult, identify_paper
-from invid.likelihood.fit import AT_NOISE, Fit, fit_structure
-from invid.model.chains import CoupledChains
 from invid.model.document import Model
-from invid.model.parameters import ChainStructure
 from invid.modes.pole_search import search_modes
 from invid.modes.settle import settled_frf
 from invid.numerics import budget
 from invid.recording.model import Recording, Role
 from invid.recording.still_axes import masses_of_moving
 from invid.signals.drive_torque import replace_by_acting_torque
-from invid.signals.frf import FrfMatrix
-from invid.signals.plausibility import check_excitation
+from invid.signals.frf import FrfMatrix, frf_matrix, local_frf_matrix
+from invid.signals.plausibility import check_excitation, check_shaken
 from invid.signals.repair import repair
 from invid.signals.spectra import LineSpectra, all_spectra
 
 TIME_TO_SEARCH = 0.9
 """Share of a budget for everything but covariances and sentences about the model (empirical)."""
+
+BLUNT = 0.03
+"""Relative error of an FRF by local regression, which blunts resonances narrower than its window."""
 
 Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["paper", "refined"]
@@ -91,98 +82,31 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
 
 def _identify_kind(recording: Recording, masses: Masses, method: Method) -> Model:
     """Model of rigid inertias or of chains, by the kind of the recording."""
-    if method == "refined":
-        kind = machine_kind(
-            recording, masses, lambda: ChainsTried.of(recording, identify_chains(recording, masses))
-        )
-        if kind.rigid:
-            return rigid_model(recording, kind)
-        if kind.model is not None:
-            return kind.model
-    return identify_chains(recording, masses, method)
+    wanted = recording.masses_per_axis if masses is None else masses
+    sizes = None if wanted is None or isinstance(wanted, str) else _checked_sizes(recording, wanted)
+    begin = cache(partial(_begin, recording, sizes))
+    if method == "paper":
+        return _model_by_paper(recording, begin().sizes if sizes is None else sizes)
+    kind = machine_kind(recording, masses, begin)
+    if kind.rigid:
+        return rigid_model(recording, kind)
+    model = model_of_chains(begin())
+    return replace(model, warnings=(*model.warnings, kind.sentence)) if kind.sentence else model
 
 
-def identify_chains(recording: Recording, masses: Masses, method: Method = "refined") -> Model:
-    """``identify`` for a machine that is known to be elastic."""
-    budget.tell("reading spectra", 0.0)
+def _begin(recording: Recording, sizes: tuple[int, ...] | None) -> Begun:
+    check_shaken(recording)
+    # Not even holds are read, or starts, from what is for validation.
+    own = tuple(e for e in recording.experiments if e.role is Role.IDENTIFY)
+    return begin_elastic(replace(recording, experiments=own), sizes)
+
+
+def _model_by_paper(recording: Recording, sizes: Sequence[int]) -> Model:
     spectra = all_spectra(recording, Role.IDENTIFY)
     check_excitation(recording, spectra)
     spectra = replace_by_acting_torque(spectra, recording.experiments)
-    wanted = recording.masses_per_axis if masses is None else masses
-    warnings = [w for s in spectra for w in s.warnings]
-    order: dict[str, Any] = {}
-    further: list[CoupledChains] = []
-    if wanted is None or isinstance(wanted, str):
-        choice = choose_order(spectra, recording.axes)
-        sizes, order = choice.sizes, choice.evidence
-        warnings += choice.warnings
-        further = [] if choice.chains is None else [choice.chains]
-    else:
-        sizes = _checked_sizes(recording, wanted)
-    if method == "paper":
-        result, measured = _identify_by_paper(spectra, sizes, recording.axes)
-        return paper_model(recording, result, measured, warnings, order)
-    measured = measured_frf(spectra)
-    fit = fit_sizes(spectra, sizes, recording.axes, measured, further=further, declared=not order)
-    if not order:
-        fit = restart_mode_by_mode(spectra, fit)
-    paper: PaperResult | InvidError = NotIdentifiableError("the budget was spent before the second route")
-    if not budget.is_left_out("the paper's method as a second route"):
-        fit, paper = restart_from_second_route(spectra, fit)
-    doubtful = fit.noise_chi2 > SUSPECT and not budget.is_left_out("springs to ground and late torque")
-    if doubtful and min(missed_by_structure(spectra, fit)) > MOST_BEATEN:
-
-        def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
-            return chain_starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)
-
-        other = refit_with_late_torque(spectra, fit, starts_for)
-        other = other if other is not fit else fit_ground_springs(spectra, fit, starts_for)
-        fit, paper = other, paper if other is fit else second_route(spectra, other)
-    warnings += fewer_masses_warnings(sizes, fit)
-    return refined_model(recording, spectra, fit, paper, warnings, order)
-
-
-def restart_mode_by_mode(spectra: Sequence[LineSpectra], fit: Fit) -> Fit:
-    """The better of the fit and one from the plant that the search for the number of masses ends at.
-
-    Restarted only where the fit stalled far above the noise and misses more than two per cent: a wrong
-    minimum, or a machine that is not linear. An FRF without structure may miss as much there. Of one axis
-    alone, for of several that search takes minutes. Empirical: three masses behind a torque late by more than
-    half a sample stalled on two of ten plants, from starts by their modes; a plant that grows by the mode
-    that is missing did not.
-    """
-    sizes, axes = fit.structure.sizes, fit.structure.axes
-    stalled = fit.solution.result != "converged" and fit.noise_chi2 > SUSPECT
-    if not stalled or len(sizes) > 1 or missed_by_structure(spectra, fit)[1] < MOST_BEATEN:
-        return fit
-    if budget.is_left_out("a start of the identification mode by mode"):
-        return fit
-    choice = choose_order(spectra, axes)
-    if choice.sizes != sizes or choice.chains is None:
-        return fit
-    refitted = fit_structure(spectra, ChainStructure(sizes, axes), [choice.chains])
-    return refitted if refitted.noise_cost < 0.9 * fit.noise_cost else fit
-
-
-def restart_from_second_route(
-    spectra: Sequence[LineSpectra], fit: Fit
-) -> tuple[Fit, PaperResult | InvidError]:
-    """The better of the fit and one restarted from the paper's result, and the paper's result.
-
-    Restarted only where the paper's modes explain the FRF to its noise while the fit is above it and
-    disagrees: one of the two is then in a wrong minimum.
-    """
-    paper = second_route(spectra, fit)
-    if isinstance(paper, InvidError) or paper.modes.model_error > 0.0:
-        return fit, paper
-    at_noise = fit.solution.result == "converged" and fit.noise_chi2 < AT_NOISE
-    if at_noise or compare_routes(paper, fit.names, fit.values, fit.covariance, [])["agree"]:
-        return fit, paper
-    structure = ChainStructure(fit.structure.sizes, fit.structure.axes)
-    refitted = fit_structure(spectra, structure, [paper.chains])
-    if refitted.noise_cost < 0.9 * fit.noise_cost:
-        return refitted, second_route(spectra, refitted)
-    return fit, paper
+    result, measured = _identify_by_paper(spectra, sizes, recording.axes)
+    return paper_model(recording, result, measured, [w for s in spectra for w in s.warnings])
 
 
 def _identify_by_paper(
@@ -201,7 +125,7 @@ def _identify_by_paper(
             replace(s, torque=s.torque * np.exp(-1j * s.omega * delay)[:, None], staircase=0.0 * s.staircase)
             for s in spectra
         ]
-    measured = settled_frf(spectra, sizes, measured_frf(spectra, misfit=0.0))
+    measured = settled_frf(spectra, sizes, _measured_frf(spectra))
     if measured.frequency_hz.size == 0:
         raise NotIdentifiableError("no frequency at which all axes are excited: the FRF matrix is incomplete")
     data = (measured.frequency_hz, measured.frf, measured.variance)
@@ -217,6 +141,16 @@ def _identify_by_paper(
     return widen_by_method_error(result, measured), measured
 
 
+def _measured_frf(spectra: Sequence[LineSpectra]) -> FrfMatrix:
+    """The FRF matrix; where lines do not span the axes by local regression, which blunts resonances."""
+    if not any(s.transient for s in spectra):
+        frf = frf_matrix(spectra)
+        if frf.frequency_hz.size >= 8:
+            return frf
+    frf = local_frf_matrix(spectra)
+    return replace(frf, variance=frf.variance + (BLUNT * np.abs(frf.frf)) ** 2)
+
+
 def _checked_sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ...]:
     sizes = tuple(int(n) for n in wanted)
     if len(sizes) != recording.axis_count or any(n < 1 for n in sizes):
@@ -227,4 +161,4 @@ def _checked_sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ..
     return sizes
 
 
-__all__ = ["fit_sizes", "identify", "identify_chains", "measured_frf"]
+__all__ = ["identify"]

@@ -6,81 +6,50 @@ record (production moves, noise, a velocity alone) may be of either kind.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from invid.errors import InvidError
-from invid.identification.model_order import CUT_SHORT
-from invid.likelihood.fit import Fit, fit_structure
-from invid.likelihood.nuisance.torque_lags import add_coulomb_columns
-from invid.likelihood.records import problem_from_spectra, transfer_parameters
-from invid.model.chains import CoupledChains
+from invid.identification.begun import Begun
+from invid.identification.contest import FURTHER_MASSES
 from invid.model.document import MISSED, Model
 from invid.model.doubts import Doubt, DoubtCode
-from invid.model.parameters import ChainStructure
 from invid.numerics import budget
-from invid.numerics.arrays import Float64, frozen_float
-from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.numerics.arrays import Float64
+from invid.recording.model import Kind, Recording
 from invid.rigid_motion.analysis import Analysis, analyse, row_floor
 from invid.rigid_motion.model import TRAJECTORY, identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
 from invid.rigid_motion.selection import judged_rows
-from invid.signals.drive_torque import replace_by_acting_torque
-from invid.signals.spectra import LineSpectra, all_spectra
 
 RIGID_ENOUGH = 0.1
 """Missed share of the torque (rms, held-out rows) below which rigid axes are not doubted. Empirical: 0.007 to
 0.17 on five real rigid machines, 0.11 and more on twenty simulated chains in moves, noise and chirps."""
 CLEAR_RATIO = 0.5
 """Ratio of missed torque, chains over rigid axes, below which a moved machine counts as elastic (empirical):
-a factor of two in amplitude, as between any two structures (``model_facts.MOST_BEATEN``)."""
+a factor of two in amplitude."""
 TIME_TO_DOUBT = 0.85
 """Least share of what is left of a budget for chains of a machine that is moved: where they lose, nothing
 else needs it (empirical)."""
-PIECE_COUNT = 12
-"""Pieces of each record; chains are judged on every third, from all over it: the end of a chirp shows what
-its beginning does not."""
 
 
 @dataclass(frozen=True, eq=False)
 class MachineKind:
-    """The kind of a machine, and the model that was fitted to decide it."""
+    """The kind of a machine."""
 
     rigid: bool
-    model: Model | None = None
     sentence: str = ""
     """What either kind misses, in words; empty where only one was fitted."""
     analysis: Analysis | None = None
     """The analysis of rigid axes, where it was made and they are rigid."""
 
 
-@dataclass(frozen=True, eq=False)
-class ChainsTried:
-    """Masses of each axis that a fit of chains found, and the share of the torque that they miss on what is
-    kept out, beyond noise, of the worst axis.
-
-    ``model``: the model, where one was made of it; ``cut_short``: the budget ended before further masses.
-    """
-
-    sizes: tuple[int, ...]
-    missed: Callable[[], float]
-    model: Model | None = None
-    cut_short: bool = False
-
-    @classmethod
-    def of(cls, recording: Recording, model: Model) -> ChainsTried:
-        """The chains of an identified model."""
-        cut_short = bool(model.fit.get("order", {}).get(CUT_SHORT))
-        sizes = model.chains.masses_per_branch
-        return cls(sizes, lambda: chains_missed_share(recording, model.chains), model, cut_short)
-
-
 def machine_kind(
     recording: Recording,
     masses: Sequence[int] | str | None,
-    chains: Callable[[], ChainsTried],
+    chains: Callable[[], Begun],
     share: float = 1.0,
 ) -> MachineKind:
     """Rigid axes or chains; ``chains`` identifies them as chains, with ``masses`` as requested.
@@ -116,31 +85,26 @@ def machine_kind(
             tried = chains()
         # One mass an axis is no elasticity: rigid axes hold that, and the weight that changes with the pose.
         if max(tried.sizes) > 1:
-            left = tried.missed()
+            left = tried.missed
     except (InvidError, np.linalg.LinAlgError):
         pass
-    model = None if tried is None else tried.model
     is_single = tried is not None and max(tried.sizes) == 1
-    if tried is not None and is_single and tried.cut_short:
+    if is_single and FURTHER_MASSES in budget.left_out():
         # Nothing is concluded from orders that were not tried.
         said = "whether the machine is elastic is open: the budget ended before further masses were tried"
         if is_moved:
             return MachineKind(True, sentence=said, analysis=analysis)
-        return MachineKind(False, _with_warning(model, said), said)
+        return MachineKind(False, said)
     if np.isinf(missed) and np.isinf(left):
-        return MachineKind(is_moved and tried is None, model)  # whoever fits it again says why
+        return MachineKind(is_moved and tried is None)  # whoever fits it again says why
     sentence = f"rigid axes miss {_share_text(missed)} of the torque on rows kept out, " + (
         "and no elasticity shows" if is_single else f"chains {_share_text(left)}"
     )
     # The better one wins; of what is moved and not shaken only where it is so clearly.
     if tried is not None and left < (CLEAR_RATIO if is_moved else 1.0) * missed:
         sentence = f"taken for an elastic machine: {sentence}"
-        return MachineKind(False, _with_warning(model, sentence), sentence)
+        return MachineKind(False, sentence)
     return MachineKind(True, sentence=f"taken for a rigid machine: {sentence}", analysis=analysis)
-
-
-def _with_warning(model: Model | None, sentence: str) -> Model | None:
-    return None if model is None else replace(model, warnings=(*model.warnings, sentence))
 
 
 def is_of_rigid_axes(model: Model, recording: Recording) -> bool:
@@ -188,48 +152,6 @@ def _worst_share(powers: Float64) -> float:
     """Largest missed share (rms) of an axis; (M, 2) missing and total powers."""
     left, power = powers.T
     return float(np.sqrt(np.max(np.maximum(left, 0.0) / np.maximum(power, 1e-300))))
-
-
-def chains_missed_share(recording: Recording, chains: CoupledChains) -> float:
-    """Missed share of chains, refitted to two of three pieces of each record and evaluated on the others.
-
-    Lines are weighted by their noise: beside the clamped resonances what is missing is mostly noise.
-    """
-    structure = ChainStructure(chains.masses_per_branch, recording.axes)
-    start = replace(chains, ground_dampers=frozen_float(np.zeros(recording.axis_count)))
-    judged_pieces = set(range(1, PIECE_COUNT, 3))
-    fitted = fit_structure(
-        _spectra_of_pieces(recording, set(range(PIECE_COUNT)) - judged_pieces),
-        structure,
-        [start],
-        thorough=False,
-    )
-    return _missed_share(fitted, _spectra_of_pieces(recording, judged_pieces))
-
-
-def _missed_share(fitted: Fit, spectra: Sequence[LineSpectra]) -> float:
-    """Missed share of a fit on other records, where only their ends are fitted."""
-    problem = add_coulomb_columns(problem_from_spectra(fitted.structure, spectra), spectra)
-    powers = np.zeros((len(fitted.structure.axes), 2))
-    for state in problem.states(transfer_parameters(fitted.problem, fitted.solution.p, problem)):
-        noise = np.einsum("fii->fi", state.covariance).real
-        powers[:, 0] += (np.abs(state.residual) ** 2 / noise - 1.0).sum(axis=0)
-        powers[:, 1] += (np.abs(state.block.torque) ** 2 / noise).sum(axis=0)
-    return _worst_share(powers)
-
-
-def _spectra_of_pieces(recording: Recording, numbers: Collection[int]) -> tuple[LineSpectra, ...]:
-    """Spectra of some of the pieces of each experiment that is not for validation."""
-    own = tuple(
-        _piece_of(e, n) for e in recording.experiments if e.role is Role.IDENTIFY for n in sorted(numbers)
-    )
-    return replace_by_acting_torque(all_spectra(replace(recording, experiments=own), Role.IDENTIFY), own)
-
-
-def _piece_of(experiment: Experiment, number: int) -> Experiment:
-    first, last = (k * experiment.samples // PIECE_COUNT for k in (number, number + 1))
-    piece = replace(experiment, key=f"{experiment.key} {number}", period_samples=0)
-    return piece.cut(slice(first, last))
 
 
 def _share_text(missed: float) -> str:

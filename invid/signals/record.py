@@ -21,6 +21,7 @@ import numpy as np
 from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording.model import Experiment, Role
 from invid.signals.band import elastic_band, excited_band
+from invid.signals.demand import command_within
 from invid.signals.timebase import resample_uniformly
 
 DENSE = 1.3
@@ -89,6 +90,12 @@ class Record:
         Highest excited frequency.
     origin
         Time at which the recording begins [s].
+    command
+        (A, M) amplitudes of the command within the torque, NaN on axes of which it is not logged.
+    late
+        Time by which the torque is recorded after it acted, where the command tells [s].
+    is_hold_sampled
+        Whether the holds are computed once a sample and act with the command.
     """
 
     key: str
@@ -112,6 +119,9 @@ class Record:
     periods: int
     top_hz: float
     origin: float = 0.0
+    command: Complex128 | None = None
+    late: float = 0.0
+    is_hold_sampled: bool = False
 
     @cached_property
     def omega(self) -> Float64:
@@ -129,6 +139,10 @@ class Record:
         one."""
         count = (self.motion.position.shape[0] - 1) // max(self.periods, 1)
         return max(k for k in range(1, most + 1) if count % k == 0)
+
+    def tells_command(self, axis: int) -> bool:
+        """Return whether the command of an axis is logged apart from its hold."""
+        return self.command is not None and bool(np.isfinite(self.command[0, axis]))
 
     def lines(self, series: Float64) -> Complex128:
         """(F, …) transform of ``series`` (k + 1, …) on the grid of motion."""
@@ -203,10 +217,22 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     used = _used_lines(frequency[wide], top, periods)
     rounded = _rounding_seen(motion.position[:: round(step / motion.step)], counts, used)
     position_noise = np.maximum(_level(rest[quiet]), rounded)
+    if even.lost and periods > 1:  # what was interpolated repeats with no period
+        rough = np.flatnonzero((frequency <= DENSE * top) & (np.arange(frequency.size) % periods != 0))
+        position_noise = np.maximum(position_noise, _level(rest[rough]))
+        torque_noise = np.maximum(torque_noise, _level(spectrum[rough]))
     hold = np.asarray(experiment.hold_gain, dtype=float)
     # Between the lines of a period stands what it took to reach it, without a command of its own.
     between = (wide % periods != 0) if periods > 1 else np.zeros(wide.size, dtype=bool)
     free = between[:, None] | ~driven
+    demand = experiment.torque_demand
+    command, late = None, 0
+    if demand is not None and demand.shape[0] == even.samples == experiment.samples:
+        held = demand[-count - 1 :] if count < even.samples else np.concatenate((demand, demand[-1:]))
+        ends = (held[-1] - held[0]) / count  # held over the sample it needs no trapezoid's correction
+        on_lines = transform(held, np.arange(wide.size)) - ends
+        command, late = command_within((omega, lines, spectrum[wide]), on_lines, step)
+        command[:, (hold == 0.0) | ~np.any(demand != 0.0, axis=0)] = np.nan
     return Record(
         key=experiment.key,
         role=experiment.role,
@@ -228,6 +254,9 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
         excited=np.round(experiment.frequencies_hz * span).astype(np.int64),
         periods=periods,
         top_hz=top,
+        command=command,
+        late=late * step,
+        is_hold_sampled=experiment.attributes.get("hold_by") == "master",
     )
 
 

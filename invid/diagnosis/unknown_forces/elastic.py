@@ -15,20 +15,23 @@ from invid.diagnosis.outcome import (
     limit_unfinished_search,
 )
 from invid.diagnosis.thresholds import MOST
-from invid.diagnosis.unknown_forces.fitted_model import model_of
 from invid.diagnosis.unknown_forces.floor_doubts import doubt_floors
-from invid.diagnosis.unknown_forces.left_over import AxisMissing, axis_missing, forces_at
+from invid.diagnosis.unknown_forces.left_over import forces_at
 from invid.diagnosis.unknown_forces.limits import ruled_out
-from invid.diagnosis.unknown_forces.machine_search import Begun, ElasticSearch, search_elastic
-from invid.diagnosis.unknown_forces.named_terms import TermWriter
+from invid.diagnosis.unknown_forces.machine_search import ElasticSearch, search_elastic
+from invid.diagnosis.unknown_forces.named_terms import CauseWriter
 from invid.diagnosis.unknown_forces.nameless import SmoothLaw, coefficients_of
-from invid.diagnosis.unknown_forces.own_time import AxisTones, describe_tones
 from invid.diagnosis.unknown_forces.rivals import Contest, contests, is_part_of_more
 from invid.diagnosis.unknown_forces.structures import additions_of
 from invid.diagnosis.unknown_forces.unexplained import describe_left
 from invid.effects.units import unit_of
+from invid.identification.begun import Begun
+from invid.identification.fewer_masses import fewer_masses_warnings
+from invid.identification.fitted_model import model_of
+from invid.identification.missing_torque import AxisMissing, axis_missing
+from invid.identification.own_time import AxisTones, describe_tones
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
 from invid.model.diagnosis_document import AxisResidual, Diagnosis, Unexplained, Verdict
 from invid.model.document import EffectTerm, model_to_json
 from invid.model.doubts import DoubtCode, doubts_of
@@ -96,17 +99,6 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     return replace(result, ruled_out=ruled_out(found, result.findings))
 
 
-def fewer_masses_warnings(declared: Sequence[int] | None, found: Sequence[int]) -> list[str]:
-    """What is said where fewer masses than declared are seen."""
-    if declared is None or tuple(declared) == tuple(found):
-        return []
-    said, seen = (", ".join(str(n) for n in each) for each in (declared, found))
-    return [
-        f"masses {said} were declared, but {seen} explain the records and no further one is seen, so these "
-        "are what the model has: declare them, or excite higher frequencies to see more"
-    ]
-
-
 def residuals(recording: Recording, before: AxisMissing, after: AxisMissing) -> list[AxisResidual]:
     """Missing torque of each axis without causes, with them, and by the sensors alone."""
     unit = unit_of("torque", recording.linear)
@@ -127,7 +119,7 @@ def named_terms(found: ElasticSearch) -> list[NamedTerm]:
     """Every cause that stays, with its size."""
     end = found.end
     structure = end.hypothesis.structure
-    writer = TermWriter(end, found.recording.axes, linear=found.recording.linear)
+    writer = CauseWriter(end, found.recording.axes, linear=found.recording.linear)
     stays = {w.key: w.rise for w in found.worths if w.stays}
     terms = [
         NamedTerm(_with_table(found, placed, writer.law(placed)), placed.key, stays[placed.key])
@@ -141,7 +133,10 @@ def named_terms(found: ElasticSearch) -> list[NamedTerm]:
             key = (part, motor) if (part, motor) in stays else (Part.RISE, motor)
             terms.append(NamedTerm(term, key, stays[key]))
     terms += [NamedTerm(writer.load_spring(p), p, stays[p]) for p in structure.pairs if p in stays]
-    terms += [NamedTerm(writer.channel(*c), c, stays[c]) for c in end.hypothesis.channels if c in stays]
+    # A channel that low-passes what it records is no cause: the model says so.
+    shown = {(Channel.LAG, i) for i in np.flatnonzero(end.numbers.timing.lag < 0.0)}
+    channels = end.hypothesis.channels - shown
+    terms += [NamedTerm(writer.channel(*c), c, stays[c]) for c in channels if c in stays]
     terms += [NamedTerm(writer.addition(a), a, stays[a]) for a in additions_of(structure) if a in stays]
     return terms
 

@@ -18,10 +18,8 @@ from functools import cached_property
 import numpy as np
 
 from invid.diagnosis.sentences import ruled_out_sentence
-from invid.diagnosis.unknown_forces.backward import FRICTION, PRICE_OF_FRICTION
 from invid.diagnosis.unknown_forces.machine_search import ElasticSearch
 from invid.diagnosis.unknown_forces.projected_rows import Rows
-from invid.diagnosis.unknown_forces.pursuit import LEAST_FITTED, LEAST_KEPT, PRICE
 from invid.diagnosis.unknown_forces.resonances import mode_answer, top
 from invid.diagnosis.unknown_forces.scoring import spot_at, spots_of
 from invid.effects.effect import Effect
@@ -32,6 +30,7 @@ from invid.effects.supposed.motors import TorqueSaturation
 from invid.effects.supposed.springs import Backlash
 from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
+from invid.identification.worth import FRICTION, LEAST_FITTED, LEAST_KEPT, PRICE, PRICE_OF_FRICTION
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Kind

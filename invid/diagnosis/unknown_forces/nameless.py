@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.diagnosis.thresholds import EXPLAINED, FLOOR
-from invid.diagnosis.unknown_forces.left_over import PlaceForce, axis_missing, place_of
+from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_of
 from invid.diagnosis.unknown_forces.projected_rows import Rows
-from invid.diagnosis.unknown_forces.pursuit import pays, role_falls
 from invid.effects.effect import PlaceMotion
 from invid.effects.laws.empirical_law import (
     KNOTS,
@@ -28,6 +27,8 @@ from invid.effects.laws.empirical_law import (
 )
 from invid.effects.motion_effect import OF_RATE, PAIRS
 from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
+from invid.identification.missing_torque import axis_missing
+from invid.identification.worth import pays, role_falls
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import curvature

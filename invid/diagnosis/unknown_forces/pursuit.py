@@ -12,20 +12,14 @@ from invid.diagnosis.unknown_forces.scoring import ALIKE, candidates, own_share,
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
 from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.identification.contest import shaken
+from invid.identification.late_drives import late_drives
+from invid.identification.worth import LEAST_FITTED, pays, role_falls
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, scan_law
-from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
-from invid.likelihood.unknown_forces.timing import CONVENTION
+from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed
 from invid.numerics import budget
 
-PRICE, LEAST_FITTED, LEAST_KEPT = 120.0, 40.0, 10.0
-"""Fall of −2 ln L that a cause must bring on all records, on those fitted and on those kept out.
-
-Schwarz's price of its numbers, and of the places and shapes looked at, is about 40; the rest is what the form
-of friction and the grid of motion leave (empirical: false falls of up to 60 of −ln L in sixty rounds of whole
-cells of another hand).
-"""
 PROMISING = 0.3
 """Share of the best fall from which a structure is fitted to its end (empirical)."""
 NUMBER = 10.0
@@ -36,8 +30,6 @@ OWN_STIFFNESS = (0.7, 1.4)
 """Bounds of a gap's coefficient over its spring's stiffness."""
 UNBENT = 0.2
 """Relative deviation of a spring's stiffness from which on no record bends it (empirical)."""
-SURELY_LATE = 5.0
-"""Deviations by which a delay has to exceed conventions before a late drive is supposed."""
 LOST = 0.2
 """Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
 
@@ -80,17 +72,6 @@ class Trial:
         elif self.placed is not None:
             numbers = len(self.placed.law.low) + len(self.placed.shape) - 1
         return self.fall - NUMBER * numbers
-
-
-def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
-    """Falls on the records fitted and on those kept out."""
-    return before.total - after.total, before.kept_total - after.kept_total
-
-
-def pays(fitted: float, kept: float, price: float = PRICE) -> bool:
-    """Return whether falls on the records fitted and kept out pay a price."""
-    share = price / PRICE
-    return fitted + kept > price and fitted > share * LEAST_FITTED and kept > share * LEAST_KEPT
 
 
 def is_sound(found: Supposed) -> bool:
@@ -149,35 +130,10 @@ def settle(now: Supposed, rounds: int = 5) -> Supposed:
 
 def try_channels(now: Supposed) -> list[Trial]:
     """Drives whose torque acts late by more than a sample, or lags, each against no such thing."""
-    out = []
-    timing, motors = now.numbers.timing, now.hypothesis.structure.motors
-    deviation = np.sqrt(np.diag(now.fit.covariance))[now.numbers.plant.x.size :]
-    for axis in range(motors):
-        if any(a == axis for _, a in now.hypothesis.channels):
-            continue
-        spot = Spot(Where.MOTOR, axis)
-        late = max(
-            (abs(timing.delay[part, axis]) - CONVENTION) / max(deviation[part * motors + axis], 1e-9)
-            for part in (0, 1)
-        )
-        if late < SURELY_LATE:
-            continue
-        without = now.refit(
-            replace(now.hypothesis, absent=now.hypothesis.absent | {(Channel.DELAY, axis)}), iterations=15
-        )
-        for channel in Channel:
-            found = now.refit(
-                replace(now.hypothesis, channels=now.hypothesis.channels | {(channel, axis)}), iterations=15
-            )
-            if channel is Channel.LAG:
-                punctual = found.numbers.timing.punctual(axis)
-                found = found.refit(
-                    replace(found.hypothesis, absent=found.hypothesis.absent | {(Channel.DELAY, axis)}),
-                    replace(found.numbers, timing=punctual),
-                    iterations=15,
-                )
-            out.append(Trial(channel.value, spot, found, without))
-    return out
+    return [
+        Trial(late.channel.value, Spot(Where.MOTOR, late.axis), late.found, late.without)
+        for late in late_drives(now)
+    ]
 
 
 def try_structures(now: Supposed, least: float, *, growing: bool) -> list[Trial]:

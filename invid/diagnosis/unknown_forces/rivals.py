@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.diagnosis.thresholds import COMPETES, EXPLAINED
-from invid.diagnosis.unknown_forces.backward import FRICTION, Worth
-from invid.diagnosis.unknown_forces.left_over import PlaceForce, axis_missing
-from invid.diagnosis.unknown_forces.named_terms import axis_and_element
+from invid.diagnosis.unknown_forces.left_over import PlaceForce
 from invid.diagnosis.unknown_forces.projected_rows import Rows
-from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound, role_falls, try_law
+from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound, try_law
 from invid.diagnosis.unknown_forces.scoring import score, spots_of
 from invid.diagnosis.unknown_forces.structures import Base, Mode
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed_laws import supposed_laws
+from invid.identification.missing_torque import axis_missing
+from invid.identification.quantities import axis_and_element
+from invid.identification.worth import FRICTION, Worth, role_falls
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, PlacedLaw, Supposed

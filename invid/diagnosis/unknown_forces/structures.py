@@ -10,18 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.diagnosis.unknown_forces.resonances import BAND, DAMPING, Resonance, Scan, top
-from invid.identification.contest import PRICE_OF_MASS, is_settled
+from invid.identification.contest import is_settled
+from invid.identification.fewer_masses import expected
 from invid.identification.first_plants import fraction_chains
 from invid.likelihood.unknown_forces.correspondence import Correspondence
-from invid.likelihood.unknown_forces.descent import LARGEST_STEP
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
 from invid.likelihood.unknown_forces.supposition import Supposed
-from invid.numerics import budget
 from invid.numerics.arrays import Float64
 
-LOOSE = 0.1
-"""Deviation of a mass' or spring's logarithm from which on its chain may have a mass too many."""
 LEAST_FALL = 20.0
 """First-order fall of −2 ln L below which nothing is fitted: half of what a cause has to bring on the records
 fitted."""
@@ -265,15 +262,6 @@ def load_inertia(structure: Structure, values: Float64) -> Float64:
     return out
 
 
-def expected(found: Supposed) -> float:
-    """−2 ln L after the next step, by its slope and curvature here."""
-    around = found.fit.slope
-    unit = np.sqrt(np.diag(around.curvature))
-    step = np.linalg.solve(around.curvature / unit[:, None] / unit, around.gradient / unit) / unit
-    share = min(1.0, LARGEST_STEP / float(np.abs(step).max()))
-    return found.total - float(around.gradient @ step) * share * (2.0 - share)
-
-
 def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
     """A short fit with an addition; none where no start has a value.
 
@@ -368,45 +356,3 @@ def without(now: Supposed, addition: Addition) -> Supposed:
     else:
         fewer = replace(structure, base=False)
     return now.in_structure(Correspondence.of(structure, fewer), values, 25)
-
-
-def with_masses_seen(now: Supposed) -> Supposed:
-    """The fit with each chain as short as costs no more than the price of a mass.
-
-    Only where a mass or spring of a chain is loosely known may one be too many.
-    """
-    motors = now.hypothesis.structure.motors
-    while not budget.is_left_out("fewer masses"):
-        shorter = [shortened(now, axis) for axis in range(motors)]
-        known = [s for s in shorter if s is not None and s.total - now.total < PRICE_OF_MASS]
-        if not known:
-            break
-        now = min(known, key=lambda s: s.total)
-    return now
-
-
-def shortened(now: Supposed, axis: int) -> Supposed | None:
-    """The fit with two masses of a chain made one; none where all of them are well known."""
-    structure = now.hypothesis.structure
-    chain = range(structure.motor[axis], structure.load[axis] + 1)
-    links = [structure.links.index((a, a + 1)) for a in chain[:-1]]
-    numbers = [structure.index(Kind.MASS).start + a for a in chain]
-    numbers += [structure.index(Kind.SPRING).start + k for k in links]
-    if not links or np.sqrt(np.diag(now.fit.covariance)[numbers]).max() < LOOSE:
-        return None
-    pool = []
-    for a in chain[:-1]:
-        with suppress(np.linalg.LinAlgError):
-            pool.append(_merged(now, axis, a))
-    best = min(pool, key=expected, default=None)
-    return None if best is None else best.refit(iterations=25)
-
-
-def _merged(now: Supposed, axis: int, first: int) -> Supposed:
-    """With the masses ``first`` and the next of a chain made one, not fitted."""
-    structure, mass = now.hypothesis.structure, now.numbers.plant.of_kind(Kind.MASS)
-    at = tuple(i - (i > first) for i in range(structure.coordinates))
-    sizes = tuple(n - (i == axis) for i, n in enumerate(structure.sizes))
-    fewer = replace(structure, sizes=sizes, modes=tuple(at[h] for h in structure.modes))
-    one = {Element(Kind.MASS, first): float(mass[first] + mass[first + 1])}
-    return now.in_structure(Correspondence(structure, fewer, at), one, 0)

@@ -107,15 +107,20 @@ def _stack(records: Sequence[Record], damping: Float64, *, wide: bool = False) -
         np.array([lines if wide else lines[r.used] for r, lines in zip(records, part, strict=True)])
         for part in ([r.position for r in records], [r.torque for r in records])
     )
+    # Hold and command as they act, not when they are recorded.
+    torque = torque * np.exp(1j * omega[:, None] * np.array([r.late for r in records])[:, None, None])
     gain = np.array([r.hold for r in records])
     jump = np.array([r.jump for r in records])
     held = np.where(gain > 0, damping, 0.0)
     loop = gain[:, None] + 1j * omega[:, None] * held[:, None]
-    # What a drive's own hold gives is not known apart from its command.
-    known = np.isfinite(gain)[:, None]
+    # What a drive's own hold gives is not known apart from its command; a hold that is sampled acts with it.
+    sampled = np.array([[r.is_hold_sampled] for r in records])
+    known = (np.isfinite(gain) & ~sampled)[:, None]
     hold = np.where(known, -loop * position - (2.0 / records[0].span * held * jump)[:, None], 0.0)
     driven = np.array([r.driven for r in records])[:, None]
     hold = np.where(driven | ~known, hold, torque)
+    command = np.array([_command(r, wide) for r in records])
+    hold = np.where(np.isfinite(command) & ~sampled[:, None], torque - command, hold)
     return Stack(
         tuple(records),
         omega,
@@ -126,3 +131,11 @@ def _stack(records: Sequence[Record], damping: Float64, *, wide: bool = False) -
         np.array([r.torque_noise for r in records]).mean(axis=0),
         damping,
     )
+
+
+def _command(record: Record, wide: bool) -> Complex128:
+    """(F, M) the command on the lines of a stack; NaN where it is not logged."""
+    lines = record.command
+    if lines is None:
+        return np.full((record.wide.size if wide else record.used.size, record.driven.size), np.nan + 0j)
+    return lines if wide else lines[record.used]

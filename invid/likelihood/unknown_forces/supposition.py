@@ -419,6 +419,7 @@ def suppose(
     bench, kept = benches
     motions = Motions(bench.stacks, hypothesis.structure)
     problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
+    numbers, problem = bounded(numbers, problem, hypothesis)
     kept_motions = None if kept is None else Motions(kept.stacks, hypothesis.structure)
     return Supposed(bench, hypothesis, motions, fit(problem, numbers, iterations), kept, kept_motions)
 

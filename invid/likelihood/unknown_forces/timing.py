@@ -2,9 +2,10 @@
 
 A part of the torque (``Stack.parts``: command and hold) acts as
 
-    part·e^{−jωhδ}·(1 − s·loss)/(1 + jωhλ)
+    part·e^{−jωhδ}·(1 − s·loss)·L(λ),   L = 1/(1 + jωhλ) for λ ≥ 0, 1 − jωhλ for λ < 0,
 
-with the delay δ and the lag λ in samples of h, and the share s that is held over the sample.
+with the delay δ and the lag λ in samples of h, and the share s that is held over the sample. A drive that
+lags has λ > 0; where what it shows of its torque is low-passed, λ < 0.
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ class Timing:
         parts = self._parts(stack)
         turn = 1j * stack.omega[:, None] * self.step
         late = -turn * parts
-        held = -stack.loss * stack.parts * (self._turn(stack) / (1.0 + turn * self.lag))[:, None]
-        lagging = -turn / (1.0 + turn * self.lag) * parts.sum(axis=0)
+        held = -stack.loss * stack.parts * (self._turn(stack) * self._lagging(stack))[:, None]
+        lagging = -turn / (1.0 + turn * np.abs(self.lag)) * parts.sum(axis=0)
         out: Complex128 = np.concatenate((late, held, lagging[None])).transpose(1, 2, 3, 0)
         return out
 
@@ -110,7 +111,11 @@ class Timing:
 
     def _parts(self, stack: Stack) -> Complex128:
         """(2, R, F, M)."""
-        lag = 1.0 + 1j * stack.omega[:, None] * self.step * self.lag
-        factor = self._turn(stack) * (1.0 - self.share[:, None] * stack.loss) / lag
+        factor = self._turn(stack) * (1.0 - self.share[:, None] * stack.loss) * self._lagging(stack)
         out: Complex128 = stack.parts * factor[:, None]
         return out
+
+    def _lagging(self, stack: Stack) -> Complex128:
+        """(F, M) what the lag makes of the torque."""
+        turn = 1.0 + 1j * stack.omega[:, None] * self.step * np.abs(self.lag)
+        return np.where(self.lag < 0.0, turn, 1.0 / turn)

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from unit.likelihood.chain_plant import ChainPlant
 
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
-from invid.diagnosis.unknown_forces.machine_search import begin_elastic
+from invid.identification.begun import begin_elastic
 from invid.model.diagnosis_document import Diagnosis, Verdict, diagnosis_from_json, diagnosis_to_json
 from invid.numerics import budget
 from invid.recording.model import Recording

@@ -12,8 +12,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import make
 
-from invid.diagnosis.unknown_forces.kept_out import records_of
 from invid.errors import InputError, NotIdentifiableError
+from invid.identification.kept_out import records_of
 from invid.recording.model import Experiment, Recording, Role
 
 

@@ -12,8 +12,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from unit.likelihood.chain_plant import ChainPlant
 
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
-from invid.diagnosis.unknown_forces.machine_search import begin_elastic
 from invid.effects.registry import registered_effects
+from invid.identification.begun import begin_elastic
 from invid.model.diagnosis_document import Diagnosis
 
 SPRINGS = ("A1", "spring 1"), ("A2", "spring 1"), ("A2", "spring 2")

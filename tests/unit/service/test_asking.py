@@ -84,7 +84,11 @@ def test_a_check_asks_the_drives_and_says_what_they_said(wire: Wire, tmp_path: P
         found = client.post(f"{CELLS}/cell/check").json()
         assert {m.arbitration_id for m in wire.frames} >= {0x601}
         assert not found["can_start"]
-        assert "check_refused" in [r["code"] for r in found["reasons"]]  # nobody answers
+        codes = [r["code"] for r in found["reasons"]]
+        assert sorted(codes) == [
+            "axis_energised",
+            "check_refused",
+        ]  # nobody answers: what is remembered stands
         assert found["simulated"] is False
         log = (tmp_path / "data" / "audit.jsonl").read_text(encoding="utf-8")
         assert '"check"' in log

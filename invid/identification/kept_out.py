@@ -15,6 +15,7 @@ import numpy as np
 from invid.errors import InputError, NotIdentifiableError
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.signals.record import Record, make_record, read_holds
+from invid.signals.smooth_command import find_smooth_hold
 from invid.signals.spectra import all_spectra, verified_period
 
 FIFTH = 5
@@ -54,13 +55,42 @@ def records_of(recording: Recording, *, by_period: bool = False) -> Split:
     lines = sum(r.used.size for r in fitted)
     if lines < LEAST_LINES * recording.axis_count:
         raise NotIdentifiableError(
-            f"{recording.source}: the records are too short: they hold {lines} lines to {parts.band:.3g} Hz, "
-            f"and a machine takes {LEAST_LINES} an axis; record for longer"
+            f"{recording.source}: the records hold {lines} lines to {parts.band:.3g} Hz, and a machine takes "
+            f"{LEAST_LINES} an axis: record for longer, lengthen the period, or widen the band"
         )
     said = row.sentence(parts)
-    known = read_holds([*fitted, *kept])  # of one machine: what one record shows holds for all
+    known = _with_holds([*fitted, *kept], parts)  # of one machine: what one record shows holds for all
     fitted, kept = known[: len(fitted)], known[len(fitted) :]
     return Split(tuple(fitted), tuple(kept), (*warnings, *([said] if said else [])))
+
+
+def all_records(recording: Recording) -> list[Record]:
+    """Every experiment as a record, none kept out."""
+    experiments, _ = _with_true_periods(recording)
+    parts = _Parts(recording, experiments, False)
+    return _with_holds(parts.records(parts.experiments), parts)
+
+
+def _with_holds(records: Sequence[Record], parts: _Parts) -> list[Record]:
+    """The records with the gains of holds that they show: on lines without a command, else by the command's
+    smoothness."""
+    out = read_holds(records)
+    spectra = all_spectra(replace(parts.recording, experiments=parts.experiments))
+    for m in range(parts.recording.axis_count):
+        if any(np.isfinite(r.hold_damping[m]) or r.is_hold_sampled for r in out):
+            continue
+        law = find_smooth_hold(spectra, m)
+        if law is not None:
+            out = [_with_hold(r, m, law) if r.driven[m] and not r.tells_command(m) else r for r in out]
+    return out
+
+
+def _with_hold(record: Record, axis: int, law: tuple[float, float]) -> Record:
+    """A record with an axis' hold: its damping, and its stiffness where none is stated."""
+    stiffness, damping = law
+    hold, damped = record.hold.copy(), record.hold_damping.copy()
+    hold[axis], damped[axis] = hold[axis] if hold[axis] > 0 else stiffness, damping
+    return replace(record, hold=hold, hold_damping=damped)
 
 
 def _with_true_periods(recording: Recording) -> tuple[tuple[Experiment, ...], list[str]]:

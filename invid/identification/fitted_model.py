@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from invid.diagnosis.unknown_forces.left_over import AxisMissing, axis_missing
 from invid.effects.units import unit_of
 from invid.identification.identifiability import blind_directions
-from invid.identification.model_facts import provenance_of
+from invid.identification.missing_torque import AxisMissing, axis_missing
+from invid.identification.open_holds import open_masses
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import curvature
 from invid.likelihood.unknown_forces.supposition import Supposed
@@ -18,10 +19,12 @@ from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts
 from invid.numerics.arrays import Float64, frozen_float
-from invid.recording.model import Recording
+from invid.recording.model import Recording, Role
 
 EARLY = 0.05
 """Samples by which a hold acts before its command from which a warning says so (empirical)."""
+SEEN = 1e-3
+"""Share of a motor's mass that a hold leaves open from which a warning says so (physical)."""
 KNOWN = 0.5
 """Deviation of its delay over that of the prior from which the records do not tell it."""
 
@@ -68,12 +71,21 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
     index = [names[n] for n in known]
     plant = end.numbers.plant
     around = curvature(end).covariance[: plant.x.size, : plant.x.size]
-    covariance = (around * plant.slope[:, None] * plant.slope)[np.ix_(index, index)]
+    covariance = around * plant.slope[:, None] * plant.slope
+    motors = plant.structure.index(Kind.MASS).start + np.array(plant.structure.motor)
+    open_part = open_masses(end)
+    covariance[motors, motors] += open_part**2
+    covariance = covariance[np.ix_(index, index)]
     band = _band(recording)
     blind = blind_directions(built, known, values, covariance, band)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     std = {n: np.nan if n in blind.unseen else float(d) for n, d in zip(known, deviation, strict=True)}
     doubts = [*_short_experiments(recording), *(Doubt(DoubtCode.UNSEEN, said) for said in blind.sentences)]
+    said = [
+        *(d.text for d in doubts),
+        *hold_warnings(end, open_part, recording),
+        *_lag_warnings(end, axes),
+    ]
     return Model(
         robot=recording.robot,
         method="refined",
@@ -81,7 +93,7 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
         std=std_by_name(built, std),
         linear=recording.linear,
         effects=effects,
-        warnings=tuple(dict.fromkeys([*(d.text for d in doubts), *hold_warnings(end, recording)])),
+        warnings=tuple(dict.fromkeys(said)),
         covariance=frozen_float(covariance),
         parameter_names=known,
         fit={
@@ -93,6 +105,16 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
         },
         provenance=provenance_of(recording),
     )
+
+
+def provenance_of(recording: Recording) -> dict[str, Any]:
+    """What a model says of where it comes from."""
+    return {
+        "software": f"invid {version('invid')}",
+        "recording": recording.source,
+        "recorded": recording.created,
+        "experiments": [e.key for e in recording.experiments if e.role is Role.IDENTIFY],
+    }
 
 
 def _short_experiments(recording: Recording) -> list[Doubt]:
@@ -145,7 +167,7 @@ def _at_motors(end: Supposed) -> Float64:
 
 
 def _timing(end: Supposed, axes: tuple[str, ...]) -> dict[str, Any]:
-    """Sampling offset of each axis' torque and the lags [s], where the fit has them."""
+    """Sampling offset of each axis' torque, and the lag of what is shown of it behind what acts [s]."""
     timing, motors = end.numbers.timing, len(axes)
     first = end.numbers.plant.x.size
     deviation = np.sqrt(np.maximum(np.diag(end.fit.covariance), 0.0))[first:] * timing.step
@@ -157,27 +179,46 @@ def _timing(end: Supposed, axes: tuple[str, ...]) -> dict[str, Any]:
         offsets[f"{axis}.time_offset"] = {"value": float(offset), "std": float(deviation[part * motors + i])}
         if any(c[1] == i for c in end.hypothesis.channels) and timing.lag[i]:
             lags[axis] = {
-                "value": float(timing.lag[i] * timing.step),
+                "value": float(-timing.lag[i] * timing.step),
                 "std": float(deviation[4 * motors + i]),
             }
     return {"time_offset_s": offsets, "torque_lag_s": lags}
 
 
-def hold_warnings(end: Supposed, recording: Recording) -> list[str]:
-    """Holds that the fit lets act before their command and whose time the records do not tell."""
+def hold_warnings(end: Supposed, open_part: Float64, recording: Recording) -> list[str]:
+    """What holds that work while their axis is driven leave open: when they act."""
     timing, first = end.numbers.timing, end.numbers.plant.x.size
     motors, unit = timing.motors, unit_of("damping", recording.linear)
+    masses = end.numbers.plant.of_kind(Kind.MASS)[list(end.hypothesis.structure.motor)]
     deviation = np.sqrt(np.maximum(np.diag(end.fit.covariance), 0.0))[first:]
     out = []
     for i, axis in enumerate(recording.axes):
-        gains = [float(r.hold[i]) for s in end.bench.stacks for r in s.records if r.hold[i] > 0]
-        early, at = -timing.delay[HOLD, i], HOLD * motors + i
-        if not gains or early < EARLY or deviation[at] < KNOWN * timing.prior[at]:
-            continue
-        friction = early * timing.step * max(gains)
-        out.append(
-            f"{axis}: its hold is taken to act up to half a sample before the command, as fits best; viscous "
-            f"friction of {friction:.2g} {unit} at its motor would look alike: record the demanded torque, "
-            "or drive the axis without a hold, to tell"
-        )
+        records = [r for s in end.bench.stacks for r in s.records if r.hold[i] > 0 and not r.tells_command(i)]
+        at = HOLD * motors + i
+        is_told = not records or deviation[at] < KNOWN * timing.prior[at]
+        damping = 0.0 if is_told or not records[0].driven[i] else end.bench.stacks[0].damping[i]
+        if open_part[i] + damping * timing.step * timing.prior[at] > SEEN * masses[i]:
+            out.append(
+                f"{axis}: a hold works while this axis is driven, and nothing tells whether it acts inside "
+                "the drive or is held over the sample: the standard deviation of its motor mass covers both; "
+                "record a torque_demand that leaves the hold out, drive the axis without a hold, or state "
+                "hold_by"
+            )
+        elif not is_told and timing.delay[HOLD, i] < -EARLY:
+            friction = -timing.delay[HOLD, i] * timing.step * max(float(r.hold[i]) for r in records)
+            out.append(
+                f"{axis}: its hold is taken to act up to half a sample before the command, as fits best; "
+                f"viscous friction of {friction:.2g} {unit} at its motor would look alike: record the "
+                "demanded torque, or drive the axis without a hold, to tell"
+            )
     return out
+
+
+def _lag_warnings(end: Supposed, axes: tuple[str, ...]) -> list[str]:
+    """Channels that low-pass what they record of the torque."""
+    return [
+        f"{axis}: the recorded torque is low-passed ({1e3 * lag['value']:.3g} ± {1e3 * lag['std']:.1g} ms, a "
+        "lag, no mere delay); the parameters are corrected for it"
+        for axis, lag in _timing(end, axes)["torque_lag_s"].items()
+        if lag["value"] > 3.0 * lag["std"]
+    ]

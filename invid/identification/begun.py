@@ -1,0 +1,114 @@
+"""Where a search over causes starts: the records of a machine that is shaken, and its fit with friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.errors import NotIdentifiableError
+from invid.identification.contest import NOTHING, Known, begin, begin_open
+from invid.identification.fitted_model import plant_of
+from invid.identification.kept_out import Split, all_records, records_of
+from invid.identification.missing_torque import missed_share
+from invid.identification.own_time import AxisTones, changes_within, sized, tones_of
+from invid.likelihood.unknown_forces.plant import Structure
+from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
+from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
+from invid.likelihood.unknown_forces.supposition import Bench, Supposed, suppose
+from invid.model.chains import CoupledChains
+from invid.numerics import budget
+from invid.recording.model import Recording
+from invid.signals.tones import refine_tones, remove_tones
+
+TIME_TO_BEGIN = 0.5
+"""Share of the time that is left for the first fits (empirical: what is done of them without a budget)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """Where a search over causes of a recording starts.
+
+    ``declared``: masses of each axis as asked for; ``None`` where the records are to say, and chains may
+    become longer.
+    """
+
+    recording: Recording
+    first: Supposed
+    declared: tuple[int, ...] | None
+    warnings: tuple[str, ...]
+    alike: tuple[tuple[int, ...], ...] = ()
+    """Other numbers of masses that explain the records as well."""
+    tones: tuple[AxisTones, ...] = ()
+    """Torque taken out since it repeats with no period: an undamped mode would take it for its own."""
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Masses of each axis."""
+        return self.first.hypothesis.structure.sizes
+
+    @property
+    def missed(self) -> float:
+        """Rms share of the torque that is missing beyond noise on what is kept out, of the worst axis."""
+        return missed_share(self.first)
+
+
+def begin_elastic(
+    recording: Recording, sizes: Sequence[int] | None, known: CoupledChains | None = None
+) -> Begun:
+    """The fit with friction at the motors that a search starts from, of the recording without tones.
+
+    ``sizes``: masses of each axis; as many as the records ask for where not given. ``known``: chains of so
+    many masses that the first fit starts from.
+    """
+    before = NOTHING if known is None else Known(plant=plant_of(known))
+    begun = _begin(recording, sizes, before)
+    tones = tones_of(begun.first)
+    if not tones or budget.is_left_out("torque that keeps its own time"):
+        return _each_period(begun)
+    hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
+    again = _begin(remove_tones(recording, hz), sizes, before)
+    return _each_period(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
+
+
+def _each_period(begun: Begun) -> Begun:
+    """The same with every period on its own where the machine changes within a record: a period's lines show
+    the mean of what it was."""
+    if not changes_within(begun.first) or budget.is_left_out("each period on its own"):
+        return begun
+    benches = _benches(records_of(begun.recording, by_period=True))
+    first = suppose(benches, begun.first.hypothesis, begun.first.numbers)
+    return replace(begun, first=reshape(scan_friction(first)))
+
+
+def _benches(split: Split) -> tuple[Bench, Bench]:
+    """Records fitted and kept out, of one damping of holds."""
+    damping = hold_damping((*split.fitted, *split.kept))
+    return Bench(stack_records(split.fitted, damping)), Bench(stack_records(split.kept, damping))
+
+
+def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known) -> Begun:
+    split = records_of(recording)
+    bench, beside = _benches(split)
+    declared = None if sizes is None else tuple(sizes)
+    alike: tuple[tuple[int, ...], ...] = ()
+    try:
+        with budget.use_share(TIME_TO_BEGIN, 0.0, 0.3):
+            budget.tell("fitting the machine alone", 0.0)
+            if declared is None:
+                first, alike = begin_open(bench, recording.axis_count, beside)
+            else:
+                first = begin(bench, Structure(declared), beside, known)
+    except np.linalg.LinAlgError as error:
+        raise NotIdentifiableError(
+            f"{recording.source}: {error}; check signs, units and the number of masses"
+        ) from None
+    return Begun(recording, first, declared, split.warnings, alike)
+
+
+def on_all_records(now: Supposed, recording: Recording) -> Supposed:
+    """A hypothesis without laws fitted to every record of a recording, none kept out."""
+    records = all_records(recording)
+    bench = Bench(stack_records(records, hold_damping(records)))
+    return reshape(suppose((bench, None), now.hypothesis, now.numbers))

@@ -1,0 +1,140 @@
+"""The model of a machine of elastic chains: friction at its motors, drives that are late, doubts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from invid.effects.units import unit_of
+from invid.errors import InvidError, NotIdentifiableError
+from invid.identification.begun import Begun, on_all_records
+from invid.identification.contest import torque_rms
+from invid.identification.crosscheck import compare_routes, second_route
+from invid.identification.fewer_masses import fewer_masses_warnings, with_masses_seen
+from invid.identification.fitted_model import model_of
+from invid.identification.late_drives import late_drives
+from invid.identification.quantities import axis_and_element
+from invid.identification.terms import TermWriter
+from invid.identification.worth import Worth, friction_worths, gone_columns, pays, role_falls
+from invid.inverse import PaperResult
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
+from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.model.document import EffectTerm, Model
+from invid.model.doubts import Doubt, DoubtCode, doubt_facts, doubts_of
+from invid.numerics import budget
+
+EXPLAINED = 0.9
+"""Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
+0.99, a wrong order or a torque that is none below 0.7 (flexible bench, case study)."""
+ASTRAY = 0.3
+"""Unknown force behind the motors over the torque's rms from which the masses are doubted (empirical: single
+axes of another hand from a wrong start leave 1.4 and more, free play of 2 mrad 0.1)."""
+NOISY = 2.0
+"""Missing power over the sensors' from which something acts that the model does not contain."""
+
+
+def model_of_chains(begun: Begun) -> Model:
+    """The model of a first fit: with the friction that pays its price, and what is to be doubted."""
+    recording, axes = begun.recording, begun.recording.axes
+    now = _with_late_drives(reshape(scan_friction(begun.first)))
+    if not budget.is_left_out("fewer masses than declared"):
+        now = with_masses_seen(now)
+    nothing: list[Worth] = []
+    worths = budget.or_else("what friction is worth", lambda: friction_worths(now), nothing)
+    hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | gone_columns(worths))
+    end = now.refit(hypothesis, iterations=15)
+    if not budget.is_left_out("the records that judged the model"):
+        end = on_all_records(end, recording)
+    model = model_of(end, _friction_terms(end, worths, begun), recording)
+    found = _doubts(begun, end, model)
+    routes: list[str] = []
+    fit = {**model.fit, "routes": _routes(begun, end, model, routes)}
+    if begun.declared is None:
+        fit["order"] = {
+            "chosen": list(end.hypothesis.structure.sizes),
+            "alike": [list(n) for n in begun.alike],
+        }
+    doubts = [*doubts_of(model.fit), *found]
+    said = [
+        *begun.warnings,
+        *(d.text for d in found),
+        *model.warnings,
+        *fewer_masses_warnings(begun.declared, end.hypothesis.structure.sizes),
+        *_warnings(model, axes),
+        *routes,
+    ]
+    return replace(model, fit={**fit, **doubt_facts(doubts)}, warnings=tuple(dict.fromkeys(said)))
+
+
+def _with_late_drives(now: Supposed) -> Supposed:
+    """With the delay or lag of every drive that is late, the better of the two for each."""
+    while not budget.is_left_out("drives that are late"):
+        late = [d for d in late_drives(now) if pays(*role_falls(d.without, d.found))]
+        if not late:
+            break
+        now = reshape(scan_friction(min(late, key=lambda d: d.found.total).found))
+    return now
+
+
+def _friction_terms(end: Supposed, worths: Sequence[Worth], begun: Begun) -> tuple[EffectTerm, ...]:
+    """Friction of motors that pays, without which a simulation would not damp."""
+    stays = {w.key for w in worths if w.stays}
+    writer = TermWriter(end, begun.recording.axes, linear=begun.recording.linear)
+    motors = range(end.hypothesis.structure.motors)
+    return tuple(t for m in motors for t in writer.friction(m, frozenset(p for p in Part if (p, m) in stays)))
+
+
+def _doubts(begun: Begun, end: Supposed, model: Model) -> list[Doubt]:
+    """Why the model is not to be relied on."""
+    out = []
+    share = float(model.fit["explained"])
+    if share < EXPLAINED:
+        said = (
+            f"the model explains {share:.0%} of the torque only: another number of masses, a torque "
+            "channel that is not the motor torque, or axes that do not move freely"
+        )
+        out.append(Doubt(DoubtCode.LITTLE_EXPLAINED, said, {"share": share}))
+    inner = end.inner_strength / torque_rms(end.bench)
+    if inner > ASTRAY:
+        strongest = next(s for v, s in end.strength if v == end.inner_strength)
+        axis, element = axis_and_element(end.hypothesis.structure, strongest)
+        unit = unit_of("torque", begun.recording.linear)
+        said = (
+            f"a force of {end.inner_strength:.2g} {unit} that no mass or spring makes acts at {element} of "
+            f"{begun.recording.axes[axis]}: the fit stands in a wrong minimum, or the machine has another "
+            "structure (number of masses); invid diagnose names the cause where it can"
+        )
+        out.append(Doubt(DoubtCode.WRONG_STRUCTURE, said, {"times": inner}))
+    if begun.alike:
+        sizes = (end.hypothesis.structure.sizes, *begun.alike)
+        alike = " and ".join(",".join(map(str, n)) for n in sizes)
+        said = (
+            f"order: {alike} masses explain these data alike: the motors do not show on which branch the "
+            "further mass is; say it with --masses"
+        )
+        out.append(Doubt(DoubtCode.ORDER_OPEN, said))
+    return out
+
+
+def _warnings(model: Model, axes: Sequence[str]) -> list[str]:
+    """What is said of a fit beside its doubts."""
+    out = []
+    times = float(np.sqrt(model.fit["noise_chi2_per_dof"]))
+    if times > np.sqrt(NOISY):
+        out.append(
+            f"the torque is missed by {times:.2g} times its noise: something acts that the model does not "
+            "contain; standard deviations include it; invid diagnose names it where it can"
+        )
+    return out
+
+
+def _routes(begun: Begun, end: Supposed, model: Model, warnings: list[str]) -> dict[str, Any]:
+    """The paper's inverse beside the fit."""
+    paper: PaperResult | InvidError = NotIdentifiableError("the budget was spent before the second route")
+    if not budget.is_left_out("the paper's method as a second route"):
+        paper = second_route(begun.recording, model)
+    return compare_routes(paper, model, warnings)

@@ -1,0 +1,77 @@
+"""Terms of what a fit has found, in the contract's terms: of every fit, friction at the motors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from invid.effects.registry import BY_CAUSE
+from invid.effects.units import unit_of
+from invid.identification.quantities import Quantities, axis_and_element
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.model.document import EffectTerm
+from invid.numerics.arrays import Float64
+
+Sizes = dict[str, tuple[Callable[[Float64], float], list[int | None]]]
+"""A cause's parameters: each a function of some of the values, and which."""
+
+
+class TermWriter:
+    """Terms of one fitted hypothesis."""
+
+    def __init__(self, now: Supposed, axes: Sequence[str], *, linear: bool) -> None:
+        self.now, self.axes, self.linear = now, tuple(axes), linear
+        self.known = Quantities.of(now)
+        self.structure = now.hypothesis.structure
+
+    def _unit(self, cause: str, parameter: str) -> str | None:
+        return unit_of(BY_CAUSE[cause].parameters.get(parameter, "ratio"), self.linear)
+
+    def term(
+        self,
+        cause: str,
+        axis: int,
+        sizes: Sizes,
+        **place: str,
+    ) -> EffectTerm:
+        """A cause's term, its parameters functions of what was fitted."""
+        parameters = {
+            name: self.known.estimate(size, indices, self._unit(cause, name))
+            for name, (size, indices) in sizes.items()
+        }
+        return EffectTerm(cause, self.axes[axis], parameters, place.get("element"), place.get("other_axis"))
+
+    def friction(self, motor: int, parts: frozenset[Part]) -> list[EffectTerm]:
+        """Terms of a motor's friction for the parts that stay."""
+        named = {
+            Part(part)
+            for placed in self.now.hypothesis.laws
+            if axis_and_element(self.structure, placed.spot)[0] == motor
+            for part in placed.law.beside
+        }
+        parts = parts - named
+        dry, rise, viscous = (self.known.coefficient((p, motor)) for p in (Part.DRY, Part.RISE, Part.VISCOUS))
+        out = []
+        if Part.RISE in parts:
+            velocity = self.known.shape((Part.DRY, motor, "stribeck"))
+            sizes: Sizes = {
+                "static": (lambda v: float(v[0] + v[1]), [dry, rise]),
+                "coulomb": (lambda v: float(v[0]), [dry]),
+                "velocity": (lambda v: float(np.exp(v[0])), [velocity]),
+            }
+            out.append(self.term("stribeck_friction", motor, sizes, element="mass 1"))
+        elif Part.DRY in parts:
+            out.append(
+                self.term("coulomb_friction", motor, {"torque": (lambda v: v[0], [dry])}, element="mass 1")
+            )
+        if Part.VISCOUS in parts:
+            sizes = {"coefficient": (lambda v: v[0], [viscous])}
+            out.append(self.term("viscous_friction", motor, sizes, element="mass 1"))
+        if Part.OFFSET in parts:
+            offset = self.known.coefficient((Part.OFFSET, motor))
+            out.append(
+                self.term("torque_offset", motor, {"torque": (lambda v: v[0], [offset])}, element="mass 1")
+            )
+        return out

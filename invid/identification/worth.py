@@ -1,0 +1,99 @@
+"""What a cause is worth: the fall of −2 ln L that it brings, its price, and the worth of motors' friction."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.shapes import reshape
+from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.numerics import budget
+
+PRICE, LEAST_FITTED, LEAST_KEPT = 120.0, 40.0, 10.0
+"""Fall of −2 ln L that a cause must bring on all records, on those fitted and on those kept out.
+
+Schwarz's price of its numbers, and of the places and shapes looked at, is about 40; the rest is what the form
+of friction and the grid of motion leave (empirical: false falls of up to 60 of −ln L in sixty rounds of whole
+cells of another hand).
+"""
+PRICE_OF_FRICTION = 40.0
+"""Rise of −2 ln L for a part of the friction of a motor, which is expected on every motor: Schwarz's price
+of its two numbers and ten thousand rows is 20; the rest is what an encoder's rounding leaves, up to 31
+(empirical, nothing hidden)."""
+
+
+FRICTION = (
+    (Part.OFFSET, "torque_offset"),
+    (Part.RISE, "stribeck_friction"),
+    (Part.VISCOUS, "viscous_friction"),
+    (Part.DRY, "coulomb_friction"),
+)
+"""Parts of a motor's friction, and the causes that they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """A cause of the final hypothesis with the rise of −2 ln L on all records and on either role's without
+    it."""
+
+    cause: str
+    key: Hashable
+    rise: float
+    roles: tuple[float, float]
+
+    @property
+    def stays(self) -> bool:
+        """Whether it pays its price."""
+        if isinstance(self.key, tuple) and isinstance(self.key[0], Part):
+            # Its strength left at a motor makes a fit without it less sure of the records kept out.
+            return self.rise > PRICE_OF_FRICTION and sum(self.roles) > PRICE_OF_FRICTION
+        return pays(*self.roles)
+
+
+def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
+    """Falls on the records fitted and on those kept out."""
+    return before.total - after.total, before.kept_total - after.kept_total
+
+
+def pays(fitted: float, kept: float, price: float = PRICE) -> bool:
+    """Return whether falls on the records fitted and kept out pay a price."""
+    share = price / PRICE
+    return fitted + kept > price and fitted > share * LEAST_FITTED and kept > share * LEAST_KEPT
+
+
+def worth_of(now: Supposed, cause: str, key: Hashable, less: Supposed) -> Worth:
+    budget.check()  # a fit that was cut short tells nothing
+    return Worth(cause, key, less.total - now.total, role_falls(less, now))
+
+
+def friction_worths(now: Supposed) -> list[Worth]:
+    """The worth of every part of the friction of motors, one after another: what goes out leaves its force to
+    the others."""
+    out: list[Worth] = []
+    names = [c.name for c in now.fit.problem.columns]
+    for motor in range(now.hypothesis.structure.motors):
+        rest = now
+        for part, cause in FRICTION:
+            if rest.fit.value.coefficients[names.index((part, motor))]:
+                gone = without_column(rest, (part, motor))
+                out.append(worth_of(rest, cause, (part, motor), gone))
+                # A rise may stand for all of dry friction.
+                rest = rest if out[-1].stays else gone
+    return out
+
+
+def gone_columns(worths: Sequence[Worth]) -> frozenset[Hashable]:
+    """Parts of motors' friction that do not pay.
+
+    Dry friction stays where its rise at slow speed does: a rise is one above it.
+    """
+    columns = {w.key: w.stays for w in worths if isinstance(w.key, tuple) and isinstance(w.key[0], Part)}
+    gone = {key for key, stays in columns.items() if not stays}
+    return frozenset(key for key in gone if key[0] is not Part.DRY or not columns.get((Part.RISE, key[1])))
+
+
+def without_column(now: Supposed, name: Hashable) -> Supposed:
+    """The fit with a column, or a spring between two loads, held at zero."""
+    hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | {name})
+    return reshape(now.refit(hypothesis, iterations=10), 1)
