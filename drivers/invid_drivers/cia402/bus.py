@@ -356,6 +356,7 @@ class Cia402Cell:
             test = StopTest(self._moving(self._watched), self.holdings, self.held.memory, self.cancelled)
             return test.run()
         finally:
+            self._cycle.rest_s[:] = [h.rest_s for h in self.holdings]
             for i, velocity in enumerate(permitted):
                 self._watch.permit(i, velocity)
 

@@ -72,6 +72,9 @@ class Cycle:
         self.support = [0.0] * count
         """Torque that carries the load of each axis [N·m or N], sent on while its drive is to hold it: a
         drive may show its mode before it acts."""
+        self.rest_s: list[float | None] = [None] * count
+        """How long each axis takes to stand without torque, where a drive changes modes without power only;
+        ``None``: it does not stand."""
         self.asked = [0.0] * count
         """Torque that each axis was sent with the last SYNC [N·m or N]; 0 where its drive holds it, or
         may."""
@@ -378,6 +381,10 @@ class Cycle:
     def _go_on_changing(self, now: float) -> None:
         """Conclude the changes of mode that are done or failed; send the next request of one of them."""
         for axis, change in list(self._changes.items()):
+            if isinstance(change, ModeChange) and change.without_power:
+                rest_s = self.rest_s[axis]
+                if rest_s is not None and not self._without_power(axis, change, now, rest_s):
+                    continue
             why = change.failure(now)
             if why is not None:
                 del self._changes[axis]
@@ -400,6 +407,18 @@ class Cycle:
             if request is not None and self._link.ask(self._nodes[axis], request):
                 self._changes_asked += k + 1
                 return
+
+    def _without_power(self, axis: int, change: ModeChange, now: float, rest_s: float) -> bool:
+        """Switch a drive off for its new mode and on again; whether the change can be judged."""
+        state = state_of(self.sample.status[axis])
+        off = self.sample.fresh[axis] and not states.is_energised(state)
+        if not change.done or (off and not change.ask_again(now, rest_s)):
+            self.control[axis] = states.DISABLE_VOLTAGE
+            if off:
+                change.ask_again(now, rest_s)
+            return off and not change.done
+        self.control[axis] = states.towards_enabled(state)
+        return state is DriveState.OPERATION_ENABLED
 
     def _watch_slowly(self, now: float) -> None:
         """Check heartbeats and the state of the bus; ask one axis after another for 0x6061."""
