@@ -67,7 +67,11 @@ class Cycle:
         self.control = [states.DISABLE_VOLTAGE] * count
         """Controlword of each axis in the next cycle."""
         self.sample = Sample(
-            position=[0.0] * count, torque=[0.0] * count, status=[0] * count, fresh=[False] * count
+            position=[0.0] * count,
+            torque=[0.0] * count,
+            status=[0] * count,
+            fresh=[False] * count,
+            late=[False] * count,
         )
         self.support = [0.0] * count
         """Torque that carries the load of each axis [N·m or N], sent on while its drive is to hold it: a
@@ -174,6 +178,7 @@ class Cycle:
         link, clock = self._link, self._link.clock
         sample, put = self.sample, link.put
         hold = Mode.HOLD
+        sample.listened = 0
         if self._doubt:
             self._listen()
         for i, cob in enumerate(self._rpdo_ids):
@@ -198,6 +203,9 @@ class Cycle:
         if not certain:
             for i in range(len(fresh)):
                 fresh[i] = False
+        for i, came in enumerate(fresh):
+            if came:
+                sample.late[i] = False
         link.beat(instant)
         if self._changes:
             self._go_on_changing(instant)
@@ -260,6 +268,7 @@ class Cycle:
                     self._behind[i] = False
                 else:
                     fresh[i] = False
+                    self.sample.late[i] |= count > 0
                     self._doubt = self._doubt or self._alone[i] >= ALONE_CYCLES
                 owed[i] = missing
         elif any(self._behind):
@@ -276,7 +285,7 @@ class Cycle:
         self._next_listen = self._link.clock.now() + LISTEN_EVERY_S
         for _ in range(self._config.safety.missed_tpdos):
             self._slot += 1
-            self.skipped_slots += 1
+            self.sample.listened += 1
             end = self._started + (self._slot + 0.85) * self._cycle
             heard = set()
             self._link.beat(self._link.clock.now())
@@ -377,6 +386,7 @@ class Cycle:
                 self._sort(message)
             elif self._owed[axis]:
                 self._owed[axis] -= 1
+                self.sample.late[axis] = True
 
     def _go_on_changing(self, now: float) -> None:
         """Conclude the changes of mode that are done or failed; send the next request of one of them."""
