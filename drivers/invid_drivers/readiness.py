@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from invid.config import CellConfig
 from invid.errors import InvidError
 from invid.planning import Plan, make_plan
-from invid.planning.budget import RoundTrip
+from invid.planning.budget import RoundTrip, tolerable_share
 from invid.planning.forecast import fit_to_limits
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.hold_memory import HoldMemory
@@ -62,6 +62,9 @@ def prepare(
     if not config.simulated if probes is None else probes:
         trip = probe(cell.link, config, plan, cancelled)
         said = (*said, *require(trip, config))
+        if not trip.carries and not config.simulated:
+            cycles = sum(e.cycles for e in plan.experiments)
+            cell.expect_answers(tolerable_share(cycles, config.safety.missed_tpdos), trip.shortest_cycle_s)
     return Prepared(plan, found.config, found.budgets, said, trip)
 
 

@@ -112,7 +112,8 @@ class Bounds:
         self.led: set[int] = set()
         """Axes whose loops the master closes."""
         self.loaded: set[int] = set()
-        """Axes that fall where they get less torque than they are asked for; of the others it is a warning."""
+        """Axes that fall where they get less torque than they are asked for; of the others it is a
+        warning."""
         self.resting: set[int] = set()
         """Axes that their drives hold while nothing is shaken."""
         self._all = set(range(count))
@@ -164,14 +165,14 @@ class Bounds:
         if sample.events:
             self._events(sample)
         self.statistics.cycles += 1
-        self._check_slot(sample.slot)
+        self._check_slot(sample)
         origin = self.origin
         if origin is None:
             return
         for i, limit in enumerate(self.limits):
             if not sample.fresh[i]:
                 if _is_energised(sample.status[i]):
-                    self._missing(i)
+                    self._missing(i, sample)
                 continue
             self._missed[i] = 0
             self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
@@ -184,9 +185,10 @@ class Bounds:
         if asked is not None:
             self._check_given(sample, asked)
 
-    def _check_slot(self, slot: int) -> None:
+    def _check_slot(self, sample: Sample) -> None:
+        slot = sample.slot
         if self._last_slot is not None:
-            skipped = slot - self._last_slot - 1
+            skipped = slot - self._last_slot - 1 - sample.listened
             if skipped:
                 self.statistics.skipped_slots += skipped
                 if skipped > self._most_skipped:
@@ -304,16 +306,28 @@ class Bounds:
                 axis=limit.name,
             )
 
-    def _missing(self, i: int) -> None:
+    def _missing(self, i: int, sample: Sample) -> None:
         self._lost[i] += 1
         self._missed[i] += 1
-        if self._missed[i] >= self._most_missed:
+        if self._missed[i] < self._most_missed:
+            return
+        name, count = self.limits[i].name, self._missed[i]
+        if sample.late and sample.late[i]:
+            alone = any(sample.fresh)
             raise DriveError(
-                f"axis {self.limits[i].name}: no position for {self._missed[i]} cycles in a row",
-                way_out="check its cable, its supply and the bus",
+                f"axis {name}: its answers come more than a cycle late, for {count} cycles in a row"
+                + (", those of others in time" if alone else ", like all others"),
+                way_out=f"{'the drive' if alone else 'the adapter or its driver'} takes longer at times: "
+                "lengthen bus.cycle_s, or safety.missed_tpdos",
                 code="no_answer",
-                axis=self.limits[i].name,
+                axis=name,
             )
+        raise DriveError(
+            f"axis {name}: no position for {count} cycles in a row",
+            way_out="check its cable, its supply and the bus",
+            code="no_answer",
+            axis=name,
+        )
 
     def _events(self, sample: Sample) -> None:
         for event in sample.events:

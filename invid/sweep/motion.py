@@ -380,8 +380,10 @@ class Motion:
             self.cell.set_modes(modes)
             self._modes = list(modes)
             done = self.done_s
+            self.watching.changing = True
             while self.cell.changing:
                 self.play(None, 1)
+            self.watching.changing = False
             self.done_s = done  # no part of the plan
             self.watching.halting.pause()
             self.watching.words.resume()

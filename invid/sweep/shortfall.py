@@ -67,9 +67,9 @@ class Shortfall:
             if i not in led or asked[i] == 0.0:
                 axis.forget()
                 continue
+            axis.asked.append(asked[i])
             if sample.fresh[i] and len(axis.asked) == LAGS:
                 self._judge(i, axis, sample.torque[i])
-            axis.asked.append(asked[i])
             axis.mean = asked[i] + self._keep * (axis.mean - asked[i])
 
     def _judge(self, i: int, axis: _Axis, torque: float) -> None:

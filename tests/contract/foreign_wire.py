@@ -453,6 +453,7 @@ class ForeignCell:
 
     def __init__(self, folder: Path, habits: list[Habits], axes: list[dict[str, Any]], **bus: Any) -> None:
         self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
         self.wire = ForeignWire(habits)
         self.drives = self.wire.drives
         limits = {"torque_Nm": LIMIT, "position_window_rad": WINDOW, "velocity_rad_per_s": SPEED}

@@ -202,3 +202,87 @@ def test_a_stop_in_any_phase_leaves_the_axis_standing(
     cell.measure(stop)
     cell.wire.advance(cell.wire.now + 1.0)
     assert cell.fallen(since=seconds) < HELD
+
+
+# --- what physics does not allow is refused, what is healthy runs -------------------------------------
+@pytest.mark.parametrize("at", [0x60E000, 0x60E100])
+def test_a_limit_of_one_direction_is_a_limit_and_a_load_beyond_it_is_refused_the_next_time(
+    tmp_path: Path, at: int
+) -> None:
+    free = ForeignCell(tmp_path / "free", [Habits(values={at: 500})], [NOTHING])
+    assert free.measure().error is None
+    assert free.drives[0].most_asked <= 5.0
+    cell = loaded(tmp_path / "loaded", values={at: 500})
+    ended = cell.measure()
+    assert isinstance(ended.error, SafetyStop)
+    assert "A1 carries a load and is not held" in ended.words
+    cell.drives[0].x = cell.drives[0].v = 0.0  # a person has put it back
+    cell.drives[0].enter("off")
+    cell.drives[0].propped = True
+    asked_before = len(cell.wire.sent)
+    cleared = cell.connect()
+    cleared.clear(["A1"])
+    cleared.close()
+    again = cell.measure()
+    assert isinstance(again.error, DriveError)
+    assert "its load" in again.words
+    assert cell.drives[0].state == "off"
+    assert all(cob != 0x201 for _, cob, _ in cell.wire.sent[asked_before:])
+
+
+def healthy() -> dict[str, tuple[Habits, dict[str, Any]]]:
+    braked = {**STATED, **BRAKE}
+    return {
+        "SDO in 6 ms": (Habits(sdo=0.006), NOTHING),
+        "SDO in 6 ms, loaded": (Habits(load=LOAD, sdo=0.006), STATED),
+        "a brake of 0.1 s under twice the load": (Habits(load=2 * LOAD, mass=2.0, brake=0.1), braked),
+        "modes without power only": (Habits(modes_at_rest=True), NOTHING),
+        "modes without power only, braked": (Habits(load=LOAD, brake=0.03, modes_at_rest=True), braked),
+        "no mode for 4 s": (Habits(blank=4.0), NOTHING),
+        "no mode for 4 s, loaded": (Habits(load=LOAD, blank=4.0), STATED),
+        "event PDOs": (Habits(event=0.01), NOTHING),
+        "event PDOs, loaded": (Habits(load=LOAD, event=0.01), STATED),
+    }
+
+
+@pytest.mark.parametrize("what", list(healthy()))
+def test_a_healthy_cell_is_measured_whatever_its_drive_is_used_to(tmp_path: Path, what: str) -> None:
+    habits, axis = healthy()[what]
+    cell = ForeignCell(tmp_path, [habits], [{**axis, "inertia_kgm2": habits.mass}])
+    ended = cell.measure()
+    assert ended.error is None, ended.words
+    assert "computer was late" not in ended.words
+
+
+def test_a_drive_that_takes_modes_without_power_only_is_refused_at_rest_under_a_load_without_brake(
+    tmp_path: Path,
+) -> None:
+    cell = loaded(tmp_path, modes_at_rest=True)
+    ended = cell.measure()
+    assert isinstance(ended.error, DriveError)
+    assert "without power only" in ended.words
+    assert cell.fallen() < HELD
+
+
+@pytest.mark.parametrize("late", ["drive", "adapter", "adapter, for good"])
+def test_who_was_late_is_named_and_it_was_not_the_computer(tmp_path: Path, late: str) -> None:
+    cell = ForeignCell(tmp_path, [Habits(), Habits()], [NOTHING, NOTHING])
+    if late == "adapter, for good":
+        cell.wire.late = lambda now: 0.004
+    elif late == "adapter":
+        cell.wire.late = lambda now: 0.0045 if now > 8.0 else 0.0
+    else:
+        cell.wire.at(8.0, lambda: setattr(cell.drives[0].habits, "pdo", 0.0045))
+    words = cell.measure().words
+    expected = {"drive": "the drive takes longer", "adapter": "the adapter or its driver takes longer"}
+    assert expected.get(late, "answers to SYNC without power") in words
+    assert "the computer was late" not in words
+
+
+def test_slots_without_sync_that_the_master_listens_in_are_no_lateness(tmp_path: Path) -> None:
+    cell = ForeignCell(tmp_path, [Habits(), Habits()], [NOTHING, NOTHING])
+    cell.wire.late = lambda now: 0.003 if now > 6.0 and now % 0.2 < 0.002 else 0.0
+    ended = cell.measure()
+    assert ended.result is not None, ended.words
+    assert ended.result.skipped_slots == 0
+    assert "late" not in " ".join(w for w in ended.result.warnings if "SYNC" in w)

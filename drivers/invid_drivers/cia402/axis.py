@@ -19,6 +19,7 @@ from invid_drivers.cia402.failures import ReadRefused, WriteRefused, WrongMode
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
 from invid_drivers.cia402.link import Link, SdoError
+from invid_drivers.cia402.mode_change import BUSY_S, NOT_NOW
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.protection import Protection
 from invid_drivers.cia402.restoration import restore
@@ -56,8 +57,6 @@ class ModeSet(Enum):
     LATER = "not taken in this state: some drives take it from switched on"
 
 
-NOT_NOW = 0x08000022
-"""SDO abort: not in the present state of the device."""
 NOT_KNOWN = frozenset({0x06090030, 0x06090031, 0x06090032})
 """SDO aborts of a drive that does not have the mode that it is asked for."""
 BLANK_S = 1.0
@@ -409,7 +408,7 @@ class Drive(Access):
                 return ModeSet.SHOWN
             if shown == 0 and clock.now() >= began + BLANK_S:
                 return ModeSet.TAKEN
-            if clock.now() >= began + longest_s:
+            if clock.now() >= began + (longest_s if shown > 0 else max(longest_s, BUSY_S)):
                 said = f"mode {mode.name.lower()} was asked for, the drive shows mode {shown} (0x6061)"
                 raise WrongMode.at(self.name, self.node_id, od.MODE_DISPLAY, said)
             self.link.wait(0.005)

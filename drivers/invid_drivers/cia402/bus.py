@@ -14,7 +14,7 @@ from functools import partial
 import can
 
 from invid.config import CellConfig
-from invid.errors import BusError, DriveError, InvidError, SafetyStop
+from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
 from invid.sweep.bounds import Bounds, bounds_of
 from invid.sweep.motion import FADE_S
 from invid.sweep.ports import Clock, Mode, Sample
@@ -47,6 +47,8 @@ LEAVING_S = 0.1
 LOOK_S = 0.35
 """At rest, before power: longer than the longest window in which a fall is seen (0.32 s), and than a drive
 takes from showing a mode to being in it (0.1 s, one report)."""
+LOOK_CYCLES = 600
+"""Where the adapter is in doubt: 99 % are then bounded by the second worst."""
 ENABLE_S = 3.0
 """Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
 
@@ -84,6 +86,7 @@ class Cia402Cell:
         """Torque that each axis in a torque mode was sent with the last SYNC [N·m or N]; the list stays."""
         self.touched = False
         """Whether the drives were prepared to be enabled."""
+        self._late_share: tuple[float, float] | None = None
         self._stopped = True
         self.bounds: Bounds | None = None
         """What no cycle may pass, from before the first axis is enabled to the last one off."""
@@ -255,11 +258,28 @@ class Cia402Cell:
         self._cycle.control[:] = [
             states.QUICK_STOP if h.taken_over else states.DISABLE_VOLTAGE for h in self.holdings
         ]
-        end = self.clock.now() + LOOK_S
+        cycle = self._config.bus.cycle_s
+        asked = self._late_share is not None
+        late, count = [0] * len(self._drives), 0
+        end = self.clock.now() + (max(LOOK_S, LOOK_CYCLES * cycle) if asked else LOOK_S)
         while self.clock.now() < end and not self.cancelled():
             sample = self._watched([0.0] * len(self._drives))
+            count += 1
+            late = [n + (not came) for n, came in zip(late, sample.fresh, strict=True)]
             if self._watch.origin is None and all(sample.fresh):
                 self._watch.start(sample.position)
+        if self._late_share is not None and max(late) > self._late_share[0] * count:
+            names = ", ".join(name for name, n in zip(self.axes, late, strict=True) if n == max(late))
+            raise ConfigError(
+                f"bus: cycle_s is {cycle:g}, and of {count} answers to SYNC without power {max(late)} "
+                f"of axis {names} "
+                f"came too late or not at all; set bus.cycle_s to {self._late_share[1]:g} or longer"
+            )
+
+    def expect_answers(self, share: float, cycle_s: float) -> None:
+        """Refuse to enable drives of whose answers to SYNC more than a share comes too late; the cycle that
+        would do."""
+        self._late_share = share, cycle_s
 
     def _refuse_disturbed(self) -> None:
         """Raise DriveError where a drive restarted or reported an error while it was prepared."""
@@ -361,6 +381,7 @@ class Cia402Cell:
             test = StopTest(self._moving(self._watched), self.holdings, self.held.memory, self.cancelled)
             return test.run()
         finally:
+            self._cycle.rest_s[:] = [h.rest_s for h in self.holdings]
             for i, velocity in enumerate(permitted):
                 self._watch.permit(i, velocity)
 

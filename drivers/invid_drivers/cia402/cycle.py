@@ -67,11 +67,18 @@ class Cycle:
         self.control = [states.DISABLE_VOLTAGE] * count
         """Controlword of each axis in the next cycle."""
         self.sample = Sample(
-            position=[0.0] * count, torque=[0.0] * count, status=[0] * count, fresh=[False] * count
+            position=[0.0] * count,
+            torque=[0.0] * count,
+            status=[0] * count,
+            fresh=[False] * count,
+            late=[False] * count,
         )
         self.support = [0.0] * count
         """Torque that carries the load of each axis [N·m or N], sent on while its drive is to hold it: a
         drive may show its mode before it acts."""
+        self.rest_s: list[float | None] = [None] * count
+        """How long each axis takes to stand without torque, where a drive changes modes without power only;
+        ``None``: it does not stand."""
         self.asked = [0.0] * count
         """Torque that each axis was sent with the last SYNC [N·m or N]; 0 where its drive holds it, or
         may."""
@@ -171,6 +178,7 @@ class Cycle:
         link, clock = self._link, self._link.clock
         sample, put = self.sample, link.put
         hold = Mode.HOLD
+        sample.listened = 0
         if self._doubt:
             self._listen()
         for i, cob in enumerate(self._rpdo_ids):
@@ -195,6 +203,9 @@ class Cycle:
         if not certain:
             for i in range(len(fresh)):
                 fresh[i] = False
+        for i, came in enumerate(fresh):
+            if came:
+                sample.late[i] = False
         link.beat(instant)
         if self._changes:
             self._go_on_changing(instant)
@@ -257,6 +268,7 @@ class Cycle:
                     self._behind[i] = False
                 else:
                     fresh[i] = False
+                    self.sample.late[i] |= count > 0
                     self._doubt = self._doubt or self._alone[i] >= ALONE_CYCLES
                 owed[i] = missing
         elif any(self._behind):
@@ -273,7 +285,7 @@ class Cycle:
         self._next_listen = self._link.clock.now() + LISTEN_EVERY_S
         for _ in range(self._config.safety.missed_tpdos):
             self._slot += 1
-            self.skipped_slots += 1
+            self.sample.listened += 1
             end = self._started + (self._slot + 0.85) * self._cycle
             heard = set()
             self._link.beat(self._link.clock.now())
@@ -378,10 +390,15 @@ class Cycle:
                 self._sort(message)
             elif self._owed[axis]:
                 self._owed[axis] -= 1
+                self.sample.late[axis] = True
 
     def _go_on_changing(self, now: float) -> None:
         """Conclude the changes of mode that are done or failed; send the next request of one of them."""
         for axis, change in list(self._changes.items()):
+            if isinstance(change, ModeChange) and change.without_power:
+                rest_s = self.rest_s[axis]
+                if rest_s is not None and not self._without_power(axis, change, now, rest_s):
+                    continue
             why = change.failure(now)
             if why is not None:
                 del self._changes[axis]
@@ -404,6 +421,18 @@ class Cycle:
             if request is not None and self._link.ask(self._nodes[axis], request):
                 self._changes_asked += k + 1
                 return
+
+    def _without_power(self, axis: int, change: ModeChange, now: float, rest_s: float) -> bool:
+        """Switch a drive off for its new mode and on again; whether the change can be judged."""
+        state = state_of(self.sample.status[axis])
+        off = self.sample.fresh[axis] and not states.is_energised(state)
+        if not change.done or (off and not change.ask_again(now, rest_s)):
+            self.control[axis] = states.DISABLE_VOLTAGE
+            if off:
+                change.ask_again(now, rest_s)
+            return off and not change.done
+        self.control[axis] = states.towards_enabled(state)
+        return state is DriveState.OPERATION_ENABLED
 
     def _watch_slowly(self, now: float) -> None:
         """Check heartbeats and the state of the bus; ask one axis after another for 0x6061."""

@@ -18,8 +18,11 @@ from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.hold_memory import HoldMemory, Seen, identity
 from invid_drivers.cia402.link import SdoAbortedError, SdoError
 from invid_drivers.cia402.protection import READ_ONLY, STAY, STAYING, SWITCH_OFF
+from invid_drivers.cia402.standstill import STAND_S
 from invid_drivers.cia402.states import DriveState, is_energised
 
+BRAKE_MARGIN = 2.0
+"""On the time that a brake was seen to take."""
 DROP_SHARE = 0.02
 """Of the window: a brake that lets an axis fall further is too late to hold it."""
 
@@ -66,6 +69,14 @@ class AxisHolding:
         if self.config.brake != "drive" or self.seen.brake_drop is None:
             return None
         return self.seen.brake_drop <= self.most_drop
+
+    @property
+    def rest_s(self) -> float | None:
+        """Seconds after which it stands without torque; ``None`` where nothing was seen to hold it then."""
+        if self.loaded is False:
+            return 0.0
+        closes = self.brake_tried and self.brake_in_time and self.seen.brake_s is not None
+        return BRAKE_MARGIN * (self.seen.brake_s or 0.0) + STAND_S if closes else None
 
     @property
     def most_drop(self) -> float:

@@ -31,8 +31,7 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared
     Raises
     ------
     ConfigError, DriveError, BusError
-        The first thing that would keep a measurement from starting, a cycle that the adapter does not carry
-        among them.
+        The first thing that would keep a measurement from starting.
     """
     for axis in config.axes:
         master_hold(axis, config.bus.cycle_s)
