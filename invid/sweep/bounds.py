@@ -19,7 +19,7 @@ from invid.numerics.arrays import Float64
 from invid.sweep.falling import Fall, Falling, Kind
 from invid.sweep.obedience import Obedience
 from invid.sweep.ports import Sample, Severity
-from invid.sweep.shortfall import Shortfall
+from invid.sweep.shortfall import HeldTorque, Shortfall
 from invid.sweep.stuck_encoder import Yielding
 from invid.sweep.torque_sign import TorqueSign
 
@@ -107,13 +107,13 @@ class Bounds:
         self._shortfall = Shortfall(
             [a.name for a in limits], [a.rated_torque for a in limits], limits[0].torque_unit, cycle_s
         )
+        self._held_torque = HeldTorque([a.name for a in limits], [a.rated_torque for a in limits], cycle_s)
         self.obedience = Obedience([a.name for a in limits], cycle_s)
         """Demand against motion."""
         self.led: set[int] = set()
         """Axes whose loops the master closes."""
-        self.loaded: set[int] = set()
-        """Axes that fall where they get less torque than they are asked for; of the others it is a
-        warning."""
+        self.weights: dict[int, float] = {}
+        """Torque that holds each loaded axis: with less it falls; of other axes it is a warning."""
         self.resting: set[int] = set()
         """Axes that their drives hold while nothing is shaken."""
         self._all = set(range(count))
@@ -202,6 +202,12 @@ class Bounds:
 
     def _check_standing(self, sample: Sample) -> None:
         standing = self._all - self.led
+        held = {i for i in standing if sample.fresh[i] and _is_energised(sample.status[i])}
+        try:
+            self._held_torque.check(sample, self.weights, held, [a.resolution for a in self.limits])
+        except SafetyStop as error:
+            self.blind |= {i for i, limit in enumerate(self.limits) if limit.name == error.axis}
+            raise
         self.falls = self._falling.check(sample, standing, _is_energised, quiet=bool(self.resting))
         for i, fall in self.falls.items():
             limit = self.limits[i]
@@ -223,7 +229,7 @@ class Bounds:
         """What is given and done against what is asked for; who fails is not trusted to hold afterwards."""
         try:
             kind = Kind.FALLS
-            self._shortfall.check(sample, asked, self.led & self.loaded)
+            self._shortfall.check(sample, asked, self.led & self.weights.keys())
             kind = Kind.DRIVEN
             self._signs.check(sample, asked)
             self.obedience.check(sample, asked)

@@ -217,7 +217,8 @@ class Motion:
                 self.loads = self._weigh(held, rated)
             self.done_s = done  # no part of the plan
         self.watching.bounds.resting, self.watching.bounds.near = set(), {}
-        self.watching.bounds.loaded = {i for i, load in enumerate(self.loads) if load.loaded}
+        weights = {i: load.torque for i, load in enumerate(self.loads) if load.loaded and held[i]}
+        self.watching.bounds.weights = {i: w for i, w in weights.items() if np.isfinite(w)}
         for i, load in enumerate(self.loads):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
             # loaded axis is believed to need any, friction held at rest can be anything. A drive that is

@@ -9,7 +9,7 @@ other side of the allowance in every cycle, six deviations of its noise away, so
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
@@ -24,6 +24,11 @@ MEAN_S, LEARN_S = 0.3, 1.0
 IMPULSE_S = 0.0015
 """Sum at which a run ends, over rated torque: a load of rated torque that gets nothing has gained that in 2
 ms."""
+HELD_IMPULSE_S, LEAST_WEIGHT = 0.05, 0.1
+"""The same for an axis that its drive holds, over its weight, or a tenth of rated torque: a loop that takes
+over builds its torque up in 20 ms."""
+STILL_COUNTS = 1.5
+"""Counts that an encoder which is dead shows at most."""
 
 
 class _Axis:
@@ -94,3 +99,42 @@ class Shortfall:
                 code="no_torque",
                 axis=self._names[i],
             )
+
+
+class HeldTorque:
+    """Watch over the torque of loaded axes that their drives hold while their encoders show no motion.
+
+    A dead encoder shows a drive no error, so its loop gives no torque, and the load falls unseen.
+    """
+
+    def __init__(self, names: Sequence[str], rated_torque: Sequence[float], cycle_s: float) -> None:
+        self._names, self._rated, self._cycle = list(names), list(rated_torque), cycle_s
+        self._place: list[float | None] = [None] * len(names)
+        self._missing = [0.0] * len(names)
+
+    def check(
+        self, sample: Sample, weights: Mapping[int, float], held: Collection[int], counts: Sequence[float]
+    ) -> None:
+        """Raise SafetyStop where the weight (torque by axis) is not carried; ``counts``: position of one
+        count."""
+        for i, weight in weights.items():
+            if i not in held:
+                self._missing[i] = 0.0
+                continue
+            if not sample.fresh[i]:
+                continue
+            place = self._place[i]
+            if place is None or abs(sample.position[i] - place) > STILL_COUNTS * abs(counts[i]):
+                self._place[i], self._missing[i] = sample.position[i], 0.0
+            sign = 1.0 if weight > 0 else -1.0
+            short = abs(weight) * (1.0 - SCALE) - NOISE * self._rated[i] - sign * sample.torque[i]
+            self._missing[i] = max(0.0, self._missing[i] + short * self._cycle)
+            if self._missing[i] > HELD_IMPULSE_S * max(abs(weight), LEAST_WEIGHT * self._rated[i]):
+                raise SafetyStop(
+                    f"axis {self._names[i]}: it took {abs(weight):.3g} to hold it, its drive shows "
+                    f"{abs(sample.torque[i]):.3g}, and the encoder stands still",
+                    way_out="the encoder is dead and its load falls, or somebody supports it: support it, "
+                    "then look at the encoder",
+                    code="halted",
+                    axis=self._names[i],
+                )

@@ -216,19 +216,20 @@ class HeldAxes:
             if name not in not_held:
                 continue
             state = state_of(sample.status[i])
+            carries = "carries a load" if h.loaded else "may carry a load"
             if name in held and self._brake_failed(name):
                 said.append(
                     f"axis {name}: its brake was seen not to hold it after the stop; see to the brake"
                 )
             elif name in held or is_energised(state):
                 said.append(
-                    f"axis {name} carries a load and is not held: its drive ({state.words}) was not "
+                    f"axis {name} {carries} and is not held: its drive ({state.words}) was not "
                     f"seen to bring it to "
                     "rest. Support it before anybody goes near, then take the drive's enable or supply away"
                 )
             else:
                 said.append(
-                    f"axis {name} carries a load and is without torque ({state.words}): nothing was seen to "
+                    f"axis {name} {carries} and is without torque ({state.words}): nothing was seen to "
                     "hold it. Support it before anybody goes near"
                 )
         return tuple(said)

@@ -107,6 +107,8 @@ class WayOut:
         self._exchange = cell.exchange
         self._stays = list(loads.stays)
         self._fell: set[int] = set(loads.falls)
+        self._blind = set(loads.blind)
+        """What these show is no standing."""
         self._brake_s, self._brake_drop = loads.brake_s, loads.brake_drop
         self._still = tolerances(cell.config, cell.resolution)
         self._to_catch: set[int] = set()
@@ -161,7 +163,11 @@ class WayOut:
             with contextlib.suppress(Exception):
                 self._weigh_doubted(self._weigh)
             self._disable()
-        self.unheld |= {i for i, stays in enumerate(self._stays) if stays and not self._standstill.stands(i)}
+        self.unheld |= {
+            i
+            for i, stays in enumerate(self._stays)
+            if stays and (i in self._blind or not self._standstill.stands(i))
+        }
         unsure = [i for i in range(len(self._drives)) if self._may_disable(i) and self._may_be_on(i)]
         deaf = {i for i in unsure if self._disobeys(i)} | self._deaf
         on = [self._drives[i].name for i in sorted(self._deaf.difference(unsure))]
