@@ -19,12 +19,10 @@ from invid.numerics.arrays import Float64
 from invid.sweep.falling import Fall, Falling, Kind
 from invid.sweep.obedience import Obedience
 from invid.sweep.ports import Sample, Severity
-from invid.sweep.shortfall import HeldTorque, Shortfall
+from invid.sweep.shortfall import HeldTorque, Shortfall, is_energised
 from invid.sweep.stuck_encoder import Yielding
 from invid.sweep.torque_sign import TorqueSign
 
-POWER_MASK, ENERGISED = 0x4F, frozenset({0x07, 0x0F})
-"""Of 0x6041 (CiA 402): operation enabled and quick stop active, or fault reaction active."""
 VELOCITY_CYCLES = 4
 """Baseline of the velocity: four cycles halve the noise of two encoder counts twice."""
 LEAP = 4.0
@@ -171,7 +169,7 @@ class Bounds:
             return
         for i, limit in enumerate(self.limits):
             if not sample.fresh[i]:
-                if _is_energised(sample.status[i]):
+                if is_energised(sample.status[i]):
                     self._missing(i, sample)
                 continue
             self._missed[i] = 0
@@ -202,13 +200,13 @@ class Bounds:
 
     def _check_standing(self, sample: Sample) -> None:
         standing = self._all - self.led
-        held = {i for i in standing if sample.fresh[i] and _is_energised(sample.status[i])}
+        held = {i for i in standing if sample.fresh[i] and is_energised(sample.status[i])}
         try:
             self._held_torque.check(sample, self.weights, held, [a.resolution for a in self.limits])
         except SafetyStop as error:
             self.blind |= {i for i, limit in enumerate(self.limits) if limit.name == error.axis}
             raise
-        self.falls = self._falling.check(sample, standing, _is_energised, quiet=bool(self.resting))
+        self.falls = self._falling.check(sample, standing, is_energised, quiet=bool(self.resting))
         for i, fall in self.falls.items():
             limit = self.limits[i]
             driven = fall.kind is Kind.DRIVEN
@@ -341,10 +339,6 @@ class Bounds:
                 raise DriveError(event.text, code="drive_fault", axis=event.axis)
             if event.severity is Severity.BUS:
                 raise BusError(event.text, code="bus")
-
-
-def _is_energised(status: int) -> bool:
-    return status & POWER_MASK in ENERGISED
 
 
 def bounds_of(config: CellConfig, resolution: Sequence[float], rated: Sequence[float]) -> Bounds:

@@ -27,8 +27,17 @@ ms."""
 HELD_IMPULSE_S, LEAST_WEIGHT = 0.05, 0.1
 """The same for an axis that its drive holds, over its weight, or a tenth of rated torque: a loop that takes
 over builds its torque up in 20 ms."""
+OPENS_S, OPENS_AGAIN = 5.0, 1.5
+"""A brake that opens later is not known; it may take so much longer the next time."""
+POWER_MASK, ENERGISED = 0x4F, frozenset({0x07, 0x0F})
+"""Of 0x6041 (CiA 402): operation enabled and quick stop active, or fault reaction active."""
 STILL_COUNTS = 1.5
 """Counts that an encoder which is dead shows at most."""
+
+
+def is_energised(status: int) -> bool:
+    """Whether a drive with that statusword gives torque."""
+    return status & POWER_MASK in ENERGISED
 
 
 class _Axis:
@@ -109,16 +118,37 @@ class HeldTorque:
 
     def __init__(self, names: Sequence[str], rated_torque: Sequence[float], cycle_s: float) -> None:
         self._names, self._rated, self._cycle = list(names), list(rated_torque), cycle_s
-        self._place: list[float | None] = [None] * len(names)
-        self._missing = [0.0] * len(names)
+        count = len(self._names)
+        self._place: list[float | None] = [None] * count
+        self._missing = [0.0] * count
+        self._since: list[float | None] = [None] * count
+        """When each axis was last enabled."""
+        self._first: list[list[tuple[float, float]]] = [[] for _ in range(count)]
+        """Time and torque of the first seconds after that, until it is known when its brake opens."""
+        self._opens: dict[int, float] = {}
 
     def check(
         self, sample: Sample, weights: Mapping[int, float], held: Collection[int], counts: Sequence[float]
     ) -> None:
         """Raise SafetyStop where the weight (torque by axis) is not carried; ``counts``: position of one
         count."""
+        for i, status in enumerate(sample.status):
+            if not sample.fresh[i]:
+                continue
+            if not is_energised(status):
+                self._since[i] = None
+            elif self._since[i] is None:
+                self._since[i] = sample.time
+            since = self._since[i]
+            if since is not None and i not in self._opens and sample.time < since + OPENS_S:
+                self._first[i].append((sample.time - since, sample.torque[i]))
         for i, weight in weights.items():
-            if i not in held:
+            if i not in self._opens:
+                carried = (t for t, torque in self._first[i] if torque * weight > weight**2 / 2)
+                self._opens[i] = next(carried, 0.0)
+                self._first[i] = []
+            since = self._since[i]
+            if i not in held or since is None or sample.time < since + OPENS_AGAIN * self._opens[i]:
                 self._missing[i] = 0.0
                 continue
             if not sample.fresh[i]:

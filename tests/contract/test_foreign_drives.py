@@ -163,6 +163,16 @@ def test_a_dead_encoder_is_left_to_the_brake(tmp_path: Path, away: float) -> Non
     assert cell.fallen(since=SHAKEN_S) < shaken + HELD
 
 
+def test_an_encoder_that_dies_at_rest_is_told_by_the_torque_that_is_missing(tmp_path: Path) -> None:
+    """Its drive sees no error, gives no torque, and the load falls while every count stands still."""
+    cell = loaded(tmp_path, brake=0.03)
+    ended = run(cell, lambda drive: setattr(drive.habits, "frozen", drive.seen), 6.0)
+    assert isinstance(ended.error, SafetyStop)
+    assert ended.error.code == "halted"
+    assert cell.drives[0].state == "off"
+    assert cell.fallen() < 0.04  # until the torque is missed, and the brake
+
+
 def test_torque_that_turns_unseen_under_a_load_is_cut_off_and_left_to_the_brake(tmp_path: Path) -> None:
     cell = loaded(tmp_path, brake=0.03)
     ended = run(cell, lambda drive: setattr(drive.habits, "turned", True))
