@@ -18,8 +18,8 @@ matching builtin, so that library users may catch what they know::
 
 from __future__ import annotations
 
-import copy
-from typing import Any, Self
+from collections.abc import Iterable
+from typing import Any
 
 
 class InvidError(Exception):
@@ -30,10 +30,13 @@ class InvidError(Exception):
     reason
         What was found, without what to do.
     way_out
-        What to do; the text of the error is both.
-    code, axis
-        What stopped a motion, as a stable word (``position_window``, …), and on which axis; empty and
-        ``None`` elsewhere.
+        What to do; the text of the error is both, then ``left``.
+    left
+        What is known of axes, drives and file after a motion that this ended, as sentences (``note_left``).
+    code
+        What stopped a motion, as a stable word (``position_window``, …); empty elsewhere.
+    axes, axis
+        The axes it is about, and the only one of them; ``None`` where there are none or several.
     moment
         Where a sweep stood when this ended it (``invid.sweep.Moment``); ``None`` where nothing moved yet.
     """
@@ -41,18 +44,46 @@ class InvidError(Exception):
     exit_code = 2
 
     def __init__(
-        self, reason: str = "", *, way_out: str = "", code: str = "", axis: str | None = None
+        self,
+        reason: str = "",
+        *,
+        way_out: str = "",
+        code: str = "",
+        axis: str | None = None,
+        axes: Iterable[str] = (),
     ) -> None:
         super().__init__(f"{reason}; {way_out}" if way_out else reason)
-        self.reason, self.way_out, self.code, self.axis = reason, way_out, code, axis
+        self.reason, self.way_out, self.code = reason, way_out, code
+        self.axes = tuple(axes) if axis is None else (axis,)
+        self.left: tuple[str, ...] = ()
         self.moment: Any = None
 
-    def saying(self, text: str) -> Self:
-        """The same error in other words."""
-        other = copy.copy(self)
-        other.args = (text,)
-        other.reason, other.way_out = text, ""
-        return other
+    @property
+    def axis(self) -> str | None:
+        """The axis it is about, where that is one."""
+        return self.axes[0] if len(self.axes) == 1 else None
+
+    def __str__(self) -> str:
+        """The text for a person."""
+        return ". ".join((super().__str__(), *self.left))
+
+
+def note_left(error: BaseException, left: Iterable[str]) -> None:
+    """Add what is known of axes, drives and file after a motion to whatever error ended it, each thing once.
+
+    Errors of others carry it as notes (PEP 678).
+    """
+    if isinstance(error, InvidError):
+        error.left = tuple(dict.fromkeys((*error.left, *left)))
+        return
+    for sentence in left:
+        if sentence not in getattr(error, "__notes__", ()):
+            error.add_note(sentence)
+
+
+def left_by(error: BaseException) -> tuple[str, ...]:
+    """What ``note_left`` added to an error."""
+    return error.left if isinstance(error, InvidError) else tuple(getattr(error, "__notes__", ()))
 
 
 class InputError(InvidError, ValueError):

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError, RecordingError
-from invid.recording import Outcome, Recording, RecordingWriter
+from invid.recording import Outcome, Recording, RecordingWriter, read_recording
 from invid.sweep import Progress, Sample
 from invid.sweep.recorder import Recorder
-from invid_drivers.collecting import Judged
 
 QUEUE_BYTES = 64 << 20
 """Rows that may wait for the disk: 3 minutes of eight axes at 1 kHz. Beyond that the measurement ends."""
@@ -26,6 +25,23 @@ def row_format(axes: int) -> np.dtype[Any]:
     """One cycle on its way to the file."""
     per_axis = (("position", "<f8"), ("torque", "<f8"), ("demand", "<f8"), ("status", "<u2"), ("fresh", "?"))
     return np.dtype([("slot", "<i8"), ("time", "<f8"), *((name, code, (axes,)) for name, code in per_axis)])
+
+
+class Judged:
+    """A recording that is being written, and the judge who says whether it needs another experiment."""
+
+    def __init__(self, out: Path, header: Recording, go_on: Callable[[Recording], bool]) -> None:
+        self._out, self._header, self._go_on = out, header, go_on
+        self._writer: RecordingWriter | None = None
+
+    def open(self) -> RecordingWriter:
+        """Open the file, with the first row."""
+        self._writer = RecordingWriter(self._out, self._header)
+        return self._writer
+
+    def ask(self, number: int) -> bool:
+        """Whether the next experiment is needed, by the rows of those that have ended."""
+        return self._writer is None or self._go_on(read_recording(self._writer.rows_file))
 
 
 class Filing:

@@ -13,22 +13,21 @@ from typing import Any, Protocol
 import yaml
 
 from invid.config import CellConfig
-from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
+from invid.errors import ConfigError, DriveError, InvidError, SafetyStop, left_by, note_left
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import frozen_float
-from invid.planning import AxisForecast, Plan, make_plan
+from invid.planning import AxisForecast, Plan
 from invid.planning.belief import Belief
-from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.recording.writer import require_room
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.collecting import Judged
 from invid_drivers.connect import connect, is_virtual
-from invid_drivers.readiness import prepare
-from invid_drivers.relay import measure_in_process
-from invid_drivers.stopping_budgets import Wish, measured_budgets, plan_within
+from invid_drivers.filing import Judged
+from invid_drivers.readiness import prepare, require_plan
+from invid_drivers.relay import ALL_OFF, measure_in_process
+from invid_drivers.stopping_budgets import Wish, measured_budgets
 
 __all__ = ["MeasurementResult", "Progress", "measure_to_file"]
 
@@ -103,24 +102,13 @@ def measure_to_file(  # noqa: PLR0913 - what a person may wish of a run
     SafetyStop, DriveError, BusError
         The measurement ended early; the recording so far is in ``out``.
     """
-    out = Path(out)
+    out, wish = Path(out), Wish(axes, amplitude_scale, model, plan)
+    require_plan(config, wish)
     if is_virtual(config):
-        plan, cell = start_measurement(config, axes, amplitude_scale, model, plan)
-        return run_measurement(config, plan, cell, out, progress=progress, stop=stop, go_on=go_on)
-    if plan is None:
-        # refused here, before a process is started for it
-        make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
+        return run_measurement(config, wish, connect(config), out, progress=progress, stop=stop, go_on=go_on)
     _require_file(out)
     result: MeasurementResult = measure_in_process(
-        config,
-        out,
-        axes=axes,
-        amplitude_scale=amplitude_scale,
-        progress=progress,
-        stop=stop,
-        model=model,
-        plan=plan,
-        go_on=go_on,
+        config, out, wish, progress=progress, stop=stop, go_on=go_on
     )
     return result
 
@@ -131,69 +119,6 @@ class ClosingSink(Sink, Protocol):
     def close(self, outcome: Outcome) -> None:
         """Mark how the measurement ended, and close."""
         ...
-
-
-def start_measurement(
-    config: CellConfig,
-    axes: Sequence[str] | None,
-    amplitude_scale: float,
-    model: CoupledChains | Belief | None,
-    plan: Plan | None = None,
-) -> tuple[Plan, Cia402Cell]:
-    """Return the plan (the given one, if any) and the connected cell, its drives asked for their limits.
-
-    The plan is made with the tightest of the drives', the config's and the EDS files' limits; a given one is
-    scaled down to them.
-    """
-    if plan is None:
-        # refused here, before a bus is opened
-        make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
-    cell = connect(config)
-    try:
-        # the adapter is probed where the measurement begins
-        return prepare(cell, config, Wish(axes, amplitude_scale, model, plan), probes=False).plan, cell
-    except BaseException:
-        cell.close()
-        raise
-
-
-def ask_drives(
-    config: CellConfig,
-    *,
-    axes: Sequence[str] | None = None,
-    amplitude_scale: float = 1.0,
-    model: CoupledChains | Belief | None = None,
-    plan: Plan | None = None,
-) -> tuple[Plan, CellConfig, tuple[StoppingBudget, ...], list[str]]:
-    """The plan within what the drives leave, the config with it, the budgets, and what is to be said of it.
-
-    Where nobody can be asked the drives are taken at their best, and why is said.
-    """
-    wish = Wish(axes, amplitude_scale, model, plan)
-    if plan is None:
-        make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)  # before a bus is opened
-    try:
-        cell = connect(config)
-    except InvidError as error:
-        return _unasked(config, wish, f"the drives were not asked, the limits are the config's: {error}")
-    try:
-        cell.check()
-    except InvidError as error:
-        cell.close()
-        return _unasked(config, wish, f"the drives are not ready, the limits are the config's: {error}")
-    try:
-        found = prepare(cell, config, wish)
-    finally:
-        cell.close()
-    return found.plan, found.config, found.budgets, list(found.said)
-
-
-def _unasked(
-    config: CellConfig, wish: Wish, why: str
-) -> tuple[Plan, CellConfig, tuple[StoppingBudget, ...], list[str]]:
-    """Plan, config, budgets and notes as of ``ask_drives``, the drives taken at their best."""
-    found = plan_within(config, None, wish)
-    return found.plan, found.config, found.budgets, [why, *found.said]
 
 
 def _require_file(out: Path) -> None:
@@ -215,25 +140,22 @@ def _require_file(out: Path) -> None:
 
 def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may stop it
     config: CellConfig,
-    plan: Plan,
+    wish: Wish | Plan,
     cell: Cia402Cell,
     out: Path,
     *,
     progress: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
-    open_sink: Callable[[Recording], ClosingSink] | None = None,
-    notes: Sequence[str] = (),
+    open_sink: Callable[[Recording], tuple[ClosingSink, Sequence[str]]] | None = None,
     go_on: Callable[[Recording], bool] | None = None,
     asked: Callable[[int], bool | None] | None = None,
 ) -> MeasurementResult:
     """The measurement on a connected cell, which is closed at the end.
 
-    ``open_sink`` says where samples go instead of into ``out``, and ``asked`` who then answers whether
-    the next experiment is needed (see ``Sweep.go_on``); without it ``go_on`` is called in between, which
-    only a cell in virtual time can wait for.
+    ``open_sink`` says where samples go instead of into ``out`` and what is to be said of that, and ``asked``
+    who then answers whether the next experiment is needed (see ``Sweep.go_on``); without it ``go_on`` is
+    called in between, which only a cell in virtual time can wait for.
     """
-    complaints: list[str] = []
-    closed = False
     recorder: ClosingSink | None = None
     outcome = Outcome.FAILED
     try:
@@ -241,12 +163,14 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         if stop is not None:
             cell.cancelled = stop.is_set
         # before anything is enabled: what would end with missing answers is refused
-        found = prepare(cell, config, Wish(plan=plan), cancelled=cell.cancelled)
-        plan, notes = found.plan, [*notes, *found.said]
+        wish = Wish(plan=wish) if isinstance(wish, Plan) else wish
+        found = prepare(cell, config, wish, cancelled=cell.cancelled)
+        plan, notes = found.plan, list(found.said)
         require_room(out, sum(e.record_to - e.record_from for e in plan.experiments), len(plan.axes))
         header = _header(config, cell)
         if open_sink is not None:
-            recorder = open_sink(header)
+            recorder, more = open_sink(header)
+            notes += more
         elif go_on is not None:
             judged = Judged(out, header, go_on)
             recorder, asked = Recorder(judged.open, plan.cycle_s, len(plan.axes)), judged.ask
@@ -259,45 +183,45 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         result = sweep.run()
         outcome = Outcome.COMPLETED
         complaints = cell.close()
-        closed = True
-        if cell.not_off:
-            raise DriveError(" ".join((_not_off(cell.not_off), *cell.endings)))
-        return _result(config, cell, out, result, [*notes, *complaints])
-    except (SafetyStop, KeyboardInterrupt) as error:
-        outcome = Outcome.ABORTED
-        cell.suspect(str(error))
-        ending = _ending(cell)
-        if ending and isinstance(error, SafetyStop):
-            raise error.saying(f"{error}. {ending}") from None
+        if cell.not_off or cell.not_held:
+            failed = (*cell.not_off, *cell.not_held)
+            raise DriveError("the measurement is complete, but not every axis is off or held", axes=failed)
+    except BaseException as error:
+        if isinstance(error, (SafetyStop, KeyboardInterrupt)):
+            outcome = Outcome.ABORTED
+        _leave(cell, recorder, outcome, error)
         raise
-    except (BusError, ConfigError) as error:
-        cell.suspect(str(error))
-        ending = _ending(cell)
-        if ending and not str(error).endswith(ending):
-            raise error.saying(f"{error}. {ending}") from None
+    recorder.close(outcome)
+    return _result(config, cell, out, result, [*notes, *complaints])
+
+
+def _leave(cell: Cia402Cell, recorder: ClosingSink | None, outcome: Outcome, error: BaseException) -> None:
+    """Stop the drives, restore them, close the file, in this order; what is left is noted in the error.
+
+    The drives first: a file that cannot be closed must not keep an axis energised. What interrupts this, a
+    second Ctrl-C or a fault of this program, carries what is known by then.
+    """
+    try:
+        cell.suspect(error)
+        cell.close()
+    except BaseException as worse:
+        cell.stop()  # it may have been interrupted
+        note_left(worse, (*left_by(error), *_left(cell, worse)))
         raise
     finally:
-        # The drives first: a file that cannot be closed must not keep an axis energised.
+        note_left(error, _left(cell, error))
         try:
-            if not closed:
-                cell.close()
-        finally:
             if recorder is not None:
                 recorder.close(outcome)
+        except InvidError as failure:
+            note_left(error, (str(failure),))
 
 
-def _not_off(axes: tuple[str, ...]) -> str:
-    return (
-        f"Axis {', '.join(axes)} was not seen to switch off (its heartbeat watch should stop it): make sure "
-        "of it, with the emergency stop if need be"
-    )
-
-
-def _ending(cell: Cia402Cell) -> str:
-    """Stop the drives after any end; return which of them are on and what to do, empty where all are off."""
-    cell.stop()
-    not_off = (_not_off(cell.not_off),) if cell.not_off else ()
-    return ". ".join((*not_off, *cell.endings))
+def _left(cell: Cia402Cell, error: BaseException) -> tuple[str, ...]:
+    """What is known of the axes; whoever ended it at once is told where all are off, too."""
+    if cell.left or not isinstance(error, KeyboardInterrupt):
+        return cell.left
+    return (ALL_OFF,)
 
 
 def _header(config: CellConfig, cell: Cia402Cell) -> Recording:

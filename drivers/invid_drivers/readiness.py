@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 from invid.config import CellConfig
 from invid.errors import InvidError
-from invid.planning import Plan
-from invid.planning.budget import RoundTrip
+from invid.planning import Plan, make_plan
+from invid.planning.budget import RoundTrip, tolerable_share
 from invid.planning.forecast import fit_to_limits
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import Reason, remembered, to_support
 from invid_drivers.cia402.journal import journal_path
+from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.round_trip import probe, require
 from invid_drivers.stopping_budgets import Budgets, Wish, plan_within
@@ -61,10 +62,19 @@ def prepare(
     if not config.simulated if probes is None else probes:
         trip = probe(cell.link, config, plan, cancelled)
         said = (*said, *require(trip, config))
+        if not trip.carries and not config.simulated:
+            cycles = sum(e.cycles for e in plan.experiments)
+            cell.expect_answers(tolerable_share(cycles, config.safety.missed_tpdos), trip.shortest_cycle_s)
     return Prepared(plan, found.config, found.budgets, said, trip)
 
 
-def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
+def require_plan(config: CellConfig, wish: Wish) -> None:
+    """ConfigError for what no drive could change: before a bus is opened, or a process started."""
+    if wish.plan is None:
+        make_plan(config, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model)
+
+
+def foresee(config: CellConfig, wish: Wish = Wish(), *, why: str = "") -> Prepared:
     """Do as ``prepare``, but touch no bus that hardware may be on: its drives are taken at their best.
 
     Raises
@@ -72,14 +82,32 @@ def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
     ConfigError, DriveError
         What ``prepare`` would refuse whatever the drives say; in virtual time, what it refuses.
     """
-    if is_virtual(config):
+    if is_virtual(config) and not why:
         cell = connect(config)
         try:
             return prepare(cell, config, wish)
         finally:
             cell.close()
     found = plan_within(config, None, wish)
-    return Prepared(found.plan, found.config, found.budgets, found.said)
+    return Prepared(found.plan, found.config, found.budgets, (why, *found.said) if why else found.said)
+
+
+def ask_drives(config: CellConfig, wish: Wish = Wish()) -> Prepared:
+    """Do as ``prepare``; where nobody can be asked the drives are taken at their best, and why is said."""
+    require_plan(config, wish)
+    try:
+        cell = connect(config)
+    except InvidError as error:
+        return foresee(config, wish, why=f"the drives were not asked, the limits are the config's: {error}")
+    try:
+        try:
+            cell.check()
+        except InvidError as error:
+            why = f"the drives are not ready, the limits are the config's: {error}"
+            return foresee(config, wish, why=why)
+        return prepare(cell, config, wish)
+    finally:
+        cell.close()
 
 
 def loads_to_support(config: CellConfig) -> tuple[str, ...]:
@@ -89,7 +117,7 @@ def loads_to_support(config: CellConfig) -> tuple[str, ...]:
     """
     if config.simulated:
         return ()
-    return to_support(config, HoldMemory.beside(journal_path(config.bus.interface, config.bus.channel)))
+    return to_support(config, _memory(config))
 
 
 def support_sentence(axes: Sequence[str]) -> str:
@@ -101,23 +129,60 @@ def support_sentence(axes: Sequence[str]) -> str:
 
 
 def not_ready(config: CellConfig) -> tuple[Reason, ...]:
-    """Reasons of axes that an earlier run left energised, or at which it ended; empty: none.
+    """Reasons of axes that an earlier run left energised, or at which it ended, as of when that was seen.
 
-    The bus is opened only where there was one: then the drives say whether they still are, as in ``check``.
+    Nothing is asked or sent: what the drives say now is for ``invid check``, which writes to them.
+    """
+    return () if is_virtual(config) else remembered(config, _memory(config))
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the drives of a cell said when they were asked."""
+
+    reasons: tuple[Reason, ...]
+    """Axes that are energised though nobody measures, or at which a run ended."""
+    refusal: InvidError | None
+    """The first thing that keeps a measurement from starting."""
+    said: tuple[str, ...]
+    """What is to be known beside: of drives, bus, limits and adapter."""
+
+
+def ask(config: CellConfig, wish: Wish = Wish()) -> Asked:
+    """Ask the drives what ``invid check`` asks, and restore what an earlier run left in them.
+
+    This writes to drives that are off: it is for somebody who asked for it, never for a poll.
+    """
+    try:
+        require_plan(config, wish)
+        cell = connect(config)
+    except InvidError as error:
+        return Asked(not_ready(config), error, ())
+    refusal: InvidError | None = None
+    said: tuple[str, ...] = ()
+    try:
+        said = prepare(cell, config, wish).said
+    except InvidError as error:
+        refusal = error
+    complaints = cell.close()
+    said = (*said, *cell.notes, *(w for r in cell.reports for w in r.warnings), *complaints)
+    # where the drives did not get to say it, what is remembered stands
+    return Asked(cell.not_ready if cell.holdings else not_ready(config), refusal, said)
+
+
+def known_after_death(config: CellConfig, longest_s: float) -> tuple[str, ...]:
+    """What is known of the axes of a run whose processes were killed or died, as sentences; asks no drive.
+
+    A cycle process that is still stopping its drives is waited for, at most so long [s].
     """
     if is_virtual(config):
         return ()
-    said = remembered(config, HoldMemory.beside(journal_path(config.bus.interface, config.bus.channel)))
-    if not said:
-        return ()
-    try:
-        cell = connect(config)
-    except InvidError:
-        return said
-    try:
-        cell.check()
-        return cell.not_ready
-    except InvidError:
-        return said
-    finally:
-        cell.close()
+    free = Reservation.await_free(config.bus.interface, config.bus.channel, longest_s)
+    said = [f"{r.text}; {r.fix}" for r in remembered(config, _memory(config))]
+    if not free:
+        said.insert(0, f"the process that drives the axes still has the bus after {longest_s:.0f} s")
+    return tuple(said)
+
+
+def _memory(config: CellConfig) -> HoldMemory:
+    return HoldMemory.beside(journal_path(config.bus.interface, config.bus.channel))

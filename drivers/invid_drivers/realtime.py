@@ -33,13 +33,15 @@ from typing import Any
 import numpy as np
 
 from invid.config import CellConfig
-from invid.errors import InvidError, SafetyStop
+from invid.errors import InvidError, SafetyStop, left_by, note_left
 from invid.numerics.arrays import frozen_float
 from invid.planning.model import PlannedExperiment
 from invid.recording import Outcome, Recording
 from invid.sweep import Sample
-from invid_drivers.measurement import run_measurement, start_measurement
+from invid_drivers.connect import connect
+from invid_drivers.measurement import run_measurement
 from invid_drivers.memory import lock_memory
+from invid_drivers.relay import KEEP_ALIVE_S
 from invid_drivers.stop_flag import StopFlag
 
 PRIORITY = 50
@@ -49,9 +51,6 @@ SWITCH_S = 0.0001
 _PR_SET_PDEATHSIG = 1
 POST_S = 0.05
 """Rows leave the cycle process this often: what a sudden death of it may cost."""
-KEEP_ALIVE_S = 1.0
-"""A parent from which nothing came for so long counts as gone. It speaks ten times as often; a busy computer
-may hold a process up for some tenths of a second."""
 SECOND_LOOK_S = 0.1
 """Within the keep-alive: where the whole computer stood still, the parent gets this long to speak again."""
 
@@ -196,33 +195,32 @@ def child_main(fd: int) -> None:
     sender.start()
     config = CellConfig.model_validate(task["config"])
     try:
-        plan, cell = start_measurement(
-            config, task["axes"], task["amplitude_scale"], task["model"], task["plan"]
-        )
-        notes = make_realtime()
+        cycle_s = config.bus.cycle_s
 
-        def open_sink(header: Recording) -> RemoteSink:
-            outbox.put(("open", header, plan.cycle_s))
-            return RemoteSink(outbox.put, plan.cycle_s, len(plan.axes))
+        def open_sink(header: Recording) -> tuple[RemoteSink, tuple[str, ...]]:
+            outbox.put(("open", header, cycle_s))
+            return RemoteSink(outbox.put, cycle_s, len(header.axes)), make_realtime()
 
         result = run_measurement(
             config,
-            plan,
-            cell,
+            task["wish"],
+            connect(config),
             Path(task["out"]),
             progress=lambda p: outbox.put(("progress", p)),
             stop=stop,
             open_sink=open_sink,
-            notes=notes,
             asked=ask if task["judged"] else None,
         )
         outbox.put(("result", result))
     except SafetyStop as error:
-        outbox.put(("error", error.saying(f"{SILENT}: {error}") if silent.is_set() else error))
+        note_left(error, (SILENT,) * silent.is_set())
+        outbox.put(("error", error))
     except InvidError as error:
         outbox.put(("error", error))
     except Exception as error:  # the parent must hear of it: its exit status depends on it
-        outbox.put(("error", RuntimeError(f"{type(error).__name__}: {error}")))
+        told = RuntimeError(f"{type(error).__name__}: {error}")
+        note_left(told, left_by(error))
+        outbox.put(("error", told))
     outbox.put(None)
     # The drives are off. However far behind the parent is, every sample reaches it; once it has gone,
     # sending fails and this ends.

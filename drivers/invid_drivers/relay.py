@@ -8,37 +8,44 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from invid.config import CellConfig
-from invid.errors import BusError, InvidError, SafetyStop
-from invid.model.chains import CoupledChains
-from invid.planning.belief import Belief
-from invid.planning.model import Plan
+from invid.errors import BusError, InvidError, SafetyStop, left_by, note_left
 from invid.recording import Outcome, Recording
 from invid.sweep import Progress
+from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.filing import Filing, Teller
+from invid_drivers.readiness import known_after_death
+from invid_drivers.stopping_budgets import Wish
 
-STOP_S = 30.0
-"""Longest way of the cycle process to its end when its parent leaves: fade, quick stop, two seconds for each
-drive that does not answer, restoring objects. Then it is killed, and heartbeat loss stops the drives."""
+KEEP_ALIVE_S = 1.0
+"""A parent from which nothing came for so long counts as gone. It speaks ten times as often; a busy computer
+may hold a process up for some tenths of a second."""
+STOP_S = STOPPED_S + KEEP_ALIVE_S + 1.0
+"""Longest way of the cycle process to its end when it is to stop, or its parent leaves, which it notices
+within its keep-alive. Then it is killed, and heartbeat loss stops the drives."""
+ALL_OFF = "it left no axis under power"
+"""Said to whoever ends a run at once."""
+DIED = (
+    ": the drives stop by their heartbeat watch; make sure that they have, and look into the system's log. "
+    "An axis that carries a load is held by its drive then: `invid check` says which are energised"
+)
 SPEAK_S = 0.1
-"""The cycle process is told so often that this one is there: ten times within its keep-alive."""
+"""The cycle process is told so often that this one is there."""
 
 
-def measure_in_process(  # noqa: PLR0913 - as measure_to_file
+def measure_in_process(
     config: CellConfig,
     out: Path,
+    wish: Wish,
     *,
-    axes: Sequence[str] | None,
-    amplitude_scale: float,
     progress: Callable[[Progress], None] | None,
     stop: threading.Event | None,
-    model: CoupledChains | Belief | None,
-    plan: Plan | None = None,
     go_on: Callable[[Recording], bool] | None = None,
 ) -> Any:
     """Measure with the cycle in a process of its own; return its ``MeasurementResult``.
@@ -61,49 +68,47 @@ def measure_in_process(  # noqa: PLR0913 - as measure_to_file
                 "parent": os.getpid(),
                 "config": config.model_dump(mode="python"),
                 "out": str(out),
-                "axes": None if axes is None else list(axes),
-                "amplitude_scale": amplitude_scale,
-                "model": model,
-                "plan": plan,
+                "wish": wish,
                 "judged": go_on is not None,
             }
         )
         result = relay.run(connection)
-    except (EOFError, ConnectionError) as error:
-        if isinstance(error, InvidError):
-            raise _with_file(error, _end(relay, connection, child)) from None
-        failed = BusError(
-            f"the cycle process ended unexpectedly (exit {child.poll()}): the drives stop by their heartbeat "
-            "watch; make sure that they have, and look into the system's log. An axis that carries a load is "
-            "held by its drive then: `invid check` says which are energised"
+    except BaseException as error:
+        lost = isinstance(error, (EOFError, ConnectionError)) and not isinstance(error, InvidError)
+        ended = (
+            BusError(f"the cycle process ended unexpectedly (exit {child.poll()}){DIED}") if lost else error
         )
-        raise _with_file(failed, _end(relay, connection, child)) from None
-    except InvidError as error:
-        raise _with_file(error, _end(relay, connection, child)) from None
-    except BaseException:
-        _end(relay, connection, child)
-        raise
-    failure = _end(relay, connection, child)
+        failure = _end(relay, connection, child, ended)
+        if child.returncode:  # it was killed, or died: nobody has told
+            note_left(ended, known_after_death(config, 0.0))
+        if failure is not None and failure is not ended:
+            note_left(ended, (str(failure),))
+        raise ended from None
+    failure = _end(relay, connection, child, None)
     if failure is not None:
         raise failure
     return result
 
 
-def _end(relay: Relay, connection: Connection, child: subprocess.Popen[bytes]) -> InvidError | None:
-    """Let the child stop the drives by closing the socket, then close the file."""
-    relay.end()
-    connection.close()
+def _end(
+    relay: Relay, connection: Connection, child: subprocess.Popen[bytes], error: BaseException | None
+) -> InvidError | None:
+    """Let the child stop the drives, and note in an error what it says of them; then close the file."""
     try:
-        child.wait(timeout=STOP_S)
+        if error is not None:
+            left = relay.last_words(connection)
+            note_left(error, (s for s in left if s != ALL_OFF or isinstance(error, KeyboardInterrupt)))
+        relay.end()
+    finally:
+        connection.close()
+    try:
+        child.wait(timeout=max(relay.patience_s, 1.0))
     except subprocess.TimeoutExpired:
         child.kill()
         child.wait()
+        if error is not None:
+            note_left(error, (f"the cycle process did not end within {STOP_S:.0f} s and was killed{DIED}",))
     return relay.close()
-
-
-def _with_file(error: InvidError, failure: InvidError | None) -> InvidError:
-    """The error that ended the run, with what became of its file where that failed too."""
-    return error if failure is None or failure is error else error.saying(f"{error}. {failure}")
 
 
 class Relay:
@@ -120,43 +125,86 @@ class Relay:
     ) -> None:
         self._filing = filing
         self._stop = stop if stop is not None else threading.Event()
+        self._leaving = threading.Event()
+        """This side ends without a stop of its own: a second Ctrl-C, a fault."""
         self._over = threading.Event()
+        self._asked: float | None = None
+        self._ended: tuple[str, Any] | None = None
         self._outcome = Outcome.FAILED
         self._teller = Teller(progress)
         self._speaker: threading.Thread | None = None
 
     def run(self, connection: Connection) -> Any:
         """Relay until the result is there; raises what the child raised, or what the file did."""
-        self._speaker = threading.Thread(target=self._speak, args=(connection,), daemon=True)
-        self._speaker.start()
-        while True:
+        self.speak_to(connection)
+        kind, content = self._await_end(connection)
+        if kind == "result":
+            self._outcome = Outcome.COMPLETED
+            self._raise_of_file()
+            return content
+        if isinstance(content, SafetyStop):
+            self._raise_of_file()  # that is why it was stopped
+            self._outcome = Outcome.ABORTED
+        raise content
+
+    def _await_end(self, connection: Connection) -> tuple[str, Any]:
+        """Pass on what the cycle process says, until its result or its error.
+
+        BusError where it does not come within ``STOP_S`` of a stop.
+        """
+        while self._ended is None:
+            if self._asked is None and self._is_to_stop:
+                self._asked = time.monotonic()
+            if self.patience_s <= 0.0:
+                raise BusError(f"the cycle process did not stop within {STOP_S:.0f} s")
+            if not connection.poll(SPEAK_S):
+                continue
             message = connection.recv()
-            kind = message[0]
-            if kind == "progress":
+            if message[0] in ("result", "error"):
+                self._ended = message[0], message[1]
+            elif message[0] == "progress":
                 self._teller.tell(message[1])
-            elif kind == "result":
-                self._outcome = Outcome.COMPLETED
-                self._raise_of_file()
-                return message[1]
-            elif kind == "error":
-                if isinstance(message[1], SafetyStop):
-                    self._raise_of_file()  # that is why it was stopped
-                    self._outcome = Outcome.ABORTED
-                raise message[1]
             else:
                 self._filing.put(message)
+        return self._ended
+
+    @property
+    def patience_s(self) -> float:
+        """So long the cycle process may go on yet [s]."""
+        waited = 0.0 if self._asked is None else time.monotonic() - self._asked
+        return STOP_S - waited
+
+    @property
+    def _is_to_stop(self) -> bool:
+        return self._stop.is_set() or self._leaving.is_set() or self._filing.error is not None
+
+    def last_words(self, connection: Connection) -> tuple[str, ...]:
+        """Stop the cycle process, if it has not ended, and return what it knows of its axes then."""
+        self._leaving.set()
+        try:
+            _, content = self._await_end(connection)
+        except (EOFError, OSError):  # it has gone, or hangs
+            return ()
+        if not isinstance(content, BaseException):
+            return tuple(content.warnings)
+        return left_by(content) or (ALL_OFF,)
 
     def _raise_of_file(self) -> None:
         if self._filing.error is not None:
             self._outcome = Outcome.FAILED
             raise self._filing.error
 
+    def speak_to(self, connection: Connection) -> None:
+        """Begin to tell the cycle process that this one is there."""
+        self._speaker = threading.Thread(target=self._speak, args=(connection,), daemon=True)
+        self._speaker.start()
+
     def _speak(self, connection: Connection) -> None:
         """Tell the cycle process that this one is there, of a stop, and what the judge answers."""
         asked = False
         with contextlib.suppress(OSError):  # the cycle process has gone: the receiving end notices
             while not self._over.is_set():
-                if not asked and (self._stop.is_set() or self._filing.error is not None):
+                if not asked and self._is_to_stop:
                     asked = True
                     connection.send("stop")
                 connection.send("alive")

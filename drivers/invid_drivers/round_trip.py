@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from invid.config import CellConfig
-from invid.errors import BusError, ConfigError
+from invid.errors import BusError
 from invid.planning import Plan
 from invid.planning.budget import SHARE, RoundTrip, bound, judge
 from invid_drivers.cia402 import objects as od
@@ -88,15 +88,14 @@ def probe(
 
 
 def require(found: RoundTrip, config: CellConfig) -> list[str]:
-    """Return what to say of a round trip; ConfigError where hardware does not carry the config's cycle.
+    """Return what to say of a round trip.
 
-    Behind a simulated cell stands this computer, which is late at times, and no drive that would move.
+    One that would not carry the config's cycle may be the drives' own time for SDO: that is told by their
+    answers to SYNC, before power (``Cia402Cell.expect_answers``).
     """
     if found.carries and found.is_of_drives:
         return [f"{found.text}; bus.round_trip_s counts"]
     if found.carries:
         late = found.late_share
         return [f"{late:.1%} of the cycles' answers would come too late: {found.text}"] * (late > 1 - SHARE)
-    if config.simulated:
-        return [found.refusal]
-    raise ConfigError(found.refusal)
+    return [found.refusal if config.simulated else found.doubt]

@@ -150,10 +150,19 @@ class RoundTrip:
         )
 
     @property
-    def refusal(self) -> str:
-        """Why the config's cycle is refused, and the way out."""
+    def doubt(self) -> str:
+        """What is open where a round trip would not carry the config's cycle."""
         if self.is_of_drives:
-            return f"bus: {self.text}. State the adapter's round trip in bus.round_trip_s"
+            return f"bus: {self.text}. Their answers to SYNC tell, before any drive is enabled"
+        return (
+            f"bus: an SDO read takes {self.median_s * 1e3:.2g} ms, longer than cycle_s of "
+            f"{self.cycle_s * 1e3:g} ms lets answers take: the adapter or the drives' own time for SDO. "
+            "Their answers to SYNC tell, before any drive is enabled"
+        )
+
+    @property
+    def refusal(self) -> str:
+        """What the config's cycle would meet if it were the adapter, and the way out."""
         return (
             f"bus: cycle_s is {self.cycle_s:g}, but {self.text}; at {self.cycle_s * 1e3:g} ms "
             f"{self.late_share:.0%} of the answers would come too late. Set bus.cycle_s to "

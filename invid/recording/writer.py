@@ -105,6 +105,13 @@ class RecordingWriter:
         except OSError as error:
             raise not_written(self.path, error, otherwise=RecordingError) from None
 
+    @property
+    def rows_file(self) -> Path:
+        """Where rows lie until the recording is closed; ``read_recording`` reads those that were flushed."""
+        if self._spool is None:
+            raise RecordingError(f"{self.path}: the recording is closed")
+        return self._spool.path
+
     def begin(  # noqa: PLR0913 - the contract: the attributes of an experiment
         self,
         *,

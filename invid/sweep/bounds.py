@@ -6,6 +6,7 @@ for any other it belongs to the sweep's watch.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,15 +16,18 @@ import numpy as np
 from invid.config import CellConfig
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.numerics.arrays import Float64
+from invid.sweep.falling import Fall, Falling, Kind
 from invid.sweep.obedience import Obedience
 from invid.sweep.ports import Sample, Severity
+from invid.sweep.shortfall import HeldTorque, Shortfall, is_energised
 from invid.sweep.stuck_encoder import Yielding
 from invid.sweep.torque_sign import TorqueSign
 
-POWER_MASK, ENERGISED = 0x4F, frozenset({0x07, 0x0F})
-"""Of 0x6041 (CiA 402): operation enabled and quick stop active, or fault reaction active."""
 VELOCITY_CYCLES = 4
 """Baseline of the velocity: four cycles halve the noise of two encoder counts twice."""
+LEAP = 4.0
+"""Times the permitted speed from one sample to the next: a mass does not get there in a cycle, an encoder
+has leapt."""
 STAMP_CYCLES = 0.2
 """When SYNC was on the wire is known to a fifth of a cycle on a busy computer: what is surely too fast is so
 over a way that took that much longer. Five per cent over four cycles."""
@@ -85,20 +89,34 @@ class Bounds:
             [a.torque for a in limits],
             [a.velocity for a in limits],
             limits[0].unit,
-            [a.position for a in limits],
         )
+        self._falling = Falling(
+            [a.resolution for a in limits],
+            cycle_s,
+            [a.position for a in limits],
+            [a.rated_torque for a in limits],
+            [a.torque for a in limits],
+        )
+        self.falls: dict[int, Fall] = {}
+        """Axes that were to stand and did not, from the sample on that ended the run."""
+        self.blind: set[int] = set()
+        """Axes whose encoders were seen to be dead: no loop that they close holds."""
         self._signs = TorqueSign([a.name for a in limits], [a.rated_torque for a in limits], cycle_s)
+        self._shortfall = Shortfall(
+            [a.name for a in limits], [a.rated_torque for a in limits], limits[0].torque_unit, cycle_s
+        )
+        self._held_torque = HeldTorque([a.name for a in limits], [a.rated_torque for a in limits], cycle_s)
         self.obedience = Obedience([a.name for a in limits], cycle_s)
         """Demand against motion."""
         self.led: set[int] = set()
         """Axes whose loops the master closes."""
+        self.weights: dict[int, float] = {}
+        """Torque that holds each loaded axis: with less it falls; of other axes it is a warning."""
         self.resting: set[int] = set()
         """Axes that their drives hold while nothing is shaken."""
         self._all = set(range(count))
         self.near: dict[int, tuple[float, float]] = {}
         """Where axes stood that are not shaken yet, and how far from there they may go, as announced."""
-        self.weighed: set[int] = set()
-        """Resting axes of which the cell finds out why they yield."""
         self.speeds = [0.0] * count
         """Speed of each axis over the last cycles, less one count of the encoder; 0 where it is not known."""
         self.count_anew()
@@ -112,6 +130,7 @@ class Bounds:
 
     def start(self, position: list[float]) -> None:
         """Centre the windows around these positions from now on."""
+        self.blind = set()
         self.origin = list(position)
 
     def pause(self) -> None:
@@ -119,6 +138,8 @@ class Bounds:
         self._last_slot = None
         for history in self._history:
             history.clear()
+        self._falling.forget()
+        self._shortfall.forget()
         self._signs.forget()
         self.obedience.forget()
 
@@ -142,14 +163,14 @@ class Bounds:
         if sample.events:
             self._events(sample)
         self.statistics.cycles += 1
-        self._check_slot(sample.slot)
+        self._check_slot(sample)
         origin = self.origin
         if origin is None:
             return
         for i, limit in enumerate(self.limits):
             if not sample.fresh[i]:
-                if sample.status[i] & POWER_MASK in ENERGISED:
-                    self._missing(i)
+                if is_energised(sample.status[i]):
+                    self._missing(i, sample)
                 continue
             self._missed[i] = 0
             self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
@@ -157,14 +178,15 @@ class Bounds:
             self._check_torque(i, limit, abs(sample.torque[i]))
             if i in self.near:
                 self._check_announced(limit, sample.position[i], *self.near[i])
-        self._yielding.check(sample, self.led, self._all - self.led - self.weighed)
+        self._check_standing(sample)
+        self._yielding.check(sample, self.led)
         if asked is not None:
-            self._signs.check(sample, asked)
-            self.obedience.check(sample, asked)
+            self._check_given(sample, asked)
 
-    def _check_slot(self, slot: int) -> None:
+    def _check_slot(self, sample: Sample) -> None:
+        slot = sample.slot
         if self._last_slot is not None:
-            skipped = slot - self._last_slot - 1
+            skipped = slot - self._last_slot - 1 - sample.listened
             if skipped:
                 self.statistics.skipped_slots += skipped
                 if skipped > self._most_skipped:
@@ -175,6 +197,44 @@ class Bounds:
                         code="computer_late",
                     )
         self._last_slot = slot
+
+    def _check_standing(self, sample: Sample) -> None:
+        standing = self._all - self.led
+        held = {i for i in standing if sample.fresh[i] and is_energised(sample.status[i])}
+        try:
+            self._held_torque.check(sample, self.weights, held, [a.resolution for a in self.limits])
+        except SafetyStop as error:
+            self.blind |= {i for i, limit in enumerate(self.limits) if limit.name == error.axis}
+            raise
+        self.falls = self._falling.check(sample, standing, is_energised, quiet=bool(self.resting))
+        for i, fall in self.falls.items():
+            limit = self.limits[i]
+            driven = fall.kind is Kind.DRIVEN
+            raise SafetyStop(
+                f"axis {limit.name}: is to stand and gets faster, by {fall.acceleration:.3g} "
+                f"{limit.unit}/s², "
+                f"while its drive shows {abs(fall.torque):.3g} {limit.torque_unit}: "
+                + (fall.kind.value if driven or not fall.at_limit else "all that its limit permits"),
+                way_out="a sign is wrong: compare the directions of motor and encoder in the drive"
+                if driven
+                else "support it; then compare 0x6076 with the motor's plate, raise its torque limit, or see "
+                "what the drive itself limits (I²t, 0x60E0, 0x60E1)",
+                code="yields" if driven or fall.at_limit else "not_held",
+                axis=limit.name,
+            )
+
+    def _check_given(self, sample: Sample, asked: Sequence[float]) -> None:
+        """What is given and done against what is asked for; who fails is not trusted to hold afterwards."""
+        try:
+            kind = Kind.FALLS
+            self._shortfall.check(sample, asked, self.led & self.weights.keys())
+            kind = Kind.DRIVEN
+            self._signs.check(sample, asked)
+            self.obedience.check(sample, asked)
+        except SafetyStop as error:
+            i = next(k for k, limit in enumerate(self.limits) if limit.name == error.axis)
+            self.falls = {i: Fall(kind, math.nan, sample.torque[i], at_limit=False)}
+            raise
 
     def _check_travel(self, i: int, limit: AxisLimits, travel: float) -> None:
         if travel <= self._travel[i]:
@@ -226,6 +286,9 @@ class Bounds:
         if speed > self._speed[i]:
             self._speed[i] = speed
             if speed * dt > limit.velocity * (dt + STAMP_CYCLES * self._cycle):
+                last, place = history[-2]
+                if abs(position - place) > LEAP * limit.velocity * (time - last):
+                    self.blind.add(i)
                 raise SafetyStop(
                     f"axis {limit.name}: velocity {speed:.4g} {limit.unit}/s, limit {limit.velocity:g}",
                     way_out="lower the amplitude, or look at the encoder if the axis did not move so fast",
@@ -247,16 +310,28 @@ class Bounds:
                 axis=limit.name,
             )
 
-    def _missing(self, i: int) -> None:
+    def _missing(self, i: int, sample: Sample) -> None:
         self._lost[i] += 1
         self._missed[i] += 1
-        if self._missed[i] >= self._most_missed:
+        if self._missed[i] < self._most_missed:
+            return
+        name, count = self.limits[i].name, self._missed[i]
+        if sample.late and sample.late[i]:
+            alone = any(sample.fresh)
             raise DriveError(
-                f"axis {self.limits[i].name}: no position for {self._missed[i]} cycles in a row",
-                way_out="check its cable, its supply and the bus",
+                f"axis {name}: its answers come more than a cycle late, for {count} cycles in a row"
+                + (", those of others in time" if alone else ", like all others"),
+                way_out=f"{'the drive' if alone else 'the adapter or its driver'} takes longer at times: "
+                "lengthen bus.cycle_s, or safety.missed_tpdos",
                 code="no_answer",
-                axis=self.limits[i].name,
+                axis=name,
             )
+        raise DriveError(
+            f"axis {name}: no position for {count} cycles in a row",
+            way_out="check its cable, its supply and the bus",
+            code="no_answer",
+            axis=name,
+        )
 
     def _events(self, sample: Sample) -> None:
         for event in sample.events:

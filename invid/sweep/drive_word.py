@@ -74,7 +74,8 @@ class DriveWords:
                     raise SafetyStop(
                         f"axis {self._names[i]}: the drive says that it no longer follows its target "
                         f"(statusword bit 12 is 0 for {self._ignored[i]} cycles); look at its enable inputs, "
-                        "its halt and limit switches, and whether something else commands it"
+                        "its halt and limit switches, and whether something else commands it",
+                        axis=self._names[i],
                     )
 
     def ignores(self, axis: int) -> bool:
@@ -91,7 +92,8 @@ class DriveWords:
                     f"axis {self._names[i]}: the drive reports that it limits (statusword bit 11) at {what}: "
                     "a limit of its own is tighter than those that were read, or its supply does not give "
                     "what is asked; look at 0x6072, 0x6073, 0x607F, 0x6080, 0x607D, the vendor's current "
-                    "limits and its error memory, or lower the amplitude"
+                    "limits and its error memory, or lower the amplitude",
+                    axis=self._names[i],
                 )
 
     def said(self) -> tuple[str, ...]:

@@ -11,8 +11,11 @@ from invid.config import CellConfig
 from invid.numerics.arrays import Bool, Float64
 
 CONFIRM_S = 1.5
-"""A load is weighed, and one that the config does not state believed, over so long. Gravity is constant, what
-swings behind a held motor is not: under a Hann window all above 1.3 Hz then counts less than a thirtieth."""
+"""A load is weighed over two stretches of so long that agree, and the later one counts. Gravity is
+constant, what swings behind a held motor is not: under a Hann window all above 1.3 Hz then counts less than
+a thirtieth."""
+STEADY_S = 12.0
+"""Longest wait for two that agree: a brake that opens late, an arm that swings."""
 LOAD_SHARE = 0.02
 """Of rated torque: a hold that takes more carries a load. Offsets of current sensing are about 1 %, and what
 dry friction of a drive takes at rest, 2 % at least, does not fall (empirical, from vendors' figures)."""
@@ -66,3 +69,12 @@ def judge_loads(
         doubt = says_nothing and abs(mean) > least and axis.gravity_loaded is None
         found.append(Load(mean, bool(carries or doubt or axis.gravity_loaded), said))
     return tuple(found)
+
+
+def differing(first: Sequence[Load], second: Sequence[Load], rated: Sequence[float]) -> list[int]:
+    """Axes whose torque at rest differs by more than ``LOAD_SHARE`` of rated torque between two stretches."""
+    return [
+        i
+        for i, (a, b) in enumerate(zip(first, second, strict=True))
+        if abs(a.torque - b.torque) > LOAD_SHARE * rated[i]
+    ]

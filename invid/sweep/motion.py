@@ -16,7 +16,7 @@ from invid.planning.hold_laws import Gains, centring, following, least_damping, 
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import CATCH_HZ, SETTLE_S, highest_frequency
 from invid.sweep.bounds import Bounds, Statistics, bounds_of
-from invid.sweep.loads import CONFIRM_S, Load, judge_loads
+from invid.sweep.loads import CONFIRM_S, STEADY_S, Load, differing, judge_loads
 from invid.sweep.moment import TRACE_S, Moment
 from invid.sweep.ports import Cell, Mode, Sample, Sink
 from invid.sweep.watch import Watch
@@ -208,21 +208,41 @@ class Motion:
         self.watching.words.learn_rest()
         half = len(rows.torque) // 2
         self.loads = judge_loads(self.config, rows.torque[half:], rows.fresh[half:], held, rated)
-        if any(load.loaded for load in self.loads):  # one must be sure of it, and of its torque
+        # a brake may open a second after its drive is enabled
+        braked = any(a.brake == "drive" and a.gravity_loaded is not False for a in self.config.axes)
+        if braked or any(load.loaded for load in self.loads):  # one must be sure of it, and of its torque
             done = self.done_s
-            rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s))
-            self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
+            self.loads = self._weigh(held, rated)
             if any(load.said for load in self.loads):  # a person who leans on it is no load
-                rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s))
-                self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
+                self.loads = self._weigh(held, rated)
             self.done_s = done  # no part of the plan
         self.watching.bounds.resting, self.watching.bounds.near = set(), {}
+        weights = {i: load.torque for i, load in enumerate(self.loads) if load.loaded and held[i]}
+        self.watching.bounds.weights = {i: w for i, w in weights.items() if np.isfinite(w)}
         for i, load in enumerate(self.loads):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
             # loaded axis is believed to need any, friction held at rest can be anything. A drive that is
             # shaken by its torque offset keeps its own loop, which holds it.
             known = held[i] and load.loaded and np.isfinite(load.torque) and not self.by_offset(i)
             self.bias[i] = load.torque if known else 0.0
+
+    def _weigh(self, held: Sequence[bool], rated: Sequence[float]) -> tuple[Load, ...]:
+        """Loads by the later of two stretches that agree; SafetyStop where none do for ``STEADY_S``."""
+        before = None
+        for _ in range(1 + round(STEADY_S / CONFIRM_S)):
+            rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s))
+            now = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
+            if before is not None and not differing(before, now, rated):
+                return now
+            last, before = before, now
+        wrong = [self.config.axes[i].name for i in differing(last or now, now, rated)]
+        raise SafetyStop(
+            f"axis {', '.join(wrong)}: the torque that holds it at rest does not settle within {STEADY_S:g} "
+            "s",
+            way_out="somebody leans on it, its brake drags, or another axis swings: nothing was recorded yet",
+            code="not_held",
+            axes=wrong,
+        )
 
     def announced(self, axes: set[int]) -> dict[int, tuple[float, float]]:
         """Where axes stood and how far they may go from there by what the whole run was announced.
@@ -361,8 +381,10 @@ class Motion:
             self.cell.set_modes(modes)
             self._modes = list(modes)
             done = self.done_s
+            self.watching.changing = True
             while self.cell.changing:
                 self.play(None, 1)
+            self.watching.changing = False
             self.done_s = done  # no part of the plan
             self.watching.halting.pause()
             self.watching.words.resume()

@@ -53,6 +53,10 @@ class Sample:
     fresh: list[bool] = field(default_factory=list)
     """False where the axis's TPDO did not come; its values are then the last ones."""
     events: list[Event] = field(default_factory=list)
+    listened: int = 0
+    """Slots before this one that passed without SYNC on purpose: nobody was late."""
+    late: list[bool] = field(default_factory=list)
+    """True where answers of earlier SYNCs came since the last fresh one: late, not lost."""
 
 
 class Clock(Protocol):

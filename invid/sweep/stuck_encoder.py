@@ -4,8 +4,7 @@ push.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
@@ -204,8 +203,6 @@ YIELD_S = 0.02
 FASTER, SPEED_SHARE = 1.2, 0.05
 """Speed over that at which the limit was reached, beyond this share of the speed limit: what brakes with all
 its torque slows down. A spring may pull as hard for a moment, but it does not hold out (empirical)."""
-AWAY = 0.002
-"""Of the window: so far an axis goes, and no slower, that its drive is to hold at rest and cannot."""
 
 
 class Yielding:
@@ -217,23 +214,19 @@ class Yielding:
         torque: list[float],
         velocity: list[float],
         unit: str,
-        window: Sequence[float] = (),
     ) -> None:
-        """``torque``, ``velocity``: limits of each axis; ``window``: half of its way."""
+        """``torque``, ``velocity``: limits of each axis."""
         self._names, self._torque, self._velocity, self._unit = names, torque, velocity, unit
-        self._away = [AWAY * w for w in window] or [math.inf] * len(names)
         count = len(names)
         self._last: list[tuple[float, float] | None] = [None] * count
-        self._since: list[tuple[float, float, float] | None] = [None] * count
+        self._since: list[tuple[float, float] | None] = [None] * count
 
     def permit(self, axis: int, velocity: float) -> None:
         """Set another speed limit of one axis."""
         self._velocity[axis] = velocity
 
-    def check(self, sample: Sample, led: Collection[int], resting: Collection[int] = ()) -> None:
-        """Raise SafetyStop where an axis yields whose loop the master closes (``led``), or that is to
-        rest.
-        """
+    def check(self, sample: Sample, led: Collection[int]) -> None:
+        """Raise SafetyStop where an axis yields whose loop the master closes (``led``)."""
         for i, fresh in enumerate(sample.fresh):
             if not fresh:
                 continue
@@ -243,21 +236,15 @@ class Yielding:
                 continue
             speed = (position - last[1]) / (sample.time - last[0])
             torque = sample.torque[i]
-            if (
-                abs(torque) < AT_LIMIT * self._torque[i]
-                or torque * speed >= 0.0
-                or not (i in led or i in resting)
-            ):
+            if abs(torque) < AT_LIMIT * self._torque[i] or torque * speed >= 0.0 or i not in led:
                 self._since[i] = None
                 continue
             since = self._since[i]
             if since is None:
-                self._since[i] = sample.time, abs(speed), position
+                self._since[i] = sample.time, abs(speed)
                 continue
             fast = FASTER * since[1] + SPEED_SHARE * self._velocity[i]
-            # What its drive has just taken over is braked, and gets slower.
-            gives_way = i in resting and abs(position - since[2]) > self._away[i] and abs(speed) >= since[1]
-            if sample.time - since[0] >= YIELD_S and (gives_way or abs(speed) > fast):
+            if sample.time - since[0] >= YIELD_S and abs(speed) > fast:
                 raise SafetyStop(
                     f"axis {self._names[i]}: gets faster against the torque limit: {abs(speed):.3g} "
                     f"{self._unit}/s, {since[1]:.3g} {1e3 * (sample.time - since[0]):.0f} ms before",

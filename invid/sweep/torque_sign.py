@@ -9,7 +9,8 @@ from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
 
 MEMORY_S, MEMORY_CYCLES = 0.05, 25
-"""Time constant of what is remembered: a sign that turns is seen within one of it."""
+"""Time constant of what is remembered: a sign that turns is seen within one of it. After a pause nothing is
+judged by fewer cycles."""
 LAGS = 12
 """Cycles by which 0x6077 may follow. Where the last of them fits best the lag is not known, and nothing is
 judged: a sinusoid that is half a period late looks like one of the wrong sign."""
@@ -36,6 +37,7 @@ class TorqueSign:
         self._power = [[0.0] * LAGS for _ in range(count)]
         self._common = [[0.0] * LAGS for _ in range(count)]
         self._quiet = [LAGS] * count
+        self._count = [0] * count
         self._slot: int | None = None
 
     def check(self, sample: Sample, asked: Sequence[float]) -> None:
@@ -47,16 +49,18 @@ class TorqueSign:
         for i, value in enumerate(asked):
             self._quiet[i] = 0 if value else self._quiet[i] + 1
             if self._quiet[i] > LAGS:
+                self._count[i] = 0
                 continue
             past, power, common = self._asked[i], self._power[i], self._common[i]
+            past.appendleft(value)  # some drives show at SYNC what they were sent just before it
             if sample.fresh[i]:
                 shown = sample.torque[i]
+                self._count[i] += 1
                 for k, before in enumerate(past):
                     power[k] = keep * power[k] + (1.0 - keep) * before * before
                     common[k] = keep * common[k] + (1.0 - keep) * before * shown
-                if min(power) > self._least[i]:
+                if min(power) > self._least[i] and self._count[i] >= MEMORY_CYCLES:
                     self._judge(i, [c / p for c, p in zip(common, power, strict=True)])
-            past.appendleft(value)
 
     def _judge(self, axis: int, slopes: list[float]) -> None:
         best = max(range(LAGS), key=slopes.__getitem__)

@@ -11,7 +11,7 @@ from invid.sweep.drive_word import DriveWords
 from invid.sweep.ports import Sample
 from invid.sweep.stuck_encoder import Halting, Standing
 
-STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
+STATE_MASK, OPERATION_ENABLED, FAULT = 0x6F, 0x27, 0x08
 """State bits of 0x6041 (CiA 402)."""
 
 ENERGY_WINDOW_S = 0.25
@@ -41,6 +41,8 @@ class Watch:
         self.halting = Halting(names, [a.resolution for a in limits], limits[0].unit, cycle_s)
         self.held: set[int] = set()
         """Axes whose energy is watched for growth."""
+        self.changing = False
+        """Modes are being changed, which some drives do without power."""
 
     def settle(self) -> None:
         """Judge growth of energy afresh, as the excitation changed."""
@@ -58,7 +60,8 @@ class Watch:
         for i, limit in enumerate(bounds.limits):
             if not sample.fresh[i]:
                 continue
-            if sample.status[i] & STATE_MASK != OPERATION_ENABLED:
+            state = sample.status[i] & STATE_MASK
+            if state != OPERATION_ENABLED and not (self.changing and not state & FAULT):
                 raise DriveError(
                     f"axis {limit.name}: the drive left operation enabled (statusword "
                     f"0x{sample.status[i]:04X}{', fault' if sample.status[i] & 0x08 else ''})",
@@ -70,8 +73,12 @@ class Watch:
                 energy += (bounds.speeds[i] / limit.velocity) ** 2
         self._watch_energy(energy)
         self.words.check(sample)
-        self.halting.check(sample)
-        self.standing.check(sample)
+        try:
+            self.halting.check(sample)
+            self.standing.check(sample)
+        except SafetyStop as error:
+            bounds.blind = {i for i, limit in enumerate(bounds.limits) if limit.name == error.axis}
+            raise
 
     def _watch_energy(self, energy: float) -> None:
         self._energy += energy

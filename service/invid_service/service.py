@@ -7,7 +7,6 @@ import contextlib
 import logging
 import re
 import secrets
-import time
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,14 +15,16 @@ from datetime import UTC, datetime, timedelta
 from sqlalchemy.exc import SQLAlchemyError
 
 from invid.config import CellConfig
-from invid.errors import InvidError, ModelError
+from invid.errors import ConfigError, InvidError, ModelError
 from invid.planning.belief import from_model
 from invid_drivers.cia402.holding import Reason as CellReason
-from invid_drivers.readiness import foresee, not_ready
+from invid_drivers.connect import is_virtual
+from invid_drivers.readiness import Asked, ask, foresee, not_ready
+from invid_drivers.relay import STOP_S
 from invid_drivers.stopping_budgets import Wish
 from invid_service.audit import AuditLog
 from invid_service.auth import check_bind
-from invid_service.cells.readiness import Readiness, RecentAnswers, Situation, readiness
+from invid_service.cells.readiness import Checked, Readiness, RecentAnswers, Situation, readiness
 from invid_service.cells.registry import Cell, load_cells
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
@@ -48,8 +49,6 @@ _NAMED = re.compile(rf"{API}/(cells|identifications)/([^/]+)")
 """The cell, or the run, that a path is about."""
 _RETENTION_PERIOD_S = 3600.0
 _STORE_PROBE_S = 1.0
-_DRIVES_S = 5.0
-"""Drives that were left energised are asked again after so long."""
 _KEY_PERIOD_S = 1.0
 """A key added, or revoked, counts within this time."""
 _ORPHAN_S = 3.0
@@ -74,10 +73,8 @@ class Service:
     start_locks: dict[str, asyncio.Lock] = field(default_factory=lambda: defaultdict(asyncio.Lock))
     can_start: RecentAnswers = field(default_factory=RecentAnswers)
     shutting_down: bool = False
-    _asking: asyncio.Lock = field(default_factory=asyncio.Lock)
     _planning: asyncio.Lock = field(default_factory=asyncio.Lock)
     _refusals: dict[tuple[object, ...], InvidError | None] = field(default_factory=dict)
-    _asked: dict[str, tuple[float, tuple[CellReason, ...]]] = field(default_factory=dict)
     _housekeeping: asyncio.Task[None] | None = None
     _key_watch: asyncio.Task[None] | None = None
 
@@ -165,16 +162,25 @@ class Service:
         *,
         ignore: LiveRun | None = None,
         axes: tuple[str, ...] | None = None,
+        asked: Asked | None = None,
     ) -> Readiness:
-        """Judge now whether the cell can start."""
+        """Judge now whether the cell can start, by what is remembered of its drives, or as they were asked.
+
+        Nothing is sent to them.
+        """
         occupied = self.jobs.occupying(cell.id)
-        drives = () if mode == "simulate" or occupied is not None else await self._drives(cell)
+        drives: tuple[CellReason, ...] = ()
+        if asked is not None:
+            drives = asked.reasons
+        elif mode != "simulate" and occupied is None:
+            drives = await asyncio.to_thread(not_ready, cell.config)
         answers, in_force = True, None
         try:
             async with asyncio.timeout(_STORE_PROBE_S):
                 in_force = await asyncio.to_thread(self.results.in_force, cell.id)
         except (TimeoutError, SQLAlchemyError):
             answers = False
+        refusal = None if asked is None else asked.refusal
         return readiness(
             Situation(
                 config=cell.config,
@@ -187,9 +193,28 @@ class Service:
                 mode=mode,  # type: ignore[arg-type]
                 axes=axes,
                 drives=drives,
-                refusal=await self._refusal(cell, mode, axes, in_force),
+                refusal=refusal or await self._refusal(cell, mode, axes, in_force),
             )
         )
+
+    async def check(self, cell: Cell) -> Checked:
+        """Ask the drives of a cell in which nothing runs; Problem 409 where something does.
+
+        What an earlier run left in them is restored: this writes to drives.
+        """
+        async with self.start_locks[cell.id]:
+            busy = self.jobs.occupying(cell.id)
+            if busy is not None:
+                raise Problem(
+                    "run-in-progress",
+                    f"identification {busy.record.id} is {busy.record.state}: it has the bus",
+                    {"Retry-After": "5"},
+                    identification=busy.record.id,
+                    simulated=cell.simulated,
+                )
+            asked = await asyncio.to_thread(ask, cell.config)
+        ready = await self.readiness(cell, asked=asked)
+        return Checked(**dict(ready), warnings=list(dict.fromkeys(asked.said)))
 
     async def _refusal(
         self, cell: Cell, mode: str | None, axes: tuple[str, ...] | None, in_force: StoredModel | None
@@ -209,16 +234,6 @@ class Service:
                     _refusal_of, cell.config, amplitude, axes, in_force
                 )
             return self._refusals[key]
-
-    async def _drives(self, cell: Cell) -> tuple[CellReason, ...]:
-        """Return what ``invid check`` has against the drives of a cell in which nothing runs."""
-        async with self._asking:
-            asked, reasons = self._asked.get(cell.id, (-_DRIVES_S, ()))
-            now = time.monotonic()
-            if now - asked >= (_DRIVES_S if reasons else 0.0):
-                reasons = await asyncio.to_thread(not_ready, cell.config)
-                self._asked[cell.id] = (time.monotonic(), reasons)
-            return reasons
 
     async def run(self, run_id: str) -> tuple[RunRecord, LiveRun | None]:
         """Return a run, from memory while it lives; Problem 404 where there is none."""
@@ -302,11 +317,17 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
         results = Results(
             store, blobs, auto_accept=settings.auto_accept, unchanged_percent=settings.unchanged_percent
         )
+        if settings.stop_grace_s < STOP_S and not all(is_virtual(c.config) for c in cells.values()):
+            raise ConfigError(
+                f"stop_grace_s is {settings.stop_grace_s:g}: a runner that stops its drives in order may "
+                f"take {STOP_S:.0f} s; leave it out, or set more"
+            )
         limits = Limits(
             settings.check_timeout_s,
             settings.arm_timeout_s,
             settings.analysis_timeout_s,
             settings.stop_grace_s,
+            settings.motion_silence_s,
         )
         jobs = JobManager(store, results, launcher, limits, clock, parallel_uploads=settings.parallel_uploads)
         metrics = Metrics(lambda: len([c for c in cells if jobs.occupying(c) is not None]))

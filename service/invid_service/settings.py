@@ -8,6 +8,10 @@ from pathlib import Path
 from pydantic import BaseModel, Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from invid_drivers.relay import STOP_S
+
+_LAST_WORDS_S = 3.0
+"""For the runner to close its recording after its cycle process has ended."""
 MEBIBYTE = 1024 * 1024
 _BUDGET_SHARE = 5 / 6
 """Of ``analysis_timeout_s``; reading, the report and the step in which the time runs out take the rest."""
@@ -58,9 +62,12 @@ class Settings(BaseSettings):
     """A run that nobody arms for so long is cancelled."""
     check_timeout_s: float = Field(default=120.0, gt=0)
     analysis_timeout_s: float = Field(default=1800.0, gt=0)
-    stop_grace_s: float = Field(default=3.0, gt=0)
+    stop_grace_s: float = Field(default=STOP_S + _LAST_WORDS_S, gt=0)
     """Time the runner has to stop its drives before its process is killed (the drives then miss the
-    master's heartbeat and stop by themselves)."""
+    master's heartbeat and stop by themselves): longer than the way out may take, or no hardware is served."""
+    motion_silence_s: float = Field(default=120.0, gt=0)
+    """A motion of which nothing is heard for so long is stopped: the longest wait in one, for a person to
+    support a load, takes half a minute."""
     parallel_uploads: int = Field(default=1, ge=1)
     auto_accept: AutoAccept | None = None
     unchanged_percent: float = Field(default=20.0, gt=0)

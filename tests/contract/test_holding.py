@@ -111,7 +111,7 @@ def test_a_soft_loop_that_has_sagged_goes_on_from_where_it_is_after_a_gentle_qui
     master = enabled(bench)
     before = bench.place
     assert master.secure([True, False])
-    assert abs(bench.place - before) < 4 * 1.0 / (2 * 3.1416 * 5.0) ** 2  # a sag for each of three holds
+    assert abs(bench.place - before) < 6 * 1.0 / (2 * 3.1416 * 5.0) ** 2  # a sag for each of five holds
     master.close()
 
 
@@ -147,6 +147,7 @@ def test_the_next_run_takes_a_held_axis_over_without_a_gap_in_its_torque(tmp_pat
     bench.states.clear()
     master = enabled(bench)
     assert bench.drive.state is State.OPERATION_ENABLED
+    assert master.secure([True, False])  # what was seen once is seen again
     assert not master.secure([True, False])
     master.close()
     assert set(bench.states) <= ENERGISED
@@ -232,9 +233,9 @@ def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     seen = bench.memory.of_node(1)
     assert seen is not None
     assert seen.brake_s is not None
-    if by == "drive":
-        assert seen.brake_s == pytest.approx(delay, abs=0.05)
-        assert seen.brake_drop == pytest.approx(0.5 * delay**2, rel=0.3)
+    assert (seen.brake_drop > master.holdings[0].most_drop) == (by == "drive")
+    if by == "brake":
+        assert seen.brake_s == pytest.approx(delay, abs=0.02)
 
 
 def test_an_axis_of_unknown_gravity_that_carries_nothing_may_switch_off_again(tmp_path: Path) -> None:
@@ -273,7 +274,7 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     master = enabled(bench)
     master.secure([True, False])
     master.stop()
-    master.suspect("axis A1: position left its window")
+    master.suspect(SafetyStop("axis A1: position left its window", axis="A1"))
     master.close()
     again = bench.connect()
     again.check()
@@ -312,15 +313,14 @@ def test_a_load_beyond_the_torque_limit_ends_the_run_in_time_and_nothing_raises_
         return exchange(torque)
 
     master.exchange = watched  # type: ignore[method-assign]
-    with pytest.raises(SafetyStop, match=r"A1.*sinks") as caught:
+    with pytest.raises(SafetyStop, match=r"A1.*all that its limit permits") as caught:
         enabled_and_settled(master)
     assert "raise its torque limit" in str(caught.value)
-    assert max(seen) == 50
-    assert min(seen) == 25
+    assert set(seen) == {50}
     ended = bench.drive.node.od.number(0x6072)
     master.close()
     assert ended == 50
-    assert abs(bench.place) < 0.5  # half of its weight is held: it sinks, and the run says so
+    assert abs(bench.place) < 1.0  # half of its weight is held: it sinks, and the run says so
     # more than the limit: refused from then on
     assert [seen.weight for seen in bench.memory.seen.values() if seen.loaded] == [51]
 
@@ -341,16 +341,20 @@ def test_a_load_that_was_held_within_the_lowered_limit_gets_no_more_torque_when_
     bench.cell.plan_fault(
         FaultConfig(kind="sign_flip", axis="A1", at_s=master.clock.now() + 0.1, signal="encoder")
     )
-    opposed = None
-    for _ in range(150):
-        try:
-            master.exchange(zero(master))
-        except SafetyStop as error:
-            opposed = error
-            break
-        assert bench.drive.node.od.number(0x6072) <= lowered
-    assert "drives what it is to hold" in str(opposed)
+    master._watch.pause()
+
+    def go_on() -> None:
+        for _ in range(150):
+            master._watched(zero(master))
+            assert bench.drive.node.od.number(0x6072) <= lowered
+
+    with pytest.raises(SafetyStop, match=r"A1: is to stand and gets faster"):
+        go_on()
+    master.stop()
     assert bench.drive.node.od.number(0x6072) <= lowered
+    assert bench.drive.state not in ENERGISED
+    bench.cell.plant.advance_to(bench.cell.now_ns)
+    assert abs(bench.cell.plant.velocities[0]) < 2.0
     master.close()
 
 

@@ -18,7 +18,7 @@ from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.manuals import YES
 from invid_drivers.cia402.vendors import VENDORS
 from invid_drivers.connect import connect
-from invid_drivers.measurement import ask_drives
+from invid_drivers.readiness import ask_drives
 from invid_drivers.stopping_budgets import plan_within
 
 TIMED = VENDORS.pop(TIMER)
@@ -69,7 +69,8 @@ def od_of(master: Cia402Cell) -> Any:
 
 def test_a_gentle_ramp_means_less_speed_and_says_so() -> None:
     config = cell({"quick_stop_deceleration_rad_per_s2": 1.0})
-    plan, limited, (budget,), said = ask_drives(config)
+    found = ask_drives(config)
+    plan, limited, (budget,), said = found.plan, found.config, found.budgets, found.said
     # the ramp alone takes 0.5 rad from 1 rad/s, and the torque that is planned for less goes on for 65 ms
     assert 0.4 < budget.permitted < 0.8
     assert plan.forecast[0].velocity <= budget.permitted
@@ -141,11 +142,10 @@ def test_a_ramp_beyond_the_torque_limit_is_given_what_the_limit_can_do_and_resto
 
 def test_a_drive_without_the_object_of_its_ramp_says_what_to_state() -> None:
     config = cell({"objects": {"lacks": ["0x6085"]}})
-    *_, said = ask_drives(config)
+    said = ask_drives(config).said
     assert any("0x6085" in s and "quick_stop_deceleration_rad_per_s2" in s for s in said)
-    *_, (budget,), said = ask_drives(
-        cell({"objects": {"lacks": ["0x6085"]}}, quick_stop_deceleration_rad_per_s2=5)
-    )
+    found = ask_drives(cell({"objects": {"lacks": ["0x6085"]}}, quick_stop_deceleration_rad_per_s2=5))
+    (budget,), said = found.budgets, found.said
     assert budget.stop is not None
     assert not any("not known" in s for s in said)
 
@@ -181,10 +181,10 @@ def test_an_event_timer_that_the_cycle_cannot_keep_is_refused_with_the_way_out()
 def test_the_event_timer_counts_only_where_a_manual_says_that_it_acts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    *_, (unknown,), _ = ask_drives(cell())
+    (unknown,) = ask_drives(cell()).budgets
     assert unknown.case.facts.watch_s == pytest.approx(0.06)
     monkeypatch.setitem(VENDORS, "sure", replace(VENDORS["generic"], rpdo_event_timer=YES))
-    *_, (sure,), _ = ask_drives(cell(vendor="sure"))
+    (sure,) = ask_drives(cell(vendor="sure")).budgets
     assert (sure.case.facts.watch_s, sure.case.facts.watch) == (pytest.approx(0.023), "0x1400:5")
 
 

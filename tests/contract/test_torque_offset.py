@@ -16,7 +16,8 @@ from invid.recording import read_recording
 from invid.sweep import Mode
 from invid_drivers.cia402.vendors import VENDORS, ways
 from invid_drivers.connect import connect
-from invid_drivers.measurement import ask_drives, measure_to_file
+from invid_drivers.measurement import measure_to_file
+from invid_drivers.readiness import ask_drives
 
 MULTISINE = {"kind": "multisine", "band_Hz": [1, 30], "period_s": 2.048, "periods": 4}
 

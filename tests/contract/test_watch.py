@@ -41,8 +41,8 @@ def broken_at(
     return cell, cell.measure()
 
 
-BEFORE = [(turn, t) for t in (1.3, 2.0, 4.0, 7.0, 9.0)]
-SHAKEN = [(what, t) for what in (turn, turn_encoder, freeze) for t in (11.0, 13.0, 13.7)]
+BEFORE = [(turn, t) for t in (1.7, 2.4, 4.4, 7.4, 9.4)]
+SHAKEN = [(what, t) for what in (turn, turn_encoder, freeze) for t in (11.35, 13.35, 14.05)]
 
 
 @pytest.mark.parametrize(("what", "seconds"), BEFORE)
@@ -82,7 +82,7 @@ def test_an_encoder_that_dies_while_its_axis_is_at_rest_is_found_when_it_is_shak
 
 
 def test_a_turn_in_the_middle_of_the_shaking_is_told_from_the_motion_alone(tmp_path: Path) -> None:
-    _, error = broken_at(tmp_path, 13.0, turn)
+    _, error = broken_at(tmp_path, 13.35, turn)
     assert isinstance(error, SafetyStop)
     assert error.code == "disobeys"
     assert "A1" in str(error)

@@ -19,9 +19,12 @@ from invid.numerics.arrays import Float64
 from invid.planning import Plan
 from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Recording, read_recording
-from invid_drivers.measurement import ask_drives, run_measurement, start_measurement
+from invid_drivers.connect import connect
+from invid_drivers.measurement import run_measurement
+from invid_drivers.readiness import ask_drives
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.cell import SimulatedCell
+from invid_drivers.stopping_budgets import Wish
 
 
 def ordinary(seed: int) -> CellConfig:
@@ -134,13 +137,14 @@ def measure(config: CellConfig) -> Measured:
     """Dry run, then the whole run in virtual time."""
     found = Measured(config, peaks=np.zeros((3, len(config.axes))))
     try:
-        found.plan, _, found.budgets, _ = ask_drives(config)
-        plan, cell = start_measurement(config, None, 1.0, None)
+        dry = ask_drives(config)
+        found.plan, found.budgets = dry.plan, dry.budgets
+        cell = connect(config)
         bus: Any = cell.link.bus
         _observe(found, cell, bus.cell)
         with tempfile.TemporaryDirectory() as place:
             out = Path(place) / "rec.h5"
-            run_measurement(config, plan, cell, out)
+            run_measurement(config, Wish(), cell, out)
             found.recording = read_recording(out)
     except InvidError as error:
         found.error = f"exit {error.exit_code}: {error}"

@@ -4,8 +4,7 @@ import pytest
 
 from invid.config import CellConfig
 from invid.errors import ConfigError
-from invid_drivers.measurement import ask_drives
-from invid_drivers.readiness import foresee
+from invid_drivers.readiness import ask_drives, foresee
 from machines.ordinary import measure, ordinary
 
 BY_NIGHT = pytest.mark.campaign
@@ -39,7 +38,7 @@ def test_a_heartbeat_that_a_user_has_set_is_kept_and_the_refusal_names_one_that_
     refused: list[str] = []
     for _ in config.axes:  # one axis after another may need a shorter one
         try:
-            _, _, budgets, _ = ask_drives(with_heartbeat(heartbeat))
+            budgets = ask_drives(with_heartbeat(heartbeat)).budgets
             break
         except ConfigError as error:
             refused.append(str(error))

@@ -13,6 +13,10 @@ import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, Serving, serving
 
+from invid_drivers.cia402.hold_memory import HoldMemory, Seen
+from invid_drivers.cia402.journal import journal_path
+from invid_drivers.simulated.unix_bus import UnixHub
+
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.service,
@@ -186,3 +190,28 @@ def _start(service: Serving, cell: str, **body: str) -> str:
     answer = service.client.post(f"/api/v1/cells/{cell}/identifications", json=given)
     assert answer.status_code == 202, answer.text
     return str(answer.headers["Location"])
+
+
+def test_what_is_remembered_of_the_axes_is_asked_of_the_drives_by_one_button(tmp_path: Path) -> None:
+    """Nobody answers on the bus: the page says that, and goes on saying what it remembers."""
+    wire = tmp_path / "wire.sock"
+    hub = UnixHub(str(wire))
+    state = tmp_path / "state" / "invid"
+    text = SMALL_CELL.split("simulation:")[0].replace(
+        "invid-virtual, channel: small", f"invid-unix, channel: {wire}"
+    )
+    name = journal_path("invid-unix", str(wire)).with_suffix(".holds.json").name
+    HoldMemory(state / name).keep("a drive", Seen(1, loaded=True, holds=True, resumes=True, left_held=True))
+    try:
+        with (
+            serving(tmp_path, cell=text, env={"XDG_STATE_HOME": str(tmp_path / "state")}) as service,
+            browser(tmp_path / "profile") as driver,
+        ):
+            page = Page(driver)
+            driver.get(service.url + "/")
+            page.wait_text("ready-notes", "Axis A1 (node 1) is energised")
+            page.press(page.shown("check"))
+            page.wait_text("reasons", "does not answer", 60.0)
+            assert "Axis A1 (node 1) is energised" in page.text("ready-notes")
+    finally:
+        hub.shutdown()

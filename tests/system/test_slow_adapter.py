@@ -20,8 +20,10 @@ from invid.config import CellConfig, load_config
 from invid.errors import ConfigError
 from invid_drivers import connect
 from invid_drivers.cli.check import preflight
-from invid_drivers.measurement import run_measurement, start_measurement
+from invid_drivers.connect import connect as connect_cell
+from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated.unix_bus import UnixBus
+from invid_drivers.stopping_budgets import Wish
 
 ROOT = Path(__file__).parents[2]
 INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
@@ -77,9 +79,8 @@ def test_neither_check_calls_it_ready_nor_does_a_measurement_enable_a_drive(
         assert "ready" in simcell.stderr.readline()
         with pytest.raises(ConfigError, match=r"cycle_s is 0\.001.*Set bus\.cycle_s to 0\.0"):
             preflight(cell)
-        plan, connected = start_measurement(cell, None, 1.0, None)
         with pytest.raises(ConfigError, match=r"Set bus\.cycle_s to 0\.0"):
-            run_measurement(cell, plan, connected, tmp_path / "run.h5")
+            run_measurement(cell, Wish(), connect_cell(cell), tmp_path / "run.h5")
         assert not (tmp_path / "run.h5").exists()
     finally:
         simcell.send_signal(signal.SIGINT)

@@ -78,7 +78,7 @@ def test_the_service_tells_a_full_disk_apart_from_a_bad_recording() -> None:
     raw = OSError(errno.ENOSPC, "No space left on device")
     for error in (not_written(Path("/data/work/1/recording.h5"), raw), raw):
         told = error_info(error)
-        assert told["code"] == "disk-full"
-        assert "MiB are free" in told["text"]
-        assert "make room" in told["fix"]
-        assert "check the file" not in told["fix"]
+        assert told.code == "disk-full"
+        assert "MiB are free" in told.text
+        assert "make room" in told.fix
+        assert "check the file" not in told.fix

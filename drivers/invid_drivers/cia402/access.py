@@ -21,7 +21,8 @@ from invid_drivers.cia402.vendors import VENDORS, vendor
 
 PROTECTION = (
     od.CONSUMER_HEARTBEATS, od.CONSUMER_HEARTBEAT, od.PRODUCER_HEARTBEAT, od.ABORT_CONNECTION,
-    od.QUICK_STOP_OPTION, od.MAX_TORQUE, od.MAX_CURRENT, od.POSITION_LIMIT_LOW, od.POSITION_LIMIT_HIGH,
+    od.QUICK_STOP_OPTION, od.POSITIVE_TORQUE_LIMIT, od.NEGATIVE_TORQUE_LIMIT,
+    od.MAX_TORQUE, od.MAX_CURRENT, od.POSITION_LIMIT_LOW, od.POSITION_LIMIT_HIGH,
     od.MAX_VELOCITY, od.MAX_MOTOR_SPEED, od.FOLLOWING_WINDOW, od.FOLLOWING_TIME,
 )  # fmt: skip
 """What keeps an axis from doing harm by itself: asked for whatever an EDS says."""
@@ -41,7 +42,8 @@ class Access:
         if row is None:
             raise DriveError(
                 f"axis {self.name}: vendor {config.vendor!r} is not in the table; known are "
-                f"{', '.join(sorted(VENDORS))} (generic asks the drive for everything)"
+                f"{', '.join(sorted(VENDORS))} (generic asks the drive for everything)",
+                axis=self.name,
             )
         self.vendor = row
         self.declared, self.eds_warnings = declared_of(self.name, config.eds, config.node_id)

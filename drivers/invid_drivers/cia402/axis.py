@@ -19,6 +19,7 @@ from invid_drivers.cia402.failures import ReadRefused, WriteRefused, WrongMode
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
 from invid_drivers.cia402.link import Link, SdoError
+from invid_drivers.cia402.mode_change import BUSY_S, NOT_NOW
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.protection import Protection
 from invid_drivers.cia402.restoration import restore
@@ -56,8 +57,6 @@ class ModeSet(Enum):
     LATER = "not taken in this state: some drives take it from switched on"
 
 
-NOT_NOW = 0x08000022
-"""SDO abort: not in the present state of the device."""
 NOT_KNOWN = frozenset({0x06090030, 0x06090031, 0x06090032})
 """SDO aborts of a drive that does not have the mode that it is asked for."""
 BLANK_S = 1.0
@@ -124,7 +123,8 @@ class Drive(Access):
         if timer is not None and timer < 2 * self._cycle_s * 1000:
             raise DriveError(
                 f"{self.who}: 0x1400:5 of the drive stops it after {timer} ms without its RPDO, and is not "
-                f"loosened; set bus.cycle_s to {timer / 2000:g} at most, or 0x1400:5 with the drive's tool"
+                f"loosened; set bus.cycle_s to {timer / 2000:g} at most, or 0x1400:5 with the drive's tool",
+                axis=self.name,
             )
         return timer
 
@@ -149,7 +149,8 @@ class Drive(Access):
             code = self.find(od.ERROR_CODE) or 0
             raise DriveError(
                 f"{self.who}: in fault (error 0x{code:04X}); find the cause, then reset it at the drive or "
-                "with its tool: this service never resets a fault by itself"
+                "with its tool: this service never resets a fault by itself",
+                axis=self.name,
             )
         limits = self.protection.limits(scaling, warnings)
         if (
@@ -180,7 +181,9 @@ class Drive(Access):
             warnings.append(f"{self.who}: 0x1000 is 0: it does not say that it is a drive")
         elif profile != PROFILE:
             name = PROFILES.get(profile, f"a device of profile {profile}")
-            raise DriveError(f"{said}: {name}, no CiA 402 drive; is node_id that of this axis's drive?")
+            raise DriveError(
+                f"{said}: {name}, no CiA 402 drive; is node_id that of this axis's drive?", axis=self.name
+            )
         elif kinds == 0:
             warnings.append(f"{said}: it does not say what kind of drive it is")
         elif not kinds & SERVO:
@@ -189,7 +192,8 @@ class Drive(Access):
             if reason is None:
                 raise DriveError(
                     f"{said}: {' and '.join(names)}, no servo drive; is node_id that of this axis's drive? "
-                    'If it is, and it controls torque all the same, say why: overrides: {"0x1000": "reason"}'
+                    'If it is, and it controls torque all the same, say why: overrides: {"0x1000": "reason"}',
+                    axis=self.name,
                 )
             warnings.append(f"{said}: {' and '.join(names)}; used all the same, as overrides says ({reason})")
 
@@ -201,7 +205,8 @@ class Drive(Access):
             raise DriveError(
                 f"{self.who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be "
                 "shaken. Log its motion with another tool and use `invid import`; if the file is not this "
-                "drive's, leave eds out and the drive itself is asked"
+                "drive's, leave eds out and the drive itself is asked",
+                axis=self.name,
             )
 
     def _compare_identity(self, warnings: list[str]) -> None:
@@ -238,7 +243,8 @@ class Drive(Access):
             if self.find(what) is None:
                 raise DriveError(
                     f"{self.who}: the drive has no {what.address} ({what.name}): {why}; this drive cannot be "
-                    "shaken. Log its motion with another tool and use `invid import`"
+                    "shaken. Log its motion with another tool and use `invid import`",
+                    axis=self.name,
                 )
 
     def _modes(self, warnings: list[str]) -> tuple[OperationMode, bool]:
@@ -265,7 +271,8 @@ class Drive(Access):
             f"{self.who}: the drive has no torque mode (0x6502 is 0x{supported:08X}, bits 9 and 3 are "
             "clear); it cannot be shaken. Choose a drive or firmware with cyclic synchronous torque, or with "
             "cyclic synchronous position and a torque offset (0x60B2), or record with its own tool and use "
-            "`invid import`"
+            "`invid import`",
+            axis=self.name,
         )
 
     def _tried_modes(self) -> int:
@@ -293,7 +300,8 @@ class Drive(Access):
                 raise DriveError(
                     f"{self.who}: the drive cannot watch the master's heartbeat (0x1016 is missing): if this "
                     "computer dies, the axis keeps its last torque. Where another device stops it then, set "
-                    "allow_missing_heartbeat: true for the axis"
+                    "allow_missing_heartbeat: true for the axis",
+                    axis=self.name,
                 )
             lacks.append("0x1016 consumer heartbeat: the drive does not notice when the master dies")
         else:
@@ -360,7 +368,8 @@ class Drive(Access):
                 names = ", ".join(f"{o.address} {o.name}" for o in wanted)
                 raise DriveError(
                     f"{self.who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
-                    "the cycle"
+                    "the cycle",
+                    axis=self.name,
                 ) from None
 
     def _write_timer(self) -> None:
@@ -399,7 +408,7 @@ class Drive(Access):
                 return ModeSet.SHOWN
             if shown == 0 and clock.now() >= began + BLANK_S:
                 return ModeSet.TAKEN
-            if clock.now() >= began + longest_s:
+            if clock.now() >= began + (longest_s if shown > 0 else max(longest_s, BUSY_S)):
                 said = f"mode {mode.name.lower()} was asked for, the drive shows mode {shown} (0x6061)"
                 raise WrongMode.at(self.name, self.node_id, od.MODE_DISPLAY, said)
             self.link.wait(0.005)

@@ -67,10 +67,21 @@ class Cycle:
         self.control = [states.DISABLE_VOLTAGE] * count
         """Controlword of each axis in the next cycle."""
         self.sample = Sample(
-            position=[0.0] * count, torque=[0.0] * count, status=[0] * count, fresh=[False] * count
+            position=[0.0] * count,
+            torque=[0.0] * count,
+            status=[0] * count,
+            fresh=[False] * count,
+            late=[False] * count,
         )
+        self.support = [0.0] * count
+        """Torque that carries the load of each axis [N·m or N], sent on while its drive is to hold it: a
+        drive may show its mode before it acts."""
+        self.rest_s: list[float | None] = [None] * count
+        """How long each axis takes to stand without torque, where a drive changes modes without power only;
+        ``None``: it does not stand."""
         self.asked = [0.0] * count
-        """Torque that each axis was sent with the last SYNC [N·m or N]; 0 where its drive holds it."""
+        """Torque that each axis was sent with the last SYNC [N·m or N]; 0 where its drive holds it, or
+        may."""
         self.paused = False
         """No SYNC was sent on purpose, since somebody has looked."""
         self.skipped_slots = 0
@@ -97,8 +108,6 @@ class Cycle:
         self._answered_s = 0.5 * self._cycle
         self._mode_asked = 0
         self._changes: dict[int, ModeChange | SettingWrite] = {}
-        self.leaving = False
-        """On the way out nobody changes modes."""
         self._changes_asked = 0
         self._counts = [0] * count
         self._next_mode_poll = 0.0
@@ -138,6 +147,16 @@ class Cycle:
         change = self._changes.get(axis)
         return not isinstance(change, ModeChange) or change.taken
 
+    def leave(self) -> None:
+        """On the way out nobody goes on changing modes that were asked for before."""
+        self._changes = {i: c for i, c in self._changes.items() if c.operation is None}
+
+    def place_of(self, axis: int, counts: int) -> float:
+        """Position [rad or m] of counts that were read beside the cycle."""
+        origin = self._origin[axis]
+        moved = 0 if origin is None else wrapped_difference(counts, origin)
+        return ((origin or 0) + moved if origin is not None else counts) * self._position_unit[axis]
+
     def set_object(self, axis: int, what: Object, value: int) -> SettingWrite:
         """Write an object of a drive in the cycles to come, while ``changing``."""
         write = self._changes[axis] = SettingWrite(what, value, self._link.clock.now())
@@ -159,13 +178,14 @@ class Cycle:
         link, clock = self._link, self._link.clock
         sample, put = self.sample, link.put
         hold = Mode.HOLD
+        sample.listened = 0
         if self._doubt:
             self._listen()
         for i, cob in enumerate(self._rpdo_ids):
-            value = 0 if self.modes[i] is hold else round(torque[i] * self._per_mille[i])
+            value = round((self.support[i] if self.modes[i] is hold else torque[i]) * self._per_mille[i])
             if value > self._most[i] or value < -self._most[i]:
                 value = self._most[i] if value > 0 else -self._most[i]
-            by_torque = self.operation[i] is not OperationMode.CYCLIC_POSITION
+            by_torque = self.operation[i] is not OperationMode.CYCLIC_POSITION and i not in self._changes
             self.asked[i] = value * self._torque_unit[i] if by_torque else 0.0
             put(
                 can.Message(arbitration_id=cob, data=_RPDO.pack(self.control[i], value), is_extended_id=False)
@@ -183,6 +203,9 @@ class Cycle:
         if not certain:
             for i in range(len(fresh)):
                 fresh[i] = False
+        for i, came in enumerate(fresh):
+            if came:
+                sample.late[i] = False
         link.beat(instant)
         if self._changes:
             self._go_on_changing(instant)
@@ -245,6 +268,7 @@ class Cycle:
                     self._behind[i] = False
                 else:
                     fresh[i] = False
+                    self.sample.late[i] |= count > 0
                     self._doubt = self._doubt or self._alone[i] >= ALONE_CYCLES
                 owed[i] = missing
         elif any(self._behind):
@@ -261,7 +285,7 @@ class Cycle:
         self._next_listen = self._link.clock.now() + LISTEN_EVERY_S
         for _ in range(self._config.safety.missed_tpdos):
             self._slot += 1
-            self.skipped_slots += 1
+            self.sample.listened += 1
             end = self._started + (self._slot + 0.85) * self._cycle
             heard = set()
             self._link.beat(self._link.clock.now())
@@ -290,10 +314,13 @@ class Cycle:
         Whoever is later, because the targets took long or because the system woke this process late, goes
         on to the next slot still ahead: a pause is never made up for by a burst. Nor is one in the middle of
         sending SYNC, after which the frame may have left at any moment until ``_sent``: a slot less than half
-        a cycle after that is skipped. So two SYNCs are never closer than half a cycle.
+        a cycle after that is skipped. So two SYNCs are never closer than half a cycle. A computer that is
+        always late sends SYNC all the same once it has skipped more slots than are forgiven: the drives get
+        their targets, and whoever makes the cycle ends it.
         """
         clock, cycle = self._link.clock, self._cycle
         slot = self._slot + 1
+        last = slot + self._config.safety.overrun_cycles
         while True:
             deadline = self._started + slot * cycle
             if deadline - self._sent >= CLOSEST_CYCLES * cycle:
@@ -301,11 +328,12 @@ class Cycle:
                     clock.sleep_until(deadline)
                 self._drain()  # it may have taken its time: only now is it known how late SYNC is
                 instant = clock.now()
-                if instant <= deadline + CLOSEST_CYCLES * cycle:
+                if instant <= deadline + CLOSEST_CYCLES * cycle or slot > last:
                     return slot, deadline, instant
                 self.jitter.add(instant - deadline)
             else:
                 instant = self._sent
+            self._link.beat(clock.now())
             ahead = max(int((instant - self._started) / cycle), slot) + 1
             self.skipped_slots += ahead - slot
             slot = ahead
@@ -362,14 +390,17 @@ class Cycle:
                 self._sort(message)
             elif self._owed[axis]:
                 self._owed[axis] -= 1
+                self.sample.late[axis] = True
 
     def _go_on_changing(self, now: float) -> None:
         """Conclude the changes of mode that are done or failed; send the next request of one of them."""
         for axis, change in list(self._changes.items()):
+            if isinstance(change, ModeChange) and change.without_power:
+                rest_s = self.rest_s[axis]
+                if rest_s is not None and not self._without_power(axis, change, now, rest_s):
+                    continue
             why = change.failure(now)
-            if self.leaving and change.operation is not None:
-                del self._changes[axis]
-            elif why is not None:
+            if why is not None:
                 del self._changes[axis]
                 name = self._config.axes[axis].name
                 text = f"axis {name} (node {self._nodes[axis]}): {why}"
@@ -390,6 +421,18 @@ class Cycle:
             if request is not None and self._link.ask(self._nodes[axis], request):
                 self._changes_asked += k + 1
                 return
+
+    def _without_power(self, axis: int, change: ModeChange, now: float, rest_s: float) -> bool:
+        """Switch a drive off for its new mode and on again; whether the change can be judged."""
+        state = state_of(self.sample.status[axis])
+        off = self.sample.fresh[axis] and not states.is_energised(state)
+        if not change.done or (off and not change.ask_again(now, rest_s)):
+            self.control[axis] = states.DISABLE_VOLTAGE
+            if off:
+                change.ask_again(now, rest_s)
+            return off and not change.done
+        self.control[axis] = states.towards_enabled(state)
+        return state is DriveState.OPERATION_ENABLED
 
     def _watch_slowly(self, now: float) -> None:
         """Check heartbeats and the state of the bus; ask one axis after another for 0x6061."""

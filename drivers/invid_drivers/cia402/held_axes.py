@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
 
@@ -54,8 +53,8 @@ class HeldAxes:
             state = powered.get(drive.name, DriveState.SWITCH_ON_DISABLED)
             holding = found_holding(drive, state, self.memory, report)
             if not holding.is_left_alone:
-                if holding.seen.left_held:
-                    holding.note(self.memory, left_held=False)
+                if holding.seen.left_held or holding.seen.in_run:
+                    holding.note(self.memory, left_held=False, in_run=False)
                 require_holdable(drive, holding)
             self.holdings.append(holding)
 
@@ -80,17 +79,17 @@ class HeldAxes:
             if drive.name in names:
                 self.memory.clear(drive.node_id)
 
-    def suspect(self, why: str) -> None:
-        """Remember the axes that the reason of a run's end names, where any axis carries a load.
+    def suspect(self, axes: Collection[str], why: str) -> None:
+        """Remember the axes at which a run ended, where any axis carries a load.
 
         What moves an axis that carries nothing moves the loaded ones that are coupled to it.
         """
         if not any(h.loaded for h in self.holdings):
             return
         for h in self.holdings:
-            if re.search(rf"(?<!\w){re.escape(h.config.name)}(?!\w)", why):
+            if h.config.name in axes:
                 with contextlib.suppress(BusError):  # the error that is on its way says more
-                    h.note(self.memory, suspect=why.partition(";")[0][:200])
+                    h.note(self.memory, suspect=why[:200])
 
     def too_heavy(self, axis: int, weight: int) -> None:
         """Remember that the load of an axis needs so many thousandths of rated torque at least."""
@@ -148,8 +147,16 @@ class HeldAxes:
             if h.loaded and abs(shown) > DEAD_PERMILLE * unit and sample.torque[i] == shown:
                 raise SafetyStop(
                     f"axis {h.config.name}: 0x6077 showed {shown / unit:.0f} ‰ of rated torque before the "
-                    "drive was switched on and shows it while it holds a load: it is not its torque"
+                    "drive was switched on and shows it while it holds a load: it is not its torque",
+                    axis=h.config.name,
                 )
+
+    def note_begin(self) -> None:
+        """Remember, before power, that a run commands these axes: whoever kills it leaves that behind."""
+        self.memory.defer()
+        for h in self.holdings:
+            h.note(self.memory, in_run=True)
+        self.memory.settle()
 
     def foresee_options(self) -> None:
         """Put both values that 0x605A may come to have into the journal, before power."""
@@ -171,7 +178,7 @@ class HeldAxes:
     ) -> None:
         """Write 0x605A as what each axis carries asks for, between two SYNCs."""
         for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
-            wanted = STAY if holding.stays or holding.needs_brake_test else SWITCH_OFF
+            wanted = SWITCH_OFF if holding.loaded is False and not holding.taken_over else STAY
             if drive.protection.quick_stop_option == wanted:
                 continue
             if holding.can_stay and holding.option_writable:
@@ -182,31 +189,50 @@ class HeldAxes:
             exchange([0.0] * len(self._drives))
 
     # --- after the stop ------------------------------------------------------------------------
-    def note_end(self, held: Sequence[str]) -> None:
-        """Remember which axes their drives hold."""
+    def note_end(self, held: Sequence[str], not_off: Sequence[str]) -> None:
+        """Remember which axes their drives hold, and which were not seen to switch off."""
         for h in self.holdings:
             is_held = h.config.name in held
-            if is_held or h.seen.left_held:
-                with contextlib.suppress(BusError):
-                    h.note(self.memory, left_held=is_held)
+            with contextlib.suppress(BusError):
+                h.note(self.memory, left_held=is_held, in_run=h.config.name in not_off)
             if is_held:
                 h.state, h.taken_over = DriveState.QUICK_STOP_ACTIVE, True
 
-    def endings(self, held: Sequence[str], not_off: Sequence[str], sample: Sample) -> tuple[str, ...]:
-        """Axes energised after the stop, by what, and what to do; and loaded ones without torque."""
+    def endings(
+        self, held: Sequence[str], not_off: Sequence[str], not_held: Sequence[str], sample: Sample
+    ) -> tuple[str, ...]:
+        """Axes energised after the stop, by what, and what to do; and loaded ones that were not seen to
+        stand."""
         said = [
             f"axis {name} is energised: it is held by its drive in quick stop active, with its limits and "
             "its heartbeat watch, which are restored when it is off. To have it off, support its load or set "
             "its brake, then take the drive's enable or supply away and run `invid check`; the next "
             "measurement takes it over as it is"
             for name in held
+            if name not in not_held or self._brake_failed(name)
         ]
         for i, h in enumerate(self.holdings):
+            name = h.config.name
+            if name not in not_held:
+                continue
             state = state_of(sample.status[i])
-            falls = h.loaded and h.stays and h.config.name not in (*held, *not_off)
-            if falls and sample.fresh[i] and not is_energised(state):
+            carries = "carries a load" if h.loaded else "may carry a load"
+            if name in held and self._brake_failed(name):
                 said.append(
-                    f"axis {h.config.name} carries a load and is without torque ({state.words}): its drive "
-                    "does not hold it any more. Support it before anybody goes near"
+                    f"axis {name}: its brake was seen not to hold it after the stop; see to the brake"
+                )
+            elif name in held or is_energised(state):
+                said.append(
+                    f"axis {name} {carries} and is not held: its drive ({state.words}) was not "
+                    f"seen to bring it to "
+                    "rest. Support it before anybody goes near, then take the drive's enable or supply away"
+                )
+            else:
+                said.append(
+                    f"axis {name} {carries} and is without torque ({state.words}): nothing was seen to "
+                    "hold it. Support it before anybody goes near"
                 )
         return tuple(said)
+
+    def _brake_failed(self, name: str) -> bool:
+        return any(h.config.name == name and h.brake_failed for h in self.holdings)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,10 @@ class Seen:
     """Thousandths of rated torque that held its load at rest."""
     left_held: bool = False
     """A run left it energised in quick stop active."""
+    in_run: bool = False
+    """A run commands it, or did when it was killed: it may be energised."""
+    at: float = field(default=0.0, compare=False)
+    """When something new was noted of it last [s since 1970]."""
     suspect: str = ""
     """Why a run ended at this axis beside a load or under one: not enabled again until a person says so."""
 
@@ -76,6 +81,7 @@ class HoldMemory:
             node_id=node_id,
             loaded=place.loaded if drive is None else drive.loaded or place.loaded,
             left_held=place.left_held,
+            in_run=place.in_run,
             suspect=place.suspect,
         )
 
@@ -97,6 +103,7 @@ class HoldMemory:
         name = identity or f"node {seen.node_id}"
         if self._seen.get(name) == seen:
             return
+        seen = replace(seen, at=time.time())
         others = {k: v for k, v in self._seen.items() if v.node_id != seen.node_id or k == name}
         self._seen = {**others, name: seen}
         if self.path is not None:

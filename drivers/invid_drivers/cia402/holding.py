@@ -18,8 +18,11 @@ from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.hold_memory import HoldMemory, Seen, identity
 from invid_drivers.cia402.link import SdoAbortedError, SdoError
 from invid_drivers.cia402.protection import READ_ONLY, STAY, STAYING, SWITCH_OFF
+from invid_drivers.cia402.standstill import STAND_S
 from invid_drivers.cia402.states import DriveState, is_energised
 
+BRAKE_MARGIN = 2.0
+"""On the time that a brake was seen to take."""
 DROP_SHARE = 0.02
 """Of the window: a brake that lets an axis fall further is too late to hold it."""
 
@@ -46,6 +49,10 @@ class AxisHolding:
         """Held by its drive since an earlier run: never let go before it is known what it carries."""
         self.loaded = self.config.gravity_loaded
         """``None``: not known yet."""
+        self.brake_failed = False
+        """It was seen not to hold the axis after the stop, and the drive was seen to."""
+        self.brake_tried = self.stop_tried = False
+        """In this run: what was seen before does not replace a look."""
         if self.seen.loaded:
             self.loaded = True
         elif self.taken_over and self.loaded is False:
@@ -64,6 +71,14 @@ class AxisHolding:
         return self.seen.brake_drop <= self.most_drop
 
     @property
+    def rest_s(self) -> float | None:
+        """Seconds after which it stands without torque; ``None`` where nothing was seen to hold it then."""
+        if self.loaded is False:
+            return 0.0
+        closes = self.brake_tried and self.brake_in_time and self.seen.brake_s is not None
+        return BRAKE_MARGIN * (self.seen.brake_s or 0.0) + STAND_S if closes else None
+
+    @property
     def most_drop(self) -> float:
         """How far the axis may fall until its brake holds it [rad or m]."""
         return DROP_SHARE * self.config.limits.position
@@ -79,19 +94,19 @@ class AxisHolding:
 
     @property
     def first_option(self) -> int:
-        """0x605A before the axis is weighed: its drive may have to hold it, unless a brake surely does."""
-        sure = self.loaded is False or self.brake_in_time is True
+        """0x605A before the axis is weighed: its drive may have to hold it, also where a brake did once."""
+        sure = self.loaded is False
         return SWITCH_OFF if sure or not self.can_stay else STAY
 
     @property
     def needs_brake_test(self) -> bool:
-        """Whether it is loaded and its brake was never measured."""
-        return bool(self.loaded) and self.config.brake == "drive" and self.seen.brake_drop is None
+        """Whether it is loaded and its brake was not measured in this run."""
+        return bool(self.loaded) and self.config.brake == "drive" and not self.brake_tried
 
     @property
     def needs_stop_test(self) -> bool:
-        """Whether it is loaded and its drive, which must hold it, was not seen to do so."""
-        return bool(self.loaded) and self.stays and self.seen.holds is not True
+        """Whether it is loaded and its drive, which must hold it, was not seen to do so in this run."""
+        return bool(self.loaded) and self.stays and not self.stop_tried
 
     def note(self, memory: HoldMemory, **seen: bool | float | str | None) -> None:
         """Remember what was seen."""
@@ -199,7 +214,8 @@ def require_holdable(drive: Access, holding: AxisHolding) -> None:
     if h.seen.weight is not None and h.seen.weight > h.limit:
         raise DriveError(
             f"{drive.who}: it took {h.seen.weight} ‰ of rated torque to hold its load, and the limit is "
-            f"{h.limit} ‰ now: it would fall. Compare 0x6076 with the motor's plate, or raise the limit"
+            f"{h.limit} ‰ now: it would fall. Compare 0x6076 with the motor's plate, or raise the limit",
+            axis=drive.name,
         )
     if h.can_stay or (h.config.brake == "drive" and h.brake_in_time is not False):
         return
@@ -210,7 +226,8 @@ def require_holdable(drive: Access, holding: AxisHolding) -> None:
         way_out = f"where it does not fall without torque, set gravity_loaded: false; else {way_out}"
     raise DriveError(
         f"{drive.who}: {_load(h)}, and it is not known that its drive holds it after a quick stop or without "
-        f"its master: {why}{late}. It would fall; {way_out}"
+        f"its master: {why}{late}. It would fall; {way_out}",
+        axis=drive.name,
     )
 
 
@@ -228,7 +245,9 @@ class Reason:
     axis: str
     node_id: int
     taken_over: bool = False
-    """Held as this program leaves an axis: the next measurement takes it over without letting go."""
+    """Nothing to wait for: the next measurement takes it over without letting go, or finds it off."""
+    at: float | None = None
+    """When that was seen [s since 1970]; ``None``: now."""
 
 
 def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool | None) -> Reason:
@@ -270,17 +289,35 @@ def suspect_reason(name: str, node_id: int, why: str) -> Reason:
     )
 
 
+def unended_reason(name: str, node_id: int) -> Reason:
+    """The reason of an axis whose run was killed: nobody has looked at its drive since."""
+    return Reason(
+        "axis_energised",
+        f"axis {name} (node {node_id}) may be energised: a run that commanded it did not end in order, and "
+        "its drive was not asked since",
+        "make sure of it; `invid check` asks its drive, and the next measurement does",
+        name,
+        node_id,
+        taken_over=True,
+    )
+
+
 def remembered(config: CellConfig, memory: HoldMemory) -> tuple[Reason, ...]:
-    """Reasons by the memory alone: axes left energised and not seen off since; axes under suspicion."""
+    """Reasons by the memory alone, as of when it was noted: axes left energised, or in a run that was killed,
+    and not seen off since; axes under suspicion.
+    """
     found = []
     for axis in config.axes:
         seen = memory.of_node(axis.node_id)
-        if seen is not None and seen.suspect:
+        if seen is None:
+            continue
+        if seen.suspect:
             found.append(suspect_reason(axis.name, axis.node_id, seen.suspect))
-        if seen is not None and seen.left_held:
-            found.append(
-                energised_reason(axis.name, axis.node_id, DriveState.QUICK_STOP_ACTIVE, seen.resumes)
-            )
+        if seen.left_held:
+            state = DriveState.QUICK_STOP_ACTIVE
+            found.append(replace(energised_reason(axis.name, axis.node_id, state, seen.resumes), at=seen.at))
+        elif seen.in_run:
+            found.append(replace(unended_reason(axis.name, axis.node_id), at=seen.at))
     return tuple(found)
 
 

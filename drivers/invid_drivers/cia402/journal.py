@@ -61,8 +61,12 @@ class Journal:
 
     def note(self, entry: Entry) -> None:
         """Record a write under power: on disk soon, for no cycle waits for it."""
-        self._disk.defer()
+        self.defer()
         self.add(entry)
+
+    def defer(self) -> None:
+        """Wait for the disk no longer, until ``settle``."""
+        self._disk.defer()
 
     def settle(self) -> None:
         """Wait until what was noted is on disk; BusError where it is not."""

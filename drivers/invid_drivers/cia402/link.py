@@ -6,8 +6,10 @@ nothing else ever touches the bus and virtual time only advances here.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import can
@@ -15,7 +17,7 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoError
 
-from invid.errors import BusError
+from invid.errors import BusError, SafetyStop
 from invid.sweep.ports import Clock, Event, Severity
 from invid_drivers.cia402.gate import Gate, Known
 from invid_drivers.cia402.others import LISTEN_BEATS, LISTEN_S, MASTER_ID, Foreign, foreign
@@ -30,6 +32,8 @@ ANSWER_S = 1.0
 computer may need longer."""
 MOST_ECHOES = 1000
 """Frames whose echo is waited for; one that an adapter lost is forgotten with all others beyond that."""
+HEARD_S = 0.1
+"""A request to stop is heard within this time, whatever is waited for."""
 UNANSWERED_S = 1.0
 """A question of the cycle that stayed unanswered so long may be asked again."""
 
@@ -39,6 +43,11 @@ NO_ERROR_BELOW, GENERIC_ERROR = 0x0100, 0x1000
 MISSES_MASTER, RPDO_TIMEOUT = (0x8100, 0x8700), 0x8250
 """Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402); and
 the code for an RPDO that did not come (0x1400:5)."""
+
+
+def never() -> bool:
+    """Nobody asks for a stop."""
+    return False
 
 
 class RealClock:
@@ -113,6 +122,10 @@ class Link:
         self._echoes: Counter[tuple[int, bytes]] = Counter()
         self.answer_s = ANSWER_S
         """How long a request waits for its answer, twice."""
+        self.until = math.inf
+        """No answer is waited for beyond this instant; requests leave all the same."""
+        self.cancelled: Callable[[], bool] = never
+        """Asked in every wait but those of the way out, which a stop does not end."""
 
     # --- frames --------------------------------------------------------------------------------
     def send(self, cob_id: int, data: bytes) -> None:
@@ -152,9 +165,14 @@ class Link:
             self.put(self._heartbeat)
 
     def pump(self, timeout: float) -> None:
-        """Take and sort frames for ``timeout`` seconds, or until one was taken."""
+        """Take and sort frames for ``timeout`` seconds at most, or until one was taken.
+
+        SafetyStop where a stop was asked for, within ``HEARD_S``.
+        """
+        if self.cancelled():
+            raise SafetyStop("stopped on request; nothing was recorded yet", code="asked")
         self.beat(self.clock.now())
-        message = self.get(min(timeout, self._heartbeat_s / 2) if self.beating else timeout)
+        message = self.get(min(timeout, HEARD_S, self._heartbeat_s / 2 if self.beating else HEARD_S))
         if message is not None:
             self.sort(message)
 
@@ -357,7 +375,7 @@ class _PumpedSdo(SdoClient):
             try:
                 return self._answer_for(named)
             except SdoCommunicationError:
-                if attempt == 2:
+                if attempt == 2 or self._link.clock.now() >= self._link.until:
                     raise
         raise SdoCommunicationError("No SDO response received")
 
@@ -376,7 +394,7 @@ class _PumpedSdo(SdoClient):
     def _answer_for(self, named: bytes | None) -> bytes:
         """The next answer, or the next about the object ``named`` (index and subindex as sent)."""
         clock = self._link.clock
-        end = clock.now() + self._link.answer_s
+        end = min(clock.now() + self._link.answer_s, self._link.until)
         while True:
             while not self._answers:
                 rest = end - clock.now()

@@ -15,6 +15,10 @@ from invid_drivers.cia402.states import OperationMode
 CHANGE_S = 3.0
 """Longest change of mode: three answers and a switch of 0.8 s, as slow drives take them, and one frame lost
 and asked for again after a second."""
+BUSY_S = 10.0
+"""And where the drive says meanwhile that it is in no mode (0x6061 is 0 or -1): one report has 4 s."""
+NOT_NOW = 0x08000022
+"""SDO abort: not in the present state of the device."""
 POLL_S = 0.005
 """Between two questions for 0x6061."""
 EVERY_CYCLES = 2
@@ -72,12 +76,21 @@ class ModeChange:
     def __init__(self, operation: OperationMode, began: float, *, held: bool, taken: bool = False) -> None:
         """``held``: at its place; ``taken``: 0x6060 is set, and 0x6061 is to show it."""
         self.operation = operation
-        self._deadline = began + CHANGE_S
+        self._began = began
         self._next = began
         self._steps = [od.TARGET_POSITION] * held + [od.MODE] * (not taken) + [od.MODE_DISPLAY]
         self._shown: int | None = None
         self.refused: str | None = None
         """What the drive refused."""
+        self.without_power = False
+        """It takes the mode without power only."""
+        self._off_since: float | None = None
+
+    def ask_again(self, now: float, rest_s: float) -> bool:
+        """Ask once more when the drive is without power, and whether it has been so for ``rest_s``."""
+        if self._off_since is None:
+            self._off_since, self.refused, self._began = now, None, now
+        return now >= self._off_since + rest_s
 
     @property
     def taken(self) -> bool:
@@ -106,6 +119,7 @@ class ModeChange:
         named = data[1:4] == struct.pack("<HB", step.index, step.sub)
         if data[0] == 0x80 and (named or not any(data[1:4])):  # some drives abort without naming the object
             code = int.from_bytes(data[4:8], "little")
+            self.without_power = step is od.MODE and code == NOT_NOW
             self.refused = f"{step.address} {step.name} was refused (SDO abort 0x{code:08X})"
         elif named and step is od.MODE_DISPLAY and data[0] & 0xE0 == 0x40:
             self._shown = step.unpack(data[4:5])
@@ -116,13 +130,17 @@ class ModeChange:
             self._steps.pop(0)
 
     def failure(self, now: float) -> str | None:
-        """Why the change will not come about; ``None`` while it may."""
+        """Why the change will not come about; ``None`` while it may, or has."""
+        if self.done:
+            return None
         if self.refused is not None:
             why = self.refused
-        elif now < self._deadline:
+            if self.without_power:
+                why += ": it takes one without power only, and the axis was not seen to stand without"
+        elif now < self._began + (CHANGE_S if self._shown is None or self._shown > 0 else BUSY_S):
             return None
         elif self._shown is None:
             why = f"the drive does not answer ({self._steps[0].address}) for {CHANGE_S:g} s"
         else:
-            why = f"the drive shows mode {self._shown} (0x6061) after {CHANGE_S:g} s"
+            why = f"the drive shows mode {self._shown} (0x6061) after {now - self._began:.0f} s"
         return f"mode {self.operation.name.lower()} was asked for, but {why}"

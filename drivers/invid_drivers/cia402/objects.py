@@ -91,6 +91,8 @@ FEED_REVOLUTIONS = Object(0x6092, 2, "I", "feed constant, shaft revolutions")
 TORQUE_OFFSET = Object(0x60B2, 0, "h", "torque offset")
 INTERPOLATION_VALUE = Object(0x60C2, 1, "B", "interpolation time, value")
 INTERPOLATION_EXPONENT = Object(0x60C2, 2, "b", "interpolation time, power of ten")
+POSITIVE_TORQUE_LIMIT = Object(0x60E0, 0, "H", "positive torque limit value")
+NEGATIVE_TORQUE_LIMIT = Object(0x60E1, 0, "H", "negative torque limit value")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported drive modes")
 
 KNOWN = {(o.index, o.sub): o for o in tuple(globals().values()) if isinstance(o, Object)}

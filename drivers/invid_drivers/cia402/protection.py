@@ -93,6 +93,13 @@ class Protection:
             found.append(
                 Limit(permille * rated / 1000, f"0x6072 of the drive: {permille} ‰ of {rated:g} {unit}")
             )
+        for what in (od.POSITIVE_TORQUE_LIMIT, od.NEGATIVE_TORQUE_LIMIT):
+            one_way = drive.find(what)
+            if one_way == 0:
+                self._require_shipped_zero(what, warnings)
+            elif one_way is not None:
+                value = one_way * rated / 1000
+                found.append(Limit(value, f"{what.address} of the drive: {one_way} ‰ of {rated:g} {unit}"))
         current = drive.find(od.MAX_CURRENT)
         if current:
             found.append(
@@ -136,7 +143,8 @@ class Protection:
                 f'{{"{what.address}": "reason"}}), or set it with its tool'
             )
         raise DriveError(
-            f"{drive.who}: {what.address} {what.name} is 0: the drive gives no torque; {way_out}"
+            f"{drive.who}: {what.address} {what.name} is 0: the drive gives no torque; {way_out}",
+            axis=drive.name,
         )
 
     def _position_limits(self, scaling: Scaling, here: int) -> list[Limit]:
@@ -150,7 +158,8 @@ class Protection:
             raise DriveError(
                 f"{drive.who}: it stands at {here}, outside of or at the edge of the drive's software "
                 f"position limits (0x607D: {low} to {high}); move it inside, or correct 0x607D with the "
-                "drive's tool"
+                "drive's tool",
+                axis=drive.name,
             )
         value = left * scaling.position_per_count / DRIVE_MARGIN
         return [
@@ -274,14 +283,16 @@ class Protection:
                 raise DriveError(
                     f"{drive.who}: every entry of 0x1016 watches another node, none is free to watch this "
                     "computer: if it dies, the axis keeps its last torque. Free one with the drive's tool, "
-                    "or, where another device stops the axis then, set allow_missing_heartbeat: true for it"
+                    "or, where another device stops the axis then, set allow_missing_heartbeat: true for it",
+                    axis=drive.name,
                 )
             return ["0x1016 consumer heartbeat: every entry watches another node, none this master"]
         node, ms = watched(entry[1])
         if node == MASTER_ID and 0 < ms < self._watch_ms * 2 // 3:
             raise DriveError(
                 f"{drive.who}: 0x1016 of the drive watches this master for {ms} ms, and is not loosened; "
-                f"set safety.heartbeat_s to {ms // 3 / 1000:g} at most: three heartbeats must fit"
+                f"set safety.heartbeat_s to {ms // 3 / 1000:g} at most: three heartbeats must fit",
+                axis=drive.name,
             )
         return []
 

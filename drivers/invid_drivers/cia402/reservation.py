@@ -79,6 +79,15 @@ class Reservation:
             raise
         self._held = held
 
+    @classmethod
+    def await_free(cls, interface: str, channel: str, longest_s: float) -> bool:
+        """Whether nobody has the bus, or gives it free within this time."""
+        try:
+            cls(interface, channel, longest_s).release()
+        except BusError:
+            return False
+        return True
+
     def release(self) -> None:
         """Give the bus free; safe to call twice."""
         held, self._held = self._held, None

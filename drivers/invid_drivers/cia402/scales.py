@@ -117,7 +117,8 @@ def _position(drive: Access, warnings: list[str]) -> float:
         said = " and ".join(f"{' and '.join(objects)} say {value:.6g}" for value, objects in candidates)
         raise DriveError(
             f"{drive.who}: the drive contradicts itself in what a count of 0x6064 is [{length}]: {said}. "
-            f"Give {key} in the config: one of them, or correct them with the drive's tool"
+            f"Give {key} in the config: one of them, or correct them with the drive's tool",
+            axis=drive.name,
         )
     found, objects = (None, ("0x608F",)) if not candidates else candidates[0]
     if stated is not None and candidates:

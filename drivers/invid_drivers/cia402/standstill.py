@@ -7,13 +7,16 @@ from collections.abc import Sequence
 from invid.config import CellConfig
 from invid.sweep.ports import Sample
 
-STAND_S = 0.1
-"""An axis stands that has stayed within its tolerance for so long."""
+STAND_S = 0.3
+"""An axis stands that has stayed within its tolerance for so long: one that falls with 0.02 rad/s² leaves
+that of a window of 0.5 rad by then."""
 STILL_COUNTS = 8
 """Counts that are no motion: what an encoder shows at rest, and its last digits."""
+STILL_SHARE = 0.002
+"""Of the window."""
 
 
-def tolerances(config: CellConfig, counts: Sequence[float], share: float) -> list[float]:
+def tolerances(config: CellConfig, counts: Sequence[float], share: float = STILL_SHARE) -> list[float]:
     """How far each axis may go and still stand [rad or m]: a ``share`` of its window, or some ``counts``."""
     return [
         max(STILL_COUNTS * abs(count), share * axis.limits.position)
@@ -44,3 +47,7 @@ class Standstill:
     def stands(self, axis: int) -> bool:
         """Whether an axis stood when it was last heard."""
         return self._stands[axis]
+
+    def forget(self, axis: int) -> None:
+        """Look anew: what held it until now holds it no longer."""
+        self._since[axis], self._stands[axis] = None, False

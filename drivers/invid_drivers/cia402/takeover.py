@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.axis import Drive
+from invid_drivers.cia402.axis import Drive, ModeSet
 from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import AxisHolding
-from invid_drivers.cia402.states import DriveState, is_energised
+from invid_drivers.cia402.states import DriveState, OperationMode, is_energised
 
 NMT_OPERATIONAL, NMT_PRE_OPERATIONAL = 5, 127
 """In a heartbeat (CiA 301): the node answers SDO."""
@@ -45,27 +45,42 @@ def find_powered(drives: Sequence[Drive], memory: HoldMemory) -> tuple[dict[str,
     return powered, silent
 
 
+WAY_OUT = "With its load supported, take its enable or supply away, run `invid check`, and start again"
+
+
+def require_mode(drive: Drive, mode: OperationMode) -> ModeSet:
+    """DriveError where a held drive that changes no mode now would go back to operation in another one."""
+    shown = drive.read(od.MODE_DISPLAY)
+    if shown == int(mode):
+        return ModeSet.SHOWN
+    raise DriveError(
+        f"{drive.who}: it is held in quick stop active in mode {shown} (0x6061) and takes no other there "
+        f"(0x6060): it would go back to operation in that mode, perhaps without torque. {WAY_OUT}",
+        axis=drive.name,
+    )
+
+
 def require_ours(drive: Drive, holding: AxisHolding) -> None:
     """DriveError unless a drive under power is held as this program leaves it, and can be taken over."""
     state = holding.state
-    way_out = (
-        "With its load supported, take its enable or supply away, run `invid check`, and start again; "
-        "nothing was sent to it"
-    )
+    way_out = f"{WAY_OUT}; nothing was sent to it"
     if state is not DriveState.QUICK_STOP_ACTIVE:
         raise DriveError(
             f"{drive.who}: it is energised, in {state.words}, and not by this program: end the program that "
-            f"drives it. Or: {way_out[0].lower()}{way_out[1:]}"
+            f"drives it. Or: {way_out[0].lower()}{way_out[1:]}",
+            axis=drive.name,
         )
     if holding.seen.resumes is False:
         raise DriveError(
             f"{drive.who}: it is held in {state.words}, and does not go back to operation from there "
-            f"(transition 16, seen in a stop test): it cannot be taken over without letting go. {way_out}"
+            f"(transition 16, seen in a stop test): it cannot be taken over without letting go. {way_out}",
+            axis=drive.name,
         )
     if not _is_mapped(drive):
         raise DriveError(
             f"{drive.who}: it is held in {state.words}, and its PDOs are not those of this program: they "
-            f"cannot be changed under power. {way_out}"
+            f"cannot be changed under power. {way_out}",
+            axis=drive.name,
         )
 
 

@@ -12,12 +12,12 @@ import typer
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
 from invid.errors import DriveError, InputError
-from invid.planning import make_plan
 from invid.planning.hold_laws import master_hold
 from invid_drivers.cia402.scales import MUCH_OF_RATED
 from invid_drivers.cli.measure import budget_lines, plan_text
 from invid_drivers.connect import connect, is_virtual
-from invid_drivers.readiness import Prepared, prepare
+from invid_drivers.readiness import Prepared, prepare, require_plan
+from invid_drivers.stopping_budgets import Wish
 from invid_drivers.timing import timing_of
 
 IN_TIME = "the way that the axis needs to come to rest"
@@ -31,12 +31,11 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared
     Raises
     ------
     ConfigError, DriveError, BusError
-        The first thing that would keep a measurement from starting, a cycle that the adapter does not carry
-        among them.
+        The first thing that would keep a measurement from starting.
     """
     for axis in config.axes:
         master_hold(axis, config.bus.cycle_s)
-    make_plan(config)  # refused before a bus is opened
+    require_plan(config, Wish())
     cell = connect(config)
     try:
         cell.clear(cleared)

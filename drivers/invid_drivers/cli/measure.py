@@ -13,7 +13,7 @@ import typer
 
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.config import CellConfig, load_config
-from invid.errors import InputError, SafetyStop
+from invid.errors import InputError, SafetyStop, left_by, note_left
 from invid.model.document import Model, load_json, load_model
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
@@ -26,7 +26,8 @@ from invid.sweep import Progress
 from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal
-from invid_drivers.measurement import MeasurementResult, ask_drives, measure_to_file
+from invid_drivers.measurement import MeasurementResult, measure_to_file
+from invid_drivers.readiness import ask_drives
 from invid_drivers.screening import screen_cell, screening_plan
 from invid_drivers.stop_flag import StopFlag
 from invid_drivers.stopping_budgets import Wish
@@ -62,8 +63,10 @@ def stop_on_signals() -> Iterator[threading.Event]:
             before[number] = signal.signal(number, ask)
     try:
         yield stop
-    except KeyboardInterrupt:
-        raise SafetyStop("stopped at once on request; the drives were told to switch off") from None
+    except KeyboardInterrupt as error:
+        stopped = SafetyStop("stopped at once on request", code="asked")
+        note_left(stopped, left_by(error) or ("make sure that every axis is off",))
+        raise stopped from None
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -200,11 +203,10 @@ def parse_goal(text: str) -> float:
 
 def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, noise: Noise, *, as_json: bool) -> int:
     """Print the dry run of a plan, within what the drives that are there leave."""
-    plan, cell, budgets, limited = ask_drives(
-        cell, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model
-    )
+    within = ask_drives(cell, wish)
+    plan, cell, budgets = within.plan, within.config, within.budgets
     found, timing = expectation(cell, plan, belief, noise), timing_of(cell)
-    beyond = [*limited, *timing.warnings(plan)]
+    beyond = [*within.said, *timing.warnings(plan)]
     document = {
         "dry_run": True,
         "robot": cell.robot,

@@ -7,13 +7,15 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from canopen.sdo.exceptions import SdoAbortedError
+
 from invid_drivers.simulated.vendors import Profile
 
 # data types of CiA 301 that are used: struct code and size in bytes ("s": visible string)
 _SIZES = {"b": 1, "B": 1, "h": 2, "H": 2, "i": 4, "I": 4}
 
 
-class SdoAbort(Exception):
+class SdoAbort(SdoAbortedError):
     """An SDO access that is refused, with CiA 301's abort code."""
 
     TOGGLE = 0x05030000
@@ -32,10 +34,6 @@ class SdoAbort(Exception):
     TOO_LOW = 0x06090032
     NOT_STORED = 0x08000020
     STATE = 0x08000022
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"SDO abort {code:#010x}")
-        self.code = code
 
 
 class Entry:
@@ -72,10 +70,14 @@ class Entry:
             raise SdoAbort(SdoAbort.WRITE_ONLY)
         return self.encode()
 
-    def write(self, data: bytes) -> None:
-        """Store what an SDO download brings, or refuse it."""
+    def require_writable(self) -> None:
+        """Refuse what cannot be written."""
         if self.access in ("ro", "const"):
             raise SdoAbort(SdoAbort.READ_ONLY)
+
+    def write(self, data: bytes) -> None:
+        """Store what an SDO download brings, or refuse it."""
+        self.require_writable()
         if len(data) != self.size:
             raise SdoAbort(SdoAbort.TOO_LONG if len(data) > self.size else SdoAbort.TOO_SHORT)
         value: int = struct.unpack("<" + self.code, data)[0]

@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
@@ -19,7 +20,7 @@ from invid_drivers.cia402.scales import MUCH_OF_RATED, limit_over_rated
 from invid_service.jobs.live import LiveRun
 
 _KEPT_S = 4.0
-"""An answer is asked for again after so long: asking may open the cell's bus."""
+"""An answer is asked for again after so long."""
 
 
 class _Said(BaseModel):
@@ -27,6 +28,8 @@ class _Said(BaseModel):
     fix: str
     values: dict[str, str] = {}
     """What stands in the text, for whoever says it in another language."""
+    seen: datetime | None = None
+    """As of when that is known, where it is remembered and nobody was asked since; ``null``: now."""
 
 
 class Reason(_Said):
@@ -65,6 +68,13 @@ class Readiness(BaseModel):
     simulated: bool = False
 
 
+class Checked(Readiness):
+    """Answer of the drives, which were asked, whether a measurement can start."""
+
+    warnings: list[str]
+    """What is to be known beside: of drives, bus, limits and adapter."""
+
+
 @dataclass(frozen=True)
 class Situation:
     """Facts that readiness is judged on; gathering them is the caller's business."""
@@ -81,20 +91,20 @@ class Situation:
     axes: tuple[str, ...] | None = None
     """The axes to shake; ``None``: all."""
     drives: tuple[CellReason, ...] = ()
-    """What ``invid check`` has against the drives."""
+    """What is known against the drives: remembered, or as they were asked."""
     refusal: InvidError | None = None
     """With what ``invid check`` and the run would refuse to plan."""
 
 
 class RecentAnswers:
-    """Cache of whether cells can start, so that a poll waits for no drive and no store."""
+    """Cache of whether cells can start, so that a poll waits for no store and no plan."""
 
     def __init__(self) -> None:
         self._said: dict[str, bool] = {}
         self._asked: dict[str, tuple[float, asyncio.Task[None]]] = {}
 
     def of(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> bool | None:
-        """Return the last answer, ``None`` before the first: drives may take seconds, and no poll waits."""
+        """Return the last answer, ``None`` before the first: a plan takes its time, and no poll waits."""
         at, task = self._asked.get(cell, (0.0, None))
         if task is None or (task.done() and time.monotonic() - at >= _KEPT_S):
             task = asyncio.create_task(self._ask(cell, ask))
@@ -200,7 +210,8 @@ def readiness(s: Situation) -> Readiness:
 
 def _of_drive(found: CellReason) -> Reason:
     values = {"axis": found.axis, "node": str(found.node_id)}
-    return Reason(code=found.code, text=found.text, fix=found.fix, values=values)
+    seen = None if found.at is None else datetime.fromtimestamp(found.at, UTC)
+    return Reason(code=found.code, text=found.text, fix=found.fix, values=values, seen=seen)
 
 
 def _taken_over(found: CellReason) -> Note:

@@ -6,15 +6,15 @@ import asyncio
 import json
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
 
 from invid.errors import InputError
 from invid_drivers.simulated import truth
-from invid_service.auth import Accepter, Reader, Require, Stopper
+from invid_service.auth import Accepter, Reader, Runner, Stopper
 from invid_service.cells.changes import changes_view
 from invid_service.cells.overview import overview
-from invid_service.cells.readiness import Readiness
+from invid_service.cells.readiness import Checked, Readiness
 from invid_service.cells.registry import Cell, merged
 from invid_service.cells.schema import (
     AcceptedModel,
@@ -33,7 +33,7 @@ from invid_service.cells.schema import (
 from invid_service.context import Context
 from invid_service.jobs.schema import view
 from invid_service.jobs.states import State
-from invid_service.keys import NOBODY, Caller, Scope
+from invid_service.keys import NOBODY, Caller
 from invid_service.links import address
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.service import Service
@@ -95,7 +95,16 @@ async def _cell_view(service: Service, cell: Cell) -> CellView:
         overview=overview(runs, occupied, ready),
         links={
             name: address("cells", cell.id, name)
-            for name in ("readiness", "identifications", "stop", "model", "models", "changes", "series")
+            for name in (
+                "readiness",
+                "check",
+                "identifications",
+                "stop",
+                "model",
+                "models",
+                "changes",
+                "series",
+            )
         },
     )
 
@@ -106,8 +115,24 @@ def _accepted(a: Approval) -> AcceptedModel:
 
 @router.get("/cells/{cell}/readiness", response_model=Readiness)
 async def get_readiness(cell: str, service: Context, _caller: Reader) -> Readiness:
-    """Say whether a measurement can start now; if not, why, and what to do about it."""
+    """Say whether a measurement can start now; if not, why, and what to do about it.
+
+    Nothing is sent to the drives: what is known of them is what a run or `POST /cells/{cell}/check` saw last
+    (`seen`).
+    """
     return await service.readiness(service.cell(cell))
+
+
+@router.post("/cells/{cell}/check", response_model=Checked, responses=problem_responses(409))
+async def check_drives(cell: str, service: Context, caller: Runner) -> Checked:
+    """Ask the drives, as `invid check` does, and say whether a measurement can start. Moves nothing.
+
+    Drives that are off are taken pre-operational, and settings that an earlier run left in them are restored;
+    to drives under power nothing is sent but questions.
+    """
+    found = service.cell(cell)
+    await asyncio.to_thread(service.audit.try_write, "check", caller=caller.name, cell=found.id)
+    return await service.check(found)
 
 
 @router.post("/cells/{cell}/stop", response_model=StopAnswer)
@@ -314,10 +339,9 @@ def _simulation(cell: Cell) -> SimulationView:
 
 @router.patch("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
 async def change_simulation(
-    cell: str, body: SimulationPatch, request: Request, service: Context
+    cell: str, body: SimulationPatch, service: Context, caller: Runner
 ) -> SimulationView:
     """Change the simulated cell (another tool, say) for the next run; one in progress is not affected."""
-    caller = await Require(Scope.RUN)(request)
     found = _simulated(service, cell)
     try:
         answer = await asyncio.to_thread(_change, found, body)

@@ -23,7 +23,7 @@ from invid.simulators.open import masses_of
 from invid_service.jobs.analysis_progress import AnalysisProgress
 from invid_service.jobs.line import Line
 from invid_service.jobs.plots import plot_data
-from invid_service.jobs.protocol import Job
+from invid_service.jobs.protocol import Job, Read
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
 
@@ -47,7 +47,7 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         # An uploaded recording may come from a simulated cell too; the drives then wrote it down.
         simulated = job.simulated or bool(recording.attributes.get("simulated", False))
         flag = {"simulated": simulated}
-        line.tell("recording", robot=recording.robot, axes=list(recording.axes), simulated=simulated)
+        line.tell(Read(robot=recording.robot, axes=recording.axes, simulated=simulated))
         tell.begin("identifying")
         budget = 0.3 * job.budget_s
         accepted = None if job.model is None else model_from_json(job.model, source="accepted model")

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from typing import Any
 
+from invid_service.jobs.protocol import Progress
+
 BEGINS, ENDS = 0.8, 0.99
 """Shares of a whole run between which the analysis lies; motion comes before it."""
 STAGES = {
@@ -39,8 +41,7 @@ class AnalysisProgress:
     Parameters
     ----------
     tell
-        Called with ``fraction``, ``phase`` and the keywords ``axis``, ``cause``, ``found``, ``eta_s``,
-        ``most_s``, ``always`` (never to be left out).
+        Called with the progress, and ``always`` where it is never to be left out.
     expected_s
         What the analysis of such runs took before [s]; ``None``: it is the first.
     most_s
@@ -112,12 +113,13 @@ class AnalysisProgress:
             # a stage that tells nothing moves on by the clock, up to its end
             share = max(self._share, min(elapsed / self._expected, self._high))
             left, most = self._expected - elapsed, max(self._most - elapsed, 0.0)
-            told = {
-                "axis": self._axis,
-                "cause": self._cause,
-                "found": self._found,
-                "eta_s": min(left, most) if left > 0.0 else None,
-                "most_s": most,
-            }
-            phase = self._phase
-        self._tell(BEGINS + share * (ENDS - BEGINS), phase, **told, always=always)
+            told = Progress(
+                fraction=BEGINS + share * (ENDS - BEGINS),
+                phase=self._phase,
+                axis=self._axis,
+                cause=self._cause,
+                found=tuple(self._found),
+                eta_s=min(left, most) if left > 0.0 else None,
+                most_s=most,
+            )
+        self._tell(told, always=always)

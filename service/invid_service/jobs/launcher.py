@@ -5,24 +5,28 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import os
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
-from invid_service.jobs.protocol import Job
+from pydantic import ValidationError
 
+from invid_service.jobs.protocol import TOLD, Job, Told, Wish
+
+log = logging.getLogger(__name__)
 _LINE_LIMIT = 16 * 1024 * 1024
 
 
 class Worker(Protocol):
     """Protocol of a running job, whatever process or double runs it."""
 
-    async def send(self, message: dict[str, Any]) -> None:
-        """Tell the runner something; nothing happens where it is gone."""
+    async def send(self, wish: Wish) -> None:
+        """Tell the runner what is wished; nothing happens where it is gone."""
 
-    def messages(self) -> AsyncIterator[dict[str, Any]]:
+    def messages(self) -> AsyncIterator[Told]:
         """Yield what the runner says, until it ends."""
 
     def kill(self) -> None:
@@ -46,17 +50,21 @@ class ProcessWorker:
         """Return the process id."""
         return self._process.pid
 
-    async def send(self, message: dict[str, Any]) -> None:
+    async def send(self, wish: Wish) -> None:
         """Write one line to the runner."""
+        await self.write(json.dumps({"type": wish}))
+
+    async def write(self, line: str) -> None:
+        """Write one line of JSON."""
         pipe = self._process.stdin
         if pipe is None or pipe.is_closing():
             return
         with contextlib.suppress(ConnectionError, OSError):
-            pipe.write(json.dumps(message).encode() + b"\n")
+            pipe.write(line.encode() + b"\n")
             await pipe.drain()
 
-    async def messages(self) -> AsyncIterator[dict[str, Any]]:
-        """Yield parsed lines; a line that is no JSON object is passed over."""
+    async def messages(self) -> AsyncIterator[Told]:
+        """Yield what the lines say; one that is not of the protocol is passed over."""
         pipe = self._process.stdout
         while pipe is not None:
             try:
@@ -65,10 +73,12 @@ class ProcessWorker:
                 continue
             if not line:
                 return
-            with contextlib.suppress(json.JSONDecodeError):
-                message = json.loads(line)
-                if isinstance(message, dict):
-                    yield message
+            try:
+                message = TOLD.validate_json(line)
+            except ValidationError as error:
+                log.warning("runner %d: %s", self.pid, error)
+                continue
+            yield message
 
     def kill(self) -> None:
         """End the process now (SIGKILL)."""
@@ -99,7 +109,7 @@ async def launch_process(job: Job) -> ProcessWorker:
     finally:
         os.close(log)
     worker = ProcessWorker(process)
-    await worker.send(json.loads(job.model_dump_json()))
+    await worker.write(job.model_dump_json())
     return worker
 
 

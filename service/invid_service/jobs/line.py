@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from typing import IO, Any
 
-from invid_service.jobs.protocol import Job
+from invid_service.jobs.protocol import Job, Progress, Told
 
 _PROGRESS_PERIOD_S = 0.2
 _QUEUE = 200
@@ -29,7 +29,7 @@ class Line:
         self.stop = threading.Event()
         self.armed = threading.Event()
         self.orphaned = threading.Event()
-        self._outbox: queue.Queue[dict[str, Any] | None] = queue.Queue()
+        self._outbox: queue.Queue[Told | None] = queue.Queue()
         self._last_progress = 0.0
         self._writer = threading.Thread(target=self._write, name="writer", daemon=True)
         self._writer.start()
@@ -55,23 +55,23 @@ class Line:
     def _write(self) -> None:
         while (message := self._outbox.get()) is not None:
             try:
-                self._sink.write(json.dumps(message, allow_nan=False).encode() + b"\n")
+                self._sink.write(message.model_dump_json().encode() + b"\n")
                 self._sink.flush()
             except OSError:
                 return
 
-    def tell(self, kind: str, **members: Any) -> None:
+    def tell(self, message: Told) -> None:
         """Queue a message."""
-        self._outbox.put({"type": kind, **members})
+        self._outbox.put(message)
 
-    def progress(self, fraction: float, phase: str, *, always: bool = False, **members: Any) -> None:
+    def progress(self, progress: Progress, *, always: bool = False) -> None:
         """Queue progress, at most five times a second and only while it is read; ``always``: at any rate."""
         now = time.monotonic()
         often = now - self._last_progress < _PROGRESS_PERIOD_S or self._outbox.qsize() > _QUEUE
         if often and not always:
             return
         self._last_progress = now
-        self.tell("progress", fraction=fraction, phase=phase, **members)
+        self.tell(progress)
 
     def close(self) -> None:
         """Send what is queued."""

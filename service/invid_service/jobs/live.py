@@ -4,52 +4,23 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Literal
 
 from invid_service.events import EventLog
 from invid_service.jobs.launcher import Worker
+from invid_service.jobs.protocol import Progress
 from invid_service.jobs.states import ENDED, OCCUPYING, UPLOAD, State, may_follow
 from invid_service.store.store import RunRecord, StoredEvent
 
 Wish = Literal["stop", "cancel", "shutdown"]
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a run: fraction, phase, axis, frequency."""
-
-    fraction: float = 0.0
-    phase: str = "queued"
-    axis: str | None = None
-    frequency: float | None = None
-    eta_s: float | None = None
-    motion_left_s: float | None = None
-    cause: str | None = None
-    """What the analysis weighs."""
-    most_s: float | None = None
-    found: tuple[Mapping[str, Any], ...] = ()
-
-    @classmethod
-    def of(cls, record: RunRecord) -> Progress:
-        """Return the progress of a stored run, in which nothing goes on any more."""
-        done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
-        return cls(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the members that the contract names."""
-        return {
-            "progress": self.fraction,
-            "phase": self.phase,
-            "axis": self.axis,
-            "frequency": self.frequency,
-            "eta_s": self.eta_s,
-            "motion_left_s": self.motion_left_s,
-            "cause": self.cause,
-            "most_s": self.most_s,
-            "found": list(self.found),
-        }
+def progress_of(record: RunRecord) -> Progress:
+    """Return the progress of a stored run, in which nothing goes on any more."""
+    done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
+    return Progress(fraction=1.0 if done else record.facts.get("progress", 0.0), phase=str(record.state))
 
 
 class WrongStateError(Exception):
@@ -61,7 +32,7 @@ class LiveRun:
 
     def __init__(self, record: RunRecord, stored: Iterable[StoredEvent] = ()) -> None:
         self.record = record
-        self.progress = Progress.of(record)
+        self.progress = progress_of(record)
         events = list(stored)
         self.events = EventLog(events)
         self.since = record.ended or (
@@ -70,6 +41,8 @@ class LiveRun:
         """When it came into its state; the ids of events are a clock."""
         self.worker: Worker | None = None
         self.wish: Wish | None = None
+        self.killed = False
+        """Its runner did not stop in time: nobody knows what its axes do."""
         self.unsaved = False
         """The store has not taken its state yet: memory alone knows it."""
         self.motion_ended = asyncio.Event()
@@ -100,10 +73,10 @@ class LiveRun:
         )
         if state in ENDED or state is State.AWAITING_ACCEPT:
             done = state in (State.AWAITING_ACCEPT, State.SUCCEEDED)
-            self.progress = Progress(1.0 if done else self.progress.fraction, str(state))
+            self.progress = Progress(fraction=1.0 if done else self.progress.fraction, phase=str(state))
         else:
             # What belongs to the last state alone does not outlive it.
-            self.progress = Progress(self.progress.fraction, str(state))
+            self.progress = Progress(fraction=self.progress.fraction, phase=str(state))
         if state in ENDED:
             facts = {**self.record.facts, "progress": self.progress.fraction}
             self.record = replace(self.record, facts=facts)
@@ -123,7 +96,7 @@ class LiveRun:
     def advance(self, progress: Progress) -> None:
         """Take over progress; it never runs backwards."""
         fraction = min(max(progress.fraction, self.progress.fraction), 1.0)
-        self.progress = replace(progress, fraction=fraction)
+        self.progress = progress.model_copy(update={"fraction": fraction})
         data = {
             "state": str(self.record.state),
             "simulated": self.record.simulated,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
@@ -17,9 +17,22 @@ from typing import Any
 from sqlalchemy.exc import SQLAlchemyError
 
 from invid import disk
+from invid.config import CellConfig
+from invid_drivers.readiness import known_after_death
 from invid_service.jobs.launcher import Launcher
-from invid_service.jobs.live import LiveRun, Progress, WrongStateError
-from invid_service.jobs.protocol import DISK_FULL_FIX, ErrorInfo, Job
+from invid_service.jobs.live import LiveRun, Wish, WrongStateError
+from invid_service.jobs.protocol import (
+    DISK_FULL_FIX,
+    End,
+    EndedEarly,
+    Job,
+    Measured,
+    Planned,
+    Progress,
+    Read,
+    Running,
+    Told,
+)
 from invid_service.jobs.results import Results
 from invid_service.jobs.run_log import tell_began, tell_ended
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
@@ -30,7 +43,6 @@ from invid_service.store.store import RunRecord, Store, StoredEvent
 log = logging.getLogger(__name__)
 _RETRY_S = 1.0
 _KEEP_RETRY_S = 5.0
-_TOLD = ("axis", "frequency", "eta_s", "motion_left_s", "cause", "most_s")
 _LAST_WORDS_S = 2.0
 """At the end: for the store to take the last state of a run; one that does not answer is not waited for."""
 
@@ -43,6 +55,8 @@ class Limits:
     arm_s: float
     analysis_s: float
     stop_grace_s: float
+    motion_silence_s: float
+    """Longest that a motion says nothing new of itself."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +153,7 @@ class JobManager:
         tell_began(run.record)
         self._spawn(self._run(run, job))
 
-    def _spawn(self, work: Any) -> None:
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -172,7 +186,7 @@ class JobManager:
             if run.record.state is not State.AWAITING_ARM or run.worker is None or run.wish:
                 raise WrongStateError(str(run.record.state))
             await self._persist(run, run.set(State.RUNNING, self._clock()))
-        await run.worker.send({"type": "arm"})
+        await run.worker.send("arm")
 
     async def decide(self, run: LiveRun, decision: Decision) -> None:
         """Accept or reject the result; WrongStateError where there is none to decide on."""
@@ -197,7 +211,7 @@ class JobManager:
                 self.remember(run.record)  # without its events
             self.on_end(run)
 
-    def _end_early(self, run: LiveRun, wish: Any) -> None:
+    def _end_early(self, run: LiveRun, wish: Wish) -> None:
         if run.wish is None or wish == "stop":
             run.wish = wish
         worker = run.worker
@@ -214,10 +228,11 @@ class JobManager:
             return
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self._limits.stop_grace_s):
-                await worker.send({"type": "stop"})
+                await worker.send("stop")
                 await run.motion_ended.wait()
                 return
         log.error("run %s: the runner did not stop in time and is killed", run.record.id)
+        run.killed = True
         worker.kill()
 
     # --- the life of a run ---------------------------------------------------------------------
@@ -265,12 +280,12 @@ class JobManager:
         worker = await self._launch(job)
         run.worker = worker
         watchdog = asyncio.create_task(self._watchdog(run))
-        verdict: dict[str, Any] | None = None
+        verdict: End | None = None
         try:
             if run.wish is not None:
                 worker.kill()
             async for message in worker.messages():
-                if message.get("type") in ("done", "failed", "stopped"):
+                if isinstance(message, End):
                     verdict = message
                     run.motion_ended.set()
                     break
@@ -293,54 +308,41 @@ class JobManager:
             worker.kill()
             return await worker.wait()
 
-    async def _hear(self, run: LiveRun, message: dict[str, Any]) -> None:
-        match message.get("type"):
-            case "planned":
-                facts = {"plan": message["plan"]}
-                run.record = replace(run.record, facts={**run.record.facts, **facts})
-                run.events.append("plan", message["plan"])
-                if not message.get("arm") and run.wish is None:
+    async def _hear(self, run: LiveRun, message: Told) -> None:
+        match message:
+            case Planned(plan=plan, arm=arm):
+                run.record = replace(run.record, facts={**run.record.facts, "plan": plan})
+                run.events.append("plan", plan)
+                if not arm and run.wish is None:
                     await self._move(run, State.AWAITING_ARM)
-            case "running":
+            case Running():
                 if run.record.state is State.CHECKING:
                     await self._move(run, State.RUNNING)
-            case "progress":
-                run.advance(
-                    Progress(
-                        float(message.get("fraction", 0.0)),
-                        str(message.get("phase", run.record.state)),
-                        found=tuple(message.get("found", ())),
-                        **{name: message.get(name) for name in _TOLD},
-                    )
-                )
-            case "measured":
+            case Progress():
+                run.advance(message)
+            case Measured(measurement=measurement):
                 run.motion_ended.set()
                 if run.wish is None:
-                    await self._move(run, State.ANALYSING, {"measurement": message.get("measurement")})
-            case "recording":
-                run.record = replace(
-                    run.record,
-                    robot=str(message["robot"]),
-                    axes=tuple(message["axes"]),
-                    simulated=bool(message["simulated"]),
-                )
-            case other:
-                log.warning("run %s: the runner said %r", run.record.id, other)
+                    await self._move(run, State.ANALYSING, {"measurement": measurement})
+            case Read(robot=robot, axes=axes, simulated=simulated):
+                run.record = replace(run.record, robot=robot, axes=axes, simulated=simulated)
 
     async def _watchdog(self, run: LiveRun) -> None:
-        """End a run that hangs: each state has its time; motion itself is watched by the sweep."""
+        """End a run that hangs: each state has its time, a motion from one thing that it says to the next."""
         while not run.ended:
-            state, changed = run.record.state, run.changed
+            state = run.record.state
+            moves = state is State.RUNNING
             bound = {
                 State.CHECKING: self._limits.check_s,
                 State.AWAITING_ARM: self._limits.arm_s,
+                State.RUNNING: self._limits.motion_silence_s,
                 State.ANALYSING: self._limits.analysis_s,
             }.get(state)
+            said = run.progress.place
             try:
                 async with asyncio.timeout(bound):
-                    while run.record.state is state:
+                    while run.record.state is state and not (moves and run.progress.place != said):
                         await run.changed.wait()
-                del changed
             except TimeoutError:
                 if run.wish is None:
                     what = "was not armed" if state is State.AWAITING_ARM else f"hung while {state}"
@@ -351,30 +353,31 @@ class JobManager:
                     }
                     run.record = replace(run.record, facts={**run.record.facts, "error": error})
                     run.wish = "cancel"
-                if run.worker is not None:
+                if moves:
+                    await self._stop_worker(run)
+                elif run.worker is not None:
                     run.worker.kill()
                 return
 
     async def _conclude(
-        self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int, kept: set[str] | Exception
+        self, run: LiveRun, job: Job, verdict: End | None, status: int, kept: set[str] | Exception
     ) -> None:
         self._note_stop(run, verdict)
-        if run.wish is not None:
+        moved = run.record.state is State.RUNNING
+        if verdict is None and moved and (run.killed or run.wish is None):
+            await self._lost(run, job, status)
+        elif run.wish is not None:
             await self._finish_early(run)
         elif verdict is None:
             await self._fail(
                 run,
                 "runner-died",
-                f"the runner process ended without a result (exit status {status}); its drives stop by "
-                f"themselves when the master's heartbeat is missing",
-                "look at the robot, then start again; the log of the service says more",
+                f"the runner process ended without a result (exit status {status})",
+                "start again; the log of the service says more",
             )
-        elif verdict["type"] != "done":
-            error = ErrorInfo.model_validate(verdict["error"])
-            if verdict["type"] == "stopped":
-                await self._move(run, State.STOPPED, {"error": error.model_dump()})
-            else:
-                await self._fail(run, error.code, error.text, error.fix)
+        elif isinstance(verdict, EndedEarly):
+            early = State.STOPPED if verdict.type == "stopped" else State.FAILED
+            await self._move(run, early, {"error": verdict.error.model_dump()})
         elif isinstance(kept, Exception):
             await self._not_kept(run, job, kept)
         elif not {"recording", "model", "diagnosis", "report"} <= kept:
@@ -385,12 +388,32 @@ class JobManager:
                 "please report it, with the log of the service",
             )
         else:
-            await self._succeed(run, job, verdict.get("summary", {}))
+            await self._succeed(run, job, verdict.summary)
+
+    async def _lost(self, run: LiveRun, job: Job, status: int) -> None:
+        """End a run whose runner was killed, or died, in motion: nobody has seen its axes at rest."""
+        known: tuple[str, ...] = ()
+        if job.config is not None:
+            config = CellConfig.model_validate(job.config)
+            known = await asyncio.to_thread(known_after_death, config, self._limits.stop_grace_s)
+        what = (
+            f"the runner process did not stop within {self._limits.stop_grace_s:.0f} s and was killed"
+            if run.killed
+            else f"the runner process ended without a result (exit status {status})"
+        )
+        text = f"{what}; its drives stop by themselves when the master's heartbeat is missing"
+        await self._fail(
+            run,
+            "not-stopped" if run.killed else "runner-died",
+            ". ".join((text, *known)),
+            "look at the robot: make sure that every axis stands, and is off or held; then start again; the "
+            "log of the service says more",
+        )
 
     @staticmethod
-    def _note_stop(run: LiveRun, verdict: dict[str, Any] | None) -> None:
+    def _note_stop(run: LiveRun, verdict: End | None) -> None:
         """Note where a motion that ended early stood: what the runner told, or what was seen of it last."""
-        stopped = None if verdict is None else verdict.get("stopped")
+        stopped = verdict.stopped if isinstance(verdict, EndedEarly) else None
         if verdict is None and run.record.state is State.RUNNING:
             code = "asked" if run.wish is not None else ""
             reason = "stopped on request" if run.wish is not None else "the runner process ended by itself"

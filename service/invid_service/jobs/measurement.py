@@ -12,12 +12,13 @@ from invid.model.document import model_from_json
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid_drivers.foretelling import sensor_noise
-from invid_drivers.measurement import ask_drives, measure_to_file
-from invid_drivers.readiness import loads_to_support, support_sentence
+from invid_drivers.measurement import measure_to_file
+from invid_drivers.readiness import ask_drives, loads_to_support, support_sentence
 from invid_drivers.screening import screening_plan
+from invid_drivers.stopping_budgets import Wish
 from invid_service.jobs.analysis_progress import BEGINS
 from invid_service.jobs.line import Line, plain
-from invid_service.jobs.protocol import Job
+from invid_service.jobs.protocol import Job, Measured, Planned, Progress, Running
 
 _SETTLED_S = 2.0
 """Robot time after which the pace of the motion so far says how long the rest takes."""
@@ -50,20 +51,18 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
         accepted = None
     model = None if accepted is None else from_model(accepted, config, source="the accepted model")
     short = _short_plan(config, model, job.amplitude_scale) if job.mode == "screen" else None
-    plan, _, budgets, warned = ask_drives(
-        config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model, plan=short
-    )
-    document = {**told_plan(plan, job), "budgets": [b.to_json() for b in budgets]}
+    found = ask_drives(config, Wish(job.axes, job.amplitude_scale, model, short))
+    document = {**told_plan(found.plan, job), "budgets": [b.to_json() for b in found.budgets]}
     support = loads_to_support(config)
     document["support"] = {"axes": list(support), "text": support_sentence(support)} if support else None
-    document["warnings"] = [*document["warnings"], *warned]
-    line.tell("planned", plan=plain(document), arm=job.arm)
-    del plan
+    document["warnings"] = [*document["warnings"], *found.said]
+    line.tell(Planned(plan=plain(document), arm=job.arm))
+    del found
     while not (job.arm or line.armed.is_set()):
         line.stop.wait(0.05)
         line.check_stop()
     line.check_stop()
-    line.tell("running")
+    line.tell(Running())
     target = job.folder / "recording.h5"
 
     pace = Pace()
@@ -72,12 +71,14 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
         left = pace.left(float(p.eta_s))
         after = job.expected_analysis_s
         line.progress(
-            float(p.fraction) * BEGINS,
-            str(p.phase),
-            axis=p.axis,
-            frequency=p.frequency,
-            eta_s=None if after is None else left + after,
-            motion_left_s=left,
+            Progress(
+                fraction=float(p.fraction) * BEGINS,
+                phase=str(p.phase),
+                axis=p.axis,
+                frequency=p.frequency,
+                eta_s=None if after is None else left + after,
+                motion_left_s=left,
+            )
         )
 
     result = measure_to_file(
@@ -93,7 +94,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     line.check_stop()
     seen: dict[str, Any] = plain(result.to_json())
     del seen["recording"]
-    line.tell("measured", measurement=seen)
+    line.tell(Measured(measurement=seen))
     return seen
 
 

@@ -1,16 +1,17 @@
 """Messages between the service and its runner process: JSON lines over pipes.
 
-Service → runner: the job, then ``{"type": "arm"}`` or ``{"type": "stop"}``; the end of the pipe means
-stop, so that a service that dies takes its motion with it. Runner → service: ``planned``,
-``running``, ``progress``, ``measured``, ``done``, ``stopped``, ``failed``.
+Service → runner: the job, then ``Wish`` by ``Wish``; the end of the pipe means stop, so that a service that
+dies takes its motion with it. Runner → service: ``Told``, one after the other; the last is an ``End``.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+Wish = Literal["arm", "stop"]
 
 
 class Job(BaseModel):
@@ -58,3 +59,84 @@ class ErrorInfo(BaseModel):
     code: str
     text: str
     fix: str
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Planned(_Message):
+    """What will move; without ``arm`` the runner waits for a person."""
+
+    type: Literal["planned"] = "planned"
+    plan: dict[str, Any]
+    arm: bool = False
+
+
+class Running(_Message):
+    """The drives are about to be enabled."""
+
+    type: Literal["running"] = "running"
+
+
+class Progress(_Message):
+    """How far a run is."""
+
+    type: Literal["progress"] = "progress"
+    fraction: float = 0.0
+    phase: str = ""
+    axis: str | None = None
+    frequency: float | None = None
+    """[Hz]"""
+    eta_s: float | None = None
+    motion_left_s: float | None = None
+    cause: str | None = None
+    """What the analysis weighs."""
+    most_s: float | None = None
+    found: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def place(self) -> tuple[float, str, str | None]:
+        """Where it is: a run that goes on comes to another one."""
+        return self.fraction, self.phase, self.axis
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the members that the contract names."""
+        document = self.model_dump(exclude={"type", "fraction"}, mode="json")
+        return {"progress": self.fraction, **document}
+
+
+class Measured(_Message):
+    """The axes are at rest, and what was seen meanwhile."""
+
+    type: Literal["measured"] = "measured"
+    measurement: dict[str, Any] | None = None
+
+
+class Read(_Message):
+    """Whose recording is analysed."""
+
+    type: Literal["recording"] = "recording"
+    robot: str
+    axes: tuple[str, ...]
+    simulated: bool
+
+
+class Done(_Message):
+    """Everything is written into the folder of the job."""
+
+    type: Literal["done"] = "done"
+    summary: dict[str, Any] = {}
+
+
+class EndedEarly(_Message):
+    """Why a run ended without a result, and where its motion stood."""
+
+    type: Literal["stopped", "failed"]
+    error: ErrorInfo
+    stopped: dict[str, Any] | None = None
+
+
+End = Done | EndedEarly
+Told = Planned | Running | Progress | Measured | Read | End
+TOLD: TypeAdapter[Told] = TypeAdapter(Annotated[Told, Field(discriminator="type")])

@@ -13,7 +13,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import FileResponse, StreamingResponse
 from fastapi.sse import format_sse_event
 
-from invid_service.auth import Reader, Require
+from invid_service.auth import Reader, Require, Runner
 from invid_service.context import Context
 from invid_service.events import EventLog, sse
 from invid_service.jobs.doubts import why_untrusted
@@ -51,9 +51,9 @@ router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
 async def start_identification(
     cell: str,
     body: StartBody,
-    request: Request,
     response: Response,
     service: Context,
+    caller: Runner,
     idempotency_key: Annotated[
         str | None, Header(alias="Idempotency-Key", min_length=1, max_length=255, pattern=r"^[!-~ ]+$")
     ] = None,
@@ -62,7 +62,6 @@ async def start_identification(
 
     The same ``Idempotency-Key`` with the same body answers with the run it started the first time.
     """
-    caller = await Require(Scope.RUN)(request)
     record = await begin_identification(service, cell, body, caller.name, idempotency_key)
     response.headers["Location"] = address("identifications", record.id)
     response.headers["Retry-After"] = str(RETRY_AFTER_S)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from invid_service.jobs.doubts import why_untrusted
-from invid_service.jobs.live import LiveRun, Progress
+from invid_service.jobs.live import LiveRun, progress_of
 from invid_service.jobs.protocol import ErrorInfo
 from invid_service.jobs.stated_change import StatedChange
 from invid_service.jobs.states import ENDED, State
@@ -204,7 +204,7 @@ def view(
     if live is not None:
         record, progress = live.record, live.progress
     else:
-        progress = Progress.of(record)
+        progress = progress_of(record)
     base = address("identifications", record.id)
     stopped = record.facts.get("stopped")
     if stopped is not None and not trace:

@@ -20,7 +20,7 @@ from invid.disk import is_full, not_written
 from invid.errors import DiskFullError, InvidError, SafetyStop
 from invid_service.jobs.line import Line, Stopped, plain
 from invid_service.jobs.orphans import hold
-from invid_service.jobs.protocol import DISK_FULL_FIX, ErrorInfo, Job
+from invid_service.jobs.protocol import DISK_FULL_FIX, Done, EndedEarly, ErrorInfo, Job
 from invid_service.jobs.stops import Run, stopped_by
 from invid_service.precedence import as_everyone
 
@@ -35,7 +35,10 @@ FIXES = {
 }
 
 
-def error_info(error: BaseException) -> dict[str, Any]:
+STOPPED = ErrorInfo(code="stopped", text="stopped on request", fix="start again when the cell is clear")
+
+
+def error_info(error: BaseException) -> ErrorInfo:
     """Return what the service is told of an error: a stable code, the sentence, a way out."""
     if isinstance(error, OSError) and not isinstance(error, InvidError) and is_full(error):
         error = not_written(Path(error.filename or "a file of the run"), error)
@@ -45,16 +48,16 @@ def error_info(error: BaseException) -> dict[str, Any]:
         code = code.removesuffix("-error")
         fix = next((FIXES[c.__name__] for c in type(error).__mro__ if c.__name__ in FIXES), "see the manual")
         text = error.reason if isinstance(error, DiskFullError) else str(error)
-        return ErrorInfo(code=code, text=text, fix=fix).model_dump()
+        return ErrorInfo(code=code, text=text, fix=fix)
     if isinstance(error, MemoryError):
         return ErrorInfo(
             code="out-of-memory",
             text="the data need more memory than one run may take",
             fix="cut the recording into shorter ones",
-        ).model_dump()
+        )
     return ErrorInfo(
         code="internal-error", text=f"{kind}: {error}", fix="please report it, with the log of the service"
-    ).model_dump()
+    )
 
 
 def run(line: Line) -> int:
@@ -69,11 +72,11 @@ def run(line: Line) -> int:
         seen = _measure(job, line) if job.kind == "measure" else None
         summary = _analyse(job, line, seen)
     except Stopped:
-        line.tell("stopped", error=_stopped())
+        line.tell(EndedEarly(type="stopped", error=STOPPED))
         return 4
     except SafetyStop as error:
-        told = _stopped() if line.stop.is_set() else error_info(error)
-        line.tell("stopped", error=told, stopped=_stopped_by(error, job))
+        told = STOPPED if line.stop.is_set() else error_info(error)
+        line.tell(EndedEarly(type="stopped", error=told, stopped=_stopped_by(error, job)))
         return 4
     except BaseException as error:
         if not isinstance(error, InvidError):
@@ -81,12 +84,13 @@ def run(line: Line) -> int:
         told = error_info(error)
         stopped = _stopped_by(error, job) if isinstance(error, InvidError) else None
         # Where the file lies in the service's own folders is nobody's business.
-        text = told["text"].replace(f"{job.folder}/", "").replace(f" in {job.folder}", "")
-        line.tell("failed", error={**told, "text": text}, stopped=stopped)
+        text = told.text.replace(f"{job.folder}/", "").replace(f" in {job.folder}", "")
+        told = told.model_copy(update={"text": text})
+        line.tell(EndedEarly(type="failed", error=told, stopped=stopped))
         return getattr(error, "exit_code", 70)
     finally:
         held.close()
-    line.tell("done", summary=plain(summary))
+    line.tell(Done(summary=plain(summary)))
     return 0
 
 
@@ -107,12 +111,6 @@ def _analyse(job: Job, line: Line, seen: dict[str, Any] | None) -> dict[str, Any
 def _stopped_by(error: InvidError, job: Job) -> dict[str, Any] | None:
     linear = bool((job.config or {}).get("motion") == "linear")
     return stopped_by(error, Run(job.mode, job.amplitude, linear, None))
-
-
-def _stopped() -> dict[str, Any]:
-    return ErrorInfo(
-        code="stopped", text="stopped on request", fix="start again when the cell is clear"
-    ).model_dump()
 
 
 def _end_with_parent(line: Line, grace_s: float) -> None:

@@ -17,7 +17,7 @@ import yaml
 
 from invid.cli.app import run
 from invid.config import CellConfig, parse_config
-from invid.errors import BusError, ConfigError
+from invid.errors import BusError
 from invid.planning import make_plan
 from invid.planning.budget import bound, judge, needed, rank, tolerable_share
 from invid_drivers import readiness
@@ -124,11 +124,9 @@ def test_a_drive_that_answers_sdo_after_most_of_a_second_is_named_as_slow_and_no
     config = hardware(0.004)
     with slow((1, 2, 3), 0.0005, sdo_s=dict.fromkeys((1, 2, 3), 0.8)) as link:
         found = probe(link, config, make_plan(config))
-    with pytest.raises(
-        ConfigError, match=r"drives are slow to answer SDO: 0\.8 s.*bus\.round_trip_s"
-    ) as caught:
-        require(found, config)
-    assert "the adapter's round trip is" not in str(caught.value)
+    (said,) = require(found, config)
+    assert "drives are slow to answer SDO: 0.8 s" in said
+    assert "the adapter's round trip is" not in said
     stated = hardware(0.004, round_trip_s=0.001)
     again = judge([0.8, 0.8], stated, cycles=1000, loaded_s=0.001)
     (said,) = require(again, stated)
@@ -151,8 +149,8 @@ def test_an_adapter_of_four_milliseconds_carries_no_kilohertz_and_the_longer_cyc
     if carries:
         assert require(found, config) == [] or found.late_share > 0.01
     else:
-        with pytest.raises(ConfigError, match=r"cycle_s is 0\.001.*Set bus\.cycle_s to 0\.0"):
-            require(found, config)
+        (said,) = require(found, config)
+        assert "the adapter or the drives' own time for SDO" in said
         assert found.late_share == 1.0
 
 
@@ -196,7 +194,7 @@ def test_init_proposes_the_cycle_that_the_adapter_carries(
     parse_config(out.read_text(encoding="utf-8"))
 
 
-def test_check_does_not_call_a_cycle_ready_that_the_adapter_does_not_carry(
+def test_check_says_what_is_open_where_the_adapter_may_not_carry_the_cycle(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The drives answer as they do; only what is probed of the adapter is slow."""
@@ -209,5 +207,5 @@ def test_check_does_not_call_a_cycle_ready_that_the_adapter_does_not_carry(
         lambda link, _, plan, cancelled: judge([0.004] * 600, hard, cycles=10_000, loaded_s=0.001),
     )
     monkeypatch.setattr(readiness, "require", lambda found, _: require(found, hard))
-    with pytest.raises(ConfigError, match=r"Set bus\.cycle_s to"):
-        check.preflight(config)
+    _, document = check.preflight(config)
+    assert any("Their answers to SYNC tell" in w for w in document["warnings"])

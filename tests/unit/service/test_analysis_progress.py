@@ -42,10 +42,7 @@ def analysis() -> tuple[AnalysisProgress, Clock, list[dict[str, Any]]]:
     told: list[dict[str, Any]] = []
     clock = Clock()
 
-    def tell(fraction: float, phase: str, **members: Any) -> None:
-        told.append({"fraction": fraction, "phase": phase, **members})
-
-    return AnalysisProgress(tell, 40.0, 600.0, clock=clock), clock, told
+    return AnalysisProgress(lambda p, **_: told.append(p.model_dump()), 40.0, 600.0, clock=clock), clock, told
 
 
 Analysis = tuple[AnalysisProgress, Clock, list[dict[str, Any]]]
@@ -100,7 +97,7 @@ def test_a_first_analysis_is_told_by_what_such_ones_take_and_by_its_own_first_st
 ) -> None:
     told: list[dict[str, Any]] = []
     clock = Clock()
-    first = AnalysisProgress(lambda *_, **members: told.append(members), None, 600.0, clock=clock)
+    first = AnalysisProgress(lambda p, **_: told.append(p.model_dump()), None, 600.0, clock=clock)
     first.begin("identifying")
     assert told[-1]["eta_s"] == pytest.approx(40.0)
     clock.now = identified
@@ -128,9 +125,9 @@ def test_what_is_found_is_told_while_the_search_goes_on(analysis: Analysis) -> N
     progress.begin("diagnosing")
     found = Found("coulomb_friction", "A1", element="mass 1")
     progress.weigh(Weighing("weighing", "A2", "backlash", 0.5, 12.0, (found,)))
-    assert told[-1]["found"] == [
-        {"cause": "coulomb_friction", "axis": "A1", "other_axis": None, "element": "mass 1"}
-    ]
+    assert told[-1]["found"] == (
+        {"cause": "coulomb_friction", "axis": "A1", "other_axis": None, "element": "mass 1"},
+    )
     assert "found" not in told[-1]["phase"], "the phase is what it does, and short"
 
 

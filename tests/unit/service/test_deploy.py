@@ -17,6 +17,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from invid_service.settings import Settings
 from invid_service.supervision import tell, watchdog_s
 
 ROOT = Path(__file__).parents[3]
@@ -126,11 +127,10 @@ def test_the_compose_file_fits_the_dockerfile() -> None:
     assert "[postgres" in dockerfile
     grace = int(service["stop_grace_period"].removesuffix("s"))
     unit = (DEPLOY / "systemd" / "invid.service").read_text(encoding="utf-8")
-    from invid_drivers.relay import STOP_S
-
-    # Whoever stops the service leaves the runner time to stop its drives.
-    assert grace > STOP_S
-    assert int(re.search(r"^TimeoutStopSec=(\d+)$", unit, flags=re.MULTILINE).group(1)) > STOP_S  # type: ignore[union-attr]
+    # Whoever stops the service leaves the runner time to stop its drives, and the service to tell it.
+    needed = Settings().stop_grace_s + 10.0
+    assert grace > needed
+    assert int(re.search(r"^TimeoutStopSec=(\d+)$", unit, flags=re.MULTILINE).group(1)) > needed  # type: ignore[union-attr]
 
 
 def listening(folder: Path) -> socket.socket:

@@ -20,11 +20,12 @@ from invid_service.keys import add_key
 from invid_service.problems import CATALOGUE
 
 COMMITTED = Path(__file__).parents[3] / "docs" / "reference" / "openapi.json"
-VERB = r"(get|list|start|act|follow|upload|analyse|restore|change|stop)(_[a-z]+)+"
+VERB = r"(get|list|check|start|act|follow|upload|analyse|restore|change|stop)(_[a-z]+)+"
 CONTRACT = {
     ("get", "/api/v1/cells"),
     ("get", "/api/v1/cells/{cell}"),
     ("get", "/api/v1/cells/{cell}/readiness"),
+    ("post", "/api/v1/cells/{cell}/check"),
     ("post", "/api/v1/cells/{cell}/identifications"),
     ("get", "/api/v1/identifications"),
     ("get", "/api/v1/identifications/{identification}"),

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from service_doubles import CELL, Director, model_document, running, wait_for
 
-from invid_service.jobs.live import LiveRun, Progress
+from invid_service.jobs.live import LiveRun
+from invid_service.jobs.protocol import Progress
 from invid_service.jobs.states import State
 
 SECOND = timedelta(seconds=1)
@@ -112,6 +113,13 @@ def test_the_state_fits_a_small_buffer_with_the_longest_names_that_there_are(tmp
         record = replace(service.store.run(run.json()["id"]), state=State.RUNNING, ended=None, id="9" * 40)
         longest = LiveRun(record)
         for character in ("\U0001f916", "\x01"):  # four bytes; six where JSON escapes it
-            longest.progress = Progress(1 / 3, character * 1000, "A" * 64, 1 / 3, 1e9 / 3, 1e9 / 3)
+            longest.progress = Progress(
+                fraction=1 / 3,
+                phase=character * 1000,
+                axis="A" * 64,
+                frequency=1 / 3,
+                eta_s=1e9 / 3,
+                motion_left_s=1e9 / 3,
+            )
             service.jobs._latest[cell["id"]] = longest
             assert state_of(client, cell["id"])["phase"] == character * 60

@@ -155,7 +155,7 @@ def test_a_clean_shutdown_stops_the_motion_and_interrupts_the_run(tmp_path: Path
         answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
         location = answer.headers["Location"]
         wait_for(client, location, "running")
-    assert {"type": "stop"} in director.workers[0].said
+    assert "stop" in director.workers[0].said
     with running(tmp_path) as (client, _):
         assert client.get(location).json()["state"] == "interrupted"
 

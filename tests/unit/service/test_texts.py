@@ -88,7 +88,7 @@ def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
             wanted |= {f"note.{code}", f"note.{code}.fix"}
         wanted |= {f"problem.{kind}" for kind in PROBLEMS}
         for name in FIXES:
-            code = error_info(getattr(errors, name)("x"))["code"]
+            code = error_info(getattr(errors, name)("x")).code
             wanted |= {f"error.{code}", f"error.{code}.fix"}
         stops = [Run("full", "planned", False, "A1"), Run("test", "planned", False, "A1")]
         for code in STOPS:

@@ -141,16 +141,24 @@ const refresh = () => alone("ready", async () => {
   const cell = state.cell;
   /** @type {Api["Readiness"]} */
   const ready = await get(`/cells/${cell}/readiness`);
-  if (cell !== state.cell || state.run) return;
+  if (cell === state.cell && !state.run) tellReady(ready);
+});
+
+function tellReady(ready) {
   Object.assign(state, { ready, at: Date.now() });
   const title = $("ready-title");
   title.textContent = ready.can_start ? t("ready.yes") : t("ready.no");
   title.className = ready.can_start ? "good" : "bad";
   fill($("reasons"), ready.reasons.map((r) => reasonItem(r)));
   fill($("ready-notes"), (ready.notes ?? []).map((r) => reasonItem(r, `note.${r.code}`)));
+  $("check").hidden = ![...ready.reasons, ...ready.notes].some((r) => r.seen); // remembered: the drives may say otherwise
   $("ready-card").hidden = $("start-card").hidden = false;
   buttons();
-});
+}
+$("check").addEventListener("click", guarded(() => pressing($("check"), async () => {
+  const cell = state.cell, ready = await post(`/cells/${cell}/check`, undefined, {}, 60000); // slow drives take their time
+  if (cell === state.cell && !state.run) tellReady(ready);
+})));
 
 // --- start ----------------------------------------------------------------------------------------------
 const unique = () => ({ "Idempotency-Key": `page-${Date.now()}-${Math.random().toString(36).slice(2)}` });

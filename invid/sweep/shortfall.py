@@ -1,0 +1,170 @@
+"""Whether a drive gives less torque than it is asked for, by what it shows itself.
+
+Of the torque asked for over the last ``LAGS`` cycles the least counts, in the direction of its mean:
+whatever 0x6077 lags, it shows at least that, less a share for its scale and its noise. What is missing is
+summed up over time (CUSUM): an impulse, the speed that a load has gained by it. A healthy drive is on the
+other side of the allowance in every cycle, six deviations of its noise away, so its sum stays zero.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Mapping, Sequence
+
+from invid.errors import SafetyStop
+from invid.sweep.ports import Sample
+from invid.sweep.torque_sign import LAGS
+
+SCALE, LEARNT = 0.25, 0.08
+"""Share of the asked torque that may be missing: what the trial of the signs lets pass, and once its scale
+was seen."""
+NOISE = 0.03
+"""Of rated torque: six deviations of the 0.5 % that drives' current sensing has."""
+MEAN_S, LEARN_S = 0.3, 1.0
+IMPULSE_S = 0.0015
+"""Sum at which a run ends, over rated torque: a load of rated torque that gets nothing has gained that in 2
+ms."""
+HELD_IMPULSE_S, LEAST_WEIGHT = 0.05, 0.1
+"""The same for an axis that its drive holds, over its weight, or a tenth of rated torque: a loop that takes
+over builds its torque up in 20 ms."""
+OPENS_S, OPENS_AGAIN = 5.0, 1.5
+"""A brake that opens later is not known; it may take so much longer the next time."""
+POWER_MASK, ENERGISED = 0x4F, frozenset({0x07, 0x0F})
+"""Of 0x6041 (CiA 402): operation enabled and quick stop active, or fault reaction active."""
+STILL_COUNTS = 1.5
+"""Counts that an encoder which is dead shows at most."""
+
+
+def is_energised(status: int) -> bool:
+    """Whether a drive with that statusword gives torque."""
+    return status & POWER_MASK in ENERGISED
+
+
+class _Axis:
+    def __init__(self) -> None:
+        self.asked: deque[float] = deque(maxlen=LAGS)
+        self.mean = self.due = self.shown = self.seconds = self.missing = 0.0
+
+    def forget(self) -> None:
+        self.asked.clear()
+        self.missing = 0.0
+
+
+class Shortfall:
+    """Watch over shown against asked torque of the axes whose loops the master closes."""
+
+    def __init__(
+        self, names: Sequence[str], rated_torque: Sequence[float], torque_unit: str, cycle_s: float
+    ) -> None:
+        self._names, self._rated, self._unit, self._cycle = (
+            list(names),
+            list(rated_torque),
+            torque_unit,
+            cycle_s,
+        )
+        self._keep = 1.0 - min(1.0, cycle_s / MEAN_S)
+        self._axes = [_Axis() for _ in names]
+        self._slot: int | None = None
+
+    def forget(self) -> None:
+        """Forget the last moments; scales that were seen stay known."""
+        self._slot = None
+        for axis in self._axes:
+            axis.forget()
+
+    def check(self, sample: Sample, asked: Sequence[float], led: Collection[int]) -> None:
+        """Raise SafetyStop where a drive gives less than it is asked for."""
+        if self._slot is not None and sample.slot != self._slot + 1:
+            self.forget()
+        self._slot = sample.slot
+        for i, axis in enumerate(self._axes):
+            if i not in led or asked[i] == 0.0:
+                axis.forget()
+                continue
+            axis.asked.append(asked[i])
+            if sample.fresh[i] and len(axis.asked) == LAGS:
+                self._judge(i, axis, sample.torque[i])
+            axis.mean = asked[i] + self._keep * (axis.mean - asked[i])
+
+    def _judge(self, i: int, axis: _Axis, torque: float) -> None:
+        sign = 1.0 if axis.mean > 0 else -1.0
+        due, shown, rated = min(sign * a for a in axis.asked), sign * torque, self._rated[i]
+        if due <= NOISE * rated:
+            axis.missing = 0.0
+            return
+        learnt = axis.seconds >= LEARN_S
+        scale = min(1.0, axis.shown / axis.due) if learnt else 1.0
+        short = due * scale * (1.0 - (LEARNT if learnt else SCALE)) - NOISE * rated - shown
+        axis.missing = max(0.0, axis.missing + short * self._cycle)
+        if axis.missing == 0.0 and axis.seconds < LEARN_S:
+            axis.due, axis.shown = axis.due + due, axis.shown + min(shown, due)
+            axis.seconds += self._cycle
+        if axis.missing > IMPULSE_S * rated:
+            raise SafetyStop(
+                f"axis {self._names[i]}: its drive shows {shown:.3g} {self._unit} and is asked for "
+                f"{due:.3g} at least",
+                way_out="it limits its torque by itself (I²t, temperature, 0x60E0, 0x60E1, supply): read its "
+                "error memory; a load is not held by that",
+                code="no_torque",
+                axis=self._names[i],
+            )
+
+
+class HeldTorque:
+    """Watch over the torque of loaded axes that their drives hold while their encoders show no motion.
+
+    A dead encoder shows a drive no error, so its loop gives no torque, and the load falls unseen.
+    """
+
+    def __init__(self, names: Sequence[str], rated_torque: Sequence[float], cycle_s: float) -> None:
+        self._names, self._rated, self._cycle = list(names), list(rated_torque), cycle_s
+        count = len(self._names)
+        self._place: list[float | None] = [None] * count
+        self._missing = [0.0] * count
+        self._since: list[float | None] = [None] * count
+        """When each axis was last enabled."""
+        self._first: list[list[tuple[float, float]]] = [[] for _ in range(count)]
+        """Time and torque of the first seconds after that, until it is known when its brake opens."""
+        self._opens: dict[int, float] = {}
+
+    def check(
+        self, sample: Sample, weights: Mapping[int, float], held: Collection[int], counts: Sequence[float]
+    ) -> None:
+        """Raise SafetyStop where the weight (torque by axis) is not carried; ``counts``: position of one
+        count."""
+        for i, status in enumerate(sample.status):
+            if not sample.fresh[i]:
+                continue
+            if not is_energised(status):
+                self._since[i] = None
+            elif self._since[i] is None:
+                self._since[i] = sample.time
+            since = self._since[i]
+            if since is not None and i not in self._opens and sample.time < since + OPENS_S:
+                self._first[i].append((sample.time - since, sample.torque[i]))
+        for i, weight in weights.items():
+            if i not in self._opens:
+                carried = (t for t, torque in self._first[i] if torque * weight > weight**2 / 2)
+                self._opens[i] = next(carried, 0.0)
+                self._first[i] = []
+            since = self._since[i]
+            if i not in held or since is None or sample.time < since + OPENS_AGAIN * self._opens[i]:
+                self._missing[i] = 0.0
+                continue
+            if not sample.fresh[i]:
+                continue
+            place = self._place[i]
+            if place is None or abs(sample.position[i] - place) > STILL_COUNTS * abs(counts[i]):
+                self._place[i], self._missing[i] = sample.position[i], 0.0
+            sign = 1.0 if weight > 0 else -1.0
+            short = abs(weight) * (1.0 - SCALE) - NOISE * self._rated[i] - sign * sample.torque[i]
+            self._missing[i] = max(0.0, self._missing[i] + short * self._cycle)
+            if self._missing[i] > HELD_IMPULSE_S * max(abs(weight), LEAST_WEIGHT * self._rated[i]):
+                raise SafetyStop(
+                    f"axis {self._names[i]}: it took {abs(weight):.3g} to hold it, its drive shows "
+                    f"{abs(sample.torque[i]):.3g}, and the encoder stands still",
+                    way_out="the encoder is dead and its load falls, or somebody supports it: support it, "
+                    "then look at the encoder",
+                    code="halted",
+                    axis=self._names[i],
+                )
