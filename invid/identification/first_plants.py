@@ -325,6 +325,7 @@ def _stiffness_in_bands(stack: Stack, motor: int) -> tuple[Float64, Float64]:
         np.array([r.position[within] for r in own]),
         np.array([r.torque[within] for r in own]),
         motor,
+        float(np.nan_to_num(own[0].hold[motor])),
     )
     omega = 2 * np.pi * seen.frequency
     return omega, seen.inertia * omega**2

@@ -16,7 +16,6 @@ import numpy as np
 
 from invid.config import CellConfig, MultisineSpec
 from invid.errors import ConfigError
-from invid.likelihood.residual import condense_dense
 from invid.model.document import parameter_vector
 from invid.model.parameters import ChainStructure, structure_of
 from invid.numerics.arrays import Complex128, Float64, Int64, frozen_float
@@ -271,7 +270,7 @@ def line_design(  # noqa: PLR0913 - the terms of the optimum
     p = structure.vector(belief.chains)
     p[structure.slices["viscous"]][: structure.motors] = belief.viscous
     omega: Float64 = np.asarray(2 * np.pi * spacing_hz * lines, dtype=np.float64)
-    motion, plant, _ = condense_dense(structure, p, omega)
+    motion, plant = _condense(structure, p, omega)
     motors = structure.motors
     law = hold[0] + 1j * omega[:, None] * hold[1]
     index = np.arange(motors)
@@ -304,6 +303,18 @@ def line_design(  # noqa: PLR0913 - the terms of the optimum
         weight = _normalised(weight * np.sqrt(np.maximum(gain, 0.0) / cost), axis, cost)
     power = (1 - ROBUST_SHARE) * weight + ROBUST_SHARE * _normalised(robust, axis, cost)
     return LineDesign(lines, axis, np.sqrt(_normalised(power, axis)))
+
+
+def _condense(structure: ChainStructure, p: Float64, omega: Float64) -> tuple[Complex128, Complex128]:
+    """Motion (L, ΣN, M) of all coordinates per motor motion, dynamic stiffness (L, M, M) at the motors."""
+    mass, damping, stiffness = structure.matrices(p)
+    full = stiffness + 1j * omega[:, None, None] * damping - (omega**2)[:, None, None] * mass
+    motors, inner = list(structure.motor_dofs), np.array(structure.inner_dofs, dtype=int)
+    motion = np.zeros((omega.size, structure.dofs, len(motors)), dtype=complex)
+    motion[:, motors] = np.eye(len(motors))
+    if inner.size:
+        motion[:, inner] = -np.linalg.solve(full[:, inner[:, None], inner], full[:, inner[:, None], motors])
+    return motion, np.asarray(full[:, motors] @ motion, dtype=np.complex128)
 
 
 def _normalised(power: Float64, axis: Int64, cost: Float64 | None = None) -> Float64:

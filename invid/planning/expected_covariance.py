@@ -1,9 +1,8 @@
 """The expected covariance of every parameter of a plan, before anything moves.
 
 The planned torques, the hold and the believed plant give the motion (``invid.planning.response``); with the
-sensors' noise added it goes through the same spectra and the same whitened problem as a recording, with
-the same nuisances (time offsets, viscous and Coulomb friction, boundary terms), and the Jacobian at the
-believed parameters is the Fisher information. Nothing is fitted.
+sensors' noise added it goes through the same likelihood as a recording, with the same nuisances (timing,
+friction, unknown forces, ends), and its curvature at the believed parameters is the Fisher information.
 """
 
 from __future__ import annotations
@@ -15,24 +14,31 @@ from typing import Any
 import numpy as np
 
 from invid.config import CellConfig
-from invid.likelihood.covariance import physical_covariance
-from invid.likelihood.levenberg_marquardt import Solution
-from invid.likelihood.nuisance.torque_lags import add_coulomb_columns, reversal_lags
-from invid.likelihood.records import problem_from_spectra
-from invid.likelihood.residual import MissingTorqueProblem
+from invid.identification.fitted_model import chains_covariance, plant_of
+from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
+from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
+from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
+from invid.likelihood.unknown_forces.timing import Timing
+from invid.likelihood.unknown_forces.value import Numbers
 from invid.model.chains import CoupledChains
 from invid.model.document import parameter_vector
-from invid.model.parameters import structure_of
 from invid.numerics.arrays import Bool, Float64, frozen_float
 from invid.planning.belief import Belief
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.response import foretold_motion, hold_gains
 from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.signals.record import Record, make_record, read_holds
 from invid.signals.spectra import spectra_of
 
 COUPLING_SHARE = 0.1
 """A coupling's uncertainty is taken relative to its value, or to this share of √(m_i·m_j) of the masses it
 joins where that is more: one per cent of a coupling of zero cannot be reached by anybody."""
+STILL = 1e-4
+"""Velocity over that of the fastest axis below which friction of an axis is not seen (numerical)."""
+UNSEEN = 3.0
+"""Relative deviation from which a plan shows nothing of a parameter: the prior speaks (numerical)."""
+SETTLED = 4
+"""Iterations from the believed plant by which strengths and timing are as the drawn noise has them."""
 ASSUMED_TORQUE_NOISE = 0.005
 """Noise of 0x6077 as a share of rated torque where nothing is known (the case of the notes)."""
 ASSUMED_COUNTS = 2**17
@@ -164,28 +170,23 @@ def expected(
     """
     experiments = plan.experiments if isinstance(plan, Plan) else tuple(plan)
     rng = np.random.default_rng(0)
-    spectra = tuple(
-        spectra_of(_synthetic_experiment(config, e, belief, noise, rng))
+    recorded = tuple(
+        _synthetic_experiment(config, e, belief, noise, rng)
         for e in experiments
         if e.role is Role.IDENTIFY and e.kind is not Kind.CONSTANT_VELOCITY
     )
-    structure = structure_of(belief.chains)
-    problem = add_coulomb_columns(problem_from_spectra(structure, spectra), spectra)
-    problem = replace(problem, fixed=(*problem.fixed, *problem.staircase_names))
-    problem = reversal_lags(problem, _believed_vector(problem, belief))
-    p = _believed_vector(problem, belief)
-    residual, jacobian = problem.evaluate(p)
-    # χ² of zero: the covariance is not inflated by what this one draw of the noise happens to leave
-    at = Solution(p, "expected", 0, 0.0, problem.dof, jacobian, residual, problem.free)
-    covariance = physical_covariance(problem, at)
+    records = read_holds([_with_least_noise(make_record(e, None), noise) for e in recorded])
+    now = _supposed(records, belief)
     names, values = parameter_vector(belief.chains)
-    index = np.array([structure.names.index(n) for n in names])
-    covariance = covariance[np.ix_(index, index)]
+    covariance = chains_covariance(now, belief.chains.axes)[1]
+    scale = parameter_scale(belief.chains)
+    unseen = ~(np.sqrt(np.maximum(np.diag(covariance), 0.0)) < UNSEEN * scale)
+    covariance[unseen] = covariance[:, unseen] = np.inf
     return Expected(
         names=names,
         values=frozen_float(values),
         std=frozen_float(np.sqrt(np.maximum(np.diag(covariance), 0.0))),
-        scale=frozen_float(parameter_scale(belief.chains)),
+        scale=frozen_float(scale),
         goal=is_in_goal(names),
         covariance=frozen_float(covariance),
         belief=belief.source,
@@ -194,18 +195,26 @@ def expected(
     )
 
 
-def _believed_vector(problem: MissingTorqueProblem, belief: Belief) -> Float64:
-    """The problem's parameter vector at the belief, torques held over the sample as the sweep holds them."""
-    structure = problem.structure
-    start = structure.vector(belief.chains)
-    start[structure.slices["viscous"]][: structure.motors] = belief.viscous[: structure.motors]
-    p = problem.start(start)
-    p[problem.slices["delay"]][: structure.motors] = problem.blocks[0].step / 2
-    p[problem.slices["staircase"]] = 1.0
-    for k, name in enumerate(problem.names):
-        if name.endswith(".coulomb"):
-            p[k] = belief.coulomb[structure.axes.index(name.removesuffix(".coulomb"))]
-    return p
+def _with_least_noise(record: Record, noise: Noise) -> Record:
+    """A record with the noise of its lattices, which an axis that stands still does not show."""
+    share = 4.0 * record.step / record.span / 12.0
+    position = np.maximum(record.position_noise, share * noise.position_step**2)
+    torque = np.maximum(record.torque_noise, share * noise.torque_step**2)
+    return replace(record, position_noise=position, torque_noise=torque)
+
+
+def _supposed(records: Sequence[Record], belief: Belief) -> Supposed:
+    """The believed plant with friction at its motors on records, unknown forces as small as there."""
+    damping = hold_damping(records)
+    bench = Bench(stack_records(records, damping))
+    plant = plant_of(belief.chains)
+    timing = Timing.nominal(plant.structure.motors, records[0].step)
+    numbers = Numbers(plant, timing, first_strength(bench.stacks, plant.structure))
+    power = np.mean([(r.motion.velocity**2).mean(axis=0) for r in records], axis=0)
+    still = np.flatnonzero(power <= STILL**2 * power.max())
+    absent = frozenset((part, int(motor)) for motor in still for part in Part)
+    hypothesis = Hypothesis(plant.structure, first_shapes(bench.stacks), absent=absent)
+    return suppose((bench, None), hypothesis, numbers, SETTLED)
 
 
 def is_in_goal(names: Sequence[str]) -> Bool:
@@ -254,6 +263,7 @@ def _synthetic_experiment(
         position=frozen_float(_quantise(seen, noise.position_step)),
         torque=frozen_float(_quantise(felt, noise.torque_step)),
         torque_demand=frozen_float(demand),
+        attributes={"hold_by": "master"},
     )
 
 

@@ -75,11 +75,17 @@ class ApparentInertia:
 
 
 def apparent_inertia(
-    frequency: Float64, position: Complex128, torque: Complex128, motor: int
+    frequency: Float64, position: Complex128, torque: Complex128, motor: int, hold: float = 0.0
 ) -> ApparentInertia:
-    """Of a motor from the lines (R, F, M) of R whole spans, all of one width from 0 Hz on."""
+    """Of a motor from the lines (R, F, M) of R whole spans, all of one width from 0 Hz on.
+
+    Lines count by the command on them, torque + ``hold``·position: on those of another axis the torque is
+    the hold's alone.
+    """
     turning = -((2 * np.pi * frequency[1:-1]) ** 2)
-    acceleration, push = turning * hann(position[..., motor]), hann(torque[..., motor])
+    command = np.abs(hann((torque + hold * position)[..., motor]))
+    acceleration = command * turning * hann(position[..., motor])
+    push = command * hann(torque[..., motor])
     edges = np.unique(np.searchsorted(frequency, _edges(frequency)).clip(0, turning.size - 1))
     cross, force, motion = (
         np.add.reduceat(x.sum(axis=0), edges)

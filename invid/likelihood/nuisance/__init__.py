@@ -1,1 +1,0 @@
-"""Nuisances that are fitted beside the machine: timing, holds, transients, initial states, reversals."""
