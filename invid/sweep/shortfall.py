@@ -24,7 +24,7 @@ MEAN_S, LEARN_S = 0.3, 1.0
 IMPULSE_S = 0.0015
 """Sum at which a run ends, over rated torque: a load of rated torque that gets nothing has gained that in 2
 ms."""
-HELD_IMPULSE_S, LEAST_WEIGHT = 0.05, 0.1
+HELD_IMPULSE_S, LEAST_WEIGHT = 0.03, 0.1
 """The same for an axis that its drive holds, over its weight, or a tenth of rated torque: a loop that takes
 over builds its torque up in 20 ms."""
 OPENS_S, OPENS_AGAIN = 5.0, 1.5
