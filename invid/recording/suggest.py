@@ -15,7 +15,7 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
-from invid.recording.clock import StampsRead, best_clock, read_stamps
+from invid.recording.clock import StampsRead, best_clock, is_count, read_stamps
 from invid.recording.drive_tools import named_by, tool_of
 from invid.recording.import_map import FORMAT, ImportMap
 from invid.recording.plausibility import doubt_of_sides
@@ -31,13 +31,15 @@ from invid.recording.units import (
 )
 
 _WORDS = {
-    "time": r"^(time|t|timestamp|timestamps|zeit|time_cont|clock)$",
+    "time": r"^(time|t|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros)$",
     "demand": r"(ref|cmd|command|demand|target|setpoint|set|des|desired|soll|goal)",
     "velocity": r"(vel|velocity|speed|omega|dq|qd|rpm|drehzahl)",
     "torque": r"(tau|torque|trq|moment|drehmoment|force|iq|current|strom|effort|vir)",
     "position": r"(pos|position|theta|angle|phi|winkel|enc|encoder|q|qm|joint)",
 }
 _VOLTS = {"voltage", "volt", "volts", "spannung", "pwm", "duty"}
+_FROM_1970 = (946_684_800.0, 4_102_444_800.0)
+"""Seconds since 1970 of 2000 and of 2100: a number between them is a date, and so its unit."""
 _SECOND = r"(^|[^a-z])(se|load|link|second|secondary|abtrieb|out)([^a-z]|$)|y$"
 
 
@@ -275,42 +277,82 @@ def _time(
 ) -> tuple[dict[str, Any], str | None]:
     length = max(c.size for c in table.columns.values())
     whole = {n: c for n, c in table.columns.items() if c.size == length and c.size > 2}
-    named = [n for n in whole if re.match(_WORDS["time"], _words(n)[-1] if _words(n) else "")]
-    free = [n for n in whole if n in named or _guess_quantity(n) is None]
-    # Of columns called time the best clock; a number of the row is a clock too, but one without a unit.
-    candidates = [n for n in named if best_clock([whole[n]]) is not None] or named or free
-    best = best_clock(whole[n] for n in candidates)
-    chosen = next(iter(table.clocks.values()), None)
-    if chosen is None and (best is not None or named):
-        chosen = candidates[best or 0]
+    chosen = next(iter(table.clocks.values()), None) or _clock(whole, table)
     if chosen is None:
-        asked["time.sample_rate_hz"] = "no column rises like time; samples a second"
-        return {"sample_rate_hz": None}, None
+        counts = [n for n, c in whole.items() if is_count(c)][:1]
+        why = f"{counts[0]!r} only counts the rows" if counts else "no column rises like time"
+        asked["time.sample_rate_hz"] = f"{why}; samples a second"
+        return {"sample_rate_hz": None}, next(iter(counts), None)
     column = table.columns[chosen]
     step = np.diff(column[np.isfinite(column)])
     rise = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     stated = table.units.get(chosen) or _unit_in_name(chosen)
-    if stated and normal_unit(stated) in FACTORS["time"]:
-        unit = normal_unit(stated)
+    unit = normal_unit(stated or "")
+    sure = unit in FACTORS["time"]
+    if sure:
         reasons.append(f"time is {chosen!r} in {unit}, as the file says")
     else:
-        # Logs of drives run between 10 Hz and 100 kHz: of the units that put the step there, the largest.
-        unit = next((u for u in ("s", "ms", "us", "ns") if 1e-5 <= rise * FACTORS["time"][u] <= 0.1), "s")
-        reasons.append(
-            f"time is {chosen!r}: " + ("by its name" if chosen in named else "it rises throughout")
-        )
-        if unit == "s":
-            reasons.append(f"its unit is taken as s from its median step {rise:g}")
+        unit, sure = _unit_of_stamps(column, rise)
+        why = "by its name" if _is_named_time(chosen) else "it rises throughout"
+        reasons.append(f"time is {chosen!r}: {why}")
+        if sure:
+            reasons.append(f"its unit is taken as {unit} from its median step {rise:g}")
         else:
-            unsure.append(f"the unit of {chosen!r} is guessed as {unit} from its median step {rise:g}")
+            asked["time.unit"] = (
+                f"{chosen!r} rises by {rise:g} a row: {_rates(rise)}; masses come out by the square of it"
+            )
     factor = FACTORS["time"][unit]
     try:
         stamps = read_stamps((column - column[0]) * factor, StampsRead(chosen, factor), table.name)
     except InputError as error:
         asked["time.sample_rate_hz"] = str(error).removeprefix(f"{table.name}: ")
         return {"sample_rate_hz": None}, chosen
-    reasons.append(f"its stamps: {stamps.said}")
-    return {"column": chosen, "unit": unit}, chosen
+    reasons.append(f"its stamps: {stamps.said}" if sure else f"its stamps, if in {unit}: {stamps.said}")
+    return {"column": chosen, "unit": unit if sure else None}, chosen
+
+
+def _is_named_time(name: str) -> bool:
+    words = _words(name)
+    return any(re.match(_WORDS["time"], w) for w in (words[-1:] + words[:1]))
+
+
+def _clock(whole: Mapping[str, Float64], table: Table) -> str | None:
+    """The column that is the time: what is called so or has its unit outranks what only rises.
+
+    A count of the rows is none, whatever rises as evenly: it has no unit.
+    """
+    units = {n: normal_unit(table.units.get(n) or _unit_in_name(n) or "") for n in whole}
+    in_time = [n for n in whole if units[n] in FACTORS["time"] and _guess_quantity(n) is None]
+    named = [n for n in whole if _is_named_time(n) and _guess_quantity(n) is None]
+    free = [n for n in whole if _guess_quantity(n) is None and not is_count(whole[n])]
+    stamps = [n for n in named if n in in_time or n in table.stamped or not is_count(whole[n])]
+    # What is called time and does not rise is refused by name, not passed over for what happens to rise.
+    last = [n for n in named if re.match(_WORDS["time"], _words(n)[-1])]
+    for candidates in (stamps, in_time, last or free):
+        best = best_clock(whole[n] for n in candidates)
+        if best is not None:
+            return candidates[best]
+    return next(iter(last), None)
+
+
+def _unit_of_stamps(column: Float64, rise: float) -> tuple[str, bool]:
+    """The unit of stamps that state none, and whether the file tells it.
+
+    Drives are logged between 10 Hz and 100 kHz: where that leaves seconds it is seconds. Stamps since 1970
+    tell theirs by their size. Else the largest unit that puts a step there.
+    """
+    first = float(column[np.isfinite(column)][0])
+    for unit, factor in FACTORS["time"].items():
+        if unit != "min" and _FROM_1970[0] < first * factor < _FROM_1970[1]:
+            return unit, True
+    fitting = [u for u in ("s", "ms", "us", "ns") if 1e-5 <= rise * FACTORS["time"][u] <= 0.1]
+    return (fitting or ["s"])[0], fitting[:1] == ["s"] or not fitting
+
+
+def _rates(rise: float) -> str:
+    """What rates the units that a step may be in make."""
+    fitting = [u for u in ("s", "ms", "us", "ns") if 1e-5 <= rise * FACTORS["time"][u] <= 1.0]
+    return ", ".join(f"{u} is {1.0 / (rise * FACTORS['time'][u]):.4g} rows a second" for u in fitting)
 
 
 def _words(name: str) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64, Int64
-from invid.recording.clock import best_clock
+from invid.recording.clock import best_clock, is_count
 from invid.recording.import_map import Source
 from invid.recording.readers.scope_export import is_scope_export, read_scope_export
 from invid.recording.tables import BrokenRow, Table
@@ -219,8 +219,10 @@ def _names(
         units = candidates.pop()
     names = candidates[-1] if candidates else [""] * width
     # An unnamed first column is common, and then it is the time, unless its numbers or its unit say no.
+    # One that counts rows is what a table's index looks like when it is written out.
     is_time = not (units and normal_unit(units[0]) not in FACTORS["time"]) and best_clock(data.T) == 0
-    names = [n or ("time" if i == 0 and is_time else f"column{i}") for i, n in enumerate(names)]
+    first = "index" if is_count(data[:, 0]) and not units else "time" if is_time else "column0"
+    names = [n or (first if i == 0 else f"column{i}") for i, n in enumerate(names)]
     unique: list[str] = []
     for n in names:
         unique.append(n if n not in unique else f"{n}.{sum(u.split('.')[0] == n for u in unique)}")

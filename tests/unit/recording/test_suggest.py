@@ -149,3 +149,41 @@ def test_the_fields_of_a_pdo_are_cut_where_numbers_end(fast):
     ]
     guess = guess_pdos({0x80: [b""] * ROW.size, 0x181: payloads}, 0x80)
     assert [s.type for s in guess.pdos[0].signals] == ["int16", "int16", "int32"]
+
+
+@pytest.mark.parametrize(
+    "count", ["Unnamed: 0", "index", "sample", ""], ids=["reset_index", "index", "sample", "unnamed"]
+)
+@pytest.mark.parametrize("stamp", ["timestamp", "stamp [s]", "t_us", "epoch"])
+def test_a_stamp_outranks_a_count_of_the_rows_that_is_more_even(tmp_path, capsys, count, stamp):
+    late = np.random.default_rng(1).uniform(0, 2e-4, ROW.size)
+    stamps = 2e-3 * ROW + late
+    stamps = {"t_us": np.round(1e6 * stamps), "epoch": 1.7e9 + stamps}.get(stamp, stamps)
+    path = tmp_path / "a.csv"
+    rows = [f"{k},{t:.6f},{a},{b}" for k, t, a, b in zip(ROW, stamps, ANGLE, TORQUE, strict=True)]
+    path.write_text("\n".join([f"{count},{stamp},position_rad,torque_Nm", *rows]), encoding="utf-8")
+    found = suggested(capsys, path)
+    assert found["map"]["time"] == {"column": stamp, "unit": "us" if stamp == "t_us" else "s"}
+    assert found["fill_in"] == {}
+
+
+@pytest.mark.parametrize("name", ["", "sample", "Unnamed: 0"])
+def test_a_count_of_the_rows_alone_is_no_time_and_the_rate_is_asked(tmp_path, capsys, name):
+    names = [name, "position_rad", "torque_Nm"]
+    found = suggested(capsys, written(tmp_path / "a.csv", names, ROW, ANGLE, TORQUE))
+    assert found["map"]["time"] == {"sample_rate_hz": None}
+    assert "only counts the rows" in found["fill_in"]["time.sample_rate_hz"]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "unit"),
+    [(2.0 * ROW, None), (1.7e12 + 2.0 * ROW, "ms"), (1.7e15 + 2000.0 * ROW, "us"), (2e-3 * ROW, "s")],
+    ids=["may be ms or us", "ms since 1970", "us since 1970", "s"],
+)
+def test_a_unit_of_time_is_asked_where_the_file_does_not_tell_it(tmp_path, capsys, stamps, unit):
+    path = tmp_path / "a.csv"
+    rows = [f"{t:.12g},{a},{b}" for t, a, b in zip(stamps, ANGLE, TORQUE, strict=True)]
+    path.write_text("\n".join(["time,position_rad,torque_Nm", *rows]), encoding="utf-8")
+    found = suggested(capsys, path)
+    assert found["map"]["time"] == {"column": "time", "unit": unit}
+    assert ("time.unit" in found["fill_in"]) == (unit is None)
