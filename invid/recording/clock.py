@@ -445,4 +445,13 @@ def _in_order(stamps: Float64, how: StampsRead, where: str) -> tuple[Float64, li
     ]
 
 
-__all__ = ["Slots", "Stamps", "StampsRead", "best_clock", "count_slots", "is_count", "nice_rate", "read_stamps"]
+__all__ = [
+    "Slots",
+    "Stamps",
+    "StampsRead",
+    "best_clock",
+    "count_slots",
+    "is_count",
+    "nice_rate",
+    "read_stamps",
+]

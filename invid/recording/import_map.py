@@ -5,6 +5,7 @@ YAML, validated, unknown keys refused. The reference with examples is ``docs/ref
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -248,9 +249,12 @@ class ImportMap(Strict):
 
     def read_for(self, entry: ExperimentMap) -> ImportMap:
         """Return the map with the columns that one experiment has under other names."""
-        if not entry.columns:
+        return self.renamed({str(old): name for old, name in entry.columns.items()})
+
+    def renamed(self, new: Mapping[str, str | int]) -> ImportMap:
+        """Return the map with columns under other names."""
+        if not new:
             return self
-        new = {str(old): name for old, name in entry.columns.items()}
         axes = []
         for axis in self.axes:
             changed: dict[str, object] = {

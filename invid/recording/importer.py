@@ -117,7 +117,7 @@ def import_files(
         with _named_with_way_out(path, several=several):
             if path not in tables:
                 tables[path] = read_table(path, chart.source, beside=beside)
-            own = chart.read_for(entry)
+            own = chart.read_for(entry).renamed(tables[path].aliases)
             needed = tuple(own.columns())
             table, moved = _on_one_clock(tables[path], own)
             span = _span(table, entry, own, f"{path}: experiment {len(experiments):03d}")

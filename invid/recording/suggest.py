@@ -37,6 +37,8 @@ _WORDS = {
     "torque": r"(tau|torque|trq|moment|drehmoment|force|iq|current|strom|effort|vir)",
     "position": r"(pos|position|theta|angle|phi|winkel|enc|encoder|q|qm|joint)",
 }
+_SIDES = {"left", "right", "links", "rechts"}
+_UNITS = {u for table in FACTORS.values() for u in table} | {*BY_MACHINE, *BY_TORQUE_CONSTANT}
 _VOLTS = {"voltage", "volt", "volts", "spannung", "pwm", "duty"}
 _FROM_1970 = (946_684_800.0, 4_102_444_800.0)
 """Seconds since 1970 of 2000 and of 2100: a number between them is a date, and so its unit."""
@@ -397,7 +399,7 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
 
 def _unit_in_name(name: str) -> str | None:
     bracket = re.findall(r"[\[(]\s*([^\])]+?)\s*[\])]", name)
-    candidates = [b for b in bracket if not b.isdigit()]
+    candidates = [b for b in bracket if not b.isdigit() and b != _entry_of(name)]
     lowered = name.lower()
     for suffix, unit in (
         ("deg_per_s", "deg/s"), ("rad_per_s", "rad/s"), ("_rpm", "rpm"), ("_deg", "deg"), ("_rad", "rad"),
@@ -425,8 +427,7 @@ def _axes(
         words = _words(name)
         known = named_by(tool, name)
         demanded = known.demand if known else any(re.match(_WORDS["demand"], w) for w in words)
-        digits = re.findall(r"\[(\d+)\]$", name) or re.findall(r"(\d+)\D*$", name)
-        axis = groups.setdefault(digits[0] if digits else "", _Axis())
+        axis = groups.setdefault(_joint_of(name), _Axis())
         slot = f"{quantity}_demand" if demanded else quantity
         if slot in ("position_demand", "velocity_demand"):
             continue
@@ -443,8 +444,9 @@ def _axes(
             if doubt not in unsure:
                 unsure.append(doubt)
     base = 0 if "0" in groups else 1
+    numbered = all(not k or k.isdigit() for k in groups)
     named: dict[str, _Axis] = {}
-    for key in sorted(groups, key=lambda k: int(k) if k else -1):
+    for key in sorted(groups, key=lambda k: int(k) if k else -1) if numbered else groups:
         axis = groups[key]
         _complete(axis, key, table, time_column, unsure)
         for other in axis.others[:1]:
@@ -455,11 +457,27 @@ def _axes(
                     f"angle, and the torque must be the link's too ('scale' with the gear ratio where it is "
                     f"the motor's)"
                 )
-        name = f"A{int(key) + 1 - base}" if key else "A1"
+        name = (f"A{int(key) + 1 - base}" if key else "A1") if numbered else key or "A1"
         # Columns without a number are the only axis, or none: a sensor beside the axes.
         if name not in named or not _is_whole(named[name]):
             named[name] = axis
     return named
+
+
+def _entry_of(name: str) -> str:
+    """The name or number of a list's entry, ``position[elbow]``; a unit stands in brackets too."""
+    bracket = re.findall(r"\S\[([^\]\[]+)\]$", name)
+    return str(bracket[0]) if bracket and normal_unit(bracket[0]) not in _UNITS else ""
+
+
+def _joint_of(name: str) -> str:
+    """What of a column's name tells its axis from others: a name in brackets, else a number and a side."""
+    entry = _entry_of(name)
+    if entry:
+        return entry
+    digits = re.findall(r"(\d+)\D*$", name)
+    side = next((w for w in _words(name) if w in _SIDES), "")
+    return " ".join(x for x in (side, *digits) if x)
 
 
 def _is_whole(axis: _Axis) -> bool:
@@ -473,7 +491,7 @@ def _complete(axis: _Axis, key: str, table: Table, time_column: str | None, unsu
     if axis.torque is None and axis.torque_demand is None and (axis.position or axis.velocity):
         for name, column in table.columns.items():
             unit = normal_unit(table.units.get(name) or _unit_in_name(name) or "")
-            own = (re.findall(r"(\d+)\D*$", name) or [""])[0] == key
+            own = _joint_of(name) == key
             known = column[np.isfinite(column)]
             # A supply's voltage hardly moves about its mean; a motor's goes both ways.
             driving = known.size > 2 and float(known.min()) < 0 < float(known.max())

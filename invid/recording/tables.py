@@ -43,6 +43,8 @@ class Table:
         Columns that held dates or times of day, read as seconds.
     clocks
         Column → the time column it was sampled by, where a file has several; else empty.
+    aliases
+        Further name → column: a place in a list that has names, where it is always the same one's.
     reasons
         What the reader found out about the file, in words, for ``--suggest``.
     sums
@@ -58,6 +60,7 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     stamped: frozenset[str] = frozenset()
     clocks: Mapping[str, str] = field(default_factory=dict)
+    aliases: Mapping[str, str] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
     sums: Mapping[str, Float64] = field(default_factory=dict)
 

@@ -182,7 +182,7 @@ def test_a_count_of_the_rows_alone_is_no_time_and_the_rate_is_asked(tmp_path, ca
 )
 def test_a_unit_of_time_is_asked_where_the_file_does_not_tell_it(tmp_path, capsys, stamps, unit):
     path = tmp_path / "a.csv"
-    rows = [f"{t:.12g},{a},{b}" for t, a, b in zip(stamps, ANGLE, TORQUE, strict=True)]
+    rows = [f"{t:.17g},{a},{b}" for t, a, b in zip(stamps, ANGLE, TORQUE, strict=True)]
     path.write_text("\n".join(["time,position_rad,torque_Nm", *rows]), encoding="utf-8")
     found = suggested(capsys, path)
     assert found["map"]["time"] == {"column": "time", "unit": unit}
