@@ -21,7 +21,8 @@ from invid.recording.clock import StampsRead, read_stamps
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs, held_rows, with_sign
-from invid.recording.readers.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
+from invid.recording.readers.binary_table import read_hdf5_table, read_parquet_table
+from invid.recording.readers.mat_table import read_mat_table
 from invid.recording.readers.mcap_table import read_mcap_table
 from invid.recording.readers.mdf_table import read_mdf_table
 from invid.recording.readers.tdms_table import read_tdms_table

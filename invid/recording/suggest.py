@@ -390,6 +390,8 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
         return known.quantity
     # The q-axis of a motor is its current, not a joint's coordinate.
     words = _words(name)
+    if words and re.match(_WORDS["time"], words[-1]):
+        return None
     words = [w for w, after in zip_longest(words, words[1:]) if (w, after) != ("q", "axis")]
     for quantity in ("velocity", "torque", "position"):
         if any(re.match(_WORDS[quantity], w) for w in words if len(w) > 1 or w == "q"):

@@ -71,6 +71,7 @@ class Table:
             if not 0 <= key < len(names):
                 raise InputError(f"{self.name}: no column {key}; the file has {len(names)} columns")
             return self.columns[names[key]]
+        key = self.aliases.get(key, key)
         if key not in self.columns:
             close = [n for n in names if n.lower().strip() == key.lower().strip()]
             if len(close) == 1:
