@@ -119,7 +119,9 @@ class Signal(Strict):
     """One mapped object of a PDO; becomes a column of this name."""
 
     name: str
-    type: Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "skip"]
+    type: Literal[
+        "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64", "skip"
+    ]
     bits: int | None = Field(default=None, gt=0, le=64)
     """Length of a ``skip``."""
     byte_order: Literal["little", "big"] | None = None

@@ -118,6 +118,7 @@ def import_files(
         with _named_with_way_out(path, several=several):
             if path not in tables:
                 tables[path] = read_table(path, chart.source, beside=beside)
+                warnings += [f"{path.name}: {r}" for r in tables[path].remarks]
             own = chart.read_for(entry).renamed(tables[path].aliases)
             needed = tuple(own.columns())
             table, moved = _on_one_clock(tables[path], own)

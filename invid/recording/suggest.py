@@ -186,7 +186,7 @@ def _alike(names: Sequence[str]) -> int:
 
 def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingProxyType({})) -> Suggestion:
     """A first map for the columns of ``table``; ``source``: keys that were chosen to read it."""
-    notes = _Notes(list(table.reasons), [], {})
+    notes = _Notes(list(table.reasons), list(table.remarks), {})
     reasons, unsure, asked = notes.reasons, notes.unsure, notes.asked
     tool = tool_of(table.columns)
     if tool:

@@ -47,6 +47,8 @@ class Table:
         Further name → column: a place in a list that has names, where it is always the same one's.
     reasons
         What the reader found out about the file, in words, for ``--suggest``.
+    remarks
+        What was assumed of the file, in words, for the warnings of an import.
     sums
         Time column → its stamps added up over everything the file stamps, where rows are only some of it.
     """
@@ -62,6 +64,7 @@ class Table:
     clocks: Mapping[str, str] = field(default_factory=dict)
     aliases: Mapping[str, str] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     sums: Mapping[str, Float64] = field(default_factory=dict)
 
     def column(self, key: str | int) -> Float64:
