@@ -19,10 +19,11 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64
-from invid.recording.import_map import Pdo, Signal, Source
+from invid.recording.import_map import Pdo, Source
+from invid.recording.readers.file_kind import FileKind, FileStart
 from invid.recording.tables import BrokenRow, Table
 from invid_drivers.can_log_guess import SMOOTH, Guess, guess_pdos, roughness
-from invid_drivers.can_log_lines import READ, Lines, is_text_log
+from invid_drivers.can_log_lines import HEADER, READ, Lines, is_text_log
 from invid_drivers.can_log_mapping import pdos_of_eds
 from invid_drivers.can_log_traffic import CLOSE, TWICE, Choice, Traffic, choose
 
@@ -36,7 +37,26 @@ _FORMATS = {
     "int8": ("b", 1), "uint8": ("B", 1), "int16": ("h", 2), "uint16": ("H", 2), "int32": ("i", 4),
     "uint32": ("I", 4), "int64": ("q", 8), "uint64": ("Q", 8), "float32": ("f", 4), "float64": ("d", 8),
 }  # fmt: skip
-def read_can_log(path: Path, source: Source, *, beside: Path | None = None) -> Table:
+
+
+class CanLogFile(FileKind):
+    """Logs of CAN frames, text or binary."""
+
+    name = "can_log"
+    endings = (".log", ".asc", ".blf", ".trc")
+    starts = (b"LOGG", b"***BUSMASTER", b";$FILEVERSION")
+    header = HEADER
+
+    def __call__(self, path: Path, source: Source, *, beside: Path | None = None) -> Table:
+        """See ``_read``."""
+        return _read(path, source, beside)
+
+
+read_can_log = CanLogFile()
+"""The reader that the entry point names."""
+
+
+def _read(path: Path, source: Source, beside: Path | None) -> Table:
     """Columns of a log, named as in the map's PDOs; ``time`` is the SYNC instants [s] from the first one."""
     pdos, remarks = list(source.pdos), tuple[str, ...]()
     if source.eds is not None:
@@ -234,21 +254,29 @@ def _refuse_wrong_bytes(
                 )
 
 
+_BY_START: dict[bytes, Any] = {
+    b"LOGG": can.BLFReader, b"MDF     ": can.MF4Reader, b"SQLite format 3": can.SqliteReader,
+    b";$FILEVERSION": can.TRCReader, b"timestamp,arbitration_id,": can.CSVReader,
+}  # fmt: skip
+"""Readers of python-can by a file's first bytes, whatever its name."""
+
+
 def _reader(path: Path, lines: Lines | None) -> Any:
-    if lines is None:
-        return can.LogReader(path)
-    kind = can.ASCReader if path.suffix.lower() == ".asc" else can.CanutilsLogReader
-    return kind(lines)  # type: ignore[arg-type]
+    if lines is not None:
+        kind = can.ASCReader if lines.is_asc else can.CanutilsLogReader
+        return kind(lines)  # type: ignore[arg-type]
+    with path.open("rb") as raw:
+        head = raw.read(64)
+    own = next((reader for start, reader in _BY_START.items() if head.startswith(start)), can.LogReader)
+    return own(path)
 
 
 def _is_text(path: Path) -> bool:
-    """Whether a log is text, which ``Lines`` reads; python-can's readers take the others by their ending."""
-    ending = path.suffix.lower()
-    if ending in _TEXT:
-        return True
-    with path.open("rb") as raw:
-        head = raw.read(4096)
-    return b"\0" not in head and is_text_log(head.decode("utf-8", "replace"))
+    """Whether a log is text, which ``Lines`` reads; python-can's readers take the others."""
+    start = FileStart.of(path)
+    if start.head.startswith(tuple(_BY_START)):
+        return False
+    return path.suffix.lower() in _TEXT or is_text_log(start.text)
 
 
 def _frames(path: Path, broken: list[BrokenRow] | None = None) -> Iterator[tuple[int, Any]]:

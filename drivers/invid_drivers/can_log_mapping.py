@@ -1,5 +1,4 @@
-"""PDOs of a CAN log as an EDS or DCF maps them: every one of up to 512, each object as long as the mapping says.
-"""
+"""PDOs of a CAN log as an EDS or DCF maps them: every one of up to 512, each object as long as the mapping says."""
 
 from __future__ import annotations
 

@@ -178,7 +178,9 @@ def _with_sub_objects(text: str) -> str:
         file.set(section, "ObjectType", said.get("objecttype", "0x8"))
         file.set(section, "SubNumber", str(count + 1))
         for kind in ("Name", "Value"):
-            file.remove_section(next((s for s in file.sections() if s.lower() == f"{section}{kind}".lower()), ""))
+            file.remove_section(
+                next((s for s in file.sections() if s.lower() == f"{section}{kind}".lower()), "")
+            )
     out = io.StringIO()
     file.write(out)
     return out.getvalue()

@@ -18,6 +18,7 @@ from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.tables import Table
 
 MAX_VALUES = 200_000_000
+FEATHER = b"ARROW1"
 _MAX_WIDTH = 64
 """An array wider than this is no set of channels (an image, a matrix)."""
 
@@ -28,18 +29,24 @@ def read_hdf5_table(path: Path) -> Table:
 
 
 def read_parquet_table(path: Path) -> Table:
-    """Columns of a Parquet file."""
+    """Columns of a Parquet or a Feather file."""
     try:
+        import pyarrow.feather  # noqa: PLC0415 (an extra: not everybody has it)
         import pyarrow.parquet  # noqa: PLC0415 (an extra: not everybody has it)
     except ImportError:
         raise InputError(
             f"{path}: Parquet needs the package pyarrow; install it with pip install 'invid[parquet]'"
         ) from None
     try:
-        file = pyarrow.parquet.ParquetFile(path)
-        if file.metadata.num_rows * max(file.metadata.num_columns, 1) > MAX_VALUES:
-            raise InputError(f"{path}: more numbers than this program reads from one file")
-        table = file.read()
+        with path.open("rb") as raw:
+            is_feather = raw.read(6) == FEATHER
+        if is_feather:
+            table = pyarrow.feather.read_table(path)
+        else:
+            file = pyarrow.parquet.ParquetFile(path)
+            if file.metadata.num_rows * max(file.metadata.num_columns, 1) > MAX_VALUES:
+                raise InputError(f"{path}: more numbers than this program reads from one file")
+            table = file.read()
     except InputError:
         raise
     except Exception as error:  # pyarrow raises its own, OSError, ValueError, KeyError by kind of damage
@@ -57,7 +64,7 @@ def read_parquet_table(path: Path) -> Table:
             seconds[np.isnat(instants)] = np.nan
             columns[name], units[name] = frozen_float(seconds), "s"
     stamped = frozenset(n for n in units if str(table.column(n).type).startswith("timestamp"))
-    return _finish(path, columns, units, stamped)
+    return finish(path, columns, units, stamped)
 
 
 def _table(path: Path, arrays: Iterator[tuple[str, Any, str]]) -> Table:
@@ -67,12 +74,13 @@ def _table(path: Path, arrays: Iterator[tuple[str, Any, str]]) -> Table:
         found = channels(name, array)
         columns.update(found)
         units.update(dict.fromkeys(found, unit) if unit else {})
-    return _finish(path, columns, units)
+    return finish(path, columns, units)
 
 
-def _finish(
+def finish(
     path: Path, columns: dict[str, Float64], units: dict[str, str], stamped: frozenset[str] = frozenset()
 ) -> Table:
+    """The table of these columns; InputError where there are none."""
     if not columns:
         raise InputError(f"{path}: holds no array of real numbers with at least two samples")
     return Table(name=str(path), columns=columns, units=units, stamped=stamped)

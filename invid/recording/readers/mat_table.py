@@ -7,7 +7,7 @@ its place from 0 in brackets. A struct's ``time`` is the clock of what lies in i
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -96,7 +96,9 @@ def _refusal(name: str, kind: str) -> str:
         "datetime": f"s = posixtime({name})",
         "duration": f"s = seconds({name})",
     }.get(kind, f"s = struct({name})")
-    return f"{name!r} is a MATLAB object of class {kind}, which only MATLAB reads: there, {way}; save(file, 's')"
+    return (
+        f"{name!r} is a MATLAB object of class {kind}, which only MATLAB reads: there, {way}; save(file, 's')"
+    )
 
 
 def _walk(found: _Found, name: str, places: list[str], value: Any, clocks: tuple[str, ...]) -> None:

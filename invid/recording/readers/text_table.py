@@ -33,11 +33,14 @@ _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
 
 def read_text_table(path: Path, source: Source) -> Table:
     """Columns of a text file; what ``source`` leaves open is found out and noted."""
-    text, encoding = _read(path, source.encoding)
-    lines = text.splitlines()
+    text, encoding = read_text(path, source.encoding)
+    return table_of_lines(path, text.splitlines(), source, encoding)
+
+
+def table_of_lines(path: Path, lines: list[str], source: Source, encoding: str = "utf-8") -> Table:
+    """Columns of the lines of a text file."""
     if source.header_lines is None and source.names is None and is_scope_export(lines):
         return read_scope_export(str(path), lines, _split, _scope_number)
-    del text
     aside = () if source.header_lines is not None else ("#", "%", "//")
     first = source.header_lines or 0
     kept = (i for i in range(first, len(lines)) if (s := lines[i].lstrip()) and not s.startswith(aside))
@@ -110,7 +113,8 @@ def _timestamps(data: Float64, sample: list[list[str]]) -> list[int]:
     return found
 
 
-def _read(path: Path, encoding: str | None) -> tuple[str, str]:
+def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
+    """The text of a file and its encoding: the one given, else what it is found to be."""
     try:
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes of text are more than this program reads")

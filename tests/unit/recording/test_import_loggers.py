@@ -199,7 +199,7 @@ def test_joint_states_of_a_bag_are_read_by_their_own_stamps(tmp_path, capsys, en
     bag(path, encoding)
     chart, asked = suggested(path, capsys)
     assert not asked
-    assert [a["name"] for a in chart["axes"]] == ["A1", "A2"]
+    assert [a["name"] for a in chart["axes"]] == ["shoulder", "elbow"]
     recording = imported(path, chart)
     holds(recording)
     assert recording.experiments[0].position[:, 1] == pytest.approx(2 * ANGLE, abs=1e-9)

@@ -56,7 +56,9 @@ def test_cells_and_struct_arrays_of_v73_are_read_through_their_references(tmp_pa
         kinds = {"values": [TORQUE, ANGLE], "label": ["tau", "theta"]}
         for key, values in kinds.items():
             for i, value in enumerate(values):
-                data = np.array([[ord(c)] for c in value], np.uint16) if isinstance(value, str) else value[None]
+                data = (
+                    np.array([[ord(c)] for c in value], np.uint16) if isinstance(value, str) else value[None]
+                )
                 made = refs.create_dataset(f"{key}{i}", data=data)
                 made.attrs["MATLAB_class"] = np.bytes_("char" if isinstance(value, str) else "double")
         for name in ("scope/signals",):
