@@ -116,7 +116,7 @@ def _walk(found: _Found, name: str, places: list[str], value: Any, clocks: tuple
             for key, entry in value.items():
                 if key not in times:
                     _walk(found, f"{name}.{key}", [f"{p}.{key}" for p in places], entry, inside)
-        case list() if len(value) > _MANY:
+        case list() if len(value) > _MANY or not any(map(_holds_arrays, value)):
             for key, column in _by_sample(value).items():
                 at = f"{name}.{key}" if key else name
                 found.add(at, [at], _Numbers(column), clocks)
@@ -139,6 +139,13 @@ def _labels(entries: Sequence[Any]) -> list[str]:
         for e in entries
     ]
     return said if all(said) and len(set(said)) == len(said) else []
+
+
+def _holds_arrays(entry: Any) -> bool:
+    values = entry.values() if isinstance(entry, dict) else [entry]
+    return any(
+        isinstance(v, dict | list) or (isinstance(v, _Numbers) and np.size(v.values) > 1) for v in values
+    )
 
 
 def _by_sample(entries: Sequence[Any]) -> dict[str, Float64]:
