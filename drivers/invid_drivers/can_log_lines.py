@@ -134,9 +134,9 @@ class Lines:
         named = _ASC_NAMED.match(line)
         if named is not None:
             raise InputError(
-                f"{self._path}: line {self.number} names its frame {named['name']!r}: the log was written with "
-                "the names of a database in place of identifiers; export it again with identifiers ('symbolic' "
-                "display off)"
+                f"{self._path}: line {self.number} names its frame {named['name']!r}: the log was written "
+                "with the names of a database in place of identifiers; export it again with identifiers "
+                "('symbolic' display off)"
             )
         # Header, comments, events of other kinds: the reader knows which of them matter.
         return line

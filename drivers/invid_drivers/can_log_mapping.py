@@ -1,4 +1,4 @@
-"""PDOs of a CAN log as an EDS or DCF maps them: every one of up to 512, each object as long as the mapping says."""
+"""PDOs of a CAN log as an EDS or DCF maps them: all of up to 512, each object as long as the mapping says."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def pdos_of_eds(path: Path, nodes: list[int]) -> tuple[list[Pdo], tuple[str, ...
                 number = identifier & (0x1FFFFFFF if identifier & _EXTENDED else 0x7FF)
                 if not number and k >= _PREDEFINED:
                     remarks.append(
-                        f"{path.name}: 0x{mapping + k:X} is mapped, but 0x{communication + k:X}:1 gives it no "
-                        "identifier; it is not read"
+                        f"{path.name}: 0x{mapping + k:X} is mapped, but 0x{communication + k:X}:1 gives it "
+                        "no identifier; it is not read"
                     )
                     continue
                 number = number or base + 0x100 * k + node
@@ -65,7 +65,8 @@ def pdos_of_eds(path: Path, nodes: list[int]) -> tuple[list[Pdo], tuple[str, ...
 def _value(dictionary: ObjectDictionary, index: int, sub: int) -> int | None:
     """ParameterValue of a DCF, else DefaultValue."""
     try:
-        variable = dictionary[index][sub]
+        variable: Any = dictionary[index]
+        variable = variable[sub]
     except (KeyError, TypeError):
         return None
     value = variable.default if variable.value is None else variable.value
@@ -86,8 +87,8 @@ def _signals(dictionary: ObjectDictionary, index: int, node: int, remarks: list[
             continue
         if variable is not None and len(variable) not in (bits, 1):
             remarks.append(
-                f"{name}: 0x{index:X}:{sub} maps {bits} bits of 0x{target:04X}:{part}, whose type in the file has "
-                f"{len(variable)}; the mapping's {bits} were read, as the drive sends them"
+                f"{name}: 0x{index:X}:{sub} maps {bits} bits of 0x{target:04X}:{part}, whose type in the "
+                f"file has {len(variable)}; the mapping's {bits} were read, as the drive sends them"
             )
         yield Signal.model_validate({"name": name, "type": kind})
 

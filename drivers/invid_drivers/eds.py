@@ -143,8 +143,9 @@ _COMPACT = re.compile(r"^\s*CompactSubObj\s*=\s*0*[1-9]", re.MULTILINE | re.IGNO
 
 
 def _with_sub_objects(text: str) -> str:
-    """The file with a section for each entry of what it lists in the compact form of CiA 306: ``CompactSubObj``
-    entries of one type, values of their own in ``[<index>Value]``.
+    """The file with a section for each entry of what it lists in the compact form of CiA 306.
+
+    ``CompactSubObj`` entries of one type, values of their own in ``[<index>Value]``.
     """
     file = configparser.RawConfigParser(strict=False, inline_comment_prefixes=(";",), interpolation=None)
     file.optionxform = str  # type: ignore[assignment,method-assign]

@@ -31,7 +31,9 @@ from invid.recording.units import (
 )
 
 _WORDS = {
-    "time": r"^(time|t|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros)$",
+    "time": (
+        r"^(time|t|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros)$"
+    ),
     "demand": r"(ref|cmd|command|demand|target|setpoint|set|des|desired|soll|goal)",
     "velocity": r"(vel|velocity|speed|omega|dq|qd|rpm|drehzahl)",
     "torque": r"(tau|torque|trq|moment|drehmoment|force|iq|current|strom|effort|vir)",

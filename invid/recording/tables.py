@@ -233,6 +233,15 @@ def _out_of_order(time: Float64, good: Bool) -> list[int]:
     return bad
 
 
+def each_once(clocks: Mapping[str, str], columns: Mapping[str, Float64]) -> dict[str, str]:
+    """Column → clock with one clock of those that are the same stamps: the first."""
+    first: dict[str, str] = {}
+    for clock in clocks.values():
+        same = (c for c in first.values() if np.array_equal(columns[c], columns[clock]))
+        first[clock] = next(same, clock)
+    return {name: first[clock] for name, clock in clocks.items()}
+
+
 def on_clock(table: Table, time: str, needed: Sequence[str]) -> tuple[Table, tuple[str, ...]]:
     """The table at the instants of one of its time columns, with a remark for each column moved there.
 

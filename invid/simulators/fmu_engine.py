@@ -34,6 +34,8 @@ from invid.simulators.guided import GUIDE, Guided, Tie
 
 LARGEST_STEP = 0.2
 """Rate of the guide times the communication step: the guide sees the motion as it was a step ago."""
+LARGEST_FIXED = 0.5
+"""The same where the FMU takes one step alone: near the guide's limit, as a softer guide holds less."""
 TRIED = 1e-3
 """Seconds of the steps from which the inertia that a motor shows is taken."""
 
@@ -86,8 +88,9 @@ class FmuSimulator:
         supported = fmpy.supported_platforms(str(path))
         if fmpy.platform not in supported:
             raise InputError(
-                f"{path}: has a library for {', '.join(supported) or 'no platform'} alone, and this machine is "
-                f"{fmpy.platform}; export it for that, or with its sources and run 'fmpy compile {path.name}'"
+                f"{path}: has a library for {', '.join(supported) or 'no platform'} alone, and this machine "
+                f"is {fmpy.platform}; export it for that, or with its sources and run 'fmpy compile "
+                f"{path.name}'"
             )
         self.engine = f"FMI {self.description.fmiVersion} by fmpy {fmpy.__version__}"
         variables = {v.name: v for v in self.description.modelVariables}
@@ -169,7 +172,7 @@ class FmuSimulator:
         tie = Tie.of(self._inertia(), rate)
         if self.fixed_step is not None and self.fixed_step > 0.0:
             least = self._steps_of(given.interval)
-            rate = min(rate, LARGEST_STEP * least / given.interval)
+            rate = min(rate, LARGEST_FIXED * least / given.interval)
             tie = Tie.of(self._inertia(), rate)
             every, torque, position, velocity = given.fine(given.interval / least, torque=0.5)
         else:
@@ -179,7 +182,7 @@ class FmuSimulator:
         with _Running(self) as run:
             q = run.read(self.outputs)
             zero = q - position[0]  # it starts where it starts: only differences count
-            v, apart = np.zeros(q.size), np.zeros(q.size)
+            v, apart = np.zeros(q.size), [np.zeros(q.size)] * 3
             for k in range(torque.shape[0] - 1):
                 e = tie.stiffness * (position[k] + zero - q) + tie.damping * (velocity[k] - v)
                 if k % every == 0:
@@ -188,9 +191,9 @@ class FmuSimulator:
                 before, q = q, run.read(self.outputs)
                 if self.velocities:
                     v = run.read(self.velocities)
-                else:  # a difference is the velocity of half a step ago
-                    apart, last = (q - before) / step, apart
-                    v = 1.5 * apart - 0.5 * last
+                else:  # a difference is the velocity of half a step ago: by three of them
+                    apart = [(q - before) / step, *apart[:2]]
+                    v = (11.0 * apart[0] - 7.0 * apart[1] + 2.0 * apart[2]) / 6.0
         if not np.isfinite(force).all():
             raise InputError(f"{self.path}: the simulation of experiment {given.key} runs away")
         return force[more:], replace(tie, late=0.5 * step)
@@ -200,8 +203,9 @@ class FmuSimulator:
         count = interval / (self.fixed_step or interval)
         if abs(count - round(count)) > 1e-6 * count or count < 0.5:
             raise InputError(
-                f"{self.path}: takes steps of {self.fixed_step:g} s alone, and the recording has a sample each "
-                f"{interval:.6g} s, no whole number of them; export it with a variable step or with one that fits"
+                f"{self.path}: takes steps of {self.fixed_step:g} s alone, and the recording has a sample "
+                f"each {interval:.6g} s, no whole number of them; export it with a variable step or one that "
+                "fits"
             )
         return round(count)
 
@@ -290,7 +294,7 @@ class _Running:
         read = self.slave.getReal if self.is_two else self.slave.getFloat64
         with self._named("give its outputs"):
             values = np.array(read([c.reference for c in channels]), dtype=float)
-        return values * np.array([c.factor for c in channels])
+        return np.asarray(values * np.array([c.factor for c in channels]))
 
     def step(self, torque: Float64, now: float, step: float) -> None:
         """One communication step with the torques held over it."""

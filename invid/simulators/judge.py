@@ -120,8 +120,8 @@ def judge(
         turns = max(gear, 1.0 / gear)
         out["sentences"].append(
             f"All its masses and springs are {gear**2:.5g} times the measured, the square of {gear:.4g}: the "
-            f"recording counts the {one} of a gear of {turns:.4g}, the file its {other}. Set 'scale' in the map "
-            f"to {1.0 / gear:.4g} for positions and {gear:.4g} for torques."
+            f"recording counts the {one} of a gear of {turns:.4g}, the file its {other}. Set 'scale' in the "
+            f"map to {1.0 / gear:.4g} for positions and {gear:.4g} for torques."
         )
     return out
 
@@ -271,8 +271,8 @@ def _sentences(
             )
     if claimed is None:
         lines.append(
-            "What it says of masses, springs and friction cannot be read from it: its numbers and causes were "
-            "not compared, only its motion."
+            "What it says of masses, springs and friction cannot be read from it: its numbers and causes "
+            "were not compared, only its motion."
         )
     for p in out["parameters"]:
         spread = "" if p["std"] is None else f" ± {p['std']:.2g}"

@@ -202,9 +202,9 @@ def _inertia_remarks(spec: Any, source: str) -> tuple[str, ...]:
     if bad and not spec.compiler.balanceinertia:
         name, (a, b, c) = next(iter(bad.items()))
         raise InputError(
-            f"{source}: {name!r} has the principal moments of inertia {a:.4g}, {b:.4g}, {c:.4g}, which no body "
-            f"has: the largest is at most the sum of the others. The one about the joint's axis is what counts: "
-            f"keep it, and raise the others (to {c / 2:.4g} each) or lower the largest where that is another"
+            f"{source}: {name!r} has the principal moments of inertia {a:.4g}, {b:.4g}, {c:.4g}, which no "
+            f"body has: the largest is at most the sum of the others. The one about the joint's axis is what "
+            f"counts: keep it, and raise the others (to {c / 2:.4g} each) or lower the largest where that is another"
         )
     return tuple(
         f"{name}: 'balanceinertia' replaces its moments {a:.4g}, {b:.4g}, {c:.4g} by their mean "

@@ -1,4 +1,4 @@
-"""What kind a file is: one class a kind, which recognises its files and reads them or says how to get at them."""
+"""What kind a file is: one class a kind, which recognises its files and reads them or says how they are."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class FileKind(ABC):
     """Found in the first lines of its text files."""
 
     def evidence(self, start: FileStart) -> int:
-        """3 for first bytes, 2 for a line of the head, 1 for the ending, one more where that agrees; 0 none."""
+        """6 for first bytes, 4 for a line of the head, one more where the ending agrees; 0: none."""
         ending = start.path.suffix.lower() in self.endings
         if self.starts and start.head.startswith(self.starts):
             return 6 + ending

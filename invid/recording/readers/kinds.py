@@ -1,4 +1,4 @@
-"""The kinds of files that are known, in order of how much it takes to recognise them, and the table of a file."""
+"""The kinds of files that are known, and the table of a file by the best evidence for one of them."""
 
 from __future__ import annotations
 
@@ -129,8 +129,8 @@ _KINDS: tuple[FileKind, ...] = (
     MdfFile(),
     RefusedKind(
         "a ROS 1 bag",
-        "convert it to MCAP (pip install rosbags; rosbags-convert --src run.bag --dst run --dst-storage mcap) "
-        "and give the .mcap",
+        "convert it to MCAP (pip install rosbags; rosbags-convert --src run.bag --dst run --dst-storage "
+        "mcap) and give the .mcap",
         starts=(b"#ROSBAG V",), endings=(".bag",),
     ),
     RefusedKind(
@@ -138,8 +138,8 @@ _KINDS: tuple[FileKind, ...] = (
         endings=(".xls",),
     ),
     RefusedKind(
-        "a PX4 log", "pip install pyulog; ulog2csv it and give the CSV of one topic", starts=(b"ULog\x01\x12\x35",),
-        endings=(".ulg",),
+        "a PX4 log", "pip install pyulog; ulog2csv it and give the CSV of one topic",
+        starts=(b"ULog\x01\x12\x35",), endings=(".ulg",),
     ),
     RefusedKind(
         "a Python pickle", "it runs code as it is loaded; there, DataFrame.to_csv or np.savez it",

@@ -13,7 +13,7 @@ from invid.numerics.arrays import frozen_float
 from invid.recording.import_map import Source
 from invid.recording.readers.file_kind import FileKind
 from invid.recording.readers.text_table import read_text
-from invid.recording.tables import BrokenRow, Table
+from invid.recording.tables import BrokenRow, Table, each_once
 from invid.recording.text_format import NumberFormat
 
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
@@ -28,7 +28,7 @@ class LvmFile(FileKind):
     header = re.compile(r"\ALabVIEW Measurement")
 
     def __call__(self, path: Path, source: Source, *, beside: Path | None = None) -> Table:
-        """The columns of the first segment, by the names of its channels; X is time where the file says so."""
+        """The columns of the first segment, by its channels' names; X is time where the file says so."""
         lines = read_text(path, source.encoding)[0].splitlines()
         ends = [i for i, line in enumerate(lines) if line.startswith(_END)]
         if len(ends) < 2:
@@ -94,7 +94,8 @@ def _table(path: Path, s: _Segment, broken: list[BrokenRow], segments: int) -> T
     more = (f"the file holds {segments} segments: the first is read",) if segments > 1 else ()
     return Table(
         str(path), columns, lines=s.start + 1 + np.arange(s.rows.shape[0], dtype=np.int64), line_word="line",
-        broken=tuple(broken), units=units, clocks=clocks, reasons=("the file is LVM of LabVIEW",), remarks=more,
+        broken=tuple(broken), units=units, clocks=each_once(clocks, columns),
+        reasons=("the file is LVM of LabVIEW",), remarks=more,
     )  # fmt: skip
 
 

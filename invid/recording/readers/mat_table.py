@@ -20,7 +20,7 @@ from scipy.io.matlab import MatlabFunction, MatlabOpaque
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
 from invid.recording.readers.binary_table import MAX_VALUES, channels, first_line, unit_of
-from invid.recording.tables import Table
+from invid.recording.tables import Table, each_once
 
 _DEPTH = 8
 _MANY = 64
@@ -78,13 +78,9 @@ def read_mat_table(path: Path) -> Table:
             f"{path}: holds no array of real numbers with at least two samples"
             + "".join(f"; {o}" for o in objects[:3])
         )
-    first: dict[str, str] = {}
-    for clock in found.clocks.values():
-        same = (c for c in first.values() if np.array_equal(found.columns[c], found.columns[clock]))
-        first[clock] = next(same, clock)
     return Table(
         name=str(path), columns=found.columns, units=found.units, aliases=found.aliases,
-        clocks={n: first[c] for n, c in found.clocks.items()}, reasons=tuple(objects),
+        clocks=each_once(found.clocks, found.columns), reasons=tuple(objects),
     )  # fmt: skip
 
 

@@ -129,7 +129,7 @@ class _Stream:
 
 
 def _columns(streams: Sequence[_Stream]) -> tuple[dict[str, Float64], dict[str, str], dict[str, str]]:
-    """Columns, the clock of each, and the names by place of what has a name, where its place is always one."""
+    """Columns, the clock of each, and names by place of what has a name, where its place is always one."""
     full = [s for s in streams if len(s.logged) > 1 and s.cells]
     logged = min((s.logged[0] for s in full), default=0)
     set_ = [t for s in full for t in s.stamps if t]

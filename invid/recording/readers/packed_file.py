@@ -123,8 +123,8 @@ def _arrays(path: Path) -> Table:
         raise
     except (*_DAMAGE, ValueError) as error:
         raise InputError(
-            f"{path}: cannot be read as NumPy's arrays: {first_line(error)} (objects are not read: save plain "
-            "arrays, np.savez(file, position=…, torque=…))"
+            f"{path}: cannot be read as NumPy's arrays: {first_line(error)} (objects are not read: save "
+            "plain arrays, np.savez(file, position=…, torque=…))"
         ) from None
     return finish(path, columns, {})
 
@@ -155,8 +155,8 @@ class SqliteFile(FileKind):
                 "(output_bags: [{uri: out, storage_id: mcap, all_topics: true}]) and give the .mcap"
             )
         raise InputError(
-            f"{path}: is an SQLite database with the tables {', '.join(tables) or 'none'}, which is not read: "
-            f"sqlite3 -header -csv {path.name} 'select * from TABLE' > record.csv"
+            f"{path}: is an SQLite database with the tables {', '.join(tables) or 'none'}, which is not "
+            f"read: sqlite3 -header -csv {path.name} 'select * from TABLE' > record.csv"
         )
 
 

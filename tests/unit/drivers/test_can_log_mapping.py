@@ -21,7 +21,8 @@ OBJECTS = {0x6077: 0x0003, 0x6064: 0x0004, 0x6041: 0x0006, 0x2001: 0x0008, 0x200
 
 def var(section: str, kind: int, value: int | str | None = None) -> str:
     given = "" if value is None else f"DefaultValue={value}\n"
-    return f"[{section}]\nParameterName=p{section}\nObjectType=0x7\nDataType=0x{kind:04X}\nAccessType=rw\n{given}"
+    said = f"ParameterName=p{section}\nObjectType=0x7\nDataType=0x{kind:04X}\nAccessType=rw\n"
+    return f"[{section}]\n{said}{given}"
 
 
 def mapped(number: int, entries: list[int], identifier: str) -> str:

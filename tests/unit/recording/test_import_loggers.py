@@ -14,7 +14,7 @@ from scipy.io import savemat
 from invid.cli.app import run
 from invid.recording import Recording, read_recording
 from invid.recording.import_map import Source, parse_map
-from invid.recording.importer import read_table
+from invid.recording.readers.kinds import read_table
 from invid.recording.readers.mcap_table import read_mcap_table
 
 RATE, COUNT = 500.0, 240

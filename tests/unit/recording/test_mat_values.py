@@ -12,7 +12,7 @@ import scipy.io
 from invid.errors import InputError
 from invid.recording.import_map import Source
 from invid.recording.import_source import suggest_map
-from invid.recording.importer import read_table
+from invid.recording.readers.kinds import read_table
 
 N = 500
 TIME = np.arange(N) * 2e-3
