@@ -444,7 +444,7 @@ def _axes(
             setattr(axis, slot, name)
         if held is not None:
             taken, left = (name, held) if better else (held, name)
-            doubt = f"both {_family(taken)!r} and {_family(left)!r} look like {slot}: the former was taken"
+            doubt = f"both {_family(taken)!r} and {_family(left)!r} look like {slot}: {_family(taken)!r} was taken"
             if doubt not in unsure:
                 unsure.append(doubt)
     base = 0 if "0" in groups else 1
@@ -553,8 +553,7 @@ def _axis(
         unsure.append(f"unit of {motion!r} is not {_said(motion, table)}; {unit} is assumed")
     torque_unit, sure = _unit(torque, "torque", table, tool)
     if not sure:
-        current = bool({"iq", "current", "strom"} & set(_words(torque)))
-        torque_unit = "A" if current else "N" if linear else "N·m"
+        torque_unit = "A" if _is_current(torque) else "N" if linear else "N·m"
         unsure.append(f"unit of {torque!r} is not {_said(torque, table)}; {torque_unit} is assumed")
     channel: dict[str, Any] = {"column": torque, "unit": torque_unit}
     channel["meaning"] = "measured" if axis.torque else "demanded"
@@ -571,9 +570,26 @@ def _axis(
     unsure.extend([doubt] if doubt else [])
     reasons.append(f"{name}: torque is {torque!r} by its name, taken as {channel['meaning']}")
     if axis.torque and axis.torque_demand:
-        demand = {k: v for k, v in channel.items() if k != "meaning"}
-        entry["torque_demand"] = {**demand, "column": axis.torque_demand}
+        entry["torque_demand"] = _demand(axis.torque_demand, channel, table, tool, notes)
     return entry
+
+
+def _demand(
+    name: str, torque: Mapping[str, Any], table: Table, tool: str | None, notes: _Notes
+) -> dict[str, Any]:
+    """The torque that was asked for: in its own unit, or in that of the torque where the names are of one kind."""
+    unit, sure = _unit(name, "torque", table, tool)
+    if not sure:
+        alike = _is_current(name) == (torque["unit"] in BY_TORQUE_CONSTANT)
+        unit = torque["unit"] if alike else "A" if _is_current(name) else "N·m"
+        if not alike:
+            notes.unsure.append(f"unit of {name!r} is not {_said(name, table)}; {unit} is assumed")
+    entry = {"column": name, "unit": unit}
+    return {**entry, "torque_constant": 1.0} if unit in BY_TORQUE_CONSTANT else entry
+
+
+def _is_current(name: str) -> bool:
+    return bool({"iq", "current", "currents", "strom", "amps", "amp"} & set(_words(name)))
 
 
 def _said(name: str, table: Table) -> str:

@@ -15,7 +15,7 @@ from invid.model.document import Model, save_text
 from invid.numerics.arrays import Float64
 from invid.simulators.guided import GUIDE, Guided, Tie
 from invid.simulators.mujoco_correct import correct
-from invid.simulators.mujoco_plant import MjcfPlant, Motor, read_plant, steps_of
+from invid.simulators.mujoco_plant import MjcfPlant, Motor, inertia_remarks, read_plant, steps_of
 from invid.simulators.mujoco_surroundings import release_limits, without_missing_shapes
 
 _IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
@@ -50,6 +50,7 @@ class MujocoSimulator:
         except ValueError:
             # Files of shapes that did not come with it: where every link states its inertia none is needed.
             spec = mujoco.MjSpec.from_file(str(path))
+            inertia_remarks(spec, self.path)
             self.left_out = without_missing_shapes(spec)
             if not self.left_out:
                 raise

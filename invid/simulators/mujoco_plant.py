@@ -155,7 +155,7 @@ def read_plant(
     ``reductions``: turns of a motor as it is recorded per turn of its joint, by the joint's name.
     """
     _name_all(spec)
-    remarks = _inertia_remarks(spec, source)
+    remarks = inertia_remarks(spec, source)
     compiled = spec.compile()
     motors = _motors(spec, compiled, axes, source, reductions)
     tied = belonging(compiled, [compiled.joint(m.joint).id for m in motors])
@@ -196,7 +196,7 @@ def read_plant(
     return plant
 
 
-def _inertia_remarks(spec: Any, source: str) -> tuple[str, ...]:
+def inertia_remarks(spec: Any, source: str) -> tuple[str, ...]:
     """Refuses moments of inertia that no body has; where the file balances them, says what that changes."""
     bad = impossible_inertia(spec)
     if bad and not spec.compiler.balanceinertia:
@@ -204,7 +204,8 @@ def _inertia_remarks(spec: Any, source: str) -> tuple[str, ...]:
         raise InputError(
             f"{source}: {name!r} has the principal moments of inertia {a:.4g}, {b:.4g}, {c:.4g}, which no "
             f"body has: the largest is at most the sum of the others. The one about the joint's axis is what "
-            f"counts: keep it, and raise the others (to {c / 2:.4g} each) or lower the largest where that is another"
+            f"counts: keep it, and raise the others (to {c / 2:.4g} each), or lower the largest where that "
+            "is another"
         )
     return tuple(
         f"{name}: 'balanceinertia' replaces its moments {a:.4g}, {b:.4g}, {c:.4g} by their mean "
