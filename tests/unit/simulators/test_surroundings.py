@@ -291,7 +291,7 @@ def test_a_wrong_fmu_whose_equations_nobody_sees_lacks_nothing_by_name(bench: An
     ("name", "options", "said"),
     [
         ("elsewhere", {"without": "linux"}, "win64"),
-        ("licence", {"fault": "raise RuntimeError('no licence')"}, "fails to take a step"),
+        ("licence", {"fault": "return False"}, "fails to take a step"),
         ("furlong", {"unit": "furlong"}, "'furlong' is no unit of position"),
     ],
 )
