@@ -2,7 +2,8 @@
 
 Sources: recorder signal names of Elmo's Gold and Platinum lines as programs that talk to them list them
 ("Active Current [A]", "Position [cnt]", "Velocity [cnt/s]"); ODrive's object paths and their units (turns
-since firmware 0.5.1); moteus' registers, in revolutions; EPOS Studio's recorder names its units in the file and needs no row here.
+since firmware 0.5.1); moteus' registers, in revolutions; EPOS Studio's recorder names its units in the file
+and needs no row here.
 """
 
 from __future__ import annotations

@@ -243,7 +243,15 @@ def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingP
     if document["axes"] and _motion_untold(document["axes"]):
         document["motion"] = "rotary"
         unsure.append("no unit tells a rotary from a linear machine: 'motion: rotary' is a guess")
-    return Suggestion(document, tuple(reasons), tuple(unsure), asked)
+    return Suggestion(document, together(reasons), together(unsure), asked)
+
+
+def together(said: Sequence[str]) -> tuple[str, ...]:
+    """Sentences that differ by a number or an entry's name as one: six axes are not asked six times."""
+    alike: dict[str, list[str]] = {}
+    for sentence in said:
+        alike.setdefault(re.sub(r"\[[^\]]*\]|^\S+: |\d+", "#", sentence), []).append(sentence)
+    return tuple(s[0] if len(s) == 1 else f"{len(s)} alike, the first: {s[0]}" for s in alike.values())
 
 
 def _ranges(table: Table, time_column: str | None) -> list[str]:
@@ -379,7 +387,7 @@ def _worth(name: str, table: Table, tool: str | None) -> tuple[bool, int]:
     """
     known = named_by(tool, name)
     unit = normal_unit(table.units.get(name) or _unit_in_name(name) or (known.unit if known else ""))
-    return unit not in BY_TORQUE_CONSTANT, _rank(name)
+    return not (unit in BY_TORQUE_CONSTANT or (not unit and _is_current(name))), _rank(name)
 
 
 def _family(name: str) -> str:
@@ -430,7 +438,7 @@ def _axes(
             continue
         words = _words(name)
         known = named_by(tool, name)
-        demanded = known.demand if known else any(re.match(_WORDS["demand"], w) for w in words)
+        demanded = known.demand if known else _is_demand(words)
         axis = groups.setdefault(_joint_of(name), _Axis())
         slot = f"{quantity}_demand" if demanded else quantity
         if slot in ("position_demand", "velocity_demand"):
@@ -466,6 +474,11 @@ def _axes(
         if name not in named or not _is_whole(named[name]):
             named[name] = axis
     return named
+
+
+def _is_demand(words: Sequence[str]) -> bool:
+    """Whether the words of a name say what was asked for; ``tau_J_d`` and ``q_d`` are Franka's."""
+    return any(re.match(_WORDS["demand"], w) for w in words) or words[-1:] in (["d"], ["sp"])
 
 
 def _entry_of(name: str) -> str:
@@ -540,6 +553,10 @@ def _axis(
         return {}
     quantity = "position" if axis.position else "velocity"
     unit, sure = _unit(motion, quantity, table, tool)
+    if not sure and _is_whole_numbers(table.columns[motion]):
+        unit = "counts"
+        unsure.append(f"unit of {motion!r} is not stated; it holds whole numbers: {unit} is assumed")
+        sure = True
     linear = unit in LINEAR[quantity]
     entry: dict[str, Any] = {"name": name, quantity: {"column": motion, "unit": unit}}
     if unit == "counts":
@@ -586,6 +603,12 @@ def _demand(
             notes.unsure.append(f"unit of {name!r} is not {_said(name, table)}; {unit} is assumed")
     entry = {"column": name, "unit": unit}
     return {**entry, "torque_constant": 1.0} if unit in BY_TORQUE_CONSTANT else entry
+
+
+def _is_whole_numbers(column: Float64) -> bool:
+    """Whether a motion comes in whole numbers of more than a few values, as no angle in rad does."""
+    known = column[np.isfinite(column)]
+    return bool(known.size > 2 and np.all(known == np.rint(known)) and np.ptp(known) > 8)
 
 
 def _is_current(name: str) -> bool:

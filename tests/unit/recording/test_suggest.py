@@ -187,3 +187,61 @@ def test_a_unit_of_time_is_asked_where_the_file_does_not_tell_it(tmp_path, capsy
     found = suggested(capsys, path)
     assert found["map"]["time"] == {"column": "time", "unit": unit}
     assert ("time.unit" in found["fill_in"]) == (unit is None)
+
+
+def test_six_axes_are_not_asked_six_times_and_every_quantity_has_its_own_unit(tmp_path, capsys):
+    names, columns = ["timestamp"], [TIME]
+    for k in range(6):
+        names += [f"actual_q_{k}", f"target_q_{k}", f"actual_current_{k}", f"target_moment_{k}"]
+        columns += [ANGLE * (k + 1), ANGLE, TORQUE, 9 * TORQUE]
+    found = suggested(capsys, written(tmp_path / "a.csv", names, *columns))
+    assert len(found["map"]["axes"]) == 6
+    assert len(found["unsure"]) <= 6
+    for axis in found["map"]["axes"]:
+        assert axis["torque"]["unit"] == "A"
+        assert axis["torque_demand"]["unit"] == "N·m"
+        assert "torque_constant" not in axis["torque_demand"]
+
+
+def test_what_was_taken_of_two_is_named(tmp_path, capsys):
+    names = ["t", "current", "torque", "position"]
+    found = suggested(capsys, written(tmp_path / "a.csv", names, TIME, TORQUE, TORQUE, ANGLE))
+    assert found["map"]["axes"][0]["torque"]["column"] == "torque"
+    assert not any("former" in u for u in found["unsure"])
+
+
+@pytest.mark.parametrize(
+    ("measured", "asked"), [("tau_J", "tau_J_d"), ("torque", "torque_sp"), ("effort", "effort_reference")]
+)
+def test_a_reference_is_not_taken_for_the_torque_wherever_it_stands(tmp_path, capsys, measured, asked):
+    names = ["t", "q_d", asked, measured, "q"]
+    found = suggested(capsys, written(tmp_path / "a.csv", names, TIME, ANGLE, TORQUE, TORQUE, ANGLE))
+    axis = found["map"]["axes"][0]
+    assert (axis["torque"]["column"], axis["torque"]["meaning"]) == (measured, "measured")
+    assert axis["torque_demand"]["column"] == asked
+    assert axis["position"]["column"] == "q"
+
+
+@pytest.mark.parametrize(("name", "size"), [("ActPos", 1e5), ("encoder", 4096.0)])
+def test_whole_numbers_are_counts_and_their_size_is_asked(tmp_path, capsys, name, size):
+    counts = np.round(size * ANGLE)
+    found = suggested(capsys, written(tmp_path / "a.csv", ["t", name, "torque_Nm"], TIME, counts, TORQUE))
+    assert found["map"]["axes"][0]["position"] == {"column": name, "unit": "counts", "per_count": None}
+    assert "axes A1 position.per_count" in found["fill_in"]
+
+
+@pytest.mark.parametrize("names", [("position", "velocity"), ("id1.position", "id1.velocity")])
+def test_moteus_counts_turns(tmp_path, capsys, names):
+    header = [
+        "timestamp",
+        *names,
+        names[0].replace("position", "torque"),
+        names[0].replace("position", "q_current"),
+    ]
+    columns = [1.7e9 + TIME, ANGLE, ANGLE, TORQUE, 2 * TORQUE]
+    path = tmp_path / "a.csv"
+    rows = [",".join(f"{v:.17g}" for v in row) for row in zip(*columns, strict=True)]
+    path.write_text("\n".join([",".join(header), *rows]), encoding="utf-8")
+    axis = suggested(capsys, path)["map"]["axes"][0]
+    assert axis["position"] == {"column": names[0], "unit": "rev"}
+    assert axis["torque"]["unit"] == "N·m"
