@@ -15,7 +15,7 @@ from invid.recording.model import Experiment, Recording
 FLICKER = 1.5
 """Counts of its encoder within which an axis stands: one count flickers at its edge."""
 HUNTING = 8.0
-"""Counts over which a position loop at rest hunts at most, between friction and its integrator (empirical)."""
+"""Counts over which a position loop at rest hunts, between friction and its integrator (empirical)."""
 NOISE = 10.0
 """Range of a million samples of white noise over its standard deviation."""
 BESIDE = 1e-3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -39,7 +39,7 @@ _WORDS = {
     "torque": r"(tau|torque|trq|moment|drehmoment|force|iq|current|strom|effort|vir)",
     "position": r"(pos|position|theta|angle|phi|winkel|enc|encoder|q|qm|joint)",
 }
-_SIDES = {"left", "right", "links", "rechts"}
+_ASIDE = {"act", "actual", "meas", "measured", "msr", "joint", "joints", "state", "states", "data", "value"}
 _UNITS = {u for table in FACTORS.values() for u in table} | {*BY_MACHINE, *BY_TORQUE_CONSTANT}
 _VOLTS = {"voltage", "volt", "volts", "spannung", "pwm", "duty"}
 _FROM_1970 = (946_684_800.0, 4_102_444_800.0)
@@ -430,6 +430,7 @@ def _axes(
 ) -> dict[str, _Axis]:
     length = table.columns[time_column].size if time_column else max(c.size for c in table.columns.values())
     groups: dict[str, _Axis] = {}
+    joints = _joint_stems(table.columns, tool)
     for name, column in table.columns.items():
         if name == time_column or column.size != length:
             continue
@@ -439,7 +440,7 @@ def _axes(
         words = _words(name)
         known = named_by(tool, name)
         demanded = known.demand if known else _is_demand(words)
-        axis = groups.setdefault(_joint_of(name), _Axis())
+        axis = groups.setdefault(_joint_of(name, joints), _Axis())
         slot = f"{quantity}_demand" if demanded else quantity
         if slot in ("position_demand", "velocity_demand"):
             continue
@@ -452,7 +453,8 @@ def _axes(
             setattr(axis, slot, name)
         if held is not None:
             taken, left = (name, held) if better else (held, name)
-            doubt = f"both {_family(taken)!r} and {_family(left)!r} look like {slot}: {_family(taken)!r} was taken"
+            one, other = _family(taken), _family(left)
+            doubt = f"both {one!r} and {other!r} look like {slot}: {one!r} was taken"
             if doubt not in unsure:
                 unsure.append(doubt)
     base = 0 if "0" in groups else 1
@@ -487,14 +489,31 @@ def _entry_of(name: str) -> str:
     return str(bracket[0]) if bracket and normal_unit(bracket[0]) not in _UNITS else ""
 
 
-def _joint_of(name: str) -> str:
-    """What of a column's name tells its axis from others: a name in brackets, else a number and a side."""
+def _joint_of(name: str, joints: Collection[str]) -> str:
+    """What of a column's name tells its axis from others: a name in brackets, else a joint's and a number."""
     entry = _entry_of(name)
     if entry:
         return entry
     digits = re.findall(r"(\d+)\D*$", name)
-    side = next((w for w in _words(name) if w in _SIDES), "")
-    return " ".join(x for x in (side, *digits) if x)
+    return " ".join([*([_stem(name)] if _stem(name) in joints else []), *digits])
+
+
+def _stem(name: str) -> str:
+    """What a name says beside quantity, unit and source: ``elbow`` of ``elbow_pos_deg``."""
+    aside = [_WORDS[q] for q in ("velocity", "torque", "position", "demand")]
+    words = [w for w in _words(name) if not any(re.match(a, w) for a in aside) and w not in _ASIDE]
+    return " ".join(w for w in words if normal_unit(w) not in _UNITS)
+
+
+def _joint_stems(names: Iterable[str], tool: str | None) -> frozenset[str]:
+    """Stems that are joints: two or more of which each has a torque and a motion."""
+    has: dict[str, set[str]] = {}
+    for name in names:
+        quantity = _guess_quantity(name, tool)
+        if quantity is not None and not _entry_of(name):
+            has.setdefault(_stem(name), set()).add("torque" if quantity == "torque" else "motion")
+    whole = {stem for stem, kinds in has.items() if stem and len(kinds) == 2}
+    return frozenset(whole) if len(whole) > 1 else frozenset()
 
 
 def _is_whole(axis: _Axis) -> bool:
@@ -508,7 +527,7 @@ def _complete(axis: _Axis, key: str, table: Table, time_column: str | None, unsu
     if axis.torque is None and axis.torque_demand is None and (axis.position or axis.velocity):
         for name, column in table.columns.items():
             unit = normal_unit(table.units.get(name) or _unit_in_name(name) or "")
-            own = _joint_of(name) == key
+            own = _joint_of(name, ()) == key
             known = column[np.isfinite(column)]
             # A supply's voltage hardly moves about its mean; a motor's goes both ways.
             driving = known.size > 2 and float(known.min()) < 0 < float(known.max())

@@ -26,6 +26,8 @@ MAX_BYTES = 2_000_000_000
 _DELIMITERS = (";", "\t", ",", "|", " ")
 SELDOM = 0.01
 """Share of rows with one cell more from which the others have left it blank: as many may be broken."""
+WORDS = 0.9
+"""Share of rows with a word from which a column holds words, and no row is broken by one."""
 _FAILED = 1000
 """Cells that could not be read and are kept to find out why."""
 _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
@@ -182,10 +184,12 @@ def _find_delimiter(numbered: _Numbered, decimal: str | None) -> str:
 
 
 def _first_data_row(numbered: _Numbered, delimiter: str, width: int, form: NumberFormat, path: Path) -> int:
+    words = _columns_of_words([_cells(line, delimiter) for _, line in _middle(numbered)], width, form)
     for i, (_, line) in enumerate(numbered):
         cells = _cells(line, delimiter)
         if len(cells) != width:
             continue
+        cells = [c for k, c in enumerate(cells) if k not in words]
         values = [not math.isnan(_value(c, form)) for c in cells]
         if any(values) and all(v or c.lower() in _NOT_A_NUMBER for v, c in zip(values, cells, strict=True)):
             # Rows above it that are half numbers are broken rows of data, not header.
@@ -196,6 +200,18 @@ def _first_data_row(numbered: _Numbered, delimiter: str, width: int, form: Numbe
         f"{path}: no row of numbers found; give 'delimiter', 'decimal', 'thousands' and 'header_lines' in "
         "the map's 'source' (dates and times of day are read as instants, with AM or PM where they say so)"
     )
+
+
+def _columns_of_words(rows: list[list[str]], width: int, form: NumberFormat) -> set[int]:
+    """Columns that hold words in the middle of the file: names of joints, states of a drive, frames."""
+    whole = [r for r in rows if len(r) == width]
+    return {
+        i for i in range(width) if whole and sum(_is_word(r[i], form) for r in whole) > WORDS * len(whole)
+    }
+
+
+def _is_word(cell: str, form: NumberFormat) -> bool:
+    return cell.lower() not in _NOT_A_NUMBER and math.isnan(_value(cell, form))
 
 
 def _half_numbers(cells: list[str], width: int, form: NumberFormat) -> bool:

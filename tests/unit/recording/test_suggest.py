@@ -245,3 +245,48 @@ def test_moteus_counts_turns(tmp_path, capsys, names):
     axis = suggested(capsys, path)["map"]["axes"][0]
     assert axis["position"] == {"column": names[0], "unit": "rev"}
     assert axis["torque"]["unit"] == "N·m"
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("elbow_pos", "elbow_tau", "wrist_pos", "wrist_tau"),
+        ("/js/elbow/position", "/js/elbow/effort", "/js/wrist/position", "/js/wrist/effort"),
+        ("left_q1", "left_tau1", "right_q1", "right_tau1"),
+    ],
+    ids=["underscores", "PlotJuggler", "two arms"],
+)
+def test_joints_are_told_by_their_names(tmp_path, capsys, names):
+    columns = [TIME, ANGLE, TORQUE, 2 * ANGLE, 2 * TORQUE]
+    found = suggested(capsys, written(tmp_path / "a.csv", ["__time", *names], *columns))
+    taken = [(a["position"]["column"], a["torque"]["column"]) for a in found["map"]["axes"]]
+    assert taken == [(names[0], names[1]), (names[2], names[3])]
+    assert not any("look like" in u for u in found["unsure"])
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("%time,field.header.seq,field.header.frame_id,field.name0,field.position0,field.effort0", "{ns},{k},,elbow,{q},{u}"),
+        ("Time;State;Position [rad];Torque [Nm]", "{t};OPERATION ENABLED;{q};{u}"),
+        ("t,mode,position,torque,note", "{t},RUN,{q},{u},ok"),
+    ],
+    ids=["rostopic echo -p", "a drive's state", "words at the end"],
+)  # fmt: skip
+def test_columns_of_words_are_left_beside_the_numbers(tmp_path, capsys, header, row):
+    path = tmp_path / "a.csv"
+    rows = [
+        row.format(
+            ns=1_700_000_000_000_000_000 + 1_000_000 * k, k=k, t=f"{t:.4f}", q=f"{q:.6f}", u=f"{u:.6f}"
+        )
+        for k, (t, q, u) in enumerate(zip(TIME, ANGLE, TORQUE, strict=True))
+    ]
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    found = suggested(capsys, path)
+    assert found["fill_in"] == {}
+    chart = tmp_path / "map.yaml"
+    chart.write_text(json.dumps(found["map"]))
+    assert run(["import", str(path), "--map", str(chart), "-o", str(tmp_path / "r.h5")]) == 0
+    e = read_recording(tmp_path / "r.h5").experiments[0]
+    np.testing.assert_allclose(e.position[:, 0], ANGLE, atol=1e-6)
+    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)
