@@ -17,7 +17,7 @@ from invid.recording.readers.mat_table import read_mat_table
 from invid.recording.readers.mcap_table import read_mcap_table
 from invid.recording.readers.mdf_table import read_mdf_table
 from invid.recording.readers.packed_file import NumpyFile, PackedFile, SqliteFile, ZipArchive
-from invid.recording.readers.serial_monitor import SerialMonitorFile
+from invid.recording.readers.serial_monitor import LabelledFile, SerialMonitorFile
 from invid.recording.readers.tdms_table import read_tdms_table
 from invid.recording.readers.text_table import read_text_table
 from invid.recording.tables import Table
@@ -57,7 +57,7 @@ class TextFile(FileKind):
     """Delimited text: what nothing else is."""
 
     name = "csv"
-    endings = (".csv", ".txt", ".tsv", ".dat", ".lvm")
+    endings = (".csv", ".txt", ".tsv", ".dat", ".lvm", ".log")
 
     def __call__(self, path: Path, source: Source, *, beside: Path | None = None) -> Table:
         """The columns."""
@@ -168,5 +168,6 @@ _KINDS: tuple[FileKind, ...] = (
     ),
     LvmFile(),
     SerialMonitorFile(),
+    LabelledFile(),
     _TEXT,
 )  # fmt: skip

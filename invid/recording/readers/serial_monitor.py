@@ -15,6 +15,9 @@ from invid.recording.readers.text_table import read_text, seconds_of, table_of_l
 from invid.recording.tables import Table
 
 _RECEIVED = "received"
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_LABELLED = rf"\s*(?:[A-Za-z]\w*\s*[:=]\s*{_NUMBER}[,;\t ]+)+[A-Za-z]\w*\s*[:=]\s*{_NUMBER}\s*$"
+_PAIR = re.compile(rf"([A-Za-z]\w*)\s*[:=]\s*({_NUMBER}|nan)")
 
 
 class SerialMonitorFile(FileKind):
@@ -36,9 +39,9 @@ class SerialMonitorFile(FileKind):
         text, encoding = read_text(path, source.encoding)
         lines = text.splitlines()
         found = [self.line.match(line) for line in lines]
-        table = table_of_lines(
-            path, [m["text"] if m else line for m, line in zip(found, lines, strict=True)], source, encoding
-        )
+        own = [m["text"] if m else line for m, line in zip(found, lines, strict=True)]
+        own, source = without_labels(own, source)
+        table = table_of_lines(path, own, source, encoding)
         at = [] if table.lines is None else [found[i - 1] for i in table.lines.tolist()]
         stamps = frozen_float(np.array([seconds_of(m["at"]) if m else np.nan for m in at]))
         return replace(
@@ -49,3 +52,32 @@ class SerialMonitorFile(FileKind):
             notes={},
             reasons=(*table.reasons, "a serial monitor stamped the lines: 'received'"),
         )
+
+
+class LabelledFile(FileKind):
+    """Lines that name each of their values, as Arduino's plotter and Teleplot take them."""
+
+    name = "labelled lines"
+    # t_us:1000,pos:0.00046,torque:1.650
+    # t: 0.001 pos: 0.00046 torque: 1.650
+    header = re.compile(rf"^{_LABELLED}", re.MULTILINE)
+
+    def __call__(self, path: Path, source: Source, *, beside: Path | None = None) -> Table:
+        """The columns by the labels."""
+        text, encoding = read_text(path, source.encoding)
+        lines, source = without_labels(text.splitlines(), source)
+        table = table_of_lines(path, lines, source, encoding)
+        return replace(table, notes={}, reasons=(*table.reasons, "each value has its label in its line"))
+
+
+def without_labels(lines: list[str], source: Source) -> tuple[list[str], Source]:
+    """Lines of labelled values as rows of a table, with the labels as its names; other lines as they are."""
+    first = next((line for line in lines[:50] if re.match(_LABELLED, line)), None)
+    if first is None:
+        return lines, source
+    names = [n for n, _ in _PAIR.findall(first)]
+    rows = []
+    for line in lines:
+        found = dict(_PAIR.findall(line))
+        rows.append(";".join(found.get(n, "nan") for n in names) if found else line)
+    return rows, source.model_copy(update={"names": source.names or names, "delimiter": ";"})

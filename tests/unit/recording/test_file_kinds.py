@@ -224,6 +224,26 @@ def test_a_document_in_the_folder_stops_no_import(tmp_path, capsys, beside):
     assert len(read_recording(out).experiments) == 2
 
 
+@pytest.mark.parametrize(
+    "line",
+    ["t_us:{},pos:{},torque:{}", "t_us: {} pos: {} torque: {}", "12:36:19.016 -> t_us={}\tpos={}\ttorque={}"],
+)
+def test_values_with_their_labels_are_columns(tmp_path, line):
+    rows = [line.format(1000 * k, f"{ANGLE[k]:.6f}", f"{TORQUE[k]:.6f}") for k in range(N)]
+    (tmp_path / "a.txt").write_text("\n".join(["ready", *rows]))
+    table = read_table(tmp_path / "a.txt", Source())
+    np.testing.assert_allclose(table.columns["torque"], TORQUE)
+    np.testing.assert_allclose(table.columns["t_us"], 1000 * np.arange(N))
+
+
+@pytest.mark.parametrize(
+    "head", ["time,position,torque", "=~=~= PuTTY log 2026.02.03 =~=~=\ntime,position,torque"]
+)
+def test_a_table_called_log_is_no_can_log(tmp_path, head):
+    (tmp_path / "a.log").write_text(head + CSV.partition("torque")[2])
+    np.testing.assert_allclose(read_table(tmp_path / "a.log", Source()).columns["torque"], TORQUE)
+
+
 def test_a_base64_of_python_can_is_no_table(tmp_path):
     head = "timestamp,arbitration_id,extended,remote,error,dlc,data"
     rows = [f"{1.7e9 + t},0x80,0,0,0,0," for t in TIME]
