@@ -613,7 +613,7 @@ def _axis(
 def _demand(
     name: str, torque: Mapping[str, Any], table: Table, tool: str | None, notes: _Notes
 ) -> dict[str, Any]:
-    """The torque that was asked for: in its own unit, or in that of the torque where the names are of one kind."""
+    """The torque that was asked for, in its own unit; in the torque's where both names are of one kind."""
     unit, sure = _unit(name, "torque", table, tool)
     if not sure:
         alike = _is_current(name) == (torque["unit"] in BY_TORQUE_CONSTANT)

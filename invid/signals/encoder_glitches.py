@@ -73,8 +73,8 @@ def _repair(e: Experiment, recording: Recording) -> tuple[Float64 | None, list[s
         if slips.sum() >= FEW_SLIPS and slips.mean() > MOSTLY:
             # Rows that were lost or stamped late move as the axis does: no encoder jumps so.
             descriptions.append(
-                f"experiment {e.key}: {at.size} times axis {axis} goes on by one or more rows' motion at once: "
-                "the stamps jitter, and rows are missing there or were taken late (a logger that was "
+                f"experiment {e.key}: {at.size} times axis {axis} goes on by one or more rows' motion at "
+                "once: the stamps jitter, and rows are missing there or were taken late (a logger that was "
                 "interrupted); log by the controller's own clock"
             )
             at, size = at[:0], size[:0]

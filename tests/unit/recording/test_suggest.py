@@ -267,7 +267,10 @@ def test_joints_are_told_by_their_names(tmp_path, capsys, names):
 @pytest.mark.parametrize(
     ("header", "row"),
     [
-        ("%time,field.header.seq,field.header.frame_id,field.name0,field.position0,field.effort0", "{ns},{k},,elbow,{q},{u}"),
+        (
+            "%time,field.header.seq,field.header.frame_id,field.name0,field.position0,field.effort0",
+            "{ns},{k},,elbow,{q},{u}",
+        ),
         ("Time;State;Position [rad];Torque [Nm]", "{t};OPERATION ENABLED;{q};{u}"),
         ("t,mode,position,torque,note", "{t},RUN,{q},{u},ok"),
     ],

@@ -1,7 +1,7 @@
-"""A right simulator is called right whatever stands around the axis; what cannot be read is not called lacking.
+"""A right simulator is called right whatever stands around the axis; what is not read is not called lacking.
 
-Two masses of 0.7 and 2 kg·m² on a spring of 1000 N·m/rad, integrated by the matrix exponential; the simulators
-are written by hand.
+Two masses of 0.7 and 2 kg·m² on a spring of 1000 N·m/rad, integrated by the matrix exponential; the
+simulators are written by hand.
 """
 
 from __future__ import annotations
@@ -74,8 +74,9 @@ def xml(motor: str = "", beside: str = "", top: str = "", act: str = "", inertia
 <inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/>{beside.partition("|")[2]}</body>
 <body name="load"><joint name="load" axis="0 0 1" damping="0.5"/>
 <inertial pos="0 0 0" mass="1" diaginertia="2 2 2"/></body>{beside.partition("|")[0]}</worldbody>
-<tendon><fixed stiffness="1000" damping="0.6"><joint joint="A1" coef="1"/><joint joint="load" coef="-1"/></fixed>
-</tendon><actuator><motor name="A1" joint="A1" {act}/></actuator></mujoco>"""
+<tendon><fixed stiffness="1000" damping="0.6"><joint joint="A1" coef="1"/>
+<joint joint="load" coef="-1"/></fixed></tendon>
+<actuator><motor name="A1" joint="A1" {act}/></actuator></mujoco>"""
 
 
 INERTIAL = '<inertial pos="0 0 0" mass="0.001" diaginertia="1e-7 1e-7 1e-7"/>'
@@ -87,7 +88,10 @@ RIGHT = {
     "ctrlrange": (xml(act='ctrlrange="-1 1" ctrllimited="true"'), ""),
     "door": (xml(beside=DOOR), "door: not recorded"),
     "free box on the floor": (
-        xml(beside='<geom type="plane" size="9 9 1"/><body name="box" pos="3 0 1"><freejoint/><geom size="0.1"/></body>'),
+        xml(
+            beside='<geom type="plane" size="9 9 1"/><body name="box" pos="3 0 1"><freejoint/>'
+            '<geom size="0.1"/></body>'
+        ),
         "not recorded",
     ),
     "finger on a spring": (
@@ -99,8 +103,8 @@ RIGHT = {
     ),
     "slide on a spring": (
         xml(
-            beside='|<body pos="0.05 0 0"><joint name="jaw" type="slide" axis="1 0 0" stiffness="10" damping="1"/>'
-            f"{INERTIAL}</body>"
+            beside='|<body pos="0.05 0 0"><joint name="jaw" type="slide" axis="1 0 0" stiffness="10" '
+            f'damping="1"/>{INERTIAL}</body>'
         ),
         "jaw: not recorded",
     ),
@@ -168,15 +172,17 @@ def urdf(i1: float, extra: str, izz: str = 'ixx="2" iyy="2" izz="2"') -> str:
         )
 
     twin = "".join(
-        link(f"l{k}", even(float(inertia))) + joint(f"t{k}", parent, f"l{k}", f'<mimic joint="j1" multiplier="{ratio}"/>')
+        link(f"l{k}", even(float(inertia)))
+        + joint(f"t{k}", parent, f"l{k}", f'<mimic joint="j1" multiplier="{ratio}"/>')
         for k, (parent, inertia, ratio) in enumerate(e.split() for e in extra.split(";") if e)
     )  # fmt: skip
     return (
         f'<robot name="b"><link name="base"/>{link("m", even(i1))}{link("load", izz)}{twin}'
         + joint("j1", "base", "m", '<dynamics damping="0.5"/>')
         + joint("spring", "m", "load", '<dynamics damping="0.6"/>')
-        + '<gazebo reference="spring"><springStiffness>1000</springStiffness></gazebo><transmission name="t1">'
-        '<joint name="j1"/><actuator name="A1"><mechanicalReduction>1</mechanicalReduction></actuator>'
+        + '<gazebo reference="spring"><springStiffness>1000</springStiffness></gazebo>'
+        '<transmission name="t1"><joint name="j1"/><actuator name="A1">'
+        "<mechanicalReduction>1</mechanicalReduction></actuator>"
         "</transmission></robot>"
     )
 
@@ -256,7 +262,8 @@ def fmu(
                 )
                 defined = unit.split()[1:]
                 if defined:
-                    base = f'<UnitDefinitions><Unit name="{unit.split()[0]}"><BaseUnit rad="1" factor="{defined[0]}"/>'
+                    base = f'<UnitDefinitions><Unit name="{unit.split()[0]}">'
+                    base += f'<BaseUnit rad="1" factor="{defined[0]}"/>'
                     text = text.replace("<LogCategories>", base + "</Unit></UnitDefinitions><LogCategories>")
                 data = text.encode()
             if not (without and without in member):
