@@ -19,12 +19,13 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64
-from invid.recording.import_map import Pdo, Signal, Source
+from invid.recording.import_map import Pdo, Source
+from invid.recording.readers.file_kind import FileKind, FileStart
 from invid.recording.tables import BrokenRow, Table
 from invid_drivers.can_log_guess import SMOOTH, Guess, guess_pdos, roughness
-from invid_drivers.can_log_lines import READ, Lines, is_text_log
+from invid_drivers.can_log_lines import HEADER, READ, Lines, is_text_log
+from invid_drivers.can_log_mapping import pdos_of_eds
 from invid_drivers.can_log_traffic import CLOSE, TWICE, Choice, Traffic, choose
-from invid_drivers.eds import load_dictionary
 
 MAX_FRAMES = 50_000_000
 ROUGH = 0.5
@@ -34,25 +35,33 @@ BOTH_DIFFER = 0.5
 _TEXT = (".log", ".asc")
 _FORMATS = {
     "int8": ("b", 1), "uint8": ("B", 1), "int16": ("h", 2), "uint16": ("H", 2), "int32": ("i", 4),
-    "uint32": ("I", 4), "int64": ("q", 8), "uint64": ("Q", 8), "float32": ("f", 4),
+    "uint32": ("I", 4), "int64": ("q", 8), "uint64": ("Q", 8), "float32": ("f", 4), "float64": ("d", 8),
 }  # fmt: skip
-_EDS_TYPES = {
-    1: "uint8",
-    2: "int8",
-    3: "int16",
-    4: "int32",
-    5: "uint8",
-    6: "uint16",
-    7: "uint32",
-    8: "float32",
-}
 
 
-def read_can_log(path: Path, source: Source, *, beside: Path | None = None) -> Table:
+class CanLogFile(FileKind):
+    """Logs of CAN frames, text or binary."""
+
+    name = "can_log"
+    endings = (".log", ".asc", ".blf", ".trc")
+    starts = (b"LOGG", b"***BUSMASTER", b";$FILEVERSION")
+    header = HEADER
+
+    def __call__(self, path: Path, source: Source, *, beside: Path | None = None) -> Table:
+        """See ``_read``."""
+        return _read(path, source, beside)
+
+
+read_can_log = CanLogFile()
+"""The reader that the entry point names."""
+
+
+def _read(path: Path, source: Source, beside: Path | None) -> Table:
     """Columns of a log, named as in the map's PDOs; ``time`` is the SYNC instants [s] from the first one."""
-    pdos = list(source.pdos)
+    pdos, remarks = list(source.pdos), tuple[str, ...]()
     if source.eds is not None:
-        pdos += _pdos_of_eds((beside or Path()) / source.eds, source.nodes)
+        mapped, remarks = pdos_of_eds((beside or Path()) / source.eds, source.nodes)
+        pdos += mapped
     guessed = first_pdos(path, source.sync_id) if not pdos else None
     if guessed is not None:
         pdos = list(guessed.pdos)
@@ -67,7 +76,7 @@ def read_can_log(path: Path, source: Source, *, beside: Path | None = None) -> T
         raise InputError(f"{path}: signal names in 'pdos' must differ, found {names}")
     if "time" in names:
         raise InputError(f"{path}: 'time' is the column of SYNC instants; give the signal another name")
-    table = _rows(path, source, layouts, names)
+    table = replace(_rows(path, source, layouts, names), remarks=remarks)
     if guessed is None:
         return table
     said = {"pdos": [p.model_dump(exclude_none=True) for p in pdos], "reasons": list(guessed.reasons)}
@@ -245,21 +254,29 @@ def _refuse_wrong_bytes(
                 )
 
 
+_BY_START: dict[bytes, Any] = {
+    b"LOGG": can.BLFReader, b"MDF     ": can.MF4Reader, b"SQLite format 3": can.SqliteReader,
+    b";$FILEVERSION": can.TRCReader, b"timestamp,arbitration_id,": can.CSVReader,
+}  # fmt: skip
+"""Readers of python-can by a file's first bytes, whatever its name."""
+
+
 def _reader(path: Path, lines: Lines | None) -> Any:
-    if lines is None:
-        return can.LogReader(path)
-    kind = can.ASCReader if path.suffix.lower() == ".asc" else can.CanutilsLogReader
-    return kind(lines)  # type: ignore[arg-type]
+    if lines is not None:
+        kind = can.ASCReader if lines.is_asc else can.CanutilsLogReader
+        return kind(lines)  # type: ignore[arg-type]
+    with path.open("rb") as raw:
+        head = raw.read(64)
+    own = next((reader for start, reader in _BY_START.items() if head.startswith(start)), can.LogReader)
+    return own(path)
 
 
 def _is_text(path: Path) -> bool:
-    """Whether a log is text, which ``Lines`` reads; python-can's readers take the others by their ending."""
-    ending = path.suffix.lower()
-    if ending in _TEXT:
-        return True
-    with path.open("rb") as raw:
-        head = raw.read(4096)
-    return b"\0" not in head and is_text_log(head.decode("utf-8", "replace"))
+    """Whether a log is text, which ``Lines`` reads; python-can's readers take the others."""
+    start = FileStart.of(path)
+    if start.head.startswith(tuple(_BY_START)):
+        return False
+    return path.suffix.lower() in _TEXT or is_text_log(start.text)
 
 
 def _frames(path: Path, broken: list[BrokenRow] | None = None) -> Iterator[tuple[int, Any]]:
@@ -322,64 +339,3 @@ def _layout(pdo: Pdo, byte_order: str | None) -> list[tuple[str, str, int]]:
     if bits > 64:
         raise InputError(f"map: PDO 0x{pdo.id:X}: its signals take {bits} bits; a frame has 64")
     return layout
-
-
-def _pdos_of_eds(path: Path, nodes: list[int]) -> list[Pdo]:
-    """PDO mappings of an EDS or DCF, configured or default; columns ``n<node>_<object in hex>``."""
-    if not nodes:
-        raise InputError("map: 'eds' needs 'nodes': the node numbers of the drives in the log")
-    if not path.is_file():
-        raise InputError(f"{path}: no such EDS file")
-    found: list[Pdo] = []
-    for node in nodes:
-        try:
-            dictionary = load_dictionary(path, node)
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from None
-        for mapping, communication, direction, base in (
-            (0x1A00, 0x1800, "from_drive", 0x180),
-            (0x1600, 0x1400, "to_drive", 0x200),
-        ):
-            for k in range(4):
-                signals = _mapped(dictionary, mapping + k, node)
-                identifier = _value(dictionary, communication + k, 1)
-                if signals and not (identifier or 0) & 0x80000000:
-                    number = (identifier & 0x7FF) if identifier else base + 0x100 * k + node
-                    found.append(
-                        Pdo.model_validate({"id": number, "direction": direction, "signals": signals})
-                    )
-    if not found:
-        raise InputError(f"{path}: maps no object into a PDO by default; give 'pdos' in the map instead")
-    return found
-
-
-def _value(dictionary: Any, index: int, sub: int) -> int | None:
-    """ParameterValue of a DCF, else DefaultValue."""
-    try:
-        variable = dictionary[index][sub]
-    except (KeyError, TypeError):
-        return None
-    value = variable.default if variable.value is None else variable.value
-    return int(value) if isinstance(value, int) else None
-
-
-def _mapped(dictionary: Any, index: int, node: int) -> list[Signal]:
-    signals: list[Signal] = []
-    for sub in range(1, (_value(dictionary, index, 0) or 0) + 1):
-        entry = _value(dictionary, index, sub)
-        if not entry:
-            continue
-        target, part, bits = entry >> 16, (entry >> 8) & 0xFF, entry & 0xFF
-        kind = None
-        try:
-            variable = dictionary[target]
-            variable = variable[part] if part and hasattr(variable, "subindices") else variable
-            kind = _EDS_TYPES.get(variable.data_type)
-        except (KeyError, AttributeError):
-            pass
-        name = f"n{node}_{target:04X}" + (f"_{part}" if part else "")
-        if kind is None:
-            signals.append(Signal(name=name, type="skip", bits=bits))
-        else:
-            signals.append(Signal.model_validate({"name": name, "type": kind}))
-    return signals

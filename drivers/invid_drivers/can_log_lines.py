@@ -10,26 +10,31 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from invid.errors import InputError
 from invid.recording.tables import BrokenRow
 
 MAX_BROKEN = 100_000
 READ = (
-    "candump (-L, or its screen with -t a, z, d), Vector ASC, SavvyCAN/GVRET CSV, BUSMASTER, and the binary "
-    "BLF and PEAK TRC"
+    "candump (-L, or its screen with -t a, z, d), Vector ASC, SavvyCAN/GVRET CSV, BUSMASTER, and "
+    "BLF, PEAK TRC, MF4 of frames, and python-can's CSV and SQLite"
 )
+# (1700000000.000210) can0 181#3712FCFFFAFFFFFF
 _CANDUMP = re.compile(
     r"\s*\(\d+(\.\d+)?\)\s+\S+\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     r"(([0-9A-Fa-f]{2}){0,8}|R\d?|#[0-9A-Fa-f]([0-9A-Fa-f]{2}){0,64})(\s+[TRtr])?\s*$"
 )
+#  (1700000000.000210)  can0  181   [8]  37 12 FC FF FA FF FF FF
 _SHOWN = re.compile(
     r"\s*\((?P<t>\d+(?:\.\d+)?)\)\s+(?P<channel>\S+)\s+(?:(?P<way>[TR])X\s+)?(?:-\s+)*"
     r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(?P<length>\d)\](?P<data>(?:\s+[0-9A-Fa-f]{2})*)\s*(?:'.*)?$"
 )
+# 166064000,0000021A,false,Rx,0,8,FE,36,12,FE,69,05,07,AD,
 _GVRET = re.compile(
     r"\s*(?P<us>\d+),\s*(?P<id>[0-9A-Fa-f]+),\s*(?P<extended>true|false|0|1),\s*(?:(?P<way>[RT])x,\s*)?"
     r"(?P<channel>\d+),\s*(?P<length>\d+)(?P<data>(?:,\s*[0-9A-Fa-f]{0,2})*)\s*$",
     re.IGNORECASE,
 )
+# 12:36:19:0160 Rx 1 0x181 s 8 37 12 FC FF FA FF FF FF
 _BUSMASTER = re.compile(
     r"\s*(?P<h>\d+):(?P<m>\d+):(?P<s>\d+):(?P<tenth>\d{4})\s+(?P<way>[RT])x\s+(?P<channel>\d+)\s+(?P<id>0x[0-9A-Fa-f]+|\d+)"
     r"\s+(?P<kind>[sx])r?\s+(?P<length>\d)(?P<data>(?:\s+[0-9A-Fa-f]{1,3})*)\s*$"
@@ -37,15 +42,31 @@ _BUSMASTER = re.compile(
 _FOREIGN = (_SHOWN, _GVRET, _BUSMASTER)
 _ASIDE = re.compile(r"\s*$|\s*#|\s*\*\*\*|\s*Time ?Stamp\b")
 """Empty lines, comments, and the headers of BUSMASTER and SavvyCAN."""
+#    0.002100 1  181             Rx   d 8 37 12 FC FF FA FF FF FF
 _ASC_FRAME = re.compile(r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\b")
+#    0.002100 1  SYNC            Rx   d 0
+_ASC_NAMED = re.compile(r"\s*\d+\.\d+\s+\d+\s+(?P<name>\S+)\s+[RT]x\s+d\s+[0-9A-Fa-f]\b")
 _ASC_WHOLE = re.compile(
     r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\s+([0-9A-Fa-f])((\s+[0-9A-Fa-f]{1,3})*)(\s.*)?$"
 )
 
 
+HEADER = re.compile(
+    # timestamp,arbitration_id,extended,remote,error,dlc,data
+    r"\Atimestamp,arbitration_id,extended,remote,error,dlc,data"
+    # Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8
+    r"|\ATime Stamp,ID,Extended"
+    # base hex  timestamps absolute
+    r"|^\s*base\s+(?:hex|dec)\s+timestamps\s+(?:absolute|relative)"
+    rf"|^(?:{_CANDUMP.pattern})|^(?:{_SHOWN.pattern})",
+    re.MULTILINE,
+)
+"""A head or a line that only a CAN log has."""
+
+
 def is_text_log(head: str) -> bool:
     """Whether one of a file's first lines is a CAN frame or a header that only such logs have."""
-    if head.startswith("***BUSMASTER"):
+    if head.startswith("***BUSMASTER") or HEADER.search(head):
         return True
     return any(
         _CANDUMP.match(line) or any(k.match(line) for k in _FOREIGN) for line in head.splitlines()[:20]
@@ -58,7 +79,10 @@ class Lines:
 
     def __init__(self, path: Path, broken: list[BrokenRow]) -> None:
         self._file = path.open(encoding="utf-8", errors="replace")
-        self._name, self._asc, self._broken = path.name, path.suffix.lower() == ".asc", broken
+        self._path, self._name, self._broken = path, path.name, broken
+        head = self._file.read(4096)
+        self._file.seek(0)
+        self.is_asc = path.suffix.lower() == ".asc" or bool(re.search(r"^\s*base\s+(hex|dec)\b", head, re.M))
         self.number = 0
         self._base = 16
         """Of BUSMASTER's numbers, which its header states."""
@@ -66,7 +90,7 @@ class Lines:
     def __iter__(self) -> Iterator[str]:
         for line in self._file:
             self.number += 1
-            whole = _asc_line(line) if self._asc else self._candump_line(line)
+            whole = self._asc_line(line) if self.is_asc else self._candump_line(line)
             if whole is not None:
                 yield whole
             elif len(self._broken) < MAX_BROKEN:
@@ -103,17 +127,23 @@ class Lines:
         way = f" {part['way'].upper()}" if part["way"] else ""
         return f"({stamp}) {part['channel']} {identifier:0{8 if long else 3}X}#{bytes(data).hex()}{way}\n"
 
+    def _asc_line(self, line: str) -> str | None:
+        if _ASC_FRAME.match(line):
+            whole = _ASC_WHOLE.match(line)
+            return line if whole and len(whole[2].split()) >= int(whole[1], 16) else None
+        named = _ASC_NAMED.match(line)
+        if named is not None:
+            raise InputError(
+                f"{self._path}: line {self.number} names its frame {named['name']!r}: the log was written "
+                "with the names of a database in place of identifiers; export it again with identifiers "
+                "('symbolic' display off)"
+            )
+        # Header, comments, events of other kinds: the reader knows which of them matter.
+        return line
+
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-def _asc_line(line: str) -> str | None:
-    if not _ASC_FRAME.match(line):
-        # Header, comments, events of other kinds: the reader knows which of them matter.
-        return line
-    whole = _ASC_WHOLE.match(line)
-    return line if whole and len(whole[2].split()) >= int(whole[1], 16) else None
 
 
 __all__ = ["READ", "Lines", "is_text_log"]

@@ -101,7 +101,11 @@ def load_dictionary(path: Path, node_id: int) -> ObjectDictionary:
     ValueError
         It does not parse, with the reason.
     """
-    stream = io.StringIO(_LEADING_ZEROS.sub(r"\1\2", _text(path)))
+    text = _LEADING_ZEROS.sub(r"\1\2", _text(path))
+    try:
+        stream = io.StringIO(_with_sub_objects(text) if _COMPACT.search(text) else text)
+    except configparser.Error as error:
+        raise ValueError(f"does not parse ({' '.join(str(error).split())})") from None
     # The ending decides what the library takes it for; a file that a map names is one whatever its ending.
     stream.name = str(path) if path.suffix.lower() in (".eds", ".dcf") else f"{path}.eds"
     log = logging.getLogger("canopen.objectdictionary.eds")
@@ -133,6 +137,54 @@ _LEADING_ZEROS = re.compile(
     r"|\w+Number|BaudRate_\d+|Dummy\d+|Baudrate|NodeID)\s*=\s*)0+([0-9]+\s*(?:;.*)?)$",
     re.MULTILINE | re.IGNORECASE,
 )
+
+
+_COMPACT = re.compile(r"^\s*CompactSubObj\s*=\s*0*[1-9]", re.MULTILINE | re.IGNORECASE)
+
+
+def _with_sub_objects(text: str) -> str:
+    """The file with a section for each entry of what it lists in the compact form of CiA 306.
+
+    ``CompactSubObj`` entries of one type, values of their own in ``[<index>Value]``.
+    """
+    file = configparser.RawConfigParser(strict=False, inline_comment_prefixes=(";",), interpolation=None)
+    file.optionxform = str  # type: ignore[assignment,method-assign]
+    file.read_string(text)
+    own = {s.lower(): {k.lower(): v for k, v in file.items(s)} for s in file.sections()}
+    for section in file.sections():
+        said = own[section.lower()]
+        count = int(said.get("compactsubobj", "0") or "0", 0)
+        if not count or not re.fullmatch(r"[0-9A-Fa-f]{4}", section):
+            continue
+        names, values = (own.get(f"{section}{kind}".lower(), {}) for kind in ("Name", "Value"))
+        for sub in range(count + 1):
+            place = f"{section}sub{sub:X}"
+            if place.lower() in own:
+                continue
+            file.add_section(place)
+            entry = {
+                "ParameterName": names.get(str(sub), f"{said.get('parametername', section)} {sub}"),
+                "ObjectType": "0x7",
+                "DataType": said.get("datatype", "0x0007") if sub else "0x0005",
+                "AccessType": said.get("accesstype", "rw"),
+                "PDOMapping": said.get("pdomapping", "0") if sub else "0",
+                "DefaultValue": said.get("defaultvalue", "") if sub else str(count),
+            }
+            value = values.get(str(sub), values.get(f"0x{sub:x}", "" if sub else str(len(values) or count)))
+            for key, content in {**entry, "ParameterValue": value}.items():
+                if content:
+                    file.set(place, key, content)
+        for key in [k for k in file[section] if k.lower() in ("compactsubobj", "objecttype", "subnumber")]:
+            file.remove_option(section, key)
+        file.set(section, "ObjectType", said.get("objecttype", "0x8"))
+        file.set(section, "SubNumber", str(count + 1))
+        for kind in ("Name", "Value"):
+            file.remove_section(
+                next((s for s in file.sections() if s.lower() == f"{section}{kind}".lower()), "")
+            )
+    out = io.StringIO()
+    file.write(out)
+    return out.getvalue()
 
 
 def _text(path: Path) -> str:

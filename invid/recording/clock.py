@@ -299,6 +299,16 @@ def best_clock(columns: Iterable[Float64]) -> int | None:
     return None if found is None else found[1]
 
 
+def is_count(column: Float64) -> bool:
+    """Whether numbers only count rows (0, 1, 2, …, some perhaps missing): a clock in no unit.
+
+    Stamps in whole milliseconds of a record at 1 kHz look the same; their name or unit tells them apart.
+    """
+    known = column[np.isfinite(column)]
+    step = np.diff(known)
+    return known.size > 2 and bool(np.all(known == np.rint(known)) and np.median(step) == 1.0)
+
+
 def nice_rate(rate: float, doubt: float) -> str:
     """The shortest number within ``doubt`` (relative) of ``rate``."""
     return next(
@@ -435,4 +445,13 @@ def _in_order(stamps: Float64, how: StampsRead, where: str) -> tuple[Float64, li
     ]
 
 
-__all__ = ["Slots", "Stamps", "StampsRead", "best_clock", "count_slots", "nice_rate", "read_stamps"]
+__all__ = [
+    "Slots",
+    "Stamps",
+    "StampsRead",
+    "best_clock",
+    "count_slots",
+    "is_count",
+    "nice_rate",
+    "read_stamps",
+]

@@ -2,7 +2,8 @@
 
 Sources: recorder signal names of Elmo's Gold and Platinum lines as programs that talk to them list them
 ("Active Current [A]", "Position [cnt]", "Velocity [cnt/s]"); ODrive's object paths and their units (turns
-since firmware 0.5.1); EPOS Studio's recorder names its units in the file and needs no row here.
+since firmware 0.5.1); moteus' registers, in revolutions; EPOS Studio's recorder names its units in the file
+and needs no row here.
 """
 
 from __future__ import annotations
@@ -23,13 +24,19 @@ class Named:
     demand: bool = False
 
 
-_ELMO, _ODRIVE = "Elmo recorder", "ODrive"
+_ELMO, _ODRIVE, _MOTEUS = "Elmo recorder", "ODrive", "moteus"
 _ROWS = (
     Named(_ELMO, r"reactive current( \[a(mp)?\])?$", None),
     Named(_ELMO, r"active current( \[a(mp)?\])?$", "torque", "A"),
     Named(_ELMO, r"(total )?current command( \[a(mp)?\])?$", "torque", "A", demand=True),
     Named(_ELMO, r"position error( \[.*\])?$", None),
     Named(_ELMO, r"velocity error( \[.*\])?$", None),
+    Named(_MOTEUS, r"(.*\.)?position$", "position", "rev"),
+    Named(_MOTEUS, r"(.*\.)?abs_position$", None),
+    Named(_MOTEUS, r"(.*\.)?velocity$", "velocity", "rev/s"),
+    Named(_MOTEUS, r"(.*\.)?torque$", "torque", "N·m"),
+    Named(_MOTEUS, r"(.*\.)?q_current(_a)?$", "torque", "A"),
+    Named(_MOTEUS, r"(.*\.)?(d_current(_a)?|voltage|temperature|fault|mode|power|motor_temperature)$", None),
     Named(_ODRIVE, r".*\bpos_estimate_counts$", "position", "counts"),
     Named(_ODRIVE, r".*\bpos_estimate$", "position", "rev"),
     Named(_ODRIVE, r".*\bpos_(rel|abs)$", "position", "rev"),
@@ -49,6 +56,7 @@ _ROWS = (
 )
 _MARKS = {
     _ELMO: re.compile(r"(active current|total current command)( \[a(mp)?\])?$"),
+    _MOTEUS: re.compile(r"(.*\.)?q_current(_a)?$"),
     _ODRIVE: re.compile(r".*\b(pos_estimate|vel_estimate|pos_vel_mapper\.\w+|iq_measured|iq_setpoint)$"),
 }
 """A channel that only this tool names so: its other names are trusted where one of these is there."""

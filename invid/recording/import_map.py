@@ -5,6 +5,7 @@ YAML, validated, unknown keys refused. The reference with examples is ``docs/ref
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -118,7 +119,9 @@ class Signal(Strict):
     """One mapped object of a PDO; becomes a column of this name."""
 
     name: str
-    type: Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "skip"]
+    type: Literal[
+        "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64", "skip"
+    ]
     bits: int | None = Field(default=None, gt=0, le=64)
     """Length of a ``skip``."""
     byte_order: Literal["little", "big"] | None = None
@@ -248,9 +251,12 @@ class ImportMap(Strict):
 
     def read_for(self, entry: ExperimentMap) -> ImportMap:
         """Return the map with the columns that one experiment has under other names."""
-        if not entry.columns:
+        return self.renamed({str(old): name for old, name in entry.columns.items()})
+
+    def renamed(self, new: Mapping[str, str | int]) -> ImportMap:
+        """Return the map with columns under other names."""
+        if not new:
             return self
-        new = {str(old): name for old, name in entry.columns.items()}
         axes = []
         for axis in self.axes:
             changed: dict[str, object] = {

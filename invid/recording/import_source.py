@@ -21,9 +21,9 @@ from invid.recording.importer import (
     files_inside,
     import_files,
     named_files,
-    read_table,
 )
 from invid.recording.model import Experiment, Recording
+from invid.recording.readers.kinds import read_table
 from invid.recording.spool import is_spool
 from invid.recording.suggest import Found, Suggestion, suggest_for_all
 

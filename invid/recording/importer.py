@@ -8,7 +8,6 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -18,43 +17,12 @@ from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, frozen, frozen_float
 from invid.recording.check import check_recording
 from invid.recording.clock import StampsRead, read_stamps
-from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
+from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs, held_rows, with_sign
-from invid.recording.readers.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
-from invid.recording.readers.mcap_table import read_mcap_table
-from invid.recording.readers.mdf_table import read_mdf_table
-from invid.recording.readers.tdms_table import read_tdms_table
-from invid.recording.readers.text_table import read_text_table
+from invid.recording.readers.kinds import is_document, read_table
 from invid.recording.tables import BrokenRow, SparseRows, Table, good_rows, on_clock, slowest_rows
 from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
-
-READERS = "invid.readers"
-"""Entry point group of readers ``read(path, source, *, beside) -> Table``, named by the kind they read."""
-_KINDS = {
-    ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv",
-    ".mat": "mat", ".parquet": "parquet", ".pq": "parquet",
-    ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5",
-    ".mf4": "mdf", ".mdf": "mdf", ".mcap": "mcap", ".tdms": "tdms",
-    ".log": "can_log", ".asc": "can_log", ".blf": "can_log", ".trc": "can_log",
-}  # fmt: skip
-
-_STARTS = {
-    b"\x89HDF\r\n\x1a\n": "hdf5",
-    b"PAR1": "parquet",
-    b"\x89MCAP0\r\n": "mcap",
-    b"MDF     ": "mdf",
-    b"TDSm": "tdms",
-}
-"""First bytes of files whose name does not tell."""
-_CAN_TEXT = (b"Time Stamp,ID,Extended", b"***BUSMASTER", b";$FILEVERSION")
-"""First bytes of text logs of CAN frames, whatever their name: SavvyCAN, BUSMASTER, PEAK."""
-
-_READERS: dict[str, Callable[[Path], Table]] = {
-    "mat": read_mat_table, "hdf5": read_hdf5_table, "parquet": read_parquet_table,
-    "mdf": read_mdf_table, "mcap": read_mcap_table, "tdms": read_tdms_table,
-}  # fmt: skip
-"""Kinds whose files say everything themselves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,38 +33,6 @@ class Import:
     broken: tuple[BrokenRow, ...]
     rows: int
     warnings: tuple[str, ...]
-
-
-def read_table(path: Path, source: Source, *, beside: Path | None = None) -> Table:
-    """The columns of one file; its kind from the map, else from the name's ending and the content."""
-    kind = source.kind or _KINDS.get(path.suffix.lower())
-    try:
-        with path.open("rb") as raw:
-            head = raw.read(32)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    if not head:
-        raise InputError(f"{path}: the file is empty")
-    if source.kind is None and head.startswith(_CAN_TEXT):
-        kind = "can_log"
-    if kind is None:
-        kind = next((k for start, k in _STARTS.items() if head.startswith(start)), "csv")
-    if kind in _READERS:
-        return _READERS[kind](path)
-    if kind == "csv":
-        return read_text_table(path, source)
-    table: Table = _further_reader(kind, path)(path, source, beside=beside)
-    return table
-
-
-def _further_reader(kind: str, path: Path) -> Any:
-    """The reader that a package above the core offers for this kind: the core knows no bus."""
-    for point in entry_points(group=READERS, name=kind):
-        return point.load()
-    raise InputError(
-        f"{path}: no installed package reads files of the kind {kind!r} (entry point group {READERS!r}); "
-        "CAN logs are read by invid_drivers: install invid again"
-    )
 
 
 def import_files(
@@ -117,7 +53,8 @@ def import_files(
         with _named_with_way_out(path, several=several):
             if path not in tables:
                 tables[path] = read_table(path, chart.source, beside=beside)
-            own = chart.read_for(entry)
+                warnings += [f"{path.name}: {r}" for r in tables[path].remarks]
+            own = chart.read_for(entry).renamed(tables[path].aliases)
             needed = tuple(own.columns())
             table, moved = _on_one_clock(tables[path], own)
             span = _span(table, entry, own, f"{path}: experiment {len(experiments):03d}")
@@ -244,20 +181,32 @@ def named_files(
     for source in found:
         if not source.exists():
             raise InputError(f"{source}: no such file or folder")
+    documents = [p.name for s in found if s.is_dir() for p in documents_inside(s)]
+    aside = (f"documents are left out: {', '.join(documents[:8])}",) if documents else ()
     if not chart.skip:
-        return found, ()
-    every = [f for s in found for f in (files_inside(s) if s.is_dir() else [s])]
+        return found, aside
+    every = [f for s in found for f in (_all_inside(s) if s.is_dir() else [s])]
     reasons = {f: r for p, r in chart.skip.items() for f in every if _matches(f.as_posix(), p)}
     unused = [p for p in chart.skip if not any(_matches(f.as_posix(), p) for f in every)]
     if unused:
         raise InputError(f"map: 'skip' names {unused[0]!r}, and no file is called so")
-    return [f for f in every if f not in reasons], tuple(
-        f"{f.name} is left out: {reason}" for f, reason in reasons.items()
+    return [f for f in every if f not in reasons and (f in found or not is_document(f))], (
+        *aside,
+        *(f"{f.name} is left out: {reason}" for f, reason in reasons.items()),
     )
 
 
 def files_inside(folder: Path) -> list[Path]:
-    """Every file below a folder, numbers in names in their order."""
+    """Every file below a folder but documents and programs, numbers in names in their order."""
+    return [p for p in _all_inside(folder) if not is_document(p)]
+
+
+def documents_inside(folder: Path) -> list[Path]:
+    """The others: what no import takes unless a map names it."""
+    return [p for p in _all_inside(folder) if is_document(p)]
+
+
+def _all_inside(folder: Path) -> list[Path]:
     return sorted((p for p in folder.rglob("*") if p.is_file()), key=_natural)
 
 
@@ -272,7 +221,8 @@ def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tu
         found = False
         for source in sources:
             if source.is_dir():
-                names = [(p, p.relative_to(source).as_posix()) for p in files_inside(source)]
+                inside = files_inside(source) if entry.file in _ANY else _all_inside(source)
+                names = [(p, p.relative_to(source).as_posix()) for p in inside]
             else:
                 names = [(source, source.as_posix())]
             taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
@@ -286,6 +236,9 @@ def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tu
             f"{[e.file for e in entries]}"
         )
     return pairs
+
+
+_ANY = ("*", "**", "**/*")
 
 
 def _feedforward(chart: ImportMap) -> set[str | int]:

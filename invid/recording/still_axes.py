@@ -8,12 +8,18 @@ from typing import Literal
 
 import numpy as np
 
-from invid.numerics.arrays import frozen_float
+from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.check import COLUMNS
 from invid.recording.model import Experiment, Recording
 
 FLICKER = 1.5
 """Counts of its encoder within which an axis stands: one count flickers at its edge."""
+HUNTING = 8.0
+"""Counts over which a position loop at rest hunts, between friction and its integrator (empirical)."""
+NOISE = 10.0
+"""Range of a million samples of white noise over its standard deviation."""
+BESIDE = 1e-3
+"""Share of the farthest travel of all axes below which hunting is at rest; more is a small motion."""
 
 
 def moving_part(recording: Recording, axes: Collection[str] | None = None) -> tuple[Recording, list[str]]:
@@ -43,7 +49,21 @@ def _still_axes(recording: Recording) -> list[int]:
     counts = recording.encoder_resolution
     travel = np.max([np.ptp(e.position, axis=0) for e in recording.experiments], axis=0)
     most = np.zeros(recording.axis_count) if counts is None else FLICKER * counts
+    # Beside one that moves far, an axis that its controller keeps in place hunts by some counts.
+    hunted = np.max([_hunting(e, counts) for e in recording.experiments], axis=0)
+    most = np.maximum(most, np.minimum(hunted, BESIDE * float(travel.max())))
     return [i for i in range(recording.axis_count) if i not in named and travel[i] <= most[i]]
+
+
+def _hunting(e: Experiment, counts: Float64 | None) -> Float64:
+    """(M,) travel that hunting and noise may make of an axis at rest."""
+    steps = np.abs(np.diff(e.position, axis=0))
+    if not steps.size:
+        return np.zeros(e.position.shape[1])
+    own = np.min(steps, axis=0, initial=np.inf, where=steps > 0.0)
+    size = own if counts is None else np.where(np.isfinite(counts), counts, own)
+    noise = np.std(np.diff(e.position, 2, axis=0), axis=0) / np.sqrt(6.0)
+    return np.asarray(np.maximum(HUNTING * np.where(np.isfinite(size), size, 0.0), NOISE * noise))
 
 
 def _with_axes(recording: Recording, kept: Sequence[int]) -> Recording:

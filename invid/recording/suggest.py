@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
-from invid.recording.clock import StampsRead, best_clock, read_stamps
+from invid.recording.clock import StampsRead, best_clock, is_count, read_stamps
 from invid.recording.drive_tools import named_by, tool_of
 from invid.recording.import_map import FORMAT, ImportMap
 from invid.recording.plausibility import doubt_of_sides
@@ -31,13 +31,19 @@ from invid.recording.units import (
 )
 
 _WORDS = {
-    "time": r"^(time|t|timestamp|timestamps|zeit|time_cont|clock)$",
+    "time": (
+        r"^(time|t|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros)$"
+    ),
     "demand": r"(ref|cmd|command|demand|target|setpoint|set|des|desired|soll|goal)",
     "velocity": r"(vel|velocity|speed|omega|dq|qd|rpm|drehzahl)",
     "torque": r"(tau|torque|trq|moment|drehmoment|force|iq|current|strom|effort|vir)",
     "position": r"(pos|position|theta|angle|phi|winkel|enc|encoder|q|qm|joint)",
 }
+_ASIDE = {"act", "actual", "meas", "measured", "msr", "joint", "joints", "state", "states", "data", "value"}
+_UNITS = {u for table in FACTORS.values() for u in table} | {*BY_MACHINE, *BY_TORQUE_CONSTANT}
 _VOLTS = {"voltage", "volt", "volts", "spannung", "pwm", "duty"}
+_FROM_1970 = (946_684_800.0, 4_102_444_800.0)
+"""Seconds since 1970 of 2000 and of 2100: a number between them is a date, and so its unit."""
 _SECOND = r"(^|[^a-z])(se|load|link|second|secondary|abtrieb|out)([^a-z]|$)|y$"
 
 
@@ -182,7 +188,7 @@ def _alike(names: Sequence[str]) -> int:
 
 def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingProxyType({})) -> Suggestion:
     """A first map for the columns of ``table``; ``source``: keys that were chosen to read it."""
-    notes = _Notes(list(table.reasons), [], {})
+    notes = _Notes(list(table.reasons), list(table.remarks), {})
     reasons, unsure, asked = notes.reasons, notes.unsure, notes.asked
     tool = tool_of(table.columns)
     if tool:
@@ -237,7 +243,15 @@ def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingP
     if document["axes"] and _motion_untold(document["axes"]):
         document["motion"] = "rotary"
         unsure.append("no unit tells a rotary from a linear machine: 'motion: rotary' is a guess")
-    return Suggestion(document, tuple(reasons), tuple(unsure), asked)
+    return Suggestion(document, together(reasons), together(unsure), asked)
+
+
+def together(said: Sequence[str]) -> tuple[str, ...]:
+    """Sentences that differ by a number or an entry's name as one: six axes are not asked six times."""
+    alike: dict[str, list[str]] = {}
+    for sentence in said:
+        alike.setdefault(re.sub(r"\[[^\]]*\]|^\S+: |\d+", "#", sentence), []).append(sentence)
+    return tuple(s[0] if len(s) == 1 else f"{len(s)} alike, the first: {s[0]}" for s in alike.values())
 
 
 def _ranges(table: Table, time_column: str | None) -> list[str]:
@@ -275,42 +289,82 @@ def _time(
 ) -> tuple[dict[str, Any], str | None]:
     length = max(c.size for c in table.columns.values())
     whole = {n: c for n, c in table.columns.items() if c.size == length and c.size > 2}
-    named = [n for n in whole if re.match(_WORDS["time"], _words(n)[-1] if _words(n) else "")]
-    free = [n for n in whole if n in named or _guess_quantity(n) is None]
-    # Of columns called time the best clock; a number of the row is a clock too, but one without a unit.
-    candidates = [n for n in named if best_clock([whole[n]]) is not None] or named or free
-    best = best_clock(whole[n] for n in candidates)
-    chosen = next(iter(table.clocks.values()), None)
-    if chosen is None and (best is not None or named):
-        chosen = candidates[best or 0]
+    chosen = next(iter(table.clocks.values()), None) or _clock(whole, table)
     if chosen is None:
-        asked["time.sample_rate_hz"] = "no column rises like time; samples a second"
-        return {"sample_rate_hz": None}, None
+        counts = [n for n, c in whole.items() if is_count(c)][:1]
+        why = f"{counts[0]!r} only counts the rows" if counts else "no column rises like time"
+        asked["time.sample_rate_hz"] = f"{why}; samples a second"
+        return {"sample_rate_hz": None}, next(iter(counts), None)
     column = table.columns[chosen]
     step = np.diff(column[np.isfinite(column)])
     rise = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     stated = table.units.get(chosen) or _unit_in_name(chosen)
-    if stated and normal_unit(stated) in FACTORS["time"]:
-        unit = normal_unit(stated)
+    unit = normal_unit(stated or "")
+    sure = unit in FACTORS["time"]
+    if sure:
         reasons.append(f"time is {chosen!r} in {unit}, as the file says")
     else:
-        # Logs of drives run between 10 Hz and 100 kHz: of the units that put the step there, the largest.
-        unit = next((u for u in ("s", "ms", "us", "ns") if 1e-5 <= rise * FACTORS["time"][u] <= 0.1), "s")
-        reasons.append(
-            f"time is {chosen!r}: " + ("by its name" if chosen in named else "it rises throughout")
-        )
-        if unit == "s":
-            reasons.append(f"its unit is taken as s from its median step {rise:g}")
+        unit, sure = _unit_of_stamps(column, rise)
+        why = "by its name" if _is_named_time(chosen) else "it rises throughout"
+        reasons.append(f"time is {chosen!r}: {why}")
+        if sure:
+            reasons.append(f"its unit is taken as {unit} from its median step {rise:g}")
         else:
-            unsure.append(f"the unit of {chosen!r} is guessed as {unit} from its median step {rise:g}")
+            asked["time.unit"] = (
+                f"{chosen!r} rises by {rise:g} a row: {_rates(rise)}; masses come out by the square of it"
+            )
     factor = FACTORS["time"][unit]
     try:
         stamps = read_stamps((column - column[0]) * factor, StampsRead(chosen, factor), table.name)
     except InputError as error:
         asked["time.sample_rate_hz"] = str(error).removeprefix(f"{table.name}: ")
         return {"sample_rate_hz": None}, chosen
-    reasons.append(f"its stamps: {stamps.said}")
-    return {"column": chosen, "unit": unit}, chosen
+    reasons.append(f"its stamps: {stamps.said}" if sure else f"its stamps, if in {unit}: {stamps.said}")
+    return {"column": chosen, "unit": unit if sure else None}, chosen
+
+
+def _is_named_time(name: str) -> bool:
+    words = _words(name)
+    return any(re.match(_WORDS["time"], w) for w in (words[-1:] + words[:1]))
+
+
+def _clock(whole: Mapping[str, Float64], table: Table) -> str | None:
+    """The column that is the time: what is called so or has its unit outranks what only rises.
+
+    A count of the rows is none, whatever rises as evenly: it has no unit.
+    """
+    units = {n: normal_unit(table.units.get(n) or _unit_in_name(n) or "") for n in whole}
+    in_time = [n for n in whole if units[n] in FACTORS["time"] and _guess_quantity(n) is None]
+    named = [n for n in whole if _is_named_time(n) and _guess_quantity(n) is None]
+    free = [n for n in whole if _guess_quantity(n) is None and not is_count(whole[n])]
+    stamps = [n for n in named if n in in_time or n in table.stamped or not is_count(whole[n])]
+    # What is called time and does not rise is refused by name, not passed over for what happens to rise.
+    last = [n for n in named if re.match(_WORDS["time"], _words(n)[-1])]
+    for candidates in (stamps, in_time, last or free):
+        best = best_clock(whole[n] for n in candidates)
+        if best is not None:
+            return candidates[best]
+    return next(iter(last), None)
+
+
+def _unit_of_stamps(column: Float64, rise: float) -> tuple[str, bool]:
+    """The unit of stamps that state none, and whether the file tells it.
+
+    Drives are logged between 10 Hz and 100 kHz: where that leaves seconds it is seconds. Stamps since 1970
+    tell theirs by their size. Else the largest unit that puts a step there.
+    """
+    first = float(column[np.isfinite(column)][0])
+    for unit, factor in FACTORS["time"].items():
+        if unit != "min" and _FROM_1970[0] < first * factor < _FROM_1970[1]:
+            return unit, True
+    fitting = [u for u in ("s", "ms", "us", "ns") if 1e-5 <= rise * FACTORS["time"][u] <= 0.1]
+    return (fitting or ["s"])[0], fitting[:1] == ["s"] or not fitting
+
+
+def _rates(rise: float) -> str:
+    """What rates the units that a step may be in make."""
+    fitting = [u for u in ("s", "ms", "us", "ns") if 1e-5 <= rise * FACTORS["time"][u] <= 1.0]
+    return ", ".join(f"{u} is {1.0 / (rise * FACTORS['time'][u]):.4g} rows a second" for u in fitting)
 
 
 def _words(name: str) -> list[str]:
@@ -333,7 +387,7 @@ def _worth(name: str, table: Table, tool: str | None) -> tuple[bool, int]:
     """
     known = named_by(tool, name)
     unit = normal_unit(table.units.get(name) or _unit_in_name(name) or (known.unit if known else ""))
-    return unit not in BY_TORQUE_CONSTANT, _rank(name)
+    return not (unit in BY_TORQUE_CONSTANT or (not unit and _is_current(name))), _rank(name)
 
 
 def _family(name: str) -> str:
@@ -346,6 +400,8 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
         return known.quantity
     # The q-axis of a motor is its current, not a joint's coordinate.
     words = _words(name)
+    if words and re.match(_WORDS["time"], words[-1]):
+        return None
     words = [w for w, after in zip_longest(words, words[1:]) if (w, after) != ("q", "axis")]
     for quantity in ("velocity", "torque", "position"):
         if any(re.match(_WORDS[quantity], w) for w in words if len(w) > 1 or w == "q"):
@@ -355,7 +411,7 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
 
 def _unit_in_name(name: str) -> str | None:
     bracket = re.findall(r"[\[(]\s*([^\])]+?)\s*[\])]", name)
-    candidates = [b for b in bracket if not b.isdigit()]
+    candidates = [b for b in bracket if not b.isdigit() and b != _entry_of(name)]
     lowered = name.lower()
     for suffix, unit in (
         ("deg_per_s", "deg/s"), ("rad_per_s", "rad/s"), ("_rpm", "rpm"), ("_deg", "deg"), ("_rad", "rad"),
@@ -374,6 +430,7 @@ def _axes(
 ) -> dict[str, _Axis]:
     length = table.columns[time_column].size if time_column else max(c.size for c in table.columns.values())
     groups: dict[str, _Axis] = {}
+    joints = _joint_stems(table.columns, tool)
     for name, column in table.columns.items():
         if name == time_column or column.size != length:
             continue
@@ -382,9 +439,8 @@ def _axes(
             continue
         words = _words(name)
         known = named_by(tool, name)
-        demanded = known.demand if known else any(re.match(_WORDS["demand"], w) for w in words)
-        digits = re.findall(r"\[(\d+)\]$", name) or re.findall(r"(\d+)\D*$", name)
-        axis = groups.setdefault(digits[0] if digits else "", _Axis())
+        demanded = known.demand if known else _is_demand(words)
+        axis = groups.setdefault(_joint_of(name, joints), _Axis())
         slot = f"{quantity}_demand" if demanded else quantity
         if slot in ("position_demand", "velocity_demand"):
             continue
@@ -397,12 +453,14 @@ def _axes(
             setattr(axis, slot, name)
         if held is not None:
             taken, left = (name, held) if better else (held, name)
-            doubt = f"both {_family(taken)!r} and {_family(left)!r} look like {slot}: the former was taken"
+            one, other = _family(taken), _family(left)
+            doubt = f"both {one!r} and {other!r} look like {slot}: {one!r} was taken"
             if doubt not in unsure:
                 unsure.append(doubt)
     base = 0 if "0" in groups else 1
+    numbered = all(not k or k.isdigit() for k in groups)
     named: dict[str, _Axis] = {}
-    for key in sorted(groups, key=lambda k: int(k) if k else -1):
+    for key in sorted(groups, key=lambda k: int(k) if k else -1) if numbered else groups:
         axis = groups[key]
         _complete(axis, key, table, time_column, unsure)
         for other in axis.others[:1]:
@@ -413,11 +471,49 @@ def _axes(
                     f"angle, and the torque must be the link's too ('scale' with the gear ratio where it is "
                     f"the motor's)"
                 )
-        name = f"A{int(key) + 1 - base}" if key else "A1"
+        name = (f"A{int(key) + 1 - base}" if key else "A1") if numbered else key or "A1"
         # Columns without a number are the only axis, or none: a sensor beside the axes.
         if name not in named or not _is_whole(named[name]):
             named[name] = axis
     return named
+
+
+def _is_demand(words: Sequence[str]) -> bool:
+    """Whether the words of a name say what was asked for; ``tau_J_d`` and ``q_d`` are Franka's."""
+    return any(re.match(_WORDS["demand"], w) for w in words) or words[-1:] in (["d"], ["sp"])
+
+
+def _entry_of(name: str) -> str:
+    """The name or number of a list's entry, ``position[elbow]``; a unit stands in brackets too."""
+    bracket = re.findall(r"\S\[([^\]\[]+)\]$", name)
+    return str(bracket[0]) if bracket and normal_unit(bracket[0]) not in _UNITS else ""
+
+
+def _joint_of(name: str, joints: Collection[str]) -> str:
+    """What of a column's name tells its axis from others: a name in brackets, else a joint's and a number."""
+    entry = _entry_of(name)
+    if entry:
+        return entry
+    digits = re.findall(r"(\d+)\D*$", name)
+    return " ".join([*([_stem(name)] if _stem(name) in joints else []), *digits])
+
+
+def _stem(name: str) -> str:
+    """What a name says beside quantity, unit and source: ``elbow`` of ``elbow_pos_deg``."""
+    aside = [_WORDS[q] for q in ("velocity", "torque", "position", "demand")]
+    words = [w for w in _words(name) if not any(re.match(a, w) for a in aside) and w not in _ASIDE]
+    return " ".join(w for w in words if normal_unit(w) not in _UNITS)
+
+
+def _joint_stems(names: Iterable[str], tool: str | None) -> frozenset[str]:
+    """Stems that are joints: two or more of which each has a torque and a motion."""
+    has: dict[str, set[str]] = {}
+    for name in names:
+        quantity = _guess_quantity(name, tool)
+        if quantity is not None and not _entry_of(name):
+            has.setdefault(_stem(name), set()).add("torque" if quantity == "torque" else "motion")
+    whole = {stem for stem, kinds in has.items() if stem and len(kinds) == 2}
+    return frozenset(whole) if len(whole) > 1 else frozenset()
 
 
 def _is_whole(axis: _Axis) -> bool:
@@ -431,7 +527,7 @@ def _complete(axis: _Axis, key: str, table: Table, time_column: str | None, unsu
     if axis.torque is None and axis.torque_demand is None and (axis.position or axis.velocity):
         for name, column in table.columns.items():
             unit = normal_unit(table.units.get(name) or _unit_in_name(name) or "")
-            own = (re.findall(r"(\d+)\D*$", name) or [""])[0] == key
+            own = _joint_of(name, ()) == key
             known = column[np.isfinite(column)]
             # A supply's voltage hardly moves about its mean; a motor's goes both ways.
             driving = known.size > 2 and float(known.min()) < 0 < float(known.max())
@@ -476,6 +572,10 @@ def _axis(
         return {}
     quantity = "position" if axis.position else "velocity"
     unit, sure = _unit(motion, quantity, table, tool)
+    if not sure and _is_whole_numbers(table.columns[motion]):
+        unit = "counts"
+        unsure.append(f"unit of {motion!r} is not stated; it holds whole numbers: {unit} is assumed")
+        sure = True
     linear = unit in LINEAR[quantity]
     entry: dict[str, Any] = {"name": name, quantity: {"column": motion, "unit": unit}}
     if unit == "counts":
@@ -489,8 +589,7 @@ def _axis(
         unsure.append(f"unit of {motion!r} is not {_said(motion, table)}; {unit} is assumed")
     torque_unit, sure = _unit(torque, "torque", table, tool)
     if not sure:
-        current = bool({"iq", "current", "strom"} & set(_words(torque)))
-        torque_unit = "A" if current else "N" if linear else "N·m"
+        torque_unit = "A" if _is_current(torque) else "N" if linear else "N·m"
         unsure.append(f"unit of {torque!r} is not {_said(torque, table)}; {torque_unit} is assumed")
     channel: dict[str, Any] = {"column": torque, "unit": torque_unit}
     channel["meaning"] = "measured" if axis.torque else "demanded"
@@ -507,9 +606,32 @@ def _axis(
     unsure.extend([doubt] if doubt else [])
     reasons.append(f"{name}: torque is {torque!r} by its name, taken as {channel['meaning']}")
     if axis.torque and axis.torque_demand:
-        demand = {k: v for k, v in channel.items() if k != "meaning"}
-        entry["torque_demand"] = {**demand, "column": axis.torque_demand}
+        entry["torque_demand"] = _demand(axis.torque_demand, channel, table, tool, notes)
     return entry
+
+
+def _demand(
+    name: str, torque: Mapping[str, Any], table: Table, tool: str | None, notes: _Notes
+) -> dict[str, Any]:
+    """The torque that was asked for, in its own unit; in the torque's where both names are of one kind."""
+    unit, sure = _unit(name, "torque", table, tool)
+    if not sure:
+        alike = _is_current(name) == (torque["unit"] in BY_TORQUE_CONSTANT)
+        unit = torque["unit"] if alike else "A" if _is_current(name) else "N·m"
+        if not alike:
+            notes.unsure.append(f"unit of {name!r} is not {_said(name, table)}; {unit} is assumed")
+    entry = {"column": name, "unit": unit}
+    return {**entry, "torque_constant": 1.0} if unit in BY_TORQUE_CONSTANT else entry
+
+
+def _is_whole_numbers(column: Float64) -> bool:
+    """Whether a motion comes in whole numbers of more than a few values, as no angle in rad does."""
+    known = column[np.isfinite(column)]
+    return bool(known.size > 2 and np.all(known == np.rint(known)) and np.ptp(known) > 8)
+
+
+def _is_current(name: str) -> bool:
+    return bool({"iq", "current", "currents", "strom", "amps", "amp"} & set(_words(name)))
 
 
 def _said(name: str, table: Table) -> str:

@@ -43,8 +43,12 @@ class Table:
         Columns that held dates or times of day, read as seconds.
     clocks
         Column → the time column it was sampled by, where a file has several; else empty.
+    aliases
+        Further name → column: a place in a list that has names, where it is always the same one's.
     reasons
         What the reader found out about the file, in words, for ``--suggest``.
+    remarks
+        What was assumed of the file, in words, for the warnings of an import.
     sums
         Time column → its stamps added up over everything the file stamps, where rows are only some of it.
     """
@@ -58,7 +62,9 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     stamped: frozenset[str] = frozenset()
     clocks: Mapping[str, str] = field(default_factory=dict)
+    aliases: Mapping[str, str] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     sums: Mapping[str, Float64] = field(default_factory=dict)
 
     def column(self, key: str | int) -> Float64:
@@ -68,6 +74,7 @@ class Table:
             if not 0 <= key < len(names):
                 raise InputError(f"{self.name}: no column {key}; the file has {len(names)} columns")
             return self.columns[names[key]]
+        key = self.aliases.get(key, key)
         if key not in self.columns:
             close = [n for n in names if n.lower().strip() == key.lower().strip()]
             if len(close) == 1:
@@ -224,6 +231,15 @@ def _out_of_order(time: Float64, good: Bool) -> list[int]:
         else:
             last = t[i]
     return bad
+
+
+def each_once(clocks: Mapping[str, str], columns: Mapping[str, Float64]) -> dict[str, str]:
+    """Column → clock with one clock of those that are the same stamps: the first."""
+    first: dict[str, str] = {}
+    for clock in clocks.values():
+        same = (c for c in first.values() if np.array_equal(columns[c], columns[clock]))
+        first[clock] = next(same, clock)
+    return {name: first[clock] for name, clock in clocks.items()}
 
 
 def on_clock(table: Table, time: str, needed: Sequence[str]) -> tuple[Table, tuple[str, ...]]:

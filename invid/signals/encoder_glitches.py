@@ -31,6 +31,14 @@ WHOLE_TURN = 0.01
 """Relative distance from whole turns within which a jump of an angle is one (physical): an axis at 60 rad/s,
 sampled at 1 kHz, moves by as much."""
 
+JITTER = 0.01
+LONGEST_SLIP = 20.0
+"""Rows' motion up to which a jump may be rows that were lost where the stamps do not tell (empirical)."""
+FEW_SLIPS = 5
+MOSTLY = 0.9
+"""Share of jumps that go the axis' way from which it is no chance: lost counts go either way, and five of
+five the same way happen once in 32."""
+
 _REACH = 4
 _WEIGHTS = np.array([1.0, -8.0, 28.0, -56.0, 70.0, -56.0, 28.0, -8.0, 1.0]) / 70.0
 
@@ -61,6 +69,15 @@ def _repair(e: Experiment, recording: Recording) -> tuple[Float64 | None, list[s
         is_even = np.concatenate(([True], even)) & np.concatenate((even, [True])) & ~again
         removed = np.zeros(own.size) if recording.linear else np.append(0.0, _whole_turns(jumps))
         at, size = find_isolated(jumps - removed[1:], even, floor)
+        slips = _slips(jumps, at, size) if at.size and _jitters(steps) else np.zeros(at.size, dtype=np.bool_)
+        if slips.sum() >= FEW_SLIPS and slips.mean() > MOSTLY:
+            # Rows that were lost or stamped late move as the axis does: no encoder jumps so.
+            descriptions.append(
+                f"experiment {e.key}: {at.size} times axis {axis} goes on by one or more rows' motion at "
+                "once: the stamps jitter, and rows are missing there or were taken late (a logger that was "
+                "interrupted); log by the controller's own clock"
+            )
+            at, size = at[:0], size[:0]
         removed[at + 1] = size
         count = int(np.count_nonzero(removed))
         if count:
@@ -80,6 +97,20 @@ def _repair(e: Experiment, recording: Recording) -> tuple[Float64 | None, list[s
                 "shield); interpolated"
             )
     return (position, descriptions) if descriptions else (None, [])
+
+
+def _jitters(steps: Float64) -> bool:
+    """Whether stamps of rows differ by more than a hundredth of a step: they do not tell a lost row."""
+    middle = float(np.median(steps))
+    return 1.4826 * float(np.median(np.abs(steps - middle))) > JITTER * middle
+
+
+def _slips(jumps: Float64, at: Int64, size: Float64) -> Bool:
+    """(k,) which jumps are the motion of one to ``LONGEST_SLIP`` rows, in its direction."""
+    before = np.median([jumps[np.clip(at + o, 0, jumps.size - 1)] for o in (-3, -2, -1, 1, 2, 3)], axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rows = size / before
+    return np.asarray((rows > 0.3) & (rows < LONGEST_SLIP), dtype=np.bool_)
 
 
 def find_isolated(values: Float64, sound: Bool, floor: float) -> tuple[Int64, Float64]:

@@ -9,11 +9,13 @@ and corrected.
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tempfile
 import weakref
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +29,47 @@ from invid.exchange.linear_plant import effect_name
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, Model, parameter_vector, save_text
 from invid.numerics.arrays import Float64
+from invid.recording.units import FACTORS, MachineConstants, Quantity, factor, normal_unit
 from invid.simulators.guided import GUIDE, Guided, Tie
 
 LARGEST_STEP = 0.2
 """Rate of the guide times the communication step: the guide sees the motion as it was a step ago."""
+LARGEST_FIXED = 0.5
+"""The same where the FMU takes one step alone: near the guide's limit, as a softer guide holds less."""
 TRIED = 1e-3
 """Seconds of the steps from which the inertia that a motor shows is taken."""
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """A variable by its reference; ``factor`` is the SI value of its unit."""
+
+    reference: int
+    factor: float = 1.0
+
+
+_WORDS = {
+    "torque": r"tau|torque|trq|force|moment|effort|(^|[^a-z])u([^a-z]|$)",
+    "position": r"pos|angle|theta|phi|(^|[^a-z])q([^a-z]|$)",
+    "velocity": r"vel|speed|omega|(^|[^a-z])(w|dq|qd)([^a-z]|$)",
+}
+
+
+def _tells(variable: Any, what: Quantity) -> bool:
+    """Whether name or unit say that a variable is this."""
+    unit = normal_unit(variable.unit or getattr(variable.declaredType, "unit", None) or "")
+    words = [q for q in _WORDS if re.search(_WORDS[q], variable.name.lower())]
+    return words == [what] if words else unit in FACTORS[what]
+
+
+def _fixed_step(description: Any) -> float | None:
+    """The one communication step [s] that an FMU takes, where it takes no other."""
+    how = description.coSimulation
+    if how.canHandleVariableCommunicationStepSize:
+        return None
+    stated = getattr(how, "fixedInternalStepSize", None)
+    stated = stated or (description.defaultExperiment and description.defaultExperiment.stepSize)
+    return float(stated) if stated else None
 
 
 class FmuSimulator:
@@ -48,32 +85,59 @@ class FmuSimulator:
             raise InputError(f"{path}: no FMU that fmpy reads: {error}") from None
         if self.description.coSimulation is None:
             raise InputError(f"{path}: is for model exchange alone; --against takes FMUs for co-simulation")
+        supported = fmpy.supported_platforms(str(path))
+        if fmpy.platform not in supported:
+            raise InputError(
+                f"{path}: has a library for {', '.join(supported) or 'no platform'} alone, and this machine "
+                f"is {fmpy.platform}; export it for that, or with its sources and run 'fmpy compile "
+                f"{path.name}'"
+            )
         self.engine = f"FMI {self.description.fmiVersion} by fmpy {fmpy.__version__}"
         variables = {v.name: v for v in self.description.modelVariables}
         self.inputs = self._found(variables, "input", "torque")
         self.outputs = self._found(variables, "output", "position")
         self.velocities = self._found(variables, "output", "velocity", needed=False)
+        self.fixed_step = _fixed_step(self.description)
         self.parameters = {n: v for n, v in variables.items() if v.causality == "parameter"}
         self.values = dict(values or {})
         self.folder = fmpy.extract(str(path), tempfile.mkdtemp(prefix="invid-fmu-"))
         weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
 
     def _found(
-        self, variables: Mapping[str, Any], causality: str, what: str, *, needed: bool = True
-    ) -> list[Any]:
+        self, variables: Mapping[str, Any], causality: str, what: Quantity, *, needed: bool = True
+    ) -> list[_Channel]:
         here = [v for v in variables.values() if v.causality == causality]
         real = [v for v in here if v.type.startswith(("Real", "Float"))]
         named = [[v for v in real if v.name in (f"{a}.{what}", f"{what}.{a}", a)] for a in self.axes]
         if all(named):
-            return [n[0].valueReference for n in named]
-        if needed and len(real) == len(self.axes):
-            return [v.valueReference for v in real]
+            return [self._channel(n[0], what) for n in named]
+        # Without such names by their quantity, as name or unit tell it, in the order of the axes.
+        own = [v for v in real if _tells(v, what)]
+        if len(own) == len(self.axes):
+            return [self._channel(v, what) for v in own]
         if not needed:
             return []
+        if len(real) == len(self.axes):
+            return [self._channel(v, what) for v in real]
         raise InputError(
             f"{self.path}: no {causality} for the {what} of every axis ({', '.join(self.axes)}); it has "
             f"{', '.join(v.name for v in real) or 'none'}: name them AXIS.{what}"
         )
+
+    def _channel(self, variable: Any, what: Quantity) -> _Channel:
+        """A variable with the SI value of its unit, by the file's own definition, else by the unit's name."""
+        unit = variable.unit or getattr(variable.declaredType, "unit", None) or ""
+        base = next((u.baseUnit for u in self.description.unitDefinitions if u.name == unit), None)
+        if base is not None and any(getattr(base, p) for p in ("kg", "m", "s", "rad")):
+            return _Channel(variable.valueReference, float(base.factor or 1.0))
+        if not unit:
+            return _Channel(variable.valueReference)
+        where = f"{self.path}: variable {variable.name}"
+        return _Channel(variable.valueReference, factor(what, unit, MachineConstants(), where))
+
+    def prepared(self, records: Sequence[Guided]) -> list[str]:
+        """See ``Simulator.prepared``."""
+        return []
 
     def claimed(self) -> Model | None:
         """The chains that its parameters are, where they are named as an invid model's."""
@@ -106,35 +170,57 @@ class FmuSimulator:
         more, given = given.run_in()
         rate = 2 * np.pi * GUIDE * given.high
         tie = Tie.of(self._inertia(), rate)
-        every, torque, position, velocity = given.fine(LARGEST_STEP / rate, torque=0.5)
+        if self.fixed_step is not None and self.fixed_step > 0.0:
+            least = self._steps_of(given.interval)
+            rate = min(rate, LARGEST_FIXED * least / given.interval)
+            tie = Tie.of(self._inertia(), rate)
+            every, torque, position, velocity = given.fine(given.interval / least, torque=0.5)
+        else:
+            every, torque, position, velocity = given.fine(LARGEST_STEP / rate, torque=0.5)
         step = given.interval / every
         force = np.zeros_like(given.torque)
         with _Running(self) as run:
             q = run.read(self.outputs)
             zero = q - position[0]  # it starts where it starts: only differences count
-            v = np.zeros(q.size)
+            v, apart = np.zeros(q.size), [np.zeros(q.size)] * 3
             for k in range(torque.shape[0] - 1):
                 e = tie.stiffness * (position[k] + zero - q) + tie.damping * (velocity[k] - v)
                 if k % every == 0:
                     force[k // every] = e
                 run.step(torque[k] + e, k * step, step)
                 before, q = q, run.read(self.outputs)
-                v = run.read(self.velocities) if self.velocities else (q - before) / step
+                if self.velocities:
+                    v = run.read(self.velocities)
+                else:  # a difference is the velocity of half a step ago: by three of them
+                    apart = [(q - before) / step, *apart[:2]]
+                    v = (11.0 * apart[0] - 7.0 * apart[1] + 2.0 * apart[2]) / 6.0
         if not np.isfinite(force).all():
             raise InputError(f"{self.path}: the simulation of experiment {given.key} runs away")
         return force[more:], replace(tie, late=0.5 * step)
 
+    def _steps_of(self, interval: float) -> int:
+        """Fixed steps of the FMU in a sample of the record."""
+        count = interval / (self.fixed_step or interval)
+        if abs(count - round(count)) > 1e-6 * count or count < 0.5:
+            raise InputError(
+                f"{self.path}: takes steps of {self.fixed_step:g} s alone, and the recording has a sample "
+                f"each {interval:.6g} s, no whole number of them; export it with a variable step or one that "
+                "fits"
+            )
+        return round(count)
+
     def _inertia(self) -> Float64:
         """(M,) inertia of each motor in a first short moment: torque over acceleration."""
         out = np.zeros(len(self.axes))
+        tried = TRIED if self.fixed_step is None else 10 * self.fixed_step
         for i in range(out.size):
             with _Running(self) as run:
                 before = run.read(self.outputs)[i]
                 torque = np.zeros(out.size)
                 torque[i] = 1.0
                 for k in range(10):
-                    run.step(torque, k * TRIED / 10, TRIED / 10)
-                out[i] = TRIED**2 / (2.0 * (run.read(self.outputs)[i] - before))
+                    run.step(torque, k * tried / 10, tried / 10)
+                out[i] = tried**2 / (2.0 * (run.read(self.outputs)[i] - before))
         if not (np.isfinite(out) & (out > 0.0)).all():
             raise InputError(
                 f"{self.path}: its positions do not follow its torques: {out.tolist()} kg·m² or kg"
@@ -160,6 +246,23 @@ class _Running:
         self.is_two = simulator.description.fmiVersion.startswith("2")
 
     def __enter__(self) -> _Running:
+        with self._named("start"):
+            return self._started()
+
+    @contextmanager
+    def _named(self, what: str) -> Iterator[None]:
+        """Context manager that makes of any failure of the FMU's own an error that names it."""
+        try:
+            yield
+        except InputError:
+            raise
+        except Exception as error:  # the FMU's library, its binding, or what either of them loads
+            said = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+            raise InputError(
+                f"{self.simulator.path}: the FMU fails to {what}: {said}; try it alone: 'fmpy simulate'"
+            ) from None
+
+    def _started(self) -> _Running:
         s = self.simulator
         made = FMU2Slave if self.is_two else FMU3Slave
         self.slave = made(
@@ -179,21 +282,29 @@ class _Running:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.slave.terminate()
-        self.slave.freeInstance()
+        with suppress(Exception):  # what it did is read; an end that fails changes nothing
+            self.slave.terminate()
+            self.slave.freeInstance()
 
     def _write(self, references: list[int], values: Sequence[float]) -> None:
         (self.slave.setReal if self.is_two else self.slave.setFloat64)(references, list(values))
 
-    def read(self, references: list[int]) -> Float64:
-        """Values of outputs."""
+    def read(self, channels: list[_Channel]) -> Float64:
+        """Values of outputs [SI]."""
         read = self.slave.getReal if self.is_two else self.slave.getFloat64
-        return np.array(read(references), dtype=float)
+        with self._named("give its outputs"):
+            values = np.array(read([c.reference for c in channels]), dtype=float)
+        return np.asarray(values * np.array([c.factor for c in channels]))
 
     def step(self, torque: Float64, now: float, step: float) -> None:
         """One communication step with the torques held over it."""
-        self._write(self.simulator.inputs, torque.tolist())
-        self.slave.doStep(currentCommunicationPoint=now, communicationStepSize=step)
+        inputs = self.simulator.inputs
+        with self._named(f"take a step of {step:g} s at {now:.6g} s"):
+            self._write(
+                [c.reference for c in inputs],
+                [float(t) / c.factor for t, c in zip(torque, inputs, strict=True)],
+            )
+            self.slave.doStep(currentCommunicationPoint=now, communicationStepSize=step)
 
 
 def opened(path: Path, axes: tuple[str, ...]) -> FmuSimulator:

@@ -270,6 +270,9 @@ class Simulator(Protocol):
     restarts: bool
     """Whether its inner masses can be started anywhere."""
 
+    def prepared(self, records: Sequence[Guided]) -> list[str]:
+        """In sentences, what of the file is not simulated as it stands, and why."""
+
     def claimed(self) -> Model | None:
         """What it says of the plant, as chains and effects; ``None`` where it is no chain of masses."""
 

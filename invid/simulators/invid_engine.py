@@ -32,6 +32,10 @@ class InvidSimulator:
         # What its own recording's samples were like says nothing of this one.
         self.model = replace(model, fit={})
 
+    def prepared(self, records: Sequence[Guided]) -> list[str]:
+        """See ``Simulator.prepared``."""
+        return []
+
     def claimed(self) -> Model | None:
         """The model."""
         return self.model

@@ -31,6 +31,12 @@ UNTOLD = 10.0
 """Floors to which noise alone moves a simulator that such a record cannot judge."""
 FALSE_ALARMS = 0.01
 """Probability that one of all numbers of a right simulator is called wrong."""
+_KEEPING = ("coulomb_friction", "backlash", "spring_hysteresis", "dry_friction", "stribeck_friction")
+"""Causes that keep what noise did to them."""
+_ALIKE = 0.1
+"""Relative difference of all ratios of masses and springs within which they are one square."""
+_GEARED = 4.0
+"""Ratio from which it is a gear's square, of 2 at least, and no wrong inertia (empirical)."""
 AT_LEAST = 0.01
 """Relative difference below which a number is not called wrong: an engine's steps and solver are worth as
 much."""
@@ -70,22 +76,26 @@ def judge(
     records = [guided(e, Sampling.of(model), recording.encoder_resolution) for e in held]
     before = _missing(simulator, records, model)
     claimed = simulator.claimed()
-    parameters, missing = (
-        ([], list(model.effects)) if claimed is None else _differences(claimed, model, diagnosis.ruled_out)
-    )
+    parameters, missing = ([], []) if claimed is None else _differences(claimed, model, diagnosis.ruled_out)
+    warnings += simulator.prepared(records)
     cannot_hold: Sequence[str] = ()
     after, written = None, None
     right = all(_at_floor(before, i) for i in range(recording.axis_count))
-    if corrected is not None and not right:
+    gear = None if claimed is None or right else _gear(claimed, model)
+    if corrected is not None and not right and gear is not None:
+        warnings.append("no corrected copy is written: the map's 'scale' is to be set, not the simulator")
+    elif corrected is not None and not right:
         try:
             copy, cannot_hold = simulator.corrected(model, corrected)
             after, written = _missing(copy, records, model), str(corrected)
         except ModelError as error:
             warnings.append(f"no corrected copy is written: {error}")
     best = after or before
+    keeps = sorted({t.cause for t in (claimed or model).effects if t.cause in _KEEPING})
+    why = f", as {' and '.join(keeps).replace('_', ' ')} keeps what it did" if keeps else ""
     warnings += [
         f"axis {name}: noise alone moves this simulator by {best.moved(i):.0f} times what it leaves a linear "
-        "plant, as play or friction keeps what it did; right and wrong cannot be told apart by it"
+        f"plant{why}; right and wrong cannot be told apart by it"
         for i, name in enumerate(recording.axes)
         if best.moved(i) > UNTOLD
     ]
@@ -94,8 +104,8 @@ def judge(
         "simulator": simulator.path,
         "engine": simulator.engine,
         "right": right,
-        "parameters": [] if right else parameters,
-        "missing": [] if right else [effect_to_json(t) for t in missing],
+        "parameters": [] if right or gear is not None else parameters,
+        "missing": [] if right or gear is not None else [effect_to_json(t) for t in missing],
         "held_out": {k: _whole(axes, k) for k in ("before", "after", "noise_floor")},
         "axes": axes,
         "experiments": [g.key for g in records],
@@ -103,8 +113,34 @@ def judge(
         "cannot_hold": list(cannot_hold),
         "warnings": warnings,
     }
-    out["sentences"] = _sentences(out, missing if not right else [], claimed, diagnosis)
+    compared = not right and gear is None
+    out["sentences"] = _sentences(out, missing if compared else [], claimed, diagnosis)
+    if gear is not None:
+        one, other = ("motor", "joint") if gear > 1.0 else ("joint", "motor")
+        turns = max(gear, 1.0 / gear)
+        out["sentences"].append(
+            f"All its masses and springs are {gear**2:.5g} times the measured, the square of {gear:.4g}: the "
+            f"recording counts the {one} of a gear of {turns:.4g}, the file its {other}. Set 'scale' in the "
+            f"map to {1.0 / gear:.4g} for positions and {gear:.4g} for torques."
+        )
     return out
+
+
+def _gear(claimed: Model, model: Model) -> float | None:
+    """The gear between what a file and a recording count: the same square in every mass and spring."""
+    theirs = {(p.axes, p.kind, p.number): p.value for p in linear_parameters(claimed)}
+    ratios = np.array(
+        [
+            theirs.get((p.axes, p.kind, p.number), 0.0) / p.value
+            for p in linear_parameters(model)
+            if p.kind in ("mass", "spring") and p.value > 0.0
+        ]
+    )
+    if not (ratios > 0.0).all():
+        return None
+    usual = float(np.median(ratios))
+    alike = np.abs(ratios / usual - 1.0).max() < _ALIKE
+    return math.sqrt(usual) if alike and abs(math.log(usual)) > math.log(_GEARED) else None
 
 
 def _held_out(recording: Recording) -> tuple[list[Experiment], list[str]]:
@@ -235,7 +271,8 @@ def _sentences(
             )
     if claimed is None:
         lines.append(
-            "Its joints are no chains of masses and springs: its numbers were not compared one by one."
+            "What it says of masses, springs and friction cannot be read from it: its numbers and causes "
+            "were not compared, only its motion."
         )
     for p in out["parameters"]:
         spread = "" if p["std"] is None else f" ± {p['std']:.2g}"

@@ -122,6 +122,8 @@ def correct(plant: MjcfPlant, model: Model) -> tuple[str, list[str]]:
                     copy.lost.append(f"{effect_name(term)}: {reason}")
         except ModelError as error:
             copy.lost.append(f"{effect_name(term)}: {error}")
+    for joint in plant.locked:
+        joint.put_back(copy.spec)
     copy.spec.compile()
     return str(copy.spec.to_xml()), copy.lost
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from invid.model.document import Model, save_text
 from invid.numerics.arrays import Float64
 from invid.simulators.guided import GUIDE, Guided, Tie
 from invid.simulators.mujoco_correct import correct
-from invid.simulators.mujoco_plant import MjcfPlant, Motor, read_plant, steps_of
+from invid.simulators.mujoco_plant import MjcfPlant, Motor, inertia_remarks, read_plant, steps_of
+from invid.simulators.mujoco_surroundings import release_limits, without_missing_shapes
 
 _IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
 LARGEST_STEP = 0.4
@@ -29,6 +31,8 @@ class MujocoSimulator:
     """An XML whose actuators drive the recorded axes, one a motor."""
 
     restarts = True
+    left_out: Sequence[str] = ()
+    """Shapes that are not read."""
 
     def __init__(self, path: Path, axes: tuple[str, ...]) -> None:
         self.path = str(path)
@@ -40,7 +44,44 @@ class MujocoSimulator:
             raise error if isinstance(error, InputError) else InputError(f"{path}: {error}") from None
 
     def _read(self, path: Path) -> MjcfPlant:
-        return read_plant(mujoco.MjSpec.from_file(str(path)), self.axes, self.path)
+        spec = mujoco.MjSpec.from_file(str(path))
+        try:
+            spec.compile()
+        except ValueError:
+            # Files of shapes that did not come with it: where every link states its inertia none is needed.
+            spec = mujoco.MjSpec.from_file(str(path))
+            inertia_remarks(spec, self.path)
+            self.left_out = without_missing_shapes(spec)
+            if not self.left_out:
+                raise
+        return read_plant(spec, self.axes, self.path)
+
+    def prepared(self, records: Sequence[Guided]) -> list[str]:
+        """See ``Simulator.prepared``: limits that the recorded motion or torque goes beyond."""
+        m, said = self.plant.compiled, list(self.plant.said)
+        said += [f"{x}: left out, every link states its inertia" for x in self.left_out]
+        for i, motor in enumerate(self.plant.motors):
+            joint = m.joint(motor.joint).id
+            moved = np.concatenate([g.position[:, i] / motor.reduction for g in records])
+            low, high = m.jnt_range[joint]
+            if m.jnt_limited[joint] and (moved.min() < low or moved.max() > high):
+                said.append(
+                    f"joint {motor.joint}: its range {low:.4g} … {high:.4g} does not hold the recorded "
+                    f"{moved.min():.4g} … {moved.max():.4g} (another zero); it was released"
+                )
+            force = np.concatenate([np.abs(g.torque[:, i]) * motor.reduction for g in records]).max()
+            most = [m.jnt_actfrcrange[joint, 1]] if m.jnt_actfrclimited[joint] else []
+            if motor.actuator:
+                at = m.actuator(motor.actuator).id
+                most += [m.actuator_forcerange[at, 1] * abs(float(m.actuator_gear[at, 0]))] * int(
+                    m.actuator_forcelimited[at]
+                )
+            if most and force > min(most):
+                said.append(
+                    f"joint {motor.joint}: the file limits its torque to {min(most):.4g}, the recording has "
+                    f"{force:.4g}; the limit was released"
+                )
+        return said
 
     def claimed(self) -> Model | None:
         """The chains and effects that the XML's elements are."""
@@ -73,6 +114,7 @@ class MujocoSimulator:
                 own.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
                 if own.delay:  # its buffer holds a sample a step
                     own.nsample = steps_of(own.delay, spec.option.timestep)
+        release_limits(spec, plant.play)
         model = spec.compile()
         control = np.zeros((torque.shape[0], model.nu))
         for i, motor in enumerate(plant.motors):
@@ -133,6 +175,7 @@ class MujocoSimulator:
     def corrected(self, model: Model, to: Path) -> tuple[MujocoSimulator, list[str]]:
         """See ``Simulator.corrected``."""
         text, lost = correct(self.plant, model)
+        lost += [f"{x}: their files are missing" for x in self.left_out]
         save_text(to, text)
         return type(self)(to, self.axes), lost
 

@@ -20,6 +20,7 @@ from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.numerics.arrays import Float64
+from invid.simulators.mujoco_surroundings import Locked, belonging, impossible_inertia, lock
 
 SMALL = 1e-9
 LIGHT = 0.05
@@ -79,6 +80,21 @@ class MjcfPlant:
     """Coordinates of masses on a spring beside a chain."""
     plain: bool = False
     """A URDF's: inertia in its links and in the rotors of its motors alone, no tendons."""
+    locked: tuple[Locked, ...] = ()
+    """Joints beside the recorded axes."""
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def play(self) -> set[str]:
+        """Joints whose limits are play."""
+        return {h.play for h in self.handles if h.play}
+
+    @property
+    def said(self) -> list[str]:
+        """What was locked and released, in sentences."""
+        names = ", ".join(j.name for j in self.locked)
+        locked = [f"{names}: not recorded, locked where the file has them"] if names else []
+        return [*self.remarks, *locked]
 
     @property
     def motor_inertia(self) -> Float64:
@@ -139,10 +155,16 @@ def read_plant(
     ``reductions``: turns of a motor as it is recorded per turn of its joint, by the joint's name.
     """
     _name_all(spec)
+    remarks = inertia_remarks(spec, source)
     compiled = spec.compile()
+    motors = _motors(spec, compiled, axes, source, reductions)
+    tied = belonging(compiled, [compiled.joint(m.joint).id for m in motors])
+    hidden_too = {k for k in range(compiled.njnt) if compiled.joint(k).name.startswith(HIDDEN)}
+    beside = [compiled.joint(k).name for k in range(compiled.njnt) if k not in tied | hidden_too]
+    locked = lock(spec, beside) if beside else ()
+    compiled = spec.compile() if locked else compiled
     if compiled.nv != compiled.njnt or compiled.nq != compiled.nv:
         raise InputError(f"{source}: has ball or free joints; only hinges and slides are read")
-    motors = _motors(spec, compiled, axes, source, reductions)
     # Behind a reduction it is the motor's turns that are recorded, of a slide as well.
     kinds = {
         int(
@@ -168,10 +190,28 @@ def read_plant(
             hidden.append(chain.pop())
     plant = MjcfPlant(
         spec, compiled, axes, motors, positions, mass, handles, order, None, linear,
-        float(compiled.opt.timestep), hidden, plain,
+        float(compiled.opt.timestep), hidden, plain, locked, remarks,
     )  # fmt: skip
     plant.model = _model(plant, source)
     return plant
+
+
+def inertia_remarks(spec: Any, source: str) -> tuple[str, ...]:
+    """Refuses moments of inertia that no body has; where the file balances them, says what that changes."""
+    bad = impossible_inertia(spec)
+    if bad and not spec.compiler.balanceinertia:
+        name, (a, b, c) = next(iter(bad.items()))
+        raise InputError(
+            f"{source}: {name!r} has the principal moments of inertia {a:.4g}, {b:.4g}, {c:.4g}, which no "
+            f"body has: the largest is at most the sum of the others. The one about the joint's axis is what "
+            f"counts: keep it, and raise the others (to {c / 2:.4g} each), or lower the largest where that "
+            "is another"
+        )
+    return tuple(
+        f"{name}: 'balanceinertia' replaces its moments {a:.4g}, {b:.4g}, {c:.4g} by their mean "
+        f"{(a + b + c) / 3:.4g}; state moments that a body can have instead"
+        for name, (a, b, c) in bad.items()
+    )
 
 
 def _name_all(spec: Any) -> None:

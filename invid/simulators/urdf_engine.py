@@ -4,7 +4,8 @@ The drive convention is the URDF's own: a ``<transmission>`` of one joint and on
 an axis' motor drives, its ``<mechanicalReduction>`` n that the motor, where torque and position are recorded,
 turns n times as far with an n-th of the torque. What URDF has no element for is taken from where other
 tools put it: stiffness of a joint from Gazebo's ``<springStiffness>``, the rotor's inertia at the motor from
-Drake's ``<drake:rotor_inertia>``. Joints that no axis drives and no spring holds are locked.
+Drake's ``<drake:rotor_inertia>``. Joints that no axis drives and no spring holds are locked; what follows
+another by ``<mimic>`` counts as inertia, damping and friction at that joint.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ REDUCTION = ("mechanicalReduction", "mechanical_reduction")
 ROTOR = "drake:rotor_inertia"
 SPRING = "springStiffness"
 NOT_SIMULATED = ("visual", "collision", "mimic", "safety_controller", "calibration")
-"""Shapes would be read from other files and touch each other; joints that follow others are locked."""
+"""Shapes would be read from other files and touch each other; joints that follow others count with them."""
+_TURNING = ("revolute", "continuous", "prismatic")
 STEP = 0.1
 """Step times the fastest rate of joints' springs and dampers, at most; MuJoCo's own step is 2 ms."""
 
@@ -53,11 +55,24 @@ class Transmission:
     rotor: float
 
 
+@dataclass(frozen=True)
+class Follower:
+    """A joint that turns ``multiplier`` times as far as ``master``, and what that adds there."""
+
+    joint: str
+    master: str
+    multiplier: float
+    armature: float
+    damping: float
+    friction: float
+
+
 class UrdfSimulator(MujocoSimulator):
     """A URDF; ``root`` is its XML, ``drives`` the transmission of each axis."""
 
     root: Element
     drives: list[Transmission]
+    followers: list[Follower]
 
     def _read(self, path: Path) -> MjcfPlant:
         self.root = parsed(path.read_bytes(), self.path)
@@ -66,10 +81,22 @@ class UrdfSimulator(MujocoSimulator):
         if any(str(e.tag).startswith("xacro:") for e in self.root.iter()):
             raise InputError(f"{path}: holds xacro macros; expand them first: xacro {path.name} > robot.urdf")
         self.drives = self._drives()
+        self.followers = _followers(self.root, self.drives, self.path)
         spec = _spec(self.root, self.drives, self.path)
+        for f in self.followers:
+            joint = spec.joint(f.master)
+            joint.armature += f.armature
+            joint.damping[0] += f.damping
+            joint.frictionloss += f.friction
         plant = read_plant(spec, self.axes, self.path, {d.joint: d.recorded for d in self.drives}, plain=True)
         if self.root.find("mujoco/option[@timestep]") is None:
             plant.step = min(plant.step, STEP / _fastest(plant.compiled))
+        plant.remarks += tuple(
+            f"{f.joint} follows {f.master} {f.multiplier:g} times: {f.armature:.4g} of inertia there"
+            for f in self.followers
+        )
+        still = [j.get("name", "") for j in self.root.findall("joint") if _is_still(j, self)]
+        plant.remarks += (f"{', '.join(still)}: not recorded, locked at 0",) if still else ()
         return plant
 
     def _drives(self) -> list[Transmission]:
@@ -114,7 +141,7 @@ class UrdfSimulator(MujocoSimulator):
             if reason:
                 made.lost.append(f"{effect_name(term)}: {reason}")
         root = copy.deepcopy(self.root)
-        _transfer(made, root, self.drives)
+        _transfer(made, root, self.drives, self.followers)
         save_text(to, '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n")
         return UrdfSimulator(to, self.axes), made.lost
 
@@ -184,7 +211,7 @@ def _springs(root: Element) -> dict[str, Element]:
     return {joint: e for joint, e in found if e is not None}
 
 
-def _spec(root: Element, drives: list[Transmission], source: str) -> Any:
+def _spec(root: Element, drives: list[Transmission], source: str, *, sprung: bool = True) -> Any:
     """MuJoCo's spec of a URDF: shapes left out, springs and motors put in, all other joints locked."""
     bare = copy.deepcopy(root)
     for parent in bare.iter():
@@ -193,18 +220,15 @@ def _spec(root: Element, drives: list[Transmission], source: str) -> Any:
     springs = {
         j: _number(e, f'{source}: <gazebo reference="{j}"><{SPRING}>') for j, e in _springs(root).items()
     }
+    springs = springs if sprung else {}
     driven = {d.joint for d in drives}
     for joint in bare.findall("joint"):
         if joint.get("name") not in driven and springs.get(joint.get("name", ""), 0.0) <= 0.0:
             joint.set("type", "fixed")
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(bare, encoding="unicode"))
     spec.compiler.fusestatic = False  # a body stays the link of its name
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     for joint in spec.joints:
-        # Limits are the controller's; the recorded motion was possible.
-        joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
-        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.stiffness[0] = springs.get(joint.name, 0.0) if joint.name not in driven else 0.0
         joint.solref_friction[:], joint.solimp_friction[:] = HARD
     for drive in drives:
@@ -212,6 +236,39 @@ def _spec(root: Element, drives: list[Transmission], source: str) -> Any:
         motor = spec.add_actuator(name=drive.actuator, target=drive.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.gear[0] = drive.recorded
     return spec
+
+
+def _is_still(joint: Element, of: UrdfSimulator) -> bool:
+    name = joint.get("name", "")
+    moves = {d.joint for d in of.drives} | {f.joint for f in of.followers} | set(_springs(of.root))
+    return joint.get("type") in _TURNING and name not in moves
+
+
+def _followers(root: Element, drives: list[Transmission], source: str) -> list[Follower]:
+    """What each joint that mimics a driven one adds there, from the mass matrix where both are free."""
+    driven, found = {d.joint for d in drives}, []
+    for joint in root.findall("joint"):
+        mimic, name = joint.find("mimic"), joint.get("name", "")
+        if mimic is None or mimic.get("joint") not in driven or joint.get("type") not in _TURNING:
+            continue
+        master = mimic.get("joint", "")
+        ratio = 1.0
+        if mimic.get("multiplier") is not None:
+            said = Element("multiplier", {"value": mimic.get("multiplier", "")})
+            ratio = _number(said, f"{source}: <mimic> of {name}: multiplier")
+        free = [Transmission(j, j, 1.0, 1.0, 0.0) for j in (master, name)]
+        m = _spec(root, free, source, sprung=False).compile()
+        mass = mass_matrix(m)
+        a, b = (int(m.jnt_dofadr[m.joint(j).id]) for j in (master, name))
+        found.append(
+            Follower(
+                name, master, ratio,
+                armature=ratio**2 * float(mass[b, b]) + 2.0 * ratio * float(mass[a, b]),
+                damping=ratio**2 * float(m.dof_damping[b]),
+                friction=abs(ratio) * float(m.dof_frictionloss[b]),
+            )
+        )  # fmt: skip
+    return found
 
 
 def _fastest(m: Any) -> float:
@@ -244,8 +301,8 @@ def _write(made: SpecCopy, part: Part) -> str:
     return ""
 
 
-def _transfer(made: SpecCopy, root: Element, drives: list[Transmission]) -> None:
-    """Writes the numbers of a corrected spec that differ into the user's XML."""
+def _transfer(made: SpecCopy, root: Element, drives: list[Transmission], followers: list[Follower]) -> None:
+    """Writes the numbers of a corrected spec that differ into the user's XML, less what followers add."""
     before, after = made.plant.compiled, made.spec.compile()
     for link in root.findall("link"):
         inertial = link.find("inertial")
@@ -257,6 +314,10 @@ def _transfer(made: SpecCopy, root: Element, drives: list[Transmission]) -> None
         if old.inertia.max() > 0.0:
             _scale(inertial.find("inertia"), names, float(new.inertia.max() / old.inertia.max()))
     springs, joints = _springs(root), {e.get("name"): e for e in root.findall("joint")}
+    added = {"damping": dict[str, float](), "friction": dict[str, float](), "armature": dict[str, float]()}
+    for f in followers:
+        for key, of in added.items():
+            of[f.master] = of.get(f.master, 0.0) + float(getattr(f, key))
     for k in range(after.njnt):
         name = after.joint(k).name
         pairs = (("damping", "dof_damping"), ("friction", "dof_frictionloss"))
@@ -265,14 +326,15 @@ def _transfer(made: SpecCopy, root: Element, drives: list[Transmission]) -> None
             if not math.isclose(old, new, rel_tol=1e-9):
                 here = joints[name].find("dynamics")
                 here = SubElement(joints[name], "dynamics") if here is None else here
-                here.set(attribute, repr(new))
+                here.set(attribute, repr(max(new - added[attribute].get(name, 0.0), 0.0)))
         stiffness = float(after.jnt_stiffness[k])
         if name in springs and not math.isclose(before.jnt_stiffness[k], stiffness, rel_tol=1e-9):
             springs[name].text = repr(stiffness)
             springs[name].attrib.pop("value", None)
     places = {joint: t for _, joint, t in _transmissions(root)}
     for drive in drives:
-        inertia = float(after.dof_armature[after.joint(drive.joint).id]) / drive.reduction**2
+        armature = float(after.dof_armature[after.joint(drive.joint).id])
+        inertia = max(armature - added["armature"].get(drive.joint, 0.0), 0.0) / drive.reduction**2
         if not math.isclose(inertia, drive.rotor, rel_tol=1e-9):
             transmission = places[drive.joint]
             actuator, rotor = transmission.find("actuator"), _rotor(transmission)

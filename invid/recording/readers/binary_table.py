@@ -1,7 +1,7 @@
-"""Tables from MAT v5 and v7.3, HDF5 with other names, and Parquet.
+"""Tables from HDF5 with other names, Parquet, Feather, and NumPy's files.
 
 Arrays become columns: the longest dimension is samples, the other one is counted from 0 in brackets
-(``speed[0]``, ``speed[1]``). Fields of MATLAB structs are joined by dots, HDF5 groups by slashes.
+(``speed[0]``, ``speed[1]``). HDF5 groups are joined by slashes.
 """
 
 from __future__ import annotations
@@ -12,46 +12,45 @@ from typing import Any
 
 import h5py
 import numpy as np
-import scipy.io
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.tables import Table
 
 MAX_VALUES = 200_000_000
+FEATHER = b"ARROW1"
 _MAX_WIDTH = 64
 """An array wider than this is no set of channels (an image, a matrix)."""
 
 
-def read_mat_table(path: Path) -> Table:
-    """Columns of a MAT file of either generation."""
-    if h5py.is_hdf5(path):
-        return _table(path, _hdf5_arrays(path, separator="."))
-    return _table(path, _mat5_arrays(path))
-
-
 def read_hdf5_table(path: Path) -> Table:
     """Columns of an HDF5 file whatever its names."""
-    return _table(path, _hdf5_arrays(path, separator="/"))
+    return _table(path, _hdf5_arrays(path))
 
 
 def read_parquet_table(path: Path) -> Table:
-    """Columns of a Parquet file."""
+    """Columns of a Parquet or a Feather file."""
     try:
+        import pyarrow.feather  # noqa: PLC0415 (an extra: not everybody has it)
         import pyarrow.parquet  # noqa: PLC0415 (an extra: not everybody has it)
     except ImportError:
         raise InputError(
             f"{path}: Parquet needs the package pyarrow; install it with pip install 'invid[parquet]'"
         ) from None
     try:
-        file = pyarrow.parquet.ParquetFile(path)
-        if file.metadata.num_rows * max(file.metadata.num_columns, 1) > MAX_VALUES:
-            raise InputError(f"{path}: more numbers than this program reads from one file")
-        table = file.read()
+        with path.open("rb") as raw:
+            is_feather = raw.read(6) == FEATHER
+        if is_feather:
+            table = pyarrow.feather.read_table(path)
+        else:
+            file = pyarrow.parquet.ParquetFile(path)
+            if file.metadata.num_rows * max(file.metadata.num_columns, 1) > MAX_VALUES:
+                raise InputError(f"{path}: more numbers than this program reads from one file")
+            table = file.read()
     except InputError:
         raise
     except Exception as error:  # pyarrow raises its own, OSError, ValueError, KeyError by kind of damage
-        raise InputError(f"{path}: cannot be read as Parquet: {_first_line(error)}") from None
+        raise InputError(f"{path}: cannot be read as Parquet: {first_line(error)}") from None
     columns, units = {}, {}
     for name in table.column_names:
         values = table.column(name)
@@ -65,31 +64,33 @@ def read_parquet_table(path: Path) -> Table:
             seconds[np.isnat(instants)] = np.nan
             columns[name], units[name] = frozen_float(seconds), "s"
     stamped = frozenset(n for n in units if str(table.column(n).type).startswith("timestamp"))
-    return _finish(path, columns, units, stamped)
+    return finish(path, columns, units, stamped)
 
 
 def _table(path: Path, arrays: Iterator[tuple[str, Any, str]]) -> Table:
     columns: dict[str, Float64] = {}
     units: dict[str, str] = {}
     for name, array, unit in arrays:
-        found = _channels(name, array)
+        found = channels(name, array)
         columns.update(found)
         units.update(dict.fromkeys(found, unit) if unit else {})
-    return _finish(path, columns, units)
+    return finish(path, columns, units)
 
 
-def _finish(
+def finish(
     path: Path, columns: dict[str, Float64], units: dict[str, str], stamped: frozenset[str] = frozenset()
 ) -> Table:
+    """The table of these columns; InputError where there are none."""
     if not columns:
         raise InputError(f"{path}: holds no array of real numbers with at least two samples")
     return Table(name=str(path), columns=columns, units=units, stamped=stamped)
 
 
-def _channels(name: str, array: Any) -> dict[str, Float64]:
+def channels(name: str, array: Any) -> dict[str, Float64]:
+    """Columns of an array, or of the fields of a structured one; none where it is no set of channels."""
     values = np.asarray(array)
     if values.dtype.names:
-        parts = [_channels(f"{name}.{field}", values[field]) for field in values.dtype.names]
+        parts = [channels(f"{name}.{field}", values[field]) for field in values.dtype.names]
         return {k: v for part in parts for k, v in part.items()}
     if values.dtype.kind not in "iufb" or values.size < 2:
         return {}
@@ -103,39 +104,7 @@ def _channels(name: str, array: Any) -> dict[str, Float64]:
     return {f"{name}[{i}]": frozen_float(values[:, i]) for i in range(values.shape[1])}
 
 
-def _mat5_arrays(path: Path) -> Iterator[tuple[str, Any, str]]:
-    try:
-        content = scipy.io.loadmat(path, squeeze_me=False, struct_as_record=True)
-    except (
-        Exception
-    ) as error:  # scipy raises ValueError, TypeError, zlib.error, struct.error, … by kind of damage
-        raise InputError(f"{path}: cannot be read as a MAT file: {_first_line(error)}") from None
-    for name, value in content.items():
-        if not name.startswith("__") and name != "None":
-            yield from ((n, v, "") for n, v in _mat5_fields(name, value, depth=0))
-
-
-def _mat5_fields(name: str, value: Any, depth: int) -> Iterator[tuple[str, Any]]:
-    if not isinstance(value, np.ndarray) or depth > 6:
-        return
-    if value.dtype.names:
-        if value.size == 1:
-            for field in value.dtype.names:
-                yield from _mat5_fields(f"{name}.{field}", value.flat[0][field], depth + 1)
-        else:
-            # An array of structs, one a sample: a column of each field that is one number throughout.
-            for field in value.dtype.names:
-                cells = [np.asarray(cell).ravel() for cell in value[field].flat]
-                if all(cell.size == 1 and cell.dtype.kind in "iufb" for cell in cells):
-                    yield f"{name}.{field}", np.array([float(cell[0]) for cell in cells])
-        return
-    if value.dtype == object and value.size == 1:
-        yield from _mat5_fields(name, value.flat[0], depth + 1)
-        return
-    yield name, value
-
-
-def _hdf5_arrays(path: Path, separator: str) -> Iterator[tuple[str, Any, str]]:
+def _hdf5_arrays(path: Path) -> Iterator[tuple[str, Any, str]]:
     left = MAX_VALUES
     try:
         with h5py.File(path, "r") as file:
@@ -144,23 +113,23 @@ def _hdf5_arrays(path: Path, separator: str) -> Iterator[tuple[str, Any, str]]:
                 lambda name, node: found.append((name, node)) if isinstance(node, h5py.Dataset) else None
             )
             for name, data in found:
-                if name.startswith("#") or data.is_virtual or data.external or data.shape is None:
+                if data.is_virtual or data.external or data.shape is None:
                     continue
                 numbers = data.dtype.kind in "iuf" or bool(data.dtype.names)
-                if not numbers or data.ndim > 3 or data.attrs.get("MATLAB_class") == b"char":
+                if not numbers or data.ndim > 3:
                     continue
                 count = int(np.prod(data.shape, dtype=object))
                 if count > left:
                     raise InputError(f"{path}: {name!r} claims {count} numbers, more than this program reads")
                 left -= count
-                yield name.replace("/", separator), data[()], _unit_of(data)
+                yield name, data[()], unit_of(data)
     except InputError:
         raise
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
-        raise InputError(f"{path}: cannot be read as HDF5: {_first_line(error)}") from None
+        raise InputError(f"{path}: cannot be read as HDF5: {first_line(error)}") from None
 
 
-def _unit_of(data: h5py.Dataset) -> str:
+def unit_of(data: h5py.Dataset) -> str:
     """The attribute ``unit`` or ``units`` of a dataset; empty where it has none."""
     for name in ("unit", "units", "Unit", "Units"):
         try:
@@ -174,5 +143,6 @@ def _unit_of(data: h5py.Dataset) -> str:
     return ""
 
 
-def _first_line(error: BaseException) -> str:
+def first_line(error: BaseException) -> str:
+    """What an error of a library says first, for a message."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

@@ -15,7 +15,7 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64, Int64
-from invid.recording.clock import best_clock
+from invid.recording.clock import best_clock, is_count
 from invid.recording.import_map import Source
 from invid.recording.readers.scope_export import is_scope_export, read_scope_export
 from invid.recording.tables import BrokenRow, Table
@@ -26,6 +26,8 @@ MAX_BYTES = 2_000_000_000
 _DELIMITERS = (";", "\t", ",", "|", " ")
 SELDOM = 0.01
 """Share of rows with one cell more from which the others have left it blank: as many may be broken."""
+WORDS = 0.9
+"""Share of rows with a word from which a column holds words, and no row is broken by one."""
 _FAILED = 1000
 """Cells that could not be read and are kept to find out why."""
 _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
@@ -33,11 +35,14 @@ _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
 
 def read_text_table(path: Path, source: Source) -> Table:
     """Columns of a text file; what ``source`` leaves open is found out and noted."""
-    text, encoding = _read(path, source.encoding)
-    lines = text.splitlines()
+    text, encoding = read_text(path, source.encoding)
+    return table_of_lines(path, text.splitlines(), source, encoding)
+
+
+def table_of_lines(path: Path, lines: list[str], source: Source, encoding: str = "utf-8") -> Table:
+    """Columns of the lines of a text file."""
     if source.header_lines is None and source.names is None and is_scope_export(lines):
         return read_scope_export(str(path), lines, _split, _scope_number)
-    del text
     aside = () if source.header_lines is not None else ("#", "%", "//")
     first = source.header_lines or 0
     kept = (i for i in range(first, len(lines)) if (s := lines[i].lstrip()) and not s.startswith(aside))
@@ -110,7 +115,8 @@ def _timestamps(data: Float64, sample: list[list[str]]) -> list[int]:
     return found
 
 
-def _read(path: Path, encoding: str | None) -> tuple[str, str]:
+def read_text(path: Path, encoding: str | None) -> tuple[str, str]:
+    """The text of a file and its encoding: the one given, else what it is found to be."""
     try:
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes of text are more than this program reads")
@@ -178,10 +184,12 @@ def _find_delimiter(numbered: _Numbered, decimal: str | None) -> str:
 
 
 def _first_data_row(numbered: _Numbered, delimiter: str, width: int, form: NumberFormat, path: Path) -> int:
+    words = _columns_of_words([_cells(line, delimiter) for _, line in _middle(numbered)], width, form)
     for i, (_, line) in enumerate(numbered):
         cells = _cells(line, delimiter)
         if len(cells) != width:
             continue
+        cells = [c for k, c in enumerate(cells) if k not in words]
         values = [not math.isnan(_value(c, form)) for c in cells]
         if any(values) and all(v or c.lower() in _NOT_A_NUMBER for v, c in zip(values, cells, strict=True)):
             # Rows above it that are half numbers are broken rows of data, not header.
@@ -192,6 +200,18 @@ def _first_data_row(numbered: _Numbered, delimiter: str, width: int, form: Numbe
         f"{path}: no row of numbers found; give 'delimiter', 'decimal', 'thousands' and 'header_lines' in "
         "the map's 'source' (dates and times of day are read as instants, with AM or PM where they say so)"
     )
+
+
+def _columns_of_words(rows: list[list[str]], width: int, form: NumberFormat) -> set[int]:
+    """Columns that hold words in the middle of the file: names of joints, states of a drive, frames."""
+    whole = [r for r in rows if len(r) == width]
+    return {
+        i for i in range(width) if whole and sum(_is_word(r[i], form) for r in whole) > WORDS * len(whole)
+    }
+
+
+def _is_word(cell: str, form: NumberFormat) -> bool:
+    return cell.lower() not in _NOT_A_NUMBER and math.isnan(_value(cell, form))
 
 
 def _half_numbers(cells: list[str], width: int, form: NumberFormat) -> bool:
@@ -219,8 +239,10 @@ def _names(
         units = candidates.pop()
     names = candidates[-1] if candidates else [""] * width
     # An unnamed first column is common, and then it is the time, unless its numbers or its unit say no.
+    # One that counts rows is what a table's index looks like when it is written out.
     is_time = not (units and normal_unit(units[0]) not in FACTORS["time"]) and best_clock(data.T) == 0
-    names = [n or ("time" if i == 0 and is_time else f"column{i}") for i, n in enumerate(names)]
+    first = "index" if is_count(data[:, 0]) and not units else "time" if is_time else "column0"
+    names = [n or (first if i == 0 else f"column{i}") for i, n in enumerate(names)]
     unique: list[str] = []
     for n in names:
         unique.append(n if n not in unique else f"{n}.{sum(u.split('.')[0] == n for u in unique)}")

@@ -14,7 +14,7 @@ from scipy.io import savemat
 from invid.cli.app import run
 from invid.recording import Recording, read_recording
 from invid.recording.import_map import Source, parse_map
-from invid.recording.importer import read_table
+from invid.recording.readers.kinds import read_table
 from invid.recording.readers.mcap_table import read_mcap_table
 
 RATE, COUNT = 500.0, 240
@@ -199,11 +199,11 @@ def test_joint_states_of_a_bag_are_read_by_their_own_stamps(tmp_path, capsys, en
     bag(path, encoding)
     chart, asked = suggested(path, capsys)
     assert not asked
-    assert [a["name"] for a in chart["axes"]] == ["A1", "A2"]
+    assert [a["name"] for a in chart["axes"]] == ["shoulder", "elbow"]
     recording = imported(path, chart)
     holds(recording)
     assert recording.experiments[0].position[:, 1] == pytest.approx(2 * ANGLE, abs=1e-9)
-    assert "joints of /joint_states in order: shoulder, elbow" in "".join(read_mcap_table(path).reasons)
+    assert "joints of /joint_states: shoulder, elbow" in "".join(read_mcap_table(path).reasons)
 
 
 def bag(path: Path, encoding: str) -> None:

@@ -103,3 +103,27 @@ def test_where_nothing_moves_or_a_model_has_the_axis_it_stays() -> None:
         experiments=tuple(replace(e, position=0 * e.position, excited_axis=-1) for e in both.experiments),
     )
     assert moving_part(rest)[0] is rest
+
+
+@pytest.mark.parametrize("hunting", ["counts", "noise", "limit cycle"])
+def test_axes_that_hunt_about_their_place_beside_one_that_moves_far_stand(hunting: str) -> None:
+    time = np.arange(4000) * 1e-3
+    rng = np.random.default_rng(2)
+    count = 2 * np.pi / 2**17
+    held = {
+        "counts": count * rng.integers(-2, 3, time.size),
+        "noise": rng.normal(0, 1e-5, time.size),
+        "limit cycle": count * np.round(3 * np.sin(2 * np.pi * 4 * time)),
+    }[hunting]
+    position = np.column_stack([0.5 + held, np.sin(3 * time), -1.0 + held[::-1]])
+    e = invid.recording.model.Experiment(
+        "000", invid.recording.model.Kind.OTHER, invid.recording.model.Role.IDENTIFY, -1, np.zeros(3), 0,
+        np.zeros(0), 1000.0, time, position, np.column_stack([held * 0 + 4, np.cos(3 * time), held * 0]),
+    )  # fmt: skip
+    recording = invid.Recording("r", ("A1", "A2", "A3"), "rad", "N·m", "2026-11-27T00:00:00Z", (e,))
+    part, said = moving_part(recording)
+    assert part.axes == ("A2",)
+    assert len(said) == 2
+    slow = np.column_stack([0.5 + 0.02 * np.sin(time), np.sin(3 * time), -1.0 + held])
+    part, _ = moving_part(replace(recording, experiments=(replace(e, position=slow),)))
+    assert part.axes == ("A1", "A2")

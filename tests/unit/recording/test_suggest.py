@@ -149,3 +149,147 @@ def test_the_fields_of_a_pdo_are_cut_where_numbers_end(fast):
     ]
     guess = guess_pdos({0x80: [b""] * ROW.size, 0x181: payloads}, 0x80)
     assert [s.type for s in guess.pdos[0].signals] == ["int16", "int16", "int32"]
+
+
+@pytest.mark.parametrize(
+    "count", ["Unnamed: 0", "index", "sample", ""], ids=["reset_index", "index", "sample", "unnamed"]
+)
+@pytest.mark.parametrize("stamp", ["timestamp", "stamp [s]", "t_us", "epoch"])
+def test_a_stamp_outranks_a_count_of_the_rows_that_is_more_even(tmp_path, capsys, count, stamp):
+    late = np.random.default_rng(1).uniform(0, 2e-4, ROW.size)
+    stamps = 2e-3 * ROW + late
+    stamps = {"t_us": np.round(1e6 * stamps), "epoch": 1.7e9 + stamps}.get(stamp, stamps)
+    path = tmp_path / "a.csv"
+    rows = [f"{k},{t:.6f},{a},{b}" for k, t, a, b in zip(ROW, stamps, ANGLE, TORQUE, strict=True)]
+    path.write_text("\n".join([f"{count},{stamp},position_rad,torque_Nm", *rows]), encoding="utf-8")
+    found = suggested(capsys, path)
+    assert found["map"]["time"] == {"column": stamp, "unit": "us" if stamp == "t_us" else "s"}
+    assert found["fill_in"] == {}
+
+
+@pytest.mark.parametrize("name", ["", "sample", "Unnamed: 0"])
+def test_a_count_of_the_rows_alone_is_no_time_and_the_rate_is_asked(tmp_path, capsys, name):
+    names = [name, "position_rad", "torque_Nm"]
+    found = suggested(capsys, written(tmp_path / "a.csv", names, ROW, ANGLE, TORQUE))
+    assert found["map"]["time"] == {"sample_rate_hz": None}
+    assert "only counts the rows" in found["fill_in"]["time.sample_rate_hz"]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "unit"),
+    [(2.0 * ROW, None), (1.7e12 + 2.0 * ROW, "ms"), (1.7e15 + 2000.0 * ROW, "us"), (2e-3 * ROW, "s")],
+    ids=["may be ms or us", "ms since 1970", "us since 1970", "s"],
+)
+def test_a_unit_of_time_is_asked_where_the_file_does_not_tell_it(tmp_path, capsys, stamps, unit):
+    path = tmp_path / "a.csv"
+    rows = [f"{t:.17g},{a},{b}" for t, a, b in zip(stamps, ANGLE, TORQUE, strict=True)]
+    path.write_text("\n".join(["time,position_rad,torque_Nm", *rows]), encoding="utf-8")
+    found = suggested(capsys, path)
+    assert found["map"]["time"] == {"column": "time", "unit": unit}
+    assert ("time.unit" in found["fill_in"]) == (unit is None)
+
+
+def test_six_axes_are_not_asked_six_times_and_every_quantity_has_its_own_unit(tmp_path, capsys):
+    names, columns = ["timestamp"], [TIME]
+    for k in range(6):
+        names += [f"actual_q_{k}", f"target_q_{k}", f"actual_current_{k}", f"target_moment_{k}"]
+        columns += [ANGLE * (k + 1), ANGLE, TORQUE, 9 * TORQUE]
+    found = suggested(capsys, written(tmp_path / "a.csv", names, *columns))
+    assert len(found["map"]["axes"]) == 6
+    assert len(found["unsure"]) <= 6
+    for axis in found["map"]["axes"]:
+        assert axis["torque"]["unit"] == "A"
+        assert axis["torque_demand"]["unit"] == "N·m"
+        assert "torque_constant" not in axis["torque_demand"]
+
+
+def test_what_was_taken_of_two_is_named(tmp_path, capsys):
+    names = ["t", "current", "torque", "position"]
+    found = suggested(capsys, written(tmp_path / "a.csv", names, TIME, TORQUE, TORQUE, ANGLE))
+    assert found["map"]["axes"][0]["torque"]["column"] == "torque"
+    assert not any("former" in u for u in found["unsure"])
+
+
+@pytest.mark.parametrize(
+    ("measured", "asked"), [("tau_J", "tau_J_d"), ("torque", "torque_sp"), ("effort", "effort_reference")]
+)
+def test_a_reference_is_not_taken_for_the_torque_wherever_it_stands(tmp_path, capsys, measured, asked):
+    names = ["t", "q_d", asked, measured, "q"]
+    found = suggested(capsys, written(tmp_path / "a.csv", names, TIME, ANGLE, TORQUE, TORQUE, ANGLE))
+    axis = found["map"]["axes"][0]
+    assert (axis["torque"]["column"], axis["torque"]["meaning"]) == (measured, "measured")
+    assert axis["torque_demand"]["column"] == asked
+    assert axis["position"]["column"] == "q"
+
+
+@pytest.mark.parametrize(("name", "size"), [("ActPos", 1e5), ("encoder", 4096.0)])
+def test_whole_numbers_are_counts_and_their_size_is_asked(tmp_path, capsys, name, size):
+    counts = np.round(size * ANGLE)
+    found = suggested(capsys, written(tmp_path / "a.csv", ["t", name, "torque_Nm"], TIME, counts, TORQUE))
+    assert found["map"]["axes"][0]["position"] == {"column": name, "unit": "counts", "per_count": None}
+    assert "axes A1 position.per_count" in found["fill_in"]
+
+
+@pytest.mark.parametrize("names", [("position", "velocity"), ("id1.position", "id1.velocity")])
+def test_moteus_counts_turns(tmp_path, capsys, names):
+    header = [
+        "timestamp",
+        *names,
+        names[0].replace("position", "torque"),
+        names[0].replace("position", "q_current"),
+    ]
+    columns = [1.7e9 + TIME, ANGLE, ANGLE, TORQUE, 2 * TORQUE]
+    path = tmp_path / "a.csv"
+    rows = [",".join(f"{v:.17g}" for v in row) for row in zip(*columns, strict=True)]
+    path.write_text("\n".join([",".join(header), *rows]), encoding="utf-8")
+    axis = suggested(capsys, path)["map"]["axes"][0]
+    assert axis["position"] == {"column": names[0], "unit": "rev"}
+    assert axis["torque"]["unit"] == "N·m"
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("elbow_pos", "elbow_tau", "wrist_pos", "wrist_tau"),
+        ("/js/elbow/position", "/js/elbow/effort", "/js/wrist/position", "/js/wrist/effort"),
+        ("left_q1", "left_tau1", "right_q1", "right_tau1"),
+    ],
+    ids=["underscores", "PlotJuggler", "two arms"],
+)
+def test_joints_are_told_by_their_names(tmp_path, capsys, names):
+    columns = [TIME, ANGLE, TORQUE, 2 * ANGLE, 2 * TORQUE]
+    found = suggested(capsys, written(tmp_path / "a.csv", ["__time", *names], *columns))
+    taken = [(a["position"]["column"], a["torque"]["column"]) for a in found["map"]["axes"]]
+    assert taken == [(names[0], names[1]), (names[2], names[3])]
+    assert not any("look like" in u for u in found["unsure"])
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        (
+            "%time,field.header.seq,field.header.frame_id,field.name0,field.position0,field.effort0",
+            "{ns},{k},,elbow,{q},{u}",
+        ),
+        ("Time;State;Position [rad];Torque [Nm]", "{t};OPERATION ENABLED;{q};{u}"),
+        ("t,mode,position,torque,note", "{t},RUN,{q},{u},ok"),
+    ],
+    ids=["rostopic echo -p", "a drive's state", "words at the end"],
+)  # fmt: skip
+def test_columns_of_words_are_left_beside_the_numbers(tmp_path, capsys, header, row):
+    path = tmp_path / "a.csv"
+    rows = [
+        row.format(
+            ns=1_700_000_000_000_000_000 + 1_000_000 * k, k=k, t=f"{t:.4f}", q=f"{q:.6f}", u=f"{u:.6f}"
+        )
+        for k, (t, q, u) in enumerate(zip(TIME, ANGLE, TORQUE, strict=True))
+    ]
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    found = suggested(capsys, path)
+    assert found["fill_in"] == {}
+    chart = tmp_path / "map.yaml"
+    chart.write_text(json.dumps(found["map"]))
+    assert run(["import", str(path), "--map", str(chart), "-o", str(tmp_path / "r.h5")]) == 0
+    e = read_recording(tmp_path / "r.h5").experiments[0]
+    np.testing.assert_allclose(e.position[:, 0], ANGLE, atol=1e-6)
+    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import time
 from collections.abc import Iterator
@@ -336,3 +337,40 @@ def test_an_internal_error_is_a_problem_without_its_secrets(
         answer = client.get("/api/v1/identifications")
         assert kind(answer) == "internal-error"
         assert "secret" not in answer.text
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Content-Type": "text/json"},
+        {"Content-Type": "text/json; charset=utf-8"},
+        {"Content-Encoding": "gzip"},
+    ],
+    ids=["no type", "text/json", "text/json in UTF-8", "gzip"],
+)
+def test_json_is_taken_from_programs_that_name_no_type_an_old_one_or_pack_it(
+    tmp_path: Path, headers: dict[str, str]
+) -> None:
+    body = b'{"mode":"full","arm":true}'
+    with running(tmp_path, Director()) as (client, _):
+        content = gzip.compress(body) if "Content-Encoding" in headers else body
+        assert client.post(START, content=content, headers=headers).status_code == 202
+
+
+@pytest.mark.parametrize(
+    ("content", "status"),
+    [(gzip.compress(b" " * 50_000_000), 413), (b"{}", 400), (gzip.compress(b'{"mode":"full"}')[:-9], 400)],
+    ids=["bomb", "not packed", "cut off"],
+)
+def test_a_packed_body_is_bounded_and_whole(tmp_path: Path, content: bytes, status: int) -> None:
+    with running(tmp_path, Director()) as (client, _):
+        headers = {"Content-Encoding": "gzip", "Content-Type": "application/json"}
+        assert client.post(START, content=content, headers=headers).status_code == status
+
+
+def test_a_page_elsewhere_gets_no_type_lent(tmp_path: Path) -> None:
+    with running(tmp_path, Director()) as (client, _):
+        headers = {"Origin": "http://evil.example"}
+        answer = client.post(START, content=b'{"mode":"full","arm":true}', headers=headers)
+        assert kind(answer) in ("invalid-request", "foreign-origin")

@@ -141,6 +141,31 @@ def test_rows_that_are_missing_or_repeated_are_no_glitches() -> None:
     assert remove_glitches(given) == (given, [])
 
 
+@pytest.mark.parametrize("speed", [3.0, -2.0])
+@pytest.mark.parametrize("lost", [1, 3])
+def test_rows_that_are_missing_where_the_stamps_jitter_are_no_lost_counts(speed: float, lost: int) -> None:
+    """A logger that stamps late keeps no trace of a lost row but the motion of all axes."""
+    motion = shaken() + speed * TIME
+    gone = [k + j for k in (500, 900, 1400, 2000, 2700, 3300) for j in range(lost)]
+    kept = np.delete(np.arange(COUNT), gone)
+    stamps = np.arange(kept.size) / RATE
+    stamps += np.random.default_rng(3).uniform(0, 3e-4, kept.size)
+    given = recording(motion[kept], time=stamps)
+    left, said = remove_glitches(given)
+    assert np.array_equal(left.experiments[0].position, given.experiments[0].position)
+    assert all("stamps jitter" in s and "cable" not in s for s in said)
+
+
+def test_counts_lost_against_the_motion_are_given_back_though_the_stamps_jitter() -> None:
+    motion = shaken() + 3.0 * TIME
+    steps = np.zeros(COUNT)
+    steps[[500, 900, 1400, 2000, 2700, 3300]] = -0.02
+    stamps = TIME + np.random.default_rng(3).uniform(0, 3e-4, COUNT)
+    left, said = remove_glitches(recording(motion + np.cumsum(steps), time=stamps))
+    assert any("cable" in s for s in said)
+    assert np.abs(left.experiments[0].position[:, 0] - motion).max() < 1e-3
+
+
 @pytest.mark.campaign
 def test_a_model_and_a_diagnosis_do_not_feel_them() -> None:
     clean, _ = make(None, seed=11, motors=1)

@@ -1,0 +1,99 @@
+"""PDO mappings as vendors' EDS and DCF files state them, against frames packed by hand."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from invid.recording.import_map import Source
+from invid_drivers.can_log import read_can_log
+from invid_drivers.can_log_mapping import pdos_of_eds
+
+N = 50
+TORQUE = np.round(900 * np.sin(np.arange(N) / 9)).astype(int)
+POSITION = np.round(4e6 * np.cos(np.arange(N) / 9)).astype(int)
+HEAD = "[FileInfo]\nFileName=a.eds\nFileVersion=1\n[DeviceInfo]\nVendorName=x\n"
+OBJECTS = {0x6077: 0x0003, 0x6064: 0x0004, 0x6041: 0x0006, 0x2001: 0x0008, 0x2002: 0x0011}
+
+
+def var(section: str, kind: int, value: int | str | None = None) -> str:
+    given = "" if value is None else f"DefaultValue={value}\n"
+    said = f"ParameterName=p{section}\nObjectType=0x7\nDataType=0x{kind:04X}\nAccessType=rw\n"
+    return f"[{section}]\n{said}{given}"
+
+
+def mapped(number: int, entries: list[int], identifier: str) -> str:
+    comm, mapping = f"{0x1800 + number:04X}", f"{0x1A00 + number:04X}"
+    text = f"[{comm}]\nParameterName=c\nObjectType=0x9\nSubNumber=2\n" + var(f"{comm}sub0", 5, 1)
+    text += var(f"{comm}sub1", 7, identifier)
+    text += f"[{mapping}]\nParameterName=m\nObjectType=0x9\nSubNumber={len(entries) + 1}\n"
+    text += var(f"{mapping}sub0", 5, len(entries))
+    return text + "".join(var(f"{mapping}sub{i}", 7, f"0x{e:08X}") for i, e in enumerate(entries, 1))
+
+
+def eds(path: Path, *pdos: str) -> Path:
+    path.write_text(HEAD + "".join(pdos) + "".join(var(f"{i:04X}", k) for i, k in OBJECTS.items()))
+    return path
+
+
+def log(path: Path, frames: list[tuple[int, bytes]]) -> Path:
+    """``frames``: N payloads of each identifier after SYNC."""
+    lines = []
+    for k in range(N):
+        lines.append(f"({1.7e9 + k * 1e-3:.6f}) can0 080#")
+        lines += [
+            f"({1.7e9 + k * 1e-3 + 1e-4:.6f}) can0 {i:03X}#{data[k].hex().upper()}" for i, data in frames
+        ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("entry", "form", "said"),
+    [(0x60770020, "<ii", True), (0x60770010, "<hi", False), (0x60770008, "<bi", True)],
+    ids=["longer than the type", "as the type", "shorter than the type"],
+)
+def test_an_object_is_as_long_as_the_mapping_says(tmp_path, entry, form, said):
+    small = np.clip(TORQUE, -100, 100) if form == "<bi" else TORQUE
+    path = eds(tmp_path / "a.eds", mapped(0, [entry, 0x60640020], "0x181"))
+    frames = [struct.pack(form, t, p) for t, p in zip(small.tolist(), POSITION.tolist(), strict=True)]
+    source = Source(eds=path.name, nodes=[1])
+    table = read_can_log(log(tmp_path / "a.log", [(0x181, frames)]), source, beside=tmp_path)
+    np.testing.assert_array_equal(table.columns["n1_6064"], POSITION)
+    np.testing.assert_array_equal(table.columns["n1_6077"], small)
+    assert any("n1_6077" in r and "mapping" in r for r in table.remarks) == said
+
+
+@pytest.mark.parametrize("number", [4, 17, 511])
+def test_a_pdo_beyond_the_fourth_is_read_by_the_identifier_that_it_has(tmp_path, number):
+    path = eds(tmp_path / "a.dcf", mapped(number, [0x20010020, 0x60770010], "$NODEID+0x2C0"))
+    frames = [struct.pack("<fh", p / 7, t) for p, t in zip(POSITION.tolist(), TORQUE.tolist(), strict=True)]
+    source = Source(eds=path.name, nodes=[3])
+    table = read_can_log(log(tmp_path / "a.log", [(0x2C3, frames)]), source, beside=tmp_path)
+    np.testing.assert_allclose(table.columns["n3_2001"], POSITION / 7, rtol=1e-6)
+    np.testing.assert_array_equal(table.columns["n3_6077"], TORQUE)
+
+
+def test_a_pdo_beyond_the_fourth_without_an_identifier_is_said_to_be_left_out(tmp_path):
+    path = eds(tmp_path / "a.eds", mapped(0, [0x60640020], "0x181"), mapped(5, [0x60770010], "0"))
+    pdos, remarks = pdos_of_eds(path, [1])
+    assert [p.id for p in pdos] == [0x181]
+    assert any("0x1A05" in r and "identifier" in r for r in remarks)
+
+
+@pytest.mark.parametrize("kind", ["0x8", "0x9"], ids=["array", "record"])
+def test_mappings_in_compact_form_are_read(tmp_path, kind):
+    compact = (
+        f"[1A00]\nParameterName=m\nObjectType={kind}\nDataType=0x0007\nAccessType=rw\nCompactSubObj=8\n"
+        "[1A00Value]\nNrOfEntries=2\n1=0x20020040\n"
+        f"[1800]\nParameterName=c\nObjectType={kind}\nDataType=0x0007\nAccessType=rw\nCompactSubObj=2\n"
+        "[1800Value]\nNrOfEntries=1\n1=$NODEID+0x180\n"
+    ).replace("NrOfEntries=2\n", "NrOfEntries=1\n")
+    path = eds(tmp_path / "a.eds", compact)
+    frames = [struct.pack("<d", p / 3) for p in POSITION.tolist()]
+    source = Source(eds=path.name, nodes=[1])
+    table = read_can_log(log(tmp_path / "a.log", [(0x181, frames)]), source, beside=tmp_path)
+    np.testing.assert_array_equal(table.columns["n1_2002"], POSITION / 3)

@@ -1,0 +1,102 @@
+"""MCAP as robots write it: columns by the joints' names, whatever order and publisher they come in."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from invid.errors import InputError
+from invid.recording.import_map import Source
+from invid.recording.import_source import suggest_map
+from invid.recording.readers.kinds import read_table
+
+N = 400
+TIME = np.arange(N) * 1e-3
+
+
+def angle(joint: str) -> np.ndarray:
+    return np.sin(2 * np.pi * (3 + len(joint)) * TIME) * len(joint)
+
+
+def bag(path: Path, messages: list[tuple[str, int, dict]]) -> Path:
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/JointState", "jsonschema", b"{}")
+        channels = {t: writer.register_channel(t, "json", schema) for t, _, _ in messages}
+        for topic, logged, body in messages:
+            writer.add_message(channels[topic], logged, json.dumps(body).encode(), logged)
+        writer.finish()
+    return path
+
+
+def state(k: int, names: list[str], stamp: float | None = None) -> dict:
+    stamp = 1.7e9 + TIME[k] if stamp is None else stamp
+    header = {"stamp": {"sec": int(stamp), "nanosec": round(stamp % 1 * 1e9)}}
+    values = [float(angle(n)[k]) for n in names]
+    return {"header": header, "name": names, "position": values, "effort": [3 * v for v in values]}
+
+
+def logged(k: int) -> int:
+    return int(1.7e18) + k * 1_000_000
+
+
+def test_joints_that_change_their_order_are_read_by_name(tmp_path):
+    orders = [["elbow", "shoulder1"], ["shoulder1", "elbow"]]
+    path = bag(tmp_path / "a.mcap", [("/js", logged(k), state(k, orders[k // 7 % 2])) for k in range(N)])
+    table = read_table(path, Source())
+    for joint in orders[0]:
+        np.testing.assert_allclose(table.columns[f"/js.position[{joint}]"], angle(joint))
+    with pytest.raises(InputError, match="elbow"):
+        table.column("/js.position[0]")
+
+
+def test_two_arms_on_one_topic_have_their_own_rows_and_axes(tmp_path):
+    messages = []
+    for k in range(N):
+        messages.append(("/js", logged(k), state(k, ["left_arm_joint1", "left_arm_joint2"])))
+        if k % 2:
+            messages.append(("/js", logged(k), state(k, ["right_joint1"])))
+    path = bag(tmp_path / "a.mcap", messages)
+    table = read_table(path, Source())
+    np.testing.assert_allclose(table.columns["/js.position[right_joint1]"], angle("right_joint1")[1::2])
+    np.testing.assert_allclose(table.columns["/js.effort[left_arm_joint2]"], 3 * angle("left_arm_joint2"))
+    axes = suggest_map([path], None)[1].document["axes"]
+    assert [(a["name"], a["position"]["column"]) for a in axes] == [
+        ("left_arm_joint1", "/js.position[left_arm_joint1]"),
+        ("left_arm_joint2", "/js.position[left_arm_joint2]"),
+    ]
+
+
+def test_names_that_stand_above_nested_lists_are_theirs_too(tmp_path):
+    def body(k: int, names: list[str]) -> dict:
+        values = [float(angle(n)[k]) for n in names]
+        return {"joint_names": names, "actual": {"positions": values}}
+
+    path = bag(
+        tmp_path / "a.mcap",
+        [("/s", logged(k), body(k, ["j2", "elbow"][:: 1 - 2 * (k % 2)])) for k in range(N)],
+    )
+    np.testing.assert_allclose(read_table(path, Source()).columns["/s.actual.positions[j2]"], angle("j2"))
+
+
+def test_a_place_still_names_a_joint_whose_place_is_always_the_same(tmp_path):
+    path = bag(tmp_path / "a.mcap", [("/js", logged(k), state(k, ["elbow", "j2"])) for k in range(N)])
+    aliases = read_table(path, Source()).aliases
+    assert aliases["/js.position[1]"] == "/js.position[j2]"
+
+
+@pytest.mark.parametrize(("zeros", "first"), [(1, 1.0 / 1000), (30, 1.7e9)], ids=["simulated", "unset"])
+def test_a_stamp_of_zero_is_the_start_of_a_simulated_clock_or_was_never_set(tmp_path, zeros, first):
+    stamps = [0.0 if k < zeros else first + (k - zeros) * 1e-3 for k in range(N)]
+    messages = [("/js", logged(k), state(k, ["j2"], stamps[k])) for k in range(N)]
+    time = read_table(bag(tmp_path / "a.mcap", messages), Source()).columns["time of /js"]
+    if first < 1:
+        np.testing.assert_allclose(np.diff(time), 1e-3, atol=1e-6)
+    else:
+        assert np.isnan(time[:zeros]).all()
+        assert np.isfinite(time[zeros:]).all()
