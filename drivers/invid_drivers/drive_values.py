@@ -17,7 +17,8 @@ from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, dat
 from canopen.objectdictionary.eds import export_eds
 
 from invid.errors import InputError
-from invid.tuning.forms import Form, MotorScale
+from invid.tuning.forms import Form
+from invid.tuning.motor_scale import MotorScale
 from invid.tuning.simulated_loops import AxisLoop
 from invid.tuning.tune import AxisTuning, Tuning
 from invid_drivers.cia402.objects import Object

@@ -14,30 +14,18 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from invid.disk import not_written
 from invid.errors import InputError
 from invid.model.document import describe_validation_error, dump_json, save_text
 from invid.tuning.document import tuning_table, tuning_to_json
+from invid.tuning.motor_scale import MotorScale
 from invid.tuning.page import tuning_page, tuning_picture
 from invid.tuning.tune import Tuning
 
 DRIVES = "invid.drive_values"
 """Entry point group of drives' own forms: a function (tuning, motors) → ``DriveForm`` by the drive's name."""
-
-
-class MotorScale(BaseModel):
-    """How an axis of the model hangs at its motor: what a drive's own units need."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    gear: float = Field(default=1.0, gt=0)
-    """Turns of the motor [rad] per unit of the axis [rad or m]: the gear ratio, for a screw 2π/pitch."""
-    torque_constant_Nm_per_A: float | None = Field(default=None, gt=0)
-    """Of the motor's shaft."""
-    node_id: int = Field(default=1, ge=1, le=127)
-    torque_limit_Nm: float | None = Field(default=None, gt=0)
-    """Of the axis, as the model counts torque (N on a linear axis): acceleration limits follow from it."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from tuning.tuned import tuned
 from invid.errors import InputError
 from invid.tuning.document import loops_from_json, tuning_table, tuning_to_json, values_of
 from invid.tuning.forms import (
-    MotorScale,
     drive_form,
     klipper_form,
     moveit_form,
@@ -26,6 +25,7 @@ from invid.tuning.forms import (
     ros2_form,
     write_tuning,
 )
+from invid.tuning.motor_scale import MotorScale
 from invid.tuning.page import tuning_page, tuning_picture
 from invid.tuning.servo_loop import Notch
 from invid.tuning.shapers import choose_shaper
