@@ -1,10 +1,10 @@
-"""Random cells (``tests/hidden/generator.py``) measured, identified and tuned; the loops run on the true plant.
+"""Random cells (``tests/hidden``) measured, identified and tuned; the loops run on the true plant.
 
     python benchmarks/tuning/bench_tuning.py [--cells 30] [--start 4100000] [-o CASES.jsonl]
 
 The identified model is made as unsure as a short measurement would leave it (masses, springs, couplings 2 %,
-dampers 20 %: the model is one draw, so the truth is another), and friction on every axis, free play on every
-second cell and a further mode on every third are known to 5 %. Each cell makes the reference move on the true
+dampers 20 %: the model is one draw, the truth another), and friction on every axis, free play on every second
+cell and a further mode on every third are known to 5 %. Each cell makes the reference move on the true
 plant, nonlinear, with
 
 - timid: slow loops without feedforward, for a drive as delivered;
@@ -13,8 +13,8 @@ plant, nonlinear, with
 - old tool: tuned for another tool (the last mass of every axis times 0.4 to 2.5);
 - tuned: what ``invid tune`` gives.
 
-``unstable`` counts cells whose linear loops on the true plant are unstable or whose move runs away, ``peak`` is
-the worst peak of sensitivity on the true plants; errors are relative to those of ``tuned`` on the same axis,
+``unstable`` counts cells whose loops on the true plant are unstable or whose move runs away, ``peak`` is the
+worst peak of sensitivity on the true plants; errors are relative to those of ``tuned`` on the same axis,
 median over axes where both move: above one is worse than tuned. Bars: none unstable when tuned, the peak
 promised in 98 % of fresh draws.
 """
@@ -231,8 +231,9 @@ def table(cases: list[dict[str, Any]]) -> tuple[str, bool]:
     calm = not any(c["tuned"]["unstable"] for c in done)
     met = bool(done) and calm and float(kept.min()) >= 0.98
     lines += [
-        f"tuned: following error {1e6 * np.median(tuned):.0f} µrad or µm median; the peak of {PROMISE:g} kept in "
-        f"{100 * kept.min():.1f} % of 200 fresh draws in the worst cell; {np.median([c['seconds'] for c in done]):.0f} s each",
+        f"tuned: following error {1e6 * np.median(tuned):.0f} µrad or µm median; "
+        f"the peak of {PROMISE:g} kept in {100 * kept.min():.1f} % of 200 fresh draws in the worst cell; "
+        f"{np.median([c['seconds'] for c in done]):.0f} s each",
         "all bars met" if met else "a bar is missed",
     ]
     return "\n".join(lines), met

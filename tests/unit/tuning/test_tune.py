@@ -59,6 +59,7 @@ def test_free_play_ranks_before_friction_that_feedforward_answers():
     assert bought == sorted(bought, reverse=True)
 
 
+@pytest.mark.campaign
 def test_a_surer_model_is_never_tuned_slower():
     sure = tune_model(replace(machine(relative=1e-4)), TuneSettings(draws=60))
     unsure = tune_model(replace(machine(relative=0.12)), TuneSettings(draws=60))
@@ -87,6 +88,7 @@ def _diagnosed(effect: EffectTerm, *alternatives: Alternative) -> Diagnosis:
     return Diagnosis(Verdict.EXPLAINED, (), None, (finding,), None, model)
 
 
+@pytest.mark.campaign
 def test_of_two_candidates_the_worse_one_is_designed_for():
     delay = EffectTerm("torque_delay", "A1", {"delay": Estimate(0.004, 1e-4, "s")})
     lag = EffectTerm("torque_lag", "A1", {"time_constant": Estimate(0.004, 1e-4, "s")})
