@@ -154,7 +154,7 @@ def case(seed: int) -> dict[str, Any]:
     except InvidError as error:
         return {"seed": seed, "skipped": f"refused: {error}"}
     seconds = time.process_time() - begun
-    old = tune_model(other_tool(rng, model), TuneSettings(seed=seed))
+    old = tune_model(other_tool(rng, model), TuneSettings(seed=seed, draws=50))
     plant, timing = linear_plant(model), tuned.settings.timing
     inertia, motor = own_inertias(plant), [float(m[0]) for m in model.chains.masses]
     rule = [

@@ -23,8 +23,8 @@ from invid.tuning.servo_loop import DriveTiming, Gains, closed_loop, controller_
 SEEN = 0.02
 """Empirical: least share of a mode's motion at a motor by which it counts as seen there."""
 BASE_POINTS = 320
-_AROUND = np.concatenate([-np.geomspace(0.3, 1e-3, 7), [0.0], np.geomspace(1e-3, 0.3, 7)])
-"""Relative places of further points around a mode."""
+_AROUND = np.concatenate([-np.geomspace(0.3, 3e-4, 8), np.geomspace(3e-4, 0.3, 8)])
+"""Relative places of further points around a mode; not on it, where an undamped one has no response."""
 
 
 @dataclass(frozen=True, eq=False)

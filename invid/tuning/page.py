@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from invid.report.figures import plain_hz
 from invid.report.labels import label, printable
@@ -43,8 +44,9 @@ def bode_and_move(tuning: Tuning) -> str:
                     lw=1.1,
                     label=side if i == 0 else None,
                 )
-                turn = np.degrees(np.unwrap(np.angle(loop)))
-                phase.plot(hz, turn - 360.0 * np.round((turn[0] + 180.0) / 360.0), line, color=colour, lw=1.1)
+                turn = np.degrees(np.angle(-loop)) - 180.0
+                turn[1:][np.abs(np.diff(turn)) > 180.0] = np.nan  # around the edge of the picture
+                phase.plot(hz, turn, line, color=colour, lw=1.1)
                 run = runs[side]
                 away = 1e3 * (run.load[:, i] - run.command[:, i])
                 move.plot(run.time, away, line, color=colour, lw=1.1)
@@ -54,7 +56,10 @@ def bode_and_move(tuning: Tuning) -> str:
                 ax.set_xscale("log")
                 ax.set_xlim(hz[0], hz[-1])
                 plain_hz(ax)
+                ax.xaxis.set_major_locator(LogLocator(10))  # three narrow pictures side by side
             gain.set_ylim(-60, 80)
+            phase.set_ylim(-360, 0)
+            phase.set_yticks(range(-360, 1, 90))
             for at in (tuning.command.arrived, 2 * tuning.command.leaves - tuning.command.arrived):
                 move.axvline(at * tuning.settings.timing.cycle, color=INK, lw=0.6, ls=":")
             gain.set_title(label(axis.axis, 20), loc="left")

@@ -13,6 +13,7 @@ controller is the same law as a PID position controller with velocity feedforwar
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import control
@@ -21,7 +22,7 @@ from scipy.signal import bilinear
 
 from invid.exchange.linear_plant import LinearPlant
 from invid.exchange.statespace import state_space
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Complex128, Float64, frozen_float
 
 
 @dataclass(frozen=True)
@@ -34,11 +35,16 @@ class Notch:
 
     def coefficients(self, cycle: float) -> tuple[Float64, Float64]:
         """Numerator and denominator (3,) in z⁻¹ at a cycle [s], warped so that the centre stays."""
-        w = 2 * np.pi * self.frequency
-        warped = 2.0 / cycle * np.tan(min(w * cycle / 2.0, 1.5))
-        top, bottom = ([1.0, 2 * d * warped, warped**2] for d in (self.zero_damping, self.pole_damping))
-        b, a = bilinear(top, bottom, 1.0 / cycle)
-        return np.asarray(b, dtype=float), np.asarray(a, dtype=float)
+        return _biquad(self, cycle)
+
+
+@lru_cache(maxsize=4096)
+def _biquad(notch: Notch, cycle: float) -> tuple[Float64, Float64]:
+    w = 2 * np.pi * notch.frequency
+    warped = 2.0 / cycle * np.tan(min(w * cycle / 2.0, 1.5))
+    top, bottom = ([1.0, 2 * d * warped, warped**2] for d in (notch.zero_damping, notch.pole_damping))
+    b, a = bilinear(top, bottom, 1.0 / cycle)
+    return frozen_float(b), frozen_float(a)
 
 
 @dataclass(frozen=True)

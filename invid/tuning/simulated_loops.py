@@ -6,7 +6,7 @@ those of ``servo_loop``; nothing here is linear that the model says is not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,10 @@ DISTANCE = {False: 0.1, True: 0.01}
 """Length of the move of a rotary [rad] and of a linear axis [m]."""
 PERIODS = 3.0
 """Duration of the move, and of the rest after it, in periods of the lowest mode of a load."""
+RIGID_S = 1.0
+"""Duration of the move where nothing swings [s]."""
+LEAST_CYCLES = 200
+"""Of the drive in the move: a faster one shows its sampling."""
 BAND = 0.01
 """An axis has settled where it stays within this share of the move."""
 
@@ -76,25 +80,31 @@ class MoveFigures:
     overshoot: float
 
 
-def reference_move(plant: LinearPlant, timing: DriveTiming, *, slowest: float = 1.0) -> Command:
+def reference_move(
+    plant: LinearPlant, timing: DriveTiming, hardest: Mapping[int, float] | None = None
+) -> Command:
     """All axes there and back at minimum jerk (Flash and Hogan 1985), each followed by a rest as long.
 
-    ``slowest`` [s] is the duration where nothing swings.
+    ``hardest`` [rad/s² or m/s²] bounds the acceleration of an axis: it then moves less far.
     """
     loads = held_modes(plant, range(len(plant.motors)))
-    duration = PERIODS * 2 * np.pi / float(loads[0]) if loads.size else slowest
+    duration = PERIODS * 2 * np.pi / float(loads[0]) if loads.size else RIGID_S
+    duration = max(duration, LEAST_CYCLES * timing.cycle)
     n = int(np.ceil(duration / timing.cycle))
     x = np.arange(n) / n
     step = np.array(
         [x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)]
     )
-    step *= DISTANCE[plant.linear_axes] / np.array([1.0, n * timing.cycle, (n * timing.cycle) ** 2])[:, None]
+    step /= np.array([1.0, n * timing.cycle, (n * timing.cycle) ** 2])[:, None]
     rest = np.zeros((3, n))
     there = rest.copy()
-    there[0] = DISTANCE[plant.linear_axes]
-    whole = np.hstack([step, there, there - step, rest])
-    p, v, a = (np.repeat(row[:, None], len(plant.motors), axis=1) for row in whole)
-    v[2 * n : 3 * n], a[2 * n : 3 * n] = -v[:n], -a[:n]
+    there[0] = 1.0
+    whole = np.hstack([step, there, -step, rest])
+    whole[0, 2 * n : 3 * n] += 1.0
+    distance = np.full(len(plant.motors), DISTANCE[plant.linear_axes])
+    for i, most in (hardest or {}).items():
+        distance[i] = min(distance[i], most / float(np.abs(step[2]).max()))
+    p, v, a = (row[:, None] * distance for row in whole)
     return Command(p, v, a, n, 2 * n)
 
 

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from invid.errors import NotIdentifiableError
-from invid.exchange.linear_plant import LinearPlant, linear_plant
+from invid.exchange.linear_plant import LeftOut, LinearPlant, linear_plant
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import EffectTerm, Estimate, Model
-from invid.tuning.feedforward import NONE, feedforward
+from invid.numerics.arrays import Float64
+from invid.tuning.feedforward import NONE, Feedforward, feedforward
 from invid.tuning.gains import PROMISE, design_gains, gains_at, own_inertias, slower
 from invid.tuning.margins import Margins, drawn_plants, seen_modes, worst_margins
 from invid.tuning.plant_draws import LOOP_CAUSES, candidates, drawn_models
@@ -36,6 +37,8 @@ _SHAPER_DRAWS = 60
 SOFTENED = 1e-3
 """What is left of a spring's stiffness where it has free play and the loops are designed for that, too:
 within the play the motor has no load."""
+SATURATED = 0.5
+"""Share of a torque limit that the reference move may ask of the inertia."""
 UNTUNED = 0.25
 """Crossover of the loops of a drive that nobody has tuned, as a share of the first antiresonance: slow
 enough to shake nothing. Stands in for its values as delivered, which are not known here."""
@@ -118,13 +121,15 @@ def tune_model(
 ) -> Tuning:
     """Gains, notches, feedforward and shaper for every axis; see ``invid.tune``."""
     found = candidates(source)
-    model, timing = found.models[0], settings.timing
+    lost = [left for left in linear_plant(found.models[0]).nonlinear if left.reason]
+    known = tuple(_without(m, [left.term for left in lost]) for m in found.models)
+    model, timing = known[0], settings.timing
     rng = np.random.default_rng(settings.seed)
     plant = linear_plant(model)
     inertia = own_inertias(plant)
-    seen = [linear_plant(m) for m in drawn_models(found.models, DESIGN_DRAWS, rng)]
-    soft = [linear_plant(m) for m in (_softened(m) for m in found.models) if m is not None]
-    fresh = [linear_plant(m) for m in drawn_models(found.models, settings.draws, rng)]
+    seen = [linear_plant(m) for m in drawn_models(known, DESIGN_DRAWS, rng)]
+    soft = [linear_plant(m) for m in (_softened(m) for m in known) if m is not None]
+    fresh = [linear_plant(m) for m in drawn_models(known, settings.draws, rng)]
     gains = design_gains(drawn_plants([plant, *seen, *soft], timing), plant, settings.notches)
     gains, margins = _kept(fresh, gains, timing)
     loop = closed_loop(plant, gains, timing)
@@ -140,7 +145,7 @@ def tune_model(
         for i, name in enumerate(model.axes)
     ]
     margins_before = worst_margins(fresh, tuple(a.gains for a in old), timing, PROMISE)
-    command = reference_move(plant, timing)
+    command = reference_move(plant, timing, _bearable(model, inertia))
     run_before, run_after = (run_loops(model, loops, command, timing) for loops in (old, after))
     moves_before, moves_after = move_figures(run_before, command), move_figures(run_after, command)
     axes = tuple(
@@ -150,12 +155,24 @@ def tune_model(
         )
         for i, name in enumerate(model.axes)
     )  # fmt: skip
-    remarks = [*found.remarks, *_left_out(plant, forward, model.axes), *_held_badly(axes)]
+    remarks = [*found.remarks, *_left_out(lost, forward, model.axes), *_held_badly(axes)]
     repairs = _repairs(model, after, command, timing, moves_after)
     return Tuning(
         model, settings, axes, repairs, tuple(remarks), "as given" if before else STAND_IN, command,
         run_before, run_after, plant,
     )  # fmt: skip
+
+
+def _bearable(model: Model, inertia: Float64) -> dict[int, float]:
+    """Largest acceleration of the axes whose torque saturates: the move is to show loops, not the limit."""
+    limits = {
+        model.axes.index(e.axis): e.value("limit") for e in model.effects if e.cause == "torque_saturation"
+    }
+    return {i: SATURATED * limit / float(inertia[i]) for i, limit in limits.items()}
+
+
+def _without(model: Model, terms: Sequence[EffectTerm]) -> Model:
+    return replace(model, effects=tuple(e for e in model.effects if not any(e is t for t in terms)))
 
 
 def _kept(
@@ -214,14 +231,13 @@ def _backlash(model: Model, axis: str) -> float:
     return sum(e.value("gap") for e in model.effects if e.cause == "backlash" and e.axis == axis)
 
 
-def _left_out(plant: LinearPlant, forward: Sequence[object], axes: Sequence[str]) -> list[str]:
+def _left_out(lost: Sequence[LeftOut], forward: Sequence[Feedforward], axes: Sequence[str]) -> list[str]:
     out = [
         f"{left.term.axis}: {left.term.cause} cannot be simulated here and is in nothing below: {left.reason}"
-        for left in plant.nonlinear
-        if left.reason
+        for left in lost
     ]
     for name, f in zip(axes, forward, strict=True):
-        out += [f"{name}: no feedforward for {text}" for text in getattr(f, "left_out", ())]
+        out += [f"{name}: no feedforward for {text}" for text in f.left_out]
     return out
 
 
@@ -242,7 +258,7 @@ def _repairs(
     for term in model.effects:
         if term.cause in LOOP_CAUSES and term.cause not in ("viscous_friction", "extra_mode"):
             continue
-        without = replace(model, effects=tuple(e for e in model.effects if e is not term))
+        without = _without(model, [term])
         plant = linear_plant(without)
         free = [
             replace(

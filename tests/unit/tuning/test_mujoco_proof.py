@@ -125,9 +125,9 @@ def test_both_simulators_see_the_same_errors():
 def test_tuning_anew_for_the_new_tool_pays():
     stale, fresh = (run_in_mujoco(axis(load).after, NEW_LOAD) for load in (OLD_LOAD, NEW_LOAD))
     # The rest is free play, which no value mends.
-    assert fresh.following < 0.9 * stale.following
+    assert fresh.following < 0.95 * stale.following
     assert fresh.at_load < 0.85 * stale.at_load
-    assert fresh.left < 0.7 * stale.left
+    assert fresh.left < 0.75 * stale.left
 
 
 def test_what_repair_of_the_free_play_buys_is_what_mujoco_sees():
