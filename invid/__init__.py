@@ -23,7 +23,9 @@ if TYPE_CHECKING:
         load_model,
         read_recording,
         simulate,
+        tune,
         write_recording,
+        write_tuning,
     )
     from invid.comparison.changes import Comparison
     from invid.errors import (
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from invid.model.document import Model
     from invid.numerics.budget import Progress
     from invid.recording.model import Experiment, Recording
+    from invid.tuning.tune import Tuning
 
     __version__: str
 
@@ -68,6 +71,7 @@ __all__ = [
     "Recording",
     "RecordingError",
     "SafetyStop",
+    "Tuning",
     "compare",
     "diagnose",
     "export",
@@ -77,7 +81,9 @@ __all__ = [
     "load_model",
     "read_recording",
     "simulate",
+    "tune",
     "write_recording",
+    "write_tuning",
 ]
 
 _HOMES = {
@@ -87,6 +93,7 @@ _HOMES = {
     "Model": "invid.model.document",
     "Progress": "invid.numerics.budget",
     "Recording": "invid.recording.model",
+    "Tuning": "invid.tuning.tune",
 }
 """Where the types are; functions are in ``invid.api``, errors in ``invid.errors``."""
 

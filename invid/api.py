@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from invid.recording.import_map import ImportMap
     from invid.recording.model import Recording
     from invid.simulators.guided import Simulator
+    from invid.tuning.forms import WrittenTuning
+    from invid.tuning.tune import Tuning
 
 Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["refined", "paper"]
@@ -335,6 +337,77 @@ def export(model: Model, to: str, path: str | Path) -> Export:
     if not isinstance(to, str):
         arguments.one_of(to, "to", tuple(FORMATS))
     return export_model(arguments.a_model(model), to, arguments.a_path(path, "path"))
+
+
+def tune(
+    source: Model | Diagnosis,
+    *,
+    before: str | Path | None = None,
+    cycle: float = 0.001,
+    notches: int = 2,
+    draws: int = 200,
+) -> Tuning:
+    """Gains, notch filters, feedforward and shapers for the drives of a model, with the margins they leave.
+
+    Parameters
+    ----------
+    source
+        A model, or a diagnosis: causes that it leaves open then count, and the loops are designed for the
+        worse.
+    before
+        An ``invid-tuning`` file with the values in the drives now, for the comparison; default: timid gains.
+    cycle
+        Of the drives' loops [s].
+    notches
+        At most this many an axis.
+    draws
+        Machines drawn from the model's covariance in which the margins are to hold.
+
+    Returns
+    -------
+    Tuning
+        ``axes`` with gains, feedforward, shaper, margins and the reference move, each before and after;
+        ``repairs`` in the order of what they buy. ``invid.write_tuning`` writes the files.
+
+    Raises
+    ------
+    NotIdentifiableError
+        The model is not to be trusted, too unsure for any gains, or leaves open what the loops would feel.
+    """
+    from invid.errors import InputError
+    from invid.model.diagnosis_document import Diagnosis
+    from invid.model.document import load_json
+    from invid.numerics.immutable import immutable
+    from invid.tuning.document import loops_from_json
+    from invid.tuning.servo_loop import DriveTiming
+    from invid.tuning.tune import TuneSettings, tune_model
+
+    arguments.a_number(cycle, "cycle", "give the cycle of the drives' loops in seconds", above=0.0)
+    if not isinstance(source, Diagnosis):
+        arguments.a_model(source)
+    old = None
+    if before is not None:
+        path = arguments.a_path(before, "before")
+        old = loops_from_json(load_json(path), str(path))
+        model = source.model if isinstance(source, Diagnosis) else source
+        if strange := set(old) - set(model.axes):
+            raise InputError(f"{path}: {min(strange)!r} is no axis of the model; it has {list(model.axes)}")
+    return immutable(tune_model(source, TuneSettings(DriveTiming(cycle), notches, draws), old))
+
+
+def write_tuning(
+    tuning: Tuning, folder: str | Path, *, drive: str | None = None, motors: str | Path | None = None
+) -> WrittenTuning:
+    """Write a tuning as files: a page, a document, and the forms that controllers read; never to a drive.
+
+    ``drive`` adds the drive's own objects, for which ``motors``, a YAML file, says gear and torque constant
+    of each axis (docs/how-to/tune.md). The result names the files, and what each form does not hold.
+    """
+    from invid.tuning.forms import read_motors
+    from invid.tuning.forms import write_tuning as write
+
+    known = None if motors is None else read_motors(arguments.a_path(motors, "motors"))
+    return write(tuning, arguments.a_path(folder, "folder"), drive=drive, motors=known)
 
 
 def load_model(path: str | Path) -> Model:

@@ -15,6 +15,7 @@ from invid_service.cells.state import router as state
 from invid_service.jobs.drawing import router as drawing
 from invid_service.jobs.launcher import Launcher, launch_process
 from invid_service.jobs.router import router as identifications
+from invid_service.jobs.tuning import router as tuning
 from invid_service.links import API
 from invid_service.middleware import Guard
 from invid_service.openapi import complete_schema, operation_id
@@ -63,7 +64,7 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
     )
     app.state.service = service
     problems.install(app, service.is_simulated)
-    for router in (cells, state, series, identifications, drawing, recordings, health.router):
+    for router in (cells, state, series, identifications, drawing, tuning, recordings, health.router):
         app.include_router(router, prefix=API)
     # The usual addresses of supervision, beside those under the version.
     app.include_router(health.router, include_in_schema=False)

@@ -33,6 +33,7 @@ from invid_service.jobs.orphans import settle
 from invid_service.jobs.results import Results, load
 from invid_service.jobs.run_log import tell_ended
 from invid_service.jobs.states import State
+from invid_service.jobs.tunings import Tunings
 from invid_service.keys import Keys
 from invid_service.links import API, set_root
 from invid_service.metrics import Metrics
@@ -70,6 +71,7 @@ class Service:
     jobs: JobManager
     cells: dict[str, Cell]
     metrics: Metrics
+    tunings: Tunings
     start_locks: dict[str, asyncio.Lock] = field(default_factory=lambda: defaultdict(asyncio.Lock))
     can_start: RecentAnswers = field(default_factory=RecentAnswers)
     shutting_down: bool = False
@@ -122,6 +124,7 @@ class Service:
             if task is not None:
                 task.cancel()
         await self.jobs.shutdown()
+        await self.tunings.close()
         self.store.close()
         self.lock.release()
 
@@ -336,6 +339,7 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
             metrics.ended(str(run.record.state), run.record.mode)
 
         jobs.on_end = ended
+        tunings = Tunings(store, blobs, clock, settings.analysis_timeout_s)
         audit = AuditLog(settings.data_dir / "audit.jsonl")
     except BaseException:
         lock.release()
@@ -352,6 +356,7 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
         jobs=jobs,
         cells=cells,
         metrics=metrics,
+        tunings=tunings,
     )
 
 

@@ -310,7 +310,8 @@ def _has_already(given: str, tag: str) -> bool:
     return any(t.strip().removeprefix("W/") in (tag, "*") for t in given.split(","))
 
 
-def _file_responses(media: str) -> dict[int | str, dict[str, Any]]:
+def file_responses(media: str) -> dict[int | str, dict[str, Any]]:
+    """OpenAPI responses of a stored file."""
     schema = {"type": "object"} if media == "application/json" else {"type": "string", "format": "binary"}
     return {
         **problem_responses(410),
@@ -341,7 +342,7 @@ async def _stored(service: Service, record: RunRecord, kind: str) -> Blob:
     return blob
 
 
-async def _artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
+async def artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
     """Return the stored file of a run as an answer."""
     record, _ = await service.run(identification)
     blob = await _stored(service, record, kind)
@@ -350,7 +351,7 @@ async def _artefact(service: Service, identification: str, kind: str, request: R
     headers = {"ETag": f'"{blob.sha256}"', "Cache-Control": "private, max-age=3600"}
     if _has_already(request.headers.get("if-none-match", ""), headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    if kind == "report":
+    if media.startswith("text/html"):
         headers["Content-Security-Policy"] = (
             "sandbox allow-popups; default-src 'none'; style-src 'unsafe-inline'; "
             "img-src data:; font-src data:"
@@ -365,10 +366,10 @@ def _offer_file(kind: str, operation: str, text: str) -> None:
     """Add the route of one of the stored files of a run."""
 
     async def get(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
-        return await _artefact(service, identification, kind, request)
+        return await artefact(service, identification, kind, request)
 
     path = f"/identifications/{{identification}}/{kind}"
-    responses = _file_responses(KINDS[kind][1])
+    responses = file_responses(KINDS[kind][1])
     router.add_api_route(
         path, get, name=operation, description=text, response_class=FileResponse, responses=responses
     )
@@ -386,5 +387,12 @@ for _kind, _operation, _text in (
         "Return the corrected copy of the simulator that was uploaded beside the recording, in its format; "
         "none where it is right or cannot be corrected (`against` of the diagnosis says so).",
     ),
+    ("tuning-page", "get_tuning_page", "Return the page of the tuning, one self-contained HTML file."),
+    (
+        "tuning-picture",
+        "get_tuning_picture",
+        "Return Bode plots and the reference move, before and after, as SVG.",
+    ),
+    ("tuning-files", "get_tuning_files", "Return all files of the tuning in one archive (ZIP)."),
 ):
     _offer_file(_kind, _operation, _text)

@@ -14,6 +14,7 @@ from invid_service.jobs.protocol import ErrorInfo
 from invid_service.jobs.stated_change import StatedChange
 from invid_service.jobs.states import ENDED, State
 from invid_service.jobs.stops import EMPTY
+from invid_service.jobs.tunings import TUNING_KINDS
 from invid_service.links import address
 from invid_service.store.store import RunRecord
 
@@ -210,6 +211,7 @@ def view(
     if stopped is not None and not trace:
         stopped = {**stopped, "trace": EMPTY}
     names = ["events", "recording", "model", "diagnosis", "report", "plots", "corrected", "analysis", *PARTS]
+    names += TUNING_KINDS
     measurement = record.facts.get("measurement")
     summary = record.facts.get("summary")
     return Identification(

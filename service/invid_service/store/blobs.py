@@ -17,6 +17,10 @@ KINDS: dict[str, tuple[str, str]] = {
     "report": ("report.html", "text/html; charset=utf-8"),
     "plots": ("plots.json", "application/json"),
     "corrected": ("corrected", "application/octet-stream"),
+    "tuning": ("tuning.json", "application/json"),
+    "tuning-page": ("tuning.html", "text/html; charset=utf-8"),
+    "tuning-picture": ("tuning.svg", "image/svg+xml"),
+    "tuning-files": ("tuning.zip", "application/zip"),
 }
 """kind -> (file name, media type)."""
 

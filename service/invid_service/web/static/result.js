@@ -5,6 +5,7 @@ import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesO
 import { cloud, curves, redraw } from "./plots.js";
 import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
 import { spoken } from "./spoken.js";
+import { offerTuning } from "./tuning.js";
 import { LANGUAGE, english, has, named, t } from "./texts.js";
 
 // Not before what stands above a button has its place: one that moves under a finger is pressed by mistake.
@@ -24,6 +25,7 @@ export function showDecision(run) {
   $("accept").classList.toggle("primary", !run.untrusted);
   $("reject").classList.toggle("primary", Boolean(run.untrusted));
   separating(run, diagnosed);
+  offerTuning(run);
   $("accept").textContent = run.untrusted ? t("result.accept_anyway") : t("result.accept");
   printHead(run);
 }

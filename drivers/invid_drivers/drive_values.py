@@ -1,0 +1,226 @@
+"""Tuned values in the objects of drives: rows of a table, each with its source; a DCF of them and a list.
+
+Only objects whose number and unit were read in a public source are here; ``NOT_FOUND`` says what was looked
+for in vain. A DCF holds what changes and nothing else; whoever loads it decides, nothing here writes to a
+drive.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
+from canopen.objectdictionary.eds import export_eds
+
+from invid.errors import InputError
+from invid.tuning.forms import Form
+from invid.tuning.motor_scale import MotorScale
+from invid.tuning.simulated_loops import AxisLoop
+from invid.tuning.tune import AxisTuning, Tuning
+from invid_drivers.cia402.objects import Object
+
+_TYPES = {"H": datatypes.UNSIGNED16, "I": datatypes.UNSIGNED32, "f": datatypes.REAL32}
+_EPOS4 = (
+    "EPOS4 Firmware Specification 6.2.63 and 6.2.65, as cited in github.com/Imcab/EposLib 42fe757, "
+    'include/epos4/configs/Configs.hpp (0x30AE:20 to :23, "same units as VelocityControlConfigs")'
+)
+_AX8000 = "infosys.beckhoff.com/content/1033/"
+
+
+@dataclass(frozen=True)
+class DriveValue:
+    """One object: what it takes of an axis at its motor, and the unit of one count of it.
+
+    ``value`` (loop, axis, motor) in ``unit``; ``source`` where number and unit were read.
+    """
+
+    at: Object
+    unit: str
+    value: Callable[[AxisLoop, MotorScale], float]
+    source: str
+
+
+@dataclass(frozen=True)
+class DriveValues:
+    """The objects of one drive, whether they count in amperes, and what they cannot hold, in sentences."""
+
+    name: str
+    rows: tuple[DriveValue, ...]
+    in_amperes: bool
+    losses: tuple[str, ...]
+
+
+def _shaft(torque: float, motor: MotorScale) -> float:
+    """A torque per angle, speed or acceleration of the axis as one at the motor's shaft."""
+    return torque / motor.gear**2
+
+
+def _microamps(torque: float, motor: MotorScale) -> float:
+    return 1e6 * _shaft(torque, motor) / (motor.torque_constant_Nm_per_A or 1.0)
+
+
+DRIVES = {
+    "epos4": DriveValues(
+        "maxon EPOS4",
+        (
+            DriveValue(
+                Object(0x30A2, 1, "I", "velocity controller P gain"), "µA·s/rad",
+                lambda a, m: _microamps(a.gains.velocity_gain, m), _EPOS4,
+            ),
+            DriveValue(
+                Object(0x30A2, 2, "I", "velocity controller I gain"), "µA/rad",
+                lambda a, m: _microamps(a.gains.velocity_gain / a.gains.integral_time, m), _EPOS4,
+            ),
+            DriveValue(
+                Object(0x30A2, 3, "I", "velocity controller FF velocity gain"), "µA·s/rad",
+                lambda a, m: _microamps(a.feedforward.viscous, m), _EPOS4,
+            ),
+            DriveValue(
+                Object(0x30A2, 4, "I", "velocity controller FF acceleration gain"), "µA·s²/rad",
+                lambda a, m: _microamps(a.feedforward.inertia, m), _EPOS4,
+            ),
+        ),
+        True,
+        (
+            "the EPOS4 closes its position loop by a PID (0x30A1) whose units of P and D were not read: "
+            "close the position loop in the master, or enter P, I and D of the document by hand",
+            "notch filters, dry friction, weight and shaper have no object here",
+            "the EPOS4 takes its speed from an observer (0x30A3), not from a difference: margins differ",
+        ),
+    ),
+    "beckhoff_ax8000": DriveValues(
+        "Beckhoff AX8000, channel A",
+        (
+            DriveValue(
+                Object(0x3140, 1, "f", "velocity control proportional gain"), "N·m·s/rad",
+                lambda a, m: _shaft(a.gains.velocity_gain, m), f"{_AX8000}amp8000_object/18780003211.html",
+            ),
+            DriveValue(
+                Object(0x3140, 2, "f", "velocity control integral action time"), "s",
+                lambda a, m: a.gains.integral_time, f"{_AX8000}amp8000_object/18780004747.html",
+            ),
+            DriveValue(
+                Object(0x30C0, 1, "f", "position control proportional gain"), "1/s",
+                lambda a, m: a.gains.position_gain, f"{_AX8000}ax8xxx_object/11604829451.html",
+            ),
+            DriveValue(
+                Object(0x3062, 1, "f", "velocity feed forward gain"), "",
+                lambda a, m: 1.0, f"{_AX8000}ax8xxx_object/11604798347.html",
+            ),
+            DriveValue(
+                Object(0x3062, 3, "f", "acceleration feed forward gain"), "",
+                lambda a, m: 1.0 if a.feedforward.inertia else 0.0,
+                f"{_AX8000}ax8xxx_object/11604801419.html",
+            ),
+        ),
+        False,
+        (
+            "notch filters: the AX8000 has biquads, whose objects were not found; dry friction (0x3144), "
+            "weight and shaper likewise",
+            "acceleration feedforward acts on the inertia of the load at the motor in 0x3140:07, which is "
+            "not written: the motor's own (0x32C0:0B) is the drive's to know",
+            "TwinCAT takes a startup list; the DCF holds the same objects and values",
+        ),
+    ),
+}  # fmt: skip
+NOT_FOUND = {
+    "elmo_gold": "its gains are two-letter commands; no public page gives their units",
+    "nanotec_c5e": "the reference of the per mille in 0x320E is not published",
+    "nanotec_pd4e": "the reference of the per mille in 0x320E is not published",
+    "zeroerr_erob": "its EDS names gains without units",
+    "somanet_circulo": "the units of 0x2011 and 0x2012 were not found",
+    "schunk": "its DCF names no gains",
+    "pilz": "its DCF names no gains",
+    "faulhaber_3150": "its controller objects were not looked up",
+}
+"""Drives of ``cia402.vendors`` whose values cannot be written, and why."""
+
+
+def epos4_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """``drive_values_form`` of the EPOS4."""
+    return drive_values_form("epos4", tuning, motors)
+
+
+def ax8000_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """``drive_values_form`` of the AX8000."""
+    return drive_values_form("beckhoff_ax8000", tuning, motors)
+
+
+def drive_values_form(name: str, tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """A DCF for each axis and one list of all changed objects, before and after, with their sources.
+
+    InputError where an axis' gear, or torque constant if the drive counts in amperes, is not stated.
+    """
+    drive, files = DRIVES[name], {}
+    rows = []
+    for a in tuning.axes:
+        motor = _motor(a, drive, motors)
+        values = {row: row.value(a.after, motor) for row in drive.rows}
+        files[f"{a.axis}-{name}.dcf"] = dcf(drive, values, motor.node_id)
+        for row, after in values.items():
+            old = row.value(a.before, motor)
+            rows.append(
+                (
+                    a.axis,
+                    row.at.address,
+                    row.at.name,
+                    _count(row, old),
+                    _count(row, after),
+                    row.unit,
+                    row.source,
+                )
+            )
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(("axis", "object", "name", "before", "after", "unit", "source"))
+    writer.writerows(rows)
+    files[f"{name}-changes.csv"] = stream.getvalue()
+    losses = (*drive.losses, f"before is {tuning.before_source}")
+    return Form(files, losses)
+
+
+def _motor(a: AxisTuning, drive: DriveValues, motors: dict[str, MotorScale]) -> MotorScale:
+    motor = motors.get(a.axis)
+    if motor is None or (drive.in_amperes and motor.torque_constant_Nm_per_A is None):
+        needed = "gear and torque_constant_Nm_per_A" if drive.in_amperes else "gear"
+        raise InputError(
+            f"--motors: {drive.name} counts at the motor's shaft, and {needed} of {a.axis} is not stated",
+            way_out=f"a line an axis, as {a.axis}: {{gear: 100, torque_constant_Nm_per_A: 0.1}}",
+        )
+    return motor
+
+
+def _count(row: DriveValue, value: float) -> float | int:
+    """The number that the object takes; InputError where it does not fit."""
+    if row.at.code == "f":
+        return float(f"{value:.7g}")
+    whole = round(value)
+    if not 0 <= whole < 1 << (8 * row.at.size):
+        raise InputError(
+            f"{row.at.address} ({row.at.name}) cannot take {whole} {row.unit}; check gear and torque constant"
+        )
+    return whole
+
+
+def dcf(drive: DriveValues, values: dict[DriveValue, float], node_id: int) -> str:
+    """A DCF that holds these objects alone."""
+    od: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
+    od.node_id = node_id
+    od.device_information.product_name = drive.name
+    od.comments = "Changed objects alone, by invid tune. Look at the list beside it before you load it."
+    for row, value in values.items():
+        variable: Any = ODVariable(row.at.name, row.at.index, row.at.sub)
+        variable.data_type = _TYPES[row.at.code]
+        variable.access_type = "rw"
+        variable.value = _count(row, value)
+        if row.at.index not in od:
+            od.add_object(ODRecord(row.at.name.rsplit(" ", 2)[0], row.at.index))
+        od[row.at.index].add_member(variable)
+    stream = io.StringIO()
+    facts = {"FileName": "tuned.dcf", "FileVersion": 1}
+    export_eds(od, stream, facts, device_commisioning=True)  # type: ignore[no-untyped-call]
+    return stream.getvalue()

@@ -1,0 +1,217 @@
+"""Values in the form that a controller reads: each form says what it cannot hold.
+
+Forms of drives come from above the core by the entry point group ``invid.drive_values`` (``DriveForm``).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Protocol
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from invid.disk import not_written
+from invid.errors import InputError
+from invid.model.document import describe_validation_error, dump_json, save_text
+from invid.tuning.document import tuning_table, tuning_to_json
+from invid.tuning.motor_scale import MotorScale
+from invid.tuning.page import tuning_page, tuning_picture
+from invid.tuning.tune import Tuning
+
+DRIVES = "invid.drive_values"
+"""Entry point group of drives' own forms: a function (tuning, motors) → ``DriveForm`` by the drive's name."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """Texts of files by name, and what they do not hold, in sentences."""
+
+    files: dict[str, str]
+    losses: tuple[str, ...] = ()
+
+
+class DriveForm(Protocol):
+    """The form of one drive."""
+
+    def __call__(self, tuning: Tuning, motors: dict[str, MotorScale]) -> Form: ...
+
+
+def klipper_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """Klipper's ``[input_shaper]``: klipper3d.org, Configuration reference, section [input_shaper]."""
+    lines, lost = ["[input_shaper]"], []
+    for a, letter in zip(tuning.axes, "xyz", strict=False):
+        if a.after.shaper is None:
+            lost.append(f"{a.axis} needs no shaper")
+            continue
+        s = a.after.shaper
+        lines += [
+            f"# {a.axis}: {s.residual:.1%} of the vibration stays in the worst draw",
+            f"shaper_type_{letter}: {s.kind}",
+            f"shaper_freq_{letter}: {s.frequency:.3f}",
+            f"damping_ratio_{letter}: {s.damping:.4f}",
+        ]
+    lost += [f"{a.axis}: Klipper shapes x, y and z alone" for a in tuning.axes[3:]]
+    lost.append("Klipper drives steppers: gains, notch filters and feedforward have no place in it")
+    return Form({"klipper.cfg": "\n".join(lines) + "\n"}, tuple(lost))
+
+
+def ros2_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """Gains of ``joint_trajectory_controller`` on an effort interface, u = k_ff v_d + k_p e + k_i ∫e + k_d
+    (v_d − v) (control.ros.org, ros2_controllers, Details about parameters)."""
+    gains = {}
+    for a in tuning.axes:
+        p, i, d = a.after.gains.as_pid()
+        gains[a.axis] = {"p": p, "i": i, "d": d, "ff_velocity_scale": a.after.feedforward.viscous}
+    parameters = {
+        "joints": [a.axis for a in tuning.axes],
+        "command_interfaces": ["effort"],
+        "state_interfaces": ["position", "velocity"],
+        "gains": {k: {n: float(x) for n, x in g.items()} for k, g in gains.items()},
+    }
+    document = {
+        "controller_manager": {"ros__parameters": {"update_rate": round(1.0 / tuning.settings.timing.cycle)}},
+        "joint_trajectory_controller": {"ros__parameters": parameters},
+    }
+    lost = ["joint_trajectory_controller has no inertia or dry friction feedforward, notch filter or shaper"]
+    return Form(
+        {"ros2_control.yaml": yaml.safe_dump(document, sort_keys=False, allow_unicode=True)}, tuple(lost)
+    )
+
+
+def moveit_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """MoveIt's ``joint_limits.yaml``: the acceleration at which inertia and friction take the torque
+    limit."""
+    limits, lost = {}, ["MoveIt's joint limits hold no gains, notch filters or feedforward"]
+    for a in tuning.axes:
+        limit = motors[a.axis].torque_limit_Nm if a.axis in motors else None
+        forward = a.after.feedforward
+        if limit is None:
+            lost.append(f"{a.axis}: no acceleration limit without torque_limit_Nm (--motors)")
+            continue
+        left = limit - forward.dry - abs(forward.offset) - forward.weight
+        if left <= 0:
+            lost.append(f"{a.axis}: friction and weight take the whole torque limit of {limit:g}")
+            continue
+        limits[a.axis] = {"has_acceleration_limits": True, "max_acceleration": left / forward.inertia}
+    if not limits:
+        return Form({}, tuple(lost))
+    return Form(
+        {"moveit_joint_limits.yaml": yaml.safe_dump({"joint_limits": limits}, sort_keys=False)}, tuple(lost)
+    )
+
+
+_INFOSYS = "infosys.beckhoff.com/content/1033/"
+_TOOLBOX = ("TwinCAT Tc2_ControllerToolbox ST_CTRL_NOTCH_FILTER_PARAMS", "fNotchFreq", "fBandwidth")
+_FILTER = ("TwinCAT Tc3_Filter ST_FTR_Notch", "fNotchFrequency", "fQ")
+_CODESYS = "content.helpme-codesys.com/en/libs/SM3_Basic/4.20.0.0/SM3_Basic/POUs/Movement/"
+_FREE_PLAY = (
+    ("TwinCAT Tc2_MC2 MC_BacklashCompensation.Backlash", f"{_INFOSYS}tcplclib_tc2_mc2/9760638347.html"),
+    ("CODESYS SM3_Basic SMC_BacklashCompensation.fBacklash", f"{_CODESYS}SMC_BacklashCompensation.html"),
+)
+"""Blocks with the names of what they take, and the pages that say so."""
+
+
+def plc_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """Names under which TwinCAT and CODESYS take notches and free play, as published, each with its page."""
+    rows: list[tuple[str, str, float, str, str]] = []
+    for a in tuning.axes:
+        for k, n in enumerate(a.after.gains.notches, 1):
+            width = 2.0 * n.pole_damping
+            for block, page, values in (
+                (_TOOLBOX, "tf4100_tc3_controller_toolbox/245452555", (n.frequency, width)),
+                (_FILTER, "tf3680_tc3_filter/11008009483", (n.frequency, 1.0 / width)),
+            ):
+                rows += [
+                    (a.axis, f"{block[0]} ({k}).{name}", value, unit, f"{_INFOSYS}{page}.html")
+                    for name, value, unit in zip(block[1:], values, ("Hz", ""), strict=True)
+                ]
+        if a.backlash:
+            unit = "m" if tuning.model.linear else "rad"
+            rows += [(a.axis, name, a.backlash, unit, page) for name, page in _FREE_PLAY]
+    if not rows:
+        return Form({}, ("no notch filter and no free play: nothing for TwinCAT or CODESYS",))
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(("axis", "name", "value", "unit", "source"))
+    writer.writerows((axis, name, f"{value:.9g}", unit, source) for axis, name, value, unit, source in rows)
+    lost = (
+        "the notches of TwinCAT go down to nothing, these do not: they cost more phase than was counted",
+        "free play is in units of the axis: scale it to the axis' own",
+    )
+    return Form({"plc-names.csv": stream.getvalue()}, lost)
+
+
+FORMS: dict[str, Callable[[Tuning, dict[str, MotorScale]], Form]] = {
+    "klipper": klipper_form,
+    "ros2_control": ros2_form,
+    "moveit": moveit_form,
+    "plc": plc_form,
+}
+
+
+def drive_names() -> list[str]:
+    """Drives whose own values can be written."""
+    return sorted(p.name for p in entry_points(group=DRIVES))
+
+
+def drive_form(name: str) -> DriveForm:
+    """The form of a drive; InputError names those there are."""
+    for point in entry_points(group=DRIVES, name=name):
+        form: DriveForm = point.load()
+        return form
+    raise InputError(f"--drive {name}: there are {', '.join(drive_names()) or 'none installed'}")
+
+
+def read_motors(path: Path) -> dict[str, MotorScale]:
+    """``MotorScale`` of each axis from YAML; InputError says what is wrong."""
+    try:
+        document: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    try:
+        return TypeAdapter(dict[str, MotorScale]).validate_python(document)
+    except ValidationError as error:
+        raise InputError(describe_validation_error(error, str(path))) from None
+
+
+@dataclass(frozen=True)
+class WrittenTuning:
+    """Files that were written, and what each form does not hold, in sentences."""
+
+    folder: str
+    files: tuple[str, ...]
+    losses: dict[str, tuple[str, ...]]
+
+
+def write_tuning(
+    tuning: Tuning, folder: Path, *, drive: str | None = None, motors: dict[str, MotorScale] | None = None
+) -> WrittenTuning:
+    """Write the document, the page, the picture and every form into ``folder``."""
+    known = motors or {}
+    strange = set(known) - set(tuning.model.axes)
+    if strange:
+        raise InputError(f"motors: {sorted(strange)[0]!r} is no axis; the axes are {list(tuning.model.axes)}")
+    forms = {**FORMS, **({} if drive is None else {drive: drive_form(drive)})}
+    made = {name: form(tuning, known) for name, form in forms.items()}
+    losses = {name: form.losses for name, form in made.items() if form.losses}
+    files = {name: text for form in made.values() for name, text in form.files.items()}
+    document = {**tuning_to_json(tuning), "losses": {k: list(v) for k, v in losses.items()}}
+    files |= {
+        "tuning.json": dump_json(document),
+        "tuning.csv": tuning_table(tuning),
+        "tuning.svg": tuning_picture(tuning),
+        "tuning.html": tuning_page(tuning, losses),
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise not_written(folder, error) from None
+    for name, text in files.items():
+        save_text(folder / name, text)
+    return WrittenTuning(str(folder), tuple(sorted(files)), losses)

@@ -1,0 +1,144 @@
+"""The tuning on one page: Bode plot of every loop, the reference move, values, margins, and what repair
+buys."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
+
+from invid.report.figures import plain_hz
+from invid.report.labels import label, printable
+from invid.report.style import AFTER, BEFORE, INK, svg
+from invid.tuning.document import repair_sentence, values_of
+from invid.tuning.gains import PROMISE
+from invid.tuning.margins import Margins, drawn_plants
+from invid.tuning.tune import AxisTuning, Tuning
+
+SIDES = (("before", BEFORE, "--"), ("after", AFTER, "-"))
+
+
+def bode_and_move(tuning: Tuning) -> str:
+    """SVG: a row an axis with gain and phase of its loop, broken at the torque, and its load in the move."""
+    drawn = drawn_plants([tuning.plant], tuning.settings.timing)
+    hz = drawn.omega[0] / (2 * math.pi)
+    loops = {s: drawn.loops([getattr(a, s).gains for a in tuning.axes])[0] for s, *_ in SIDES}
+    runs = {"before": tuning.run_before, "after": tuning.run_after}
+    unit = "mm" if tuning.model.linear else "mrad"
+
+    def fill(figure: Figure) -> None:
+        rows = figure.subplots(len(tuning.axes), 3, squeeze=False)
+        figure.subplots_adjust(wspace=0.3, hspace=0.5)
+        for i, (axis, (gain, phase, move)) in enumerate(zip(tuning.axes, rows, strict=True)):
+            for side, colour, line in SIDES:
+                loop = loops[side][:, i]
+                gain.plot(
+                    hz,
+                    20 * np.log10(np.abs(loop)),
+                    line,
+                    color=colour,
+                    lw=1.1,
+                    label=side if i == 0 else None,
+                )
+                turn = np.degrees(np.angle(-loop)) - 180.0
+                turn[1:][np.abs(np.diff(turn)) > 180.0] = np.nan  # around the edge of the picture
+                phase.plot(hz, turn, line, color=colour, lw=1.1)
+                run = runs[side]
+                away = 1e3 * (run.load[:, i] - run.command[:, i])
+                move.plot(run.time, away, line, color=colour, lw=1.1)
+            gain.axhline(0.0, color=INK, lw=0.6)
+            phase.axhline(-180.0, color=INK, lw=0.6)
+            for ax in (gain, phase):
+                ax.set_xscale("log")
+                ax.set_xlim(hz[0], hz[-1])
+                plain_hz(ax)
+                ax.xaxis.set_major_locator(LogLocator(10))  # three narrow pictures side by side
+            gain.set_ylim(-60, 80)
+            phase.set_ylim(-360, 0)
+            phase.set_yticks(range(-360, 1, 90))
+            for at in (tuning.command.arrived, 2 * tuning.command.leaves - tuning.command.arrived):
+                move.axvline(at * tuning.settings.timing.cycle, color=INK, lw=0.6, ls=":")
+            gain.set_title(label(axis.axis, 20), loc="left")
+            gain.set_ylabel("gain [dB]")
+            phase.set_ylabel("phase [°]")
+            move.set_ylabel(f"load − command [{unit}]")
+            calm = 1e3 * np.abs(tuning.run_after.load[:, i] - tuning.run_after.command[:, i])
+            most = max(float(np.nanmax(calm, initial=1e-9)) * 2.5, 1e-9)
+            move.set_ylim(-most, most)
+        rows[-1][2].set_xlabel("time [s], dotted: the command stands")
+        figure.legend(loc="upper right", ncols=2)
+
+    size = (10.0, 0.9 + 2.1 * len(tuning.axes))
+    return svg("tuning", fill, size=size, title="Loops and the reference move before and after tuning")
+
+
+def tuning_picture(tuning: Tuning) -> str:
+    """``bode_and_move`` as a file of its own."""
+    head, rest = bode_and_move(tuning).split(">", 1)
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{head} style="background:#fff">{rest}\n'
+
+
+def tuning_page(tuning: Tuning, losses: Mapping[str, tuple[str, ...]]) -> str:
+    """Self-contained HTML: no network, no scripts; all that comes from data is escaped."""
+    environment = Environment(
+        loader=PackageLoader("invid.tuning", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["clean"] = lambda text: printable(str(text), 2000)
+    unit = "m" if tuning.model.linear else "rad"
+    return environment.get_template("tuning.html.j2").render(
+        robot=tuning.model.robot,
+        headline=headline(tuning),
+        picture=bode_and_move(tuning),
+        axes=[_axis_rows(a, unit) for a in tuning.axes],
+        values=[(v.axis, v.name, number(v.before), number(v.after), v.unit) for v in values_of(tuning)],
+        repairs=[repair_sentence(r, unit) for r in tuning.repairs],
+        remarks=tuning.remarks,
+        losses=dict(losses),
+        before=tuning.before_source,
+        draws=tuning.settings.draws,
+        promise=PROMISE,
+    )
+
+
+def headline(tuning: Tuning) -> str:
+    """One sentence: what the new values bring, and what they leave."""
+    peak = max(a.margins_after.sensitivity for a in tuning.axes)
+    unit = "mm" if tuning.model.linear else "mrad"
+    old, new = (
+        max(1e3 * getattr(a, f"move_{side}").following for a in tuning.axes) for side in ("before", "after")
+    )
+    return (
+        f"following error at most {number(new)} {unit} rms in the reference move, before {number(old)}; "
+        f"peak of sensitivity at most {peak:.2f} in {tuning.settings.draws} draws of the model"
+    )
+
+
+def number(value: float | None) -> str:
+    """Four digits; a dash for what there is not."""
+    return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"
+
+
+def _axis_rows(a: AxisTuning, unit: str) -> tuple[str, list[tuple[str, str, str]]]:
+    def margins(m: Margins) -> tuple[str, str, str]:
+        if m.unstable:
+            return (f"unstable in {m.unstable:.0%} of the draws", "–", "–")
+        return number(m.sensitivity), number(m.gain), number(m.phase)
+
+    before, after = margins(a.margins_before), margins(a.margins_after)
+    rows = [
+        ("worst peak of sensitivity", before[0], after[0]),
+        ("worst gain margin (factor)", before[1], after[1]),
+        ("worst phase margin [°]", before[2], after[2]),
+    ]
+    old, new = a.move_before, a.move_after
+    rows += [
+        (f"rms following error [m{unit}]", number(1e3 * old.following), number(1e3 * new.following)),
+        (f"rms error at the load [m{unit}]", number(1e3 * old.at_load), number(1e3 * new.at_load)),
+        ("settling of the load [s]", number(old.settling), number(new.settling)),
+        ("overshoot of the load [%]", number(100 * old.overshoot), number(100 * new.overshoot)),
+    ]
+    return a.axis, rows

@@ -1,0 +1,218 @@
+"""A model with all its effects under the loops of its drives: a move there and back, and how well it is made.
+
+The plant is that of ``invid simulate`` (exact linear steps, force laws once a sub-step), the loops are
+those of ``servo_loop``; nothing here is linear that the model says is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.exchange.linear_plant import LinearPlant, linear_plant
+from invid.model.document import Model
+from invid.numerics.arrays import Float64
+from invid.simulation.kernel import march
+from invid.simulation.laws import law_table, laws_of, static_table
+from invid.simulation.plant import Matrices, discretise, matrices
+from invid.tuning.feedforward import Feedforward
+from invid.tuning.margins import held_modes
+from invid.tuning.servo_loop import DriveTiming, Gains
+from invid.tuning.shapers import Shaper
+
+FINENESS = 0.25
+"""Largest angle [rad] of the fastest mode in a sub-step."""
+DISTANCE = {False: 0.1, True: 0.01}
+"""Length of the move of a rotary [rad] and of a linear axis [m]."""
+PERIODS = 3.0
+"""Duration of the move, and of the rest after it, in periods of the lowest mode of a load."""
+RIGID_S = 1.0
+"""Duration of the move where nothing swings [s]."""
+LEAST_CYCLES = 200
+"""Of the drive in the move: a faster one shows its sampling."""
+BAND = 0.01
+"""An axis has settled where it stays within this share of the move."""
+
+
+@dataclass(frozen=True)
+class AxisLoop:
+    """All that the drive of one axis is given."""
+
+    gains: Gains
+    feedforward: Feedforward
+    shaper: Shaper | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """A commanded motion: ``position``, ``velocity``, ``acceleration`` (n, M); the first move is over
+    at the sample ``arrived``, the next begins at ``leaves``."""
+
+    position: Float64
+    velocity: Float64
+    acceleration: Float64
+    arrived: int
+    leaves: int
+
+
+@dataclass(frozen=True, eq=False)
+class LoopRun:
+    """A simulated move: ``time`` (n,) [s]; command as shaped, motor and load (n, M)."""
+
+    time: Float64
+    command: Float64
+    motor: Float64
+    load: Float64
+    torque: Float64
+
+
+@dataclass(frozen=True)
+class MoveFigures:
+    """How well one axis moved: ``following`` rms of command minus motor and ``at_load`` rms of
+    command minus load [rad or m], command as shaped; ``settling`` [s] of the load after the command stands,
+    NaN where it does not settle in the rest; ``overshoot`` of the load as a share of the move."""
+
+    following: float
+    at_load: float
+    settling: float
+    overshoot: float
+
+
+def reference_move(
+    plant: LinearPlant, timing: DriveTiming, hardest: Mapping[int, float] | None = None
+) -> Command:
+    """All axes there and back at minimum jerk (Flash and Hogan 1985), each followed by a rest as long.
+
+    ``hardest`` [rad/s² or m/s²] bounds the acceleration of an axis: it then moves less far.
+    """
+    loads = held_modes(plant, range(len(plant.motors)))
+    duration = PERIODS * 2 * np.pi / float(loads[0]) if loads.size else RIGID_S
+    duration = max(duration, LEAST_CYCLES * timing.cycle)
+    n = int(np.ceil(duration / timing.cycle))
+    x = np.arange(n) / n
+    step = np.array(
+        [x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)]
+    )
+    step /= np.array([1.0, n * timing.cycle, (n * timing.cycle) ** 2])[:, None]
+    rest = np.zeros((3, n))
+    there = rest.copy()
+    there[0] = 1.0
+    whole = np.hstack([step, there, -step, rest])
+    whole[0, 2 * n : 3 * n] += 1.0
+    distance = np.full(len(plant.motors), DISTANCE[plant.linear_axes])
+    for i, most in (hardest or {}).items():
+        distance[i] = min(distance[i], most / float(np.abs(step[2]).max()))
+    p, v, a = (row[:, None] * distance for row in whole)
+    return Command(p, v, a, n, 2 * n)
+
+
+def run_loops(model: Model, loops: Sequence[AxisLoop], command: Command, timing: DriveTiming) -> LoopRun:
+    """Simulate ``command`` on ``model``; values that have run away are NaN from then on."""
+    laws = laws_of(model.chains, model.effects)
+    made = matrices(model.chains, laws)
+    motors = model.chains.motor_dofs.astype(np.int64)
+    ends = model.chains.end_dofs
+    substeps = max(4, int(np.ceil(timing.cycle * made.fastest / FINENESS)))
+    step = discretise(
+        Matrices(made.mass, made.damping, made.stiffness),
+        np.eye(made.mass.shape[0])[:, motors],
+        timing.cycle / substeps,
+    )
+    n, count = command.position.shape
+    reach = (4.0 * float(np.abs(command.position).max()), 4.0 * float(np.abs(command.velocity).max()))
+    static, tables = static_table(laws.static, [reach] * len(laws.static))
+    kinds, parameters = law_table([*laws.forces, *static])
+    memory = np.zeros((kinds.shape[0], 3))
+    plant = linear_plant(model)
+    drives = _Drives(loops, command, timing, plant)
+    decay = np.exp(-timing.cycle / substeps / np.maximum(plant.lag, 1e-12))
+    limit = np.array([laws.limit.get(i, np.inf) for i in range(count)])
+    state = np.zeros(2 * made.mass.shape[0])
+    acting = np.zeros(count)
+    out = np.zeros((2, count, 2))
+    motor, load, torque = (np.full((n, count), np.nan) for _ in range(3))
+    applied = np.zeros((substeps + 1, count))
+    for k in range(n):
+        motor[k], load[k] = state[motors], state[ends]
+        if not np.abs(motor[k]).max() < 1e3 * reach[0]:
+            break
+        torque[k] = drives.torque(k, motor[k])
+        goal = np.clip(plant.gain * torque[k], -limit, limit)
+        for j in range(substeps + 1):
+            applied[j] = goal + (acting - goal) * decay**j
+        acting = applied[-1].copy()
+        march(
+            state, step.transition, step.now, step.next, step.force, applied, kinds, parameters, tables,
+            memory, timing.cycle / substeps, substeps, out, motors,
+        )  # fmt: skip
+    return LoopRun(np.arange(n, dtype=float) * timing.cycle, drives.shaped[0], motor, load, torque)
+
+
+class _Drives:
+    """The sampled loops of all axes at once, with what they remember."""
+
+    def __init__(
+        self, loops: Sequence[AxisLoop], command: Command, timing: DriveTiming, plant: LinearPlant
+    ) -> None:
+        t = timing.cycle
+        given = np.stack([command.position, command.velocity, command.acceleration])
+        self.shaped = given.copy()
+        for i, loop in enumerate(loops):
+            if loop.shaper is not None:
+                for row in self.shaped:
+                    row[:, i] = loop.shaper.shape(row[:, i], t)
+        self._forward = np.stack(
+            [loop.feedforward.torque(*self.shaped[:, :, i]) for i, loop in enumerate(loops)], axis=1
+        )
+        self._gain = np.array([loop.gains.velocity_gain for loop in loops])
+        self._integral = t / np.array([loop.gains.integral_time for loop in loops])
+        self._position = np.array([loop.gains.position_gain for loop in loops])
+        most = max(len(loop.gains.notches) for loop in loops)
+        self._b, self._a = np.zeros((most, 3, len(loops))), np.zeros((most, 3, len(loops)))
+        self._b[:, 0] = self._a[:, 0] = 1.0
+        for i, loop in enumerate(loops):
+            for k, notch in enumerate(loop.gains.notches):
+                self._b[k, :, i], self._a[k, :, i] = notch.coefficients(t)
+        self._filter = np.zeros((most, 2, len(loops)))
+        self._sum, self._last, self._cycle = np.zeros(len(loops)), np.zeros(len(loops)), t
+        self._late = [timing.cycles(d) for d in plant.delay]
+        self._queue = np.zeros((max(self._late) + 1, len(loops)))
+
+    def torque(self, k: int, position: Float64) -> Float64:
+        """(M,) torque that acts from this cycle on."""
+        velocity = (position - self._last) / self._cycle
+        self._last = position
+        error = self._position * (self.shaped[0, k] - position) + self.shaped[1, k] - velocity
+        self._sum = self._sum + self._integral * error
+        u = self._gain * (error + self._sum)
+        for b, a, kept in zip(self._b, self._a, self._filter, strict=True):
+            y = b[0] * u + kept[0]
+            kept[0] = b[1] * u - a[1] * y + kept[1]
+            kept[1] = b[2] * u - a[2] * y
+            u = y
+        self._queue = np.roll(self._queue, 1, axis=0)
+        self._queue[0] = u + self._forward[k]
+        return self._queue[self._late, np.arange(len(self._late))]
+
+
+def move_figures(run: LoopRun, command: Command) -> tuple[MoveFigures, ...]:
+    """How well each axis made ``reference_move``."""
+    out = []
+    rest = slice(command.arrived, command.leaves)
+    for i in range(run.motor.shape[1]):
+        goal = float(command.position[command.arrived, i])
+        away = np.abs(run.load[rest, i] - goal) > BAND * abs(goal)
+        late = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
+        cycle = float(run.time[1] - run.time[0])
+        settled = np.isfinite(run.load).all() and late < away.size
+        out.append(
+            MoveFigures(
+                float(np.sqrt(np.mean((run.command[:, i] - run.motor[:, i]) ** 2))),
+                float(np.sqrt(np.mean((run.command[:, i] - run.load[:, i]) ** 2))),
+                late * cycle if settled else float("nan"),
+                max(0.0, float(np.max((run.load[rest, i] - goal) / goal))),
+            )
+        )
+    return tuple(out)

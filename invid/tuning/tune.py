@@ -1,0 +1,281 @@
+"""What ``invid tune`` finds: the values of every axis, the margins they leave, and what repair would buy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from invid.errors import NotIdentifiableError
+from invid.exchange.linear_plant import LeftOut, LinearPlant, linear_plant
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import EffectTerm, Estimate, Model
+from invid.numerics.arrays import Float64
+from invid.tuning.feedforward import NONE, Feedforward, feedforward
+from invid.tuning.gains import PROMISE, design_gains, gains_at, own_inertias, slower
+from invid.tuning.margins import Margins, drawn_plants, seen_modes, worst_margins
+from invid.tuning.plant_draws import LOOP_CAUSES, candidates, drawn_models
+from invid.tuning.servo_loop import ClosedLoop, DriveTiming, Gains, closed_loop
+from invid.tuning.shapers import Shaper, choose_shaper, load_mode
+from invid.tuning.simulated_loops import (
+    AxisLoop,
+    Command,
+    LoopRun,
+    MoveFigures,
+    move_figures,
+    reference_move,
+    run_loops,
+)
+
+DESIGN_DRAWS = 40
+KEPT = 0.98
+"""Least share of draws whose peak of sensitivity is within ``PROMISE``; else the axis is slowed down."""
+_SLOWER, _ROUNDS = 0.8, 12
+_SHAPER_DRAWS = 60
+SOFTENED = 1e-3
+"""What is left of a spring's stiffness where it has free play and the loops are designed for that, too:
+within the play the motor has no load."""
+SATURATED = 0.5
+"""Share of a torque limit that the reference move may ask of the inertia."""
+UNTUNED = 0.25
+"""Crossover of the loops of a drive that nobody has tuned, as a share of the first antiresonance: slow
+enough to shake nothing. Stands in for its values as delivered, which are not known here."""
+STAND_IN = "timid gains without feedforward (the drive's own values were not given)"
+
+
+@dataclass(frozen=True)
+class TuneSettings:
+    """``timing`` of the drives, most ``notches`` an axis, ``draws`` on which margins are promised,
+    ``seed``."""
+
+    timing: DriveTiming = field(default_factory=DriveTiming)
+    notches: int = 2
+    draws: int = 200
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class AxisTuning:
+    """One axis. Inertias [kg·m² or kg]: ``total`` is all that the motor moves, ``motor`` its own side;
+    ``antiresonance`` and ``resonance`` [Hz] at the motor, the other motors held, ``None`` where nothing
+    swings; ``backlash`` is full free play [rad or m], 0 where none was named."""
+
+    axis: str
+    total: Estimate
+    motor: Estimate
+    antiresonance: float | None
+    resonance: float | None
+    backlash: float
+    before: AxisLoop
+    after: AxisLoop
+    margins_before: Margins
+    margins_after: Margins
+    move_before: MoveFigures
+    move_after: MoveFigures
+
+
+@dataclass(frozen=True)
+class Repair:
+    """What one effect costs with the new values: rms following error of the drive and rms error of the load
+    [rad or m] with it and without, on the axis where the difference is largest, in the reference move."""
+
+    effect: EffectTerm
+    axis: str
+    following: tuple[float, float]
+    at_load: tuple[float, float]
+
+    @property
+    def bought(self) -> float:
+        """What repair takes off the larger of the two errors' changes."""
+        return max(a - b for a, b in (self.following, self.at_load))
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """The result. ``before_source`` says what ``before`` was; ``remarks`` what was open or left out."""
+
+    model: Model
+    settings: TuneSettings
+    axes: tuple[AxisTuning, ...]
+    repairs: tuple[Repair, ...]
+    remarks: tuple[str, ...]
+    before_source: str
+    command: Command
+    run_before: LoopRun
+    run_after: LoopRun
+    plant: LinearPlant
+
+
+def untuned(plant: LinearPlant, axis: int, inertia: float, timing: DriveTiming) -> Gains:
+    """Gains that stand in for those of a drive as delivered."""
+    antiresonance, _ = seen_modes(plant, axis)
+    highest = 1.0 / (2.0 * timing.total(float(plant.delay[axis]), float(plant.lag[axis])))
+    crossover = highest if antiresonance is None else min(highest, 2 * math.pi * antiresonance)
+    return gains_at(inertia, UNTUNED * crossover)
+
+
+def tune_model(
+    source: Model | Diagnosis, settings: TuneSettings, before: Mapping[str, AxisLoop] | None = None
+) -> Tuning:
+    """Gains, notches, feedforward and shaper for every axis; see ``invid.tune``."""
+    found = candidates(source)
+    lost = [left for left in linear_plant(found.models[0]).nonlinear if left.reason]
+    known = tuple(_without(m, [left.term for left in lost]) for m in found.models)
+    model, timing = known[0], settings.timing
+    rng = np.random.default_rng(settings.seed)
+    plant = linear_plant(model)
+    inertia = own_inertias(plant)
+    seen = [linear_plant(m) for m in drawn_models(known, DESIGN_DRAWS, rng)]
+    soft = [linear_plant(m) for m in (_softened(m) for m in known) if m is not None]
+    fresh = [linear_plant(m) for m in drawn_models(known, settings.draws, rng)]
+    gains = design_gains(drawn_plants([plant, *seen, *soft], timing), plant, settings.notches)
+    gains, margins = _kept(fresh, gains, timing)
+    loop = closed_loop(plant, gains, timing)
+    shapers = _shapers(loop, [closed_loop(p, gains, timing) for p in fresh[:_SHAPER_DRAWS]])
+    forward = [feedforward(model, plant, i, float(inertia[i]), found.open_terms) for i in range(len(gains))]
+    after = [AxisLoop(g, f, s) for g, f, s in zip(gains, forward, shapers, strict=True)]
+    old = [
+        (before or {}).get(name)
+        or AxisLoop(
+            untuned(plant, i, float(inertia[i]), timing),
+            NONE,
+        )
+        for i, name in enumerate(model.axes)
+    ]
+    margins_before = worst_margins(fresh, tuple(a.gains for a in old), timing, PROMISE)
+    command = reference_move(plant, timing, _bearable(model, inertia))
+    run_before, run_after = (run_loops(model, loops, command, timing) for loops in (old, after))
+    moves_before, moves_after = move_figures(run_before, command), move_figures(run_after, command)
+    axes = tuple(
+        AxisTuning(
+            name, *_inertias(model, i, forward[i].inertia_std), *seen_modes(plant, i), _backlash(model, name),
+            old[i], after[i], margins_before[i], margins[i], moves_before[i], moves_after[i],
+        )
+        for i, name in enumerate(model.axes)
+    )  # fmt: skip
+    remarks = [*found.remarks, *_left_out(lost, forward, model.axes), *_held_badly(axes)]
+    repairs = _repairs(model, after, command, timing, moves_after)
+    return Tuning(
+        model, settings, axes, repairs, tuple(remarks), "as given" if before else STAND_IN, command,
+        run_before, run_after, plant,
+    )  # fmt: skip
+
+
+def _bearable(model: Model, inertia: Float64) -> dict[int, float]:
+    """Largest acceleration of the axes whose torque saturates: the move is to show loops, not the limit."""
+    limits = {
+        model.axes.index(e.axis): e.value("limit") for e in model.effects if e.cause == "torque_saturation"
+    }
+    return {i: SATURATED * limit / float(inertia[i]) for i, limit in limits.items()}
+
+
+def _without(model: Model, terms: Sequence[EffectTerm]) -> Model:
+    return replace(model, effects=tuple(e for e in model.effects if not any(e is t for t in terms)))
+
+
+def _kept(
+    fresh: Sequence[LinearPlant], gains: tuple[Gains, ...], timing: DriveTiming
+) -> tuple[tuple[Gains, ...], tuple[Margins, ...]]:
+    """Gains slowed down until the margins hold in ``KEPT`` of draws that the design has not seen."""
+    for _ in range(_ROUNDS):
+        margins = worst_margins(fresh, gains, timing, PROMISE)
+        if all(m.kept >= KEPT and m.unstable == 0 for m in margins):
+            return gains, margins
+        unstable = any(m.unstable for m in margins)
+        gains = tuple(
+            slower(g, _SLOWER) if unstable or m.kept < KEPT else g
+            for g, m in zip(gains, margins, strict=True)
+        )
+    raise NotIdentifiableError(
+        f"no gains keep a peak of sensitivity of {PROMISE:g} in {KEPT:.0%} of the machines drawn",
+        way_out="measure longer, or with more amplitude, until the model is surer",
+    )
+
+
+def _softened(model: Model) -> Model | None:
+    """The model with little left of the springs that have free play; ``None`` where none has."""
+    springs = [np.array(s) for s in model.chains.springs]
+    loose = [e for e in model.effects if e.cause == "backlash"]
+    for term in loose:
+        number = int((term.element or "spring 1").rpartition(" ")[2])
+        springs[model.axes.index(term.axis)][number - 1] *= SOFTENED
+    return replace(model, chains=replace(model.chains, springs=tuple(springs))) if loose else None
+
+
+def _shapers(loop: ClosedLoop, drawn: Sequence[ClosedLoop]) -> list[Shaper | None]:
+    out = []
+    for i in range(loop.load_compliance.ninputs):
+        mode = load_mode(loop, i)
+        out.append(None if mode is None else choose_shaper(mode, [_nearest(d, mode[0]) for d in drawn]))
+    return out
+
+
+def _nearest(loop: ClosedLoop, frequency: float) -> tuple[float, float]:
+    frequencies, dampings = loop.modes()
+    k = int(np.argmin(np.abs(np.log(frequencies / frequency))))
+    return float(frequencies[k]), float(dampings[k])
+
+
+def _inertias(model: Model, axis: int, std: float | None) -> tuple[Estimate, Estimate]:
+    unit = "kg" if model.linear else "kg·m²"
+    own = float(model.std.masses[axis][0])
+    return (
+        Estimate(float(model.chains.masses[axis].sum()), std, unit),
+        Estimate(float(model.chains.masses[axis][0]), own if math.isfinite(own) else None, unit),
+    )
+
+
+def _backlash(model: Model, axis: str) -> float:
+    return sum(e.value("gap") for e in model.effects if e.cause == "backlash" and e.axis == axis)
+
+
+def _left_out(lost: Sequence[LeftOut], forward: Sequence[Feedforward], axes: Sequence[str]) -> list[str]:
+    out = [
+        f"{left.term.axis}: {left.term.cause} cannot be simulated here and is in nothing below: {left.reason}"
+        for left in lost
+    ]
+    for name, f in zip(axes, forward, strict=True):
+        out += [f"{name}: no feedforward for {text}" for text in f.left_out]
+    return out
+
+
+def _held_badly(axes: Sequence[AxisTuning]) -> list[str]:
+    return [
+        f"{a.axis}: free play of {a.backlash:.3g} is a limit of its own: margins hold while the teeth touch "
+        "and for the motor alone; no drive value repairs it"
+        for a in axes
+        if a.backlash
+    ]
+
+
+def _repairs(
+    model: Model, loops: Sequence[AxisLoop], command: Command, timing: DriveTiming, now: Sequence[MoveFigures]
+) -> tuple[Repair, ...]:
+    """Every effect that can be mended taken out, most bought first; feedforward loses what it answered."""
+    out = []
+    for term in model.effects:
+        if term.cause in LOOP_CAUSES and term.cause not in ("viscous_friction", "extra_mode"):
+            continue
+        without = _without(model, [term])
+        plant = linear_plant(without)
+        free = [
+            replace(
+                loop,
+                feedforward=feedforward(without, plant, i, loop.feedforward.inertia, ()),
+            )
+            for i, loop in enumerate(loops)
+        ]
+        then = move_figures(run_loops(without, free, command, timing), command)
+        k = int(
+            np.argmax(
+                [
+                    max(a.following - b.following, a.at_load - b.at_load)
+                    for a, b in zip(now, then, strict=True)
+                ]
+            )
+        )
+        pairs = [(getattr(now[k], key), getattr(then[k], key)) for key in ("following", "at_load")]
+        out.append(Repair(term, model.axes[k], *pairs))
+    return tuple(sorted(out, key=lambda r: -r.bought))

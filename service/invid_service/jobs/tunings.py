@@ -1,0 +1,102 @@
+"""Tunings of finished runs: one at a time, each in a process of its own, kept beside the run's other
+files."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import sys
+from collections.abc import Callable
+from datetime import datetime
+from typing import Any
+
+from invid_service.store.blobs import KINDS, Blobs
+from invid_service.store.store import Store
+
+log = logging.getLogger(__name__)
+TUNING_KINDS = ("tuning", "tuning-page", "tuning-picture", "tuning-files")
+
+
+class Tunings:
+    """What is being tuned, and why the last try of a run failed (until the service starts anew)."""
+
+    def __init__(self, store: Store, blobs: Blobs, clock: Callable[[], datetime], timeout_s: float) -> None:
+        self._store, self._blobs, self._clock, self._timeout_s = store, blobs, clock, timeout_s
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._failed: dict[str, str] = {}
+        self._one = asyncio.Semaphore(1)
+
+    def is_running(self, run: str) -> bool:
+        """Whether a tuning of this run is in progress, or waits for its turn."""
+        return run in self._tasks
+
+    def failure(self, run: str) -> str | None:
+        """Why the last try failed, in a sentence; ``None`` where it did not."""
+        return self._failed.get(run)
+
+    def start(self, run: str, order: dict[str, Any]) -> None:
+        """Begin; nothing more where it has begun. ``order`` is that of ``tuning_worker`` without its
+        folder."""
+        if run in self._tasks:
+            return
+        self._failed.pop(run, None)
+        task = asyncio.create_task(self._carry_out(run, order))
+        self._tasks[run] = task
+        task.add_done_callback(lambda _: self._tasks.pop(run, None))
+
+    async def close(self) -> None:
+        """End what runs."""
+        tasks = list(self._tasks.values())
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _carry_out(self, run: str, order: dict[str, Any]) -> None:
+        scratch = f"tuning-{run}"
+        try:
+            async with self._one:
+                folder = await asyncio.to_thread(self._blobs.scratch, scratch)
+                why = await self._process({**order, "folder": str(folder)})
+            if why is None:
+                await asyncio.to_thread(self._keep, run, scratch)
+            else:
+                self._failed[run] = why
+        except Exception as error:
+            log.error("run %s: its tuning failed: %s", run, error)
+            self._failed[run] = "the tuning failed; the service's log says why"
+        finally:
+            await asyncio.to_thread(self._blobs.clear_scratch, scratch)
+
+    def _keep(self, run: str, scratch: str) -> None:
+        folder = self._blobs.scratch(scratch)
+        kept = {kind: self._blobs.put(run, kind, folder / KINDS[kind][0]) for kind in TUNING_KINDS}
+        self._store.add_artefacts(run, {k: b for k, b in kept.items() if b is not None}, self._clock())
+
+    async def _process(self, order: dict[str, Any]) -> str | None:
+        """Why it did not come to an end well, ``None`` where it did."""
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "invid_service.jobs.tuning_worker",
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            start_new_session=True,
+        )
+        try:
+            said, _ = await asyncio.wait_for(process.communicate(json.dumps(order).encode()), self._timeout_s)
+        except TimeoutError:
+            return f"the tuning took more than {self._timeout_s:.0f} s"
+        finally:
+            if process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+                await process.wait()
+        if process.returncode == 0:
+            return None
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            return str(json.loads(said)["error"])
+        return f"the tuning ended with status {process.returncode}"

@@ -1,0 +1,82 @@
+// Values for the drives from a run's model: a button, then what they bring, a picture, files. Nothing goes to a drive from here.
+import { Problem, call } from "./api.js";
+import { $, el, fill, fmt, table } from "./dom.js";
+import { refused, spoken } from "./spoken.js";
+import { english, named, t } from "./texts.js";
+
+const AGAIN_MS = 2000, SAVED = { "tuning-files": "tuning.zip", "tuning-page": "tuning.html" };
+/** @type {Run} */
+let of = null;
+
+/** @param {Run} run */
+export function offerTuning(run) {
+  const same = of?.id === run.id;
+  of = run;
+  $("tune-card").hidden = Boolean(run.untrusted) || !run.summary;
+  if (!same && !$("tune-card").hidden) offered();
+}
+
+function offered() {
+  fill($("tuned"), []);
+  $("tune").hidden = false;
+  $("tune-note").textContent = t("tune.note");
+}
+
+$("tune").addEventListener("click", async () => {
+  const run = of;
+  going();
+  try { await call("POST", run.links.tuning); } catch (error) { if (of === run) failed(error); return; }
+  setTimeout(look, AGAIN_MS);
+});
+
+function going() {
+  $("tune").hidden = true;
+  $("tune-note").textContent = t("tune.going");
+}
+
+async function look() {
+  const run = of;
+  try {
+    const answer = await call("GET", run.links.tuning), body = await answer.json();
+    if (of !== run) return;
+    if (answer.status === 202) { going(); setTimeout(look, AGAIN_MS); return; }
+    await show(run, body);
+  } catch (error) { if (of === run) failed(error); }
+}
+
+function failed(error) {
+  offered();
+  fill($("tuned"), [el("p", { class: "alarm" }, error instanceof Problem ? refused(error) : [t("page.unreachable")])]);
+}
+
+async function show(run, tuning) {
+  $("tune").hidden = true;
+  $("tune-note").textContent = t("tune.done", { draws: tuning.draws });
+  const unit = `m${tuning.units.angle}`, made = el("table", { class: "stacks" });
+  const pair = (a, of_) => `${of_(a.before)} → ${of_(a.after)}`, milli = (v) => (v == null ? "–" : fmt(1000 * v, 3));
+  table(made, ["axis", "following", "load", "settling", "peak"].map((h) => t(`tune.${h}`, { unit })), tuning.axes.map((a) => ({ cells: [
+    el("b", {}, a.axis), pair(a, (s) => milli(s.move.following)), pair(a, (s) => milli(s.move.at_load)),
+    pair(a, (s) => (s.move.settling == null ? "–" : `${fmt(s.move.settling, 2)} s`)), pair(a, (s) => (s.margins.unstable ? t("tune.unstable") : fmt(s.margins.sensitivity, 3))),
+  ] })));
+  const picture = el("div", { class: "scroll", role: "region", "aria-label": t("tune.picture") });
+  const repairs = tuning.repairs.map((r) => repair(r, unit)).filter(Boolean), remarks = tuning.remarks.map((r) => spoken("li", r));
+  fill($("tuned"), [
+    el("div", { class: "scroll", role: "region", "aria-label": t("tune.title") }, [made]), el("p", { class: "quiet" }, t("tune.before")),
+    el("figure", {}, [el("figcaption", {}, t("tune.picture")), picture]),
+    repairs.length ? el("section", {}, [el("h4", {}, t("tune.repairs")), el("ul", { class: "reasons" }, repairs.map((r) => el("li", {}, r)))]) : null,
+    remarks.length ? el("ul", { class: "reasons" }, [english ? null : el("li", { class: "quiet" }, t("page.untranslated")), ...remarks].filter(Boolean)) : null,
+    el("p", { class: "links" }, Object.entries(SAVED).map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, t(name === "tuning-page" ? "tune.page" : "tune.files")))),
+  ].filter(Boolean));
+  const text = await (await call("GET", run.links["tuning-picture"])).text();
+  const svg = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
+  if (of !== run || svg.nodeName !== "svg") return;
+  svg.removeAttribute("style"); // white paper is for a file of its own
+  picture.append(document.importNode(svg, true));
+}
+
+// What mending one finding would take off an error, where it is worth a sentence.
+function repair(r, unit) {
+  const [what, sizes] = [["following_error", r.following], ["load_error", r.at_load]].sort((a, b) => (b[1].with - b[1].without) - (a[1].with - a[1].without))[0];
+  if (!(sizes.with - sizes.without > 0.01 * sizes.with)) return null;
+  return t("tune.repair", { cause: named("cause", r.effect.cause), axis: r.effect.axis, what: t(`tune.${what}`), from: fmt(1000 * sizes.with, 3), to: fmt(1000 * sizes.without, 3), unit });
+}

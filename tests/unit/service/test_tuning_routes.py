@@ -1,0 +1,122 @@
+"""``/identifications/{id}/tuning``: values from a finished run's model, in a process of their own."""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from service_doubles import Director, model_document, running, wait_for
+from starlette.testclient import TestClient
+
+START = "/api/v1/cells/cell/identifications"
+PATIENCE_S = 180.0
+
+
+def small_model() -> dict[str, Any]:
+    """The case study with its first axis alone: seconds to tune."""
+    document = model_document()
+    document["branches"], document["couplings"] = document["branches"][:1], []
+    document.pop("covariance")
+    return document
+
+
+def small_diagnosis() -> dict[str, Any]:
+    return {
+        "format_version": 1,
+        "residual": [],
+        "explained_fraction": None,
+        "unexplained": None,
+        "model": small_model(),
+    }
+
+
+def finished(client: TestClient) -> str:
+    location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+    wait_for(client, location, "awaiting_accept")
+    return location
+
+
+def tuned(client: TestClient, location: str) -> Any:
+    """The answer once it no longer says that it goes on."""
+    deadline = time.monotonic() + PATIENCE_S
+    while (answer := client.get(f"{location}/tuning")).status_code == 202:
+        assert answer.json() == {"state": "running", "simulated": True}
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    return answer
+
+
+def director_of_one_axis() -> Director:
+    director = Director()
+    director.model, director.diagnosis = small_model, small_diagnosis
+    return director
+
+
+def test_a_finished_run_is_tuned_and_its_files_are_kept(tmp_path: Path) -> None:
+    with running(tmp_path, director_of_one_axis()) as (client, _):
+        location = finished(client)
+        assert client.get(f"{location}/tuning").status_code == 404
+        begun = client.post(
+            f"{location}/tuning",
+            json={"draws": 50, "drive": "beckhoff_ax8000", "motors": {"A1": {"gear": 80}}},
+        )
+        assert begun.status_code == 202
+        assert begun.headers["Location"] == f"{location}/tuning"
+        # asked again while it goes on, it is the same one
+        assert client.post(f"{location}/tuning", json={"draws": 50}).status_code == 202
+        document = tuned(client, location).json()
+        assert document["simulated"] is True
+        assert document["axes"][0]["after"]["margins"]["sensitivity"] <= 2.0
+        archive = zipfile.ZipFile(io.BytesIO(client.get(f"{location}/tuning-files").content))
+        assert {"tuning.json", "tuning.html", "A1-beckhoff_ax8000.dcf"} <= set(archive.namelist())
+        page = client.get(f"{location}/tuning-page")
+        assert "sandbox" in page.headers["Content-Security-Policy"]
+        assert client.get(f"{location}/tuning-picture").headers["content-type"] == "image/svg+xml"
+        assert set(client.get(location).json()["links"]) >= {
+            "tuning",
+            "tuning-page",
+            "tuning-picture",
+            "tuning-files",
+        }
+
+
+def test_what_cannot_be_tuned_says_why(tmp_path: Path) -> None:
+    director = director_of_one_axis()
+    untrusted = {**small_model(), "fit": {"trustworthy": False}}
+    director.diagnosis = lambda: {**small_diagnosis(), "model": untrusted}
+    with running(tmp_path, director) as (client, _):
+        location = finished(client)
+        client.post(f"{location}/tuning")
+        answer = tuned(client, location)
+        assert answer.status_code == 409
+        problem = json.loads(answer.content)
+        assert problem["type"] == "urn:invid:problem:not-tunable"
+        assert "not to be trusted" in problem["detail"]
+
+
+def test_a_run_without_a_model_and_a_wrong_order_are_refused(tmp_path: Path) -> None:
+    director = director_of_one_axis()
+    with running(tmp_path, director) as (client, _):
+        location = finished(client)
+        for wrong in (
+            {"draws": 3},
+            {"cycle_s": 0},
+            {"gains": 1},
+            {"drive": "../x"},
+            {"motors": {"A1": {"gear": -1}}},
+        ):
+            assert client.post(f"{location}/tuning", json=wrong).status_code == 422, wrong
+    director.failure = {"code": "x", "text": "x", "fix": "x"}
+    with running(_made(tmp_path / "other"), director) as (client, _):
+        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+        wait_for(client, location, "failed")
+        assert client.post(f"{location}/tuning").status_code == 409
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder

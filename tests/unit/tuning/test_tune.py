@@ -1,0 +1,149 @@
+"""Values of a whole machine: what they promise, on machines and data that the design has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tuning.tuned import machine, tuned
+
+from invid.errors import NotIdentifiableError
+from invid.exchange.linear_plant import linear_plant
+from invid.model.chains import CoupledChains
+from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, Verdict
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector, std_by_name
+from invid.tuning.feedforward import NONE
+from invid.tuning.gains import PROMISE, gains_at
+from invid.tuning.margins import worst_margins
+from invid.tuning.plant_draws import drawn_models
+from invid.tuning.simulated_loops import AxisLoop, move_figures, run_loops
+from invid.tuning.tune import TuneSettings, tune_model
+
+
+def test_margins_hold_in_machines_drawn_anew():
+    tuning = tuned()
+    rng = np.random.default_rng(12345)
+    fresh = [linear_plant(m) for m in drawn_models([machine()], 200, rng)]
+    gains = tuple(a.after.gains for a in tuning.axes)
+    for margins in worst_margins(fresh, gains, tuning.settings.timing, PROMISE):
+        assert margins.unstable == 0
+        assert margins.kept >= 0.98
+
+
+def test_the_move_is_better_than_with_the_timid_gains():
+    for axis in tuned().axes:
+        assert axis.move_after.following < 0.3 * axis.move_before.following
+        assert axis.move_after.at_load < axis.move_before.at_load
+        assert np.isfinite(axis.move_after.settling)
+
+
+def test_feedforward_pays():
+    tuning = tuned()
+    bare = [AxisLoop(a.after.gains, NONE, a.after.shaper) for a in tuning.axes]
+    timing = tuning.settings.timing
+    without = move_figures(run_loops(tuning.model, bare, tuning.command, timing), tuning.command)
+    for axis, other in zip(tuning.axes, without, strict=True):
+        assert axis.move_after.following < 0.7 * other.following
+
+
+def test_feedforward_holds_what_is_named():
+    first, second = (a.after.feedforward for a in tuned().axes)
+    assert (first.dry, first.viscous) == pytest.approx((0.3, 0.05))
+    assert (second.weight, second.angle) == pytest.approx((0.4, 0.3))
+    assert second.dry == 0.0
+
+
+def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_the_findings():
+    tuning = tuned()
+    bought = [r.bought for r in tuning.repairs]
+    assert bought == sorted(bought, reverse=True)
+    play = next(r for r in tuning.repairs if r.effect.cause == "backlash")
+    assert play.axis == "A2"
+    whole = replace(machine(), effects=tuple(e for e in machine().effects if e.cause != "backlash"))
+    loops = [a.after for a in tuning.axes]
+    run = run_loops(whole, loops, tuning.command, tuning.settings.timing)
+    then = move_figures(run, tuning.command)[1]
+    assert play.at_load == pytest.approx((tuning.axes[1].move_after.at_load, then.at_load))
+    assert play.bought > 0
+
+
+@pytest.mark.campaign
+def test_a_surer_model_is_never_tuned_slower():
+    sure = tune_model(replace(machine(relative=1e-4)), TuneSettings(draws=60))
+    unsure = tune_model(replace(machine(relative=0.12)), TuneSettings(draws=60))
+    for a, b in zip(sure.axes, unsure.axes, strict=True):
+        assert a.after.gains.as_pid()[0] > 0.9 * b.after.gains.as_pid()[0]
+
+
+def sharp_mode() -> Model:
+    """A light load on a stiff spring, hardly damped, far beyond what the loop needs: 159 and 188 Hz."""
+    chains = CoupledChains.build([[0.05, 0.02]], [[20000.0]], [[0.02]], axes=["A1"])
+    names, values = parameter_vector(chains)
+    std = std_by_name(chains, {n: 0.01 * v for n, v in zip(names, values, strict=True)})
+    return Model("robot", "refined", chains, std)
+
+
+@pytest.mark.campaign
+def test_a_sharp_mode_gets_a_notch_and_the_loop_becomes_ten_times_as_fast():
+    bare, notched = (tune_model(sharp_mode(), TuneSettings(draws=100, notches=n)).axes[0] for n in (0, 2))
+    assert bare.resonance == pytest.approx(188.3, abs=0.1)
+    assert notched.after.gains.notches[0].frequency == pytest.approx(bare.resonance, rel=0.02)
+    assert notched.after.gains.velocity_gain > 10 * bare.after.gains.velocity_gain
+    assert notched.margins_after.kept >= 0.98
+    assert notched.move_after.following < bare.move_after.following
+
+
+def test_a_model_that_is_not_to_be_trusted_is_refused():
+    with pytest.raises(NotIdentifiableError, match="not to be trusted"):
+        tune_model(replace(machine(), fit={"trustworthy": False}), TuneSettings())
+
+
+def test_an_unknown_mass_is_refused_by_name():
+    model = machine()
+    std = ChainStd(
+        (np.array([1e-4, np.nan]), *model.std.masses[1:]), model.std.springs, model.std.dampers,
+        model.std.couplings, model.std.ground_springs,
+    )  # fmt: skip
+    with pytest.raises(NotIdentifiableError, match=r"A1\.mass\.2"):
+        tune_model(replace(model, std=std), TuneSettings())
+
+
+def _diagnosed(effect: EffectTerm, *alternatives: Alternative) -> Diagnosis:
+    finding = Finding(effect, 0.6, 1.0, 0.1, 0.9, alternatives)
+    model = machine().extended(effect)
+    return Diagnosis(Verdict.EXPLAINED, (), None, (finding,), None, model)
+
+
+@pytest.mark.campaign
+def test_of_two_candidates_the_worse_one_is_designed_for():
+    delay = EffectTerm("torque_delay", "A1", {"delay": Estimate(0.004, 1e-4, "s")})
+    lag = EffectTerm("torque_lag", "A1", {"time_constant": Estimate(0.004, 1e-4, "s")})
+    opened = tune_model(_diagnosed(delay, Alternative("torque_lag", "A1", None, 0.1)), TuneSettings())
+    assert any("torque_lag" in text and "worse" in text for text in opened.remarks)
+    for effect in (delay, lag):
+        one = [linear_plant(machine().extended(effect))]
+        margins = worst_margins(
+            one, tuple(a.after.gains for a in opened.axes), opened.settings.timing, PROMISE
+        )
+        assert all(m.unstable == 0 and m.kept == 1.0 for m in margins)
+
+
+def test_a_candidate_of_unknown_size_that_the_loops_feel_is_refused():
+    delay = EffectTerm("torque_delay", "A1", {"delay": Estimate(0.002, 1e-4, "s")})
+    with pytest.raises(NotIdentifiableError, match="tell them apart"):
+        tune_model(_diagnosed(delay, Alternative("extra_mode", "A1", "mass 2", 0.1)), TuneSettings())
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("cause", ["strange_thing", "torque_saturation"])
+def test_a_torque_limit_and_an_effect_that_nobody_can_simulate_are_no_obstacle(cause: str):
+    sizes = {"limit": Estimate(3.0, 0.1)}
+    tuning = tune_model(sharp_mode().extended(EffectTerm(cause, "A1", sizes)), TuneSettings(draws=50))
+    assert np.isfinite(tuning.axes[0].move_after.following)
+    assert any("strange_thing" in text for text in tuning.remarks) is (cause == "strange_thing")
+
+
+def test_gains_for_a_corner_keep_position_and_integral_below_it():
+    gains = gains_at(2.0, 100.0, 5.0)
+    assert (gains.velocity_gain, gains.position_gain, gains.integral_time) == (200.0, 5.0, 0.2)
