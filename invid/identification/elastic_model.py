@@ -33,6 +33,9 @@ EXPLAINED = 0.9
 ASTRAY = 0.3
 """Unknown force behind the motors over the torque's rms from which the masses are doubted (empirical: single
 axes of another hand from a wrong start leave 1.4 and more, free play of 2 mrad 0.1)."""
+CLEAR = 10.0
+"""Rise to first order over the price of friction from which no fit is needed to see that it pays, or below
+whose inverse that it does not (empirical: such rises are right within a factor of two)."""
 NOISY = 2.0
 """Missing power over the sensors' from which something acts that the model does not contain."""
 
@@ -44,7 +47,7 @@ def model_of_chains(begun: Begun) -> Model:
     if not budget.is_left_out("fewer masses than declared"):
         now = with_masses_seen(now)
     nothing: list[Worth] = []
-    worths = budget.or_else("what friction is worth", lambda: friction_worths(now), nothing)
+    worths = budget.or_else("what friction is worth", lambda: friction_worths(now, CLEAR), nothing)
     hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | gone_columns(worths))
     end = now.refit(hypothesis, iterations=15)
     if not budget.is_left_out("the records that judged the model"):

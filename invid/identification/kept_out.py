@@ -98,7 +98,8 @@ def _with_true_periods(recording: Recording) -> tuple[tuple[Experiment, ...], li
     out = []
     for e in recording.experiments:
         period = 0 if e.kind is Kind.CONSTANT_VELOCITY else verified_period(e)
-        out.append(replace(e, period_samples=period))
+        # The very experiment where nothing changes: what is known of its spectra is kept by identity.
+        out.append(e if period == e.period_samples else replace(e, period_samples=period))
     said = [w for s in all_spectra(recording) for w in s.warnings]
     return tuple(out), list(dict.fromkeys(said))
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.shapes import reshape
+from invid.likelihood.unknown_forces.shapes import Curvature, curvature, reshape
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.numerics import budget
 
@@ -67,20 +69,46 @@ def worth_of(now: Supposed, cause: str, key: Hashable, less: Supposed) -> Worth:
     return Worth(cause, key, less.total - now.total, role_falls(less, now))
 
 
-def friction_worths(now: Supposed) -> list[Worth]:
+def friction_worths(now: Supposed, clear: float = np.inf) -> list[Worth]:
     """The worth of every part of the friction of motors, one after another: what goes out leaves its force to
-    the others."""
+    the others.
+
+    Nothing is fitted where the rise to first order is ``clear`` times the price and more, or so much less.
+    """
     out: list[Worth] = []
     names = [c.name for c in now.fit.problem.columns]
     for motor in range(now.hypothesis.structure.motors):
         rest = now
         for part, cause in FRICTION:
-            if rest.fit.value.coefficients[names.index((part, motor))]:
-                gone = without_column(rest, (part, motor))
-                out.append(worth_of(rest, cause, (part, motor), gone))
-                # A rise may stand for all of dry friction.
-                rest = rest if out[-1].stays else gone
+            key = (part, motor)
+            if not rest.fit.value.coefficients[names.index(key)]:
+                continue
+            rise = 0.0 if np.isinf(clear) else first_order_rise(curvature(rest), rest, [key])
+            if rise > clear * PRICE_OF_FRICTION:
+                out.append(Worth(cause, key, rise, (rise, 0.0)))
+                continue
+            if 0.0 < rise < PRICE_OF_FRICTION / clear:
+                out.append(Worth(cause, key, rise, (rise, 0.0)))
+                absent = rest.hypothesis.absent | {key}
+                rest = rest.refit(replace(rest.hypothesis, absent=absent), iterations=0)
+                continue
+            gone = without_column(rest, key)
+            out.append(worth_of(rest, cause, key, gone))
+            # A rise may stand for all of dry friction.
+            rest = rest if out[-1].stays else gone
     return out
+
+
+def first_order_rise(known: Curvature, now: Supposed, columns: Sequence[Hashable]) -> float:
+    """Rise of −2 ln L without some columns, by their coefficients over their deviations (Wald); 0 where they
+    are at their bounds."""
+    names = [c.name for c in now.fit.problem.columns]
+    at = [k for k, c in enumerate(known.free) if names[c] in columns]
+    if not at:
+        return 0.0
+    value = now.fit.value.coefficients[known.free[at]]
+    index = known.numbers + np.array(at)
+    return float(value @ np.linalg.solve(known.covariance[np.ix_(index, index)], value))
 
 
 def gone_columns(worths: Sequence[Worth]) -> frozenset[Hashable]:

@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from invid.diagnosis.unknown_forces.structures import additions_of, without
-from invid.identification.worth import FRICTION, PRICE, Worth, friction_worths, without_column, worth_of
+from invid.identification.worth import (
+    FRICTION,
+    PRICE,
+    Worth,
+    first_order_rise,
+    friction_worths,
+    without_column,
+    worth_of,
+)
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import curvature
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
@@ -38,18 +46,12 @@ def worths(now: Supposed) -> list[Worth]:
 
 def first_order_worths(now: Supposed) -> list[Worth]:
     """The worth of every cause by its coefficients over their deviations, without a fit (Wald)."""
-    known = curvature(now)
-    names = [c.name for c in now.fit.problem.columns]
-    shares = np.array([1.0, 0.5])
-    out = []
+    known, out = curvature(now), list[Worth]()
 
     def add(cause: str, key: Hashable, columns: Sequence[Hashable]) -> None:
-        at = [k for k, c in enumerate(known.free) if names[c] in columns]
-        if at:
-            value = now.fit.value.coefficients[known.free[at]]
-            index = known.numbers + np.array(at)
-            rise = float(value @ np.linalg.solve(known.covariance[np.ix_(index, index)], value))
-            out.append(Worth(cause, key, rise, (float(shares[0] * rise), float(shares[1] * rise))))
+        rise = first_order_rise(known, now, columns)
+        if rise:
+            out.append(Worth(cause, key, rise, (rise, 0.5 * rise)))
 
     for placed in now.hypothesis.laws:
         own = [(*placed.key, i) for i in range(len(placed.law.low))]
