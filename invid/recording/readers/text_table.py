@@ -96,7 +96,7 @@ def _joints_that_change(names: list[str], body: _Numbered, delimiter: str) -> It
             shown = ", ".join(sorted(said)[:4])
             yield (
                 f"{names[i]!r} changes from row to row ({shown}): the numbers beside it are of several "
-                "joints in one column; write a table with a column a joint, or give the MCAP, which is read so"
+                "joints in one column; write a table with a column a joint, or give the MCAP"
             )
 
 
