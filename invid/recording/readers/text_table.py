@@ -30,6 +30,7 @@ WORDS = 0.9
 """Share of rows with a word from which a column holds words, and no row is broken by one."""
 _FAILED = 1000
 """Cells that could not be read and are kept to find out why."""
+_OF_JOINTS = re.compile(r"(^|[^a-z])(joint_?)?names?_?\d*$|^joint$")
 _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
 
 
@@ -81,7 +82,22 @@ def table_of_lines(path: Path, lines: list[str], source: Source, encoding: str =
         broken=broken,
         units=units,
         stamped=frozenset(names[i] for i in stamped),
+        remarks=tuple(_joints_that_change(names, numbered[start:], delimiter)),
     )
+
+
+def _joints_that_change(names: list[str], body: _Numbered, delimiter: str) -> Iterator[str]:
+    """Sentences on columns that name the joint of a row, and name several."""
+    at = [i for i, n in enumerate(names) if _OF_JOINTS.search(n.lower())]
+    rows = [_cells(line, delimiter) for _, line in body[:_FAILED]] if at else []
+    for i in at:
+        said = Counter(r[i] for r in rows if len(r) == len(names) and not _is_value(r[i]) and r[i])
+        if len(said) > 1:
+            shown = ", ".join(sorted(said)[:4])
+            yield (
+                f"{names[i]!r} changes from row to row ({shown}): the numbers beside it are of several "
+                "joints in one column; write a table with a column a joint, or give the MCAP"
+            )
 
 
 @dataclass(frozen=True, eq=False)

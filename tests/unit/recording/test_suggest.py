@@ -264,6 +264,20 @@ def test_joints_are_told_by_their_names(tmp_path, capsys, names):
     assert not any("look like" in u for u in found["unsure"])
 
 
+@pytest.mark.parametrize("header", ["t,field.name0,position,torque", "t,joint,position,torque"])
+def test_rows_of_several_joints_in_one_column_are_said(tmp_path, capsys, header):
+    rows = [
+        f"{t:.4f},{'elbow' if k // 3 % 2 else 'wrist'},{q:.6f},{u:.6f}"
+        for k, (t, q, u) in enumerate(zip(TIME, ANGLE, TORQUE, strict=True))
+    ]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    found = suggested(capsys, path)
+    assert any("several joints in one column" in u for u in found["unsure"])
+    path.write_text("\n".join([header, *rows]).replace("wrist", "elbow"), encoding="utf-8")
+    assert not any("several joints" in u for u in suggested(capsys, path)["unsure"])
+
+
 @pytest.mark.parametrize(
     ("header", "row"),
     [
