@@ -11,7 +11,7 @@ import numpy as np
 from invid.effects.units import unit_of
 from invid.errors import InvidError, NotIdentifiableError
 from invid.identification.begun import Begun, on_all_records
-from invid.identification.contest import torque_rms
+from invid.identification.contest import HOME, torque_rms
 from invid.identification.crosscheck import compare_routes, second_route
 from invid.identification.fewer_masses import fewer_masses_warnings, with_masses_seen
 from invid.identification.fitted_model import model_of
@@ -95,23 +95,23 @@ def _doubts(begun: Begun, end: Supposed, model: Model) -> list[Doubt]:
     """Why the model is not to be relied on."""
     out = []
     share = float(model.fit["explained"])
-    if share < EXPLAINED:
+    inner = end.inner_strength / torque_rms(end.bench)
+    if inner > (ASTRAY if share > EXPLAINED else HOME):
+        strongest = next(s for v, s in end.strength if v == end.inner_strength)
+        axis, element = axis_and_element(end.hypothesis.structure, strongest)
+        unit = unit_of("torque", begun.recording.linear)
+        said = (
+            f"a force of {end.inner_strength:.2g} {unit} that no mass, spring or friction of a motor makes "
+            f"acts at {element} of {begun.recording.axes[axis]}: free play, friction or a spring that bends "
+            "there, another number of masses, or a wrong minimum; invid diagnose names the cause where it can"
+        )
+        out.append(Doubt(DoubtCode.WRONG_STRUCTURE, said, {"times": inner}))
+    elif share < EXPLAINED:
         said = (
             f"the model explains {share:.0%} of the torque only: another number of masses, a torque "
             "channel that is not the motor torque, or axes that do not move freely"
         )
         out.append(Doubt(DoubtCode.LITTLE_EXPLAINED, said, {"share": share}))
-    inner = end.inner_strength / torque_rms(end.bench)
-    if inner > ASTRAY:
-        strongest = next(s for v, s in end.strength if v == end.inner_strength)
-        axis, element = axis_and_element(end.hypothesis.structure, strongest)
-        unit = unit_of("torque", begun.recording.linear)
-        said = (
-            f"a force of {end.inner_strength:.2g} {unit} that no mass or spring makes acts at {element} of "
-            f"{begun.recording.axes[axis]}: the fit stands in a wrong minimum, or the machine has another "
-            "structure (number of masses); invid diagnose names the cause where it can"
-        )
-        out.append(Doubt(DoubtCode.WRONG_STRUCTURE, said, {"times": inner}))
     if begun.alike:
         sizes = (end.hypothesis.structure.sizes, *begun.alike)
         alike = " and ".join(",".join(map(str, n)) for n in sizes)

@@ -18,7 +18,7 @@ class DoubtCode(StrEnum):
     LITTLE_EXPLAINED = "little_explained"
     """Less of the torque is explained than a model of the right machine explains: ``share``."""
     WRONG_STRUCTURE = "wrong_structure"
-    """A fit without structure misses the records by ``times`` less."""
+    """A force that no part of the model makes acts behind the motors: ``times`` the torque's rms."""
     NOT_CONVERGED = "not_converged"
     SHORT_RECORD = "short_record"
     """An experiment ends before its first period does."""
