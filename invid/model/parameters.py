@@ -192,38 +192,6 @@ class ChainStructure:
             stiffness[self.motor_dofs[i], self.motor_dofs[i]] += value
         return mass, damping, stiffness
 
-    def inertance(self, p: Float64) -> Float64:
-        """(M, M) what the motors are worth far above all modes: acceleration over torque."""
-        motors = list(self.motor_dofs)
-        return np.asarray(np.linalg.inv(self.matrices(p)[0]), dtype=float)[np.ix_(motors, motors)]
-
-    def moved(self, p: Float64, step: Float64) -> Float64:
-        """(n,) parameters after a step, to first order p + step.
-
-        Beyond first order as the data have it: sums of masses and of compliances 1/K are what low
-        frequencies tell sharply, the shares of each mass and spring poorly, and a damper goes with its
-        spring (loss 1/Q stays). On straight lines in these the valley of the cost is straight; on
-        logarithms it bends within a tenth of a standard deviation of the shares.
-        """
-        out: Float64 = p + step
-        s = self.slices
-        out[s["mass"]] = p[s["mass"]] + np.log(_positive(step[s["mass"]]))
-        grown = -np.log(_positive(-step[s["spring"]]))
-        out[s["spring"]] = p[s["spring"]] + grown
-        damping = p[s["damper"]]
-        out[s["damper"]] = (damping + step[s["damper"]] - damping * step[s["spring"]]) * np.exp(grown)
-        return out
-
-    def admissible(self, p: Float64) -> bool:
-        """Finite, and the mass matrix positive definite."""
-        if not np.isfinite(p).all() or np.abs(p[self.logarithmic]).max(initial=0.0) > 60.0:
-            return False
-        values, s = self.physical(p), self.slices
-        masses = values[s["mass"]]
-        ends = np.diag(masses[list(self.end_dofs)]) + self.couplings(values)
-        scale = 1.0 / np.sqrt(np.diag(ends))
-        return bool(np.linalg.eigvalsh(ends * scale[:, None] * scale)[0] > 1e-9)
-
     # --- the chain rule --------------------------------------------------------------------------
     def torque_derivative(self, p: Float64, omega: Float64, motion: Complex128, q: Complex128) -> Complex128:
         """(R, F, M, n) derivative of Wᵀ Z_full q by every parameter.

@@ -11,7 +11,6 @@ significant first (Wald statistic of its residues), and the rest relocated each 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -65,33 +64,6 @@ def search_modes(
     delay, _, poles, residues = found
     sampled = sample_modes(poles, residues, search.scale, tuple(masses), search.band)
     return (*sampled, delay / spectra[0].sample_rate_hz)
-
-
-@dataclass(frozen=True, eq=False)
-class Unstructured:
-    """A rational FRF and the records it was fitted to, weighted.
-
-    ``mean_square`` is its weighted mean square error per real number.
-    """
-
-    records: tuple[Record, ...]
-    mean_square: float
-
-
-def unstructured(
-    spectra: Sequence[LineSpectra], masses: Sequence[int], *, further: int, model_error: float
-) -> Unstructured | None:
-    """The best rational FRF with ``further`` more modes than the masses have, for comparison."""
-    modes = sum(masses) - len(masses) + further
-    search = _Search(spectra, model_error)
-    if search.operations(modes) > MOST:
-        return None
-    found = search.best(0, modes)
-    if found is None:
-        return None
-    delay, cost, poles, residues = found
-    free = search.motors * (search.rows - search.motors * (2 * modes + 1))
-    return Unstructured(tuple(search.weighted(delay, poles, residues)), cost / max(free, 1))
 
 
 class _Search:

@@ -1,1 +1,1 @@
-"""Arrays, whitening, distributions, fixed points, parallel map: knows no robot."""
+"""Arrays, distributions, fixed points, parallel map: knows no robot."""

@@ -50,12 +50,8 @@ def _with_acting_torque(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     held = (np.sinc(half / np.pi) * np.exp(-1j * half))[:, None]
     hold = np.where(combined, s.torque - recorded - ends, 0.0)
     torque = np.where(combined, hold + recorded * held, s.torque)
-    # When the hold acts, not when it is recorded: the fit asks how much later than that it may act.
-    hold = hold * np.exp(1j * s.omega * delay / s.sample_rate_hz)[:, None]
     stairs = np.where(combined, 0.0, s.staircase)
-    return replace(
-        s, torque=torque, staircase=stairs, hold_torque=hold, stepped=np.where(combined, recorded, 0.0)
-    )
+    return replace(s, torque=torque, staircase=stairs)
 
 
 def covers_demand(s: LineSpectra, demand: Float64) -> bool:

@@ -82,8 +82,6 @@ class LineSpectra:
     staircase
         (M,) 1 where the torque is known to be held over each sample (it follows a recorded demand),
         0 where it is known to be continuous, NaN where the recording does not tell.
-    deviations
-        (P, F, 2M) spectra of each period minus their mean; empty with fewer than two periods.
     """
 
     key: str
@@ -103,33 +101,13 @@ class LineSpectra:
     span_s: float = 0.0
     driven: Bool = field(default_factory=lambda: np.zeros(0, dtype=bool))
     staircase: Float64 = field(default_factory=lambda: np.zeros(0))
-    deviations: Complex128 = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=complex))
     floor: Float64 = field(default_factory=lambda: np.zeros(0))
     """(2M,) noise power of the averaged spectra from lines above the band, white quantisation included."""
-    rounding: Float64 | None = None
-    """(F, 2M) power of the rounding that lies within the band (``invid.signals.noise``)."""
-    untimed_hold: Float64 = field(default_factory=lambda: np.zeros(0))
-    """(M,) gain of a hold that the recording does not say the instant of; NaN inside the drive, zero none."""
-    hold_torque: Complex128 | None = None
-    """(F, M) the part of the torque that a hold inside the drive gave, where the recording tells it apart."""
-    integrated: bool = False
-    """Whether the position is a velocity's running sum."""
-    stepped: Complex128 | None = None
-    """(F, M) as recorded, the part held over each sample where ``torque`` has it as it acts (a demand)."""
 
     @property
     def omega(self) -> Float64:
         """(F,) lines [rad/s]."""
         result: Float64 = 2 * np.pi * self.frequency_hz
-        return result
-
-    @property
-    def line_floor(self) -> Float64:
-        """(F, 2M) noise power on each line: the floor from above the band, or rounding where larger."""
-        lines = (self.frequency_hz.size, self.floor.size)
-        if self.rounding is None:
-            return np.broadcast_to(self.floor, lines)
-        result: Float64 = np.maximum(self.floor, self.rounding)
         return result
 
     @property
@@ -322,9 +300,7 @@ def _periodic_spectra(
         transient=not settling.settled,
         wave=np.concatenate((position.mean(0), torque[first:].mean(0)), axis=1),
         span=used * period * data.step,
-        deviations=deviations,
         floor=np.maximum(np.maximum(own, step**2 / 12 * 4 / period / used), 1e-300),
-        rounding=rounding,
         warnings=warnings,
     )
 
@@ -375,9 +351,7 @@ def _whole_spectra(
         transient=True,
         wave=wave[:count],
         span=count * data.step,
-        deviations=np.zeros((0, int(band.sum()), 2 * motors), dtype=complex),
         floor=floor,
-        rounding=rounding,
         warnings=warnings,
     )
 
@@ -385,13 +359,6 @@ def _whole_spectra(
 def is_integrated_velocity(experiment: Experiment) -> bool:
     """Return whether the record has no position but the running sum of a velocity."""
     return bool(experiment.attributes.get("position_source") == "integrated_velocity")
-
-
-def _untimed_hold(experiment: Experiment) -> Float64:
-    """(M,) stated gains of holds; zero where a master computed them, with the command of each sample."""
-    gain = np.asarray(experiment.hold_gain, dtype=np.float64)
-    by_master = experiment.attributes.get("hold_by") == "master"
-    return np.where(np.isfinite(gain) & by_master, 0.0, gain)
 
 
 def _position_of_velocity(position: Float64, step: float, hz: Float64) -> Complex128:
@@ -475,9 +442,7 @@ def _assemble(  # noqa: PLR0913 - the fields of LineSpectra
     transient: bool,
     wave: Float64,
     span: float,
-    deviations: Complex128,
     floor: Float64,
-    rounding: Float64,
     warnings: list[str],
 ) -> LineSpectra:
     motors = data.position.shape[1]
@@ -507,9 +472,5 @@ def _assemble(  # noqa: PLR0913 - the fields of LineSpectra
         span_s=span,
         driven=frozen(driven, np.bool_),  # type: ignore[arg-type]
         staircase=frozen_float(held_torque(experiment)),
-        deviations=fixed(deviations),
         floor=frozen_float(floor),
-        rounding=frozen_float(rounding),
-        untimed_hold=frozen_float(_untimed_hold(experiment)),
-        integrated=is_integrated_velocity(experiment),
     )
