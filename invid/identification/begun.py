@@ -126,7 +126,7 @@ def on_all_records(now: Supposed, recording: Recording) -> Supposed:
 def settled_about(chains: CoupledChains, records: Sequence[Record]) -> Supposed:
     """A known plant with friction at its motors on records: strengths and timing as the records have them."""
     bench, plant = Bench(stack_records(records, hold_damping(records))), plant_of(chains)
-    timing = Timing.nominal(plant.structure.motors, records[0].step)
+    timing = Timing.of_records(bench.stacks)
     power = np.mean([(r.motion.velocity**2).mean(axis=0) for r in records], axis=0)
     still = np.flatnonzero(power <= STILL**2 * power.max())
     absent = frozenset((part, int(motor)) for motor in still for part in Part)

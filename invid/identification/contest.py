@@ -270,7 +270,7 @@ def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | Non
 
 def _from_plant(benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int) -> Supposed | None:
     stacks = benches[0].stacks
-    timing = Timing.nominal(hypothesis.structure.motors, stacks[0].step)
+    timing = Timing.of_records(stacks)
     numbers = Numbers(plant, timing, first_strength(stacks, hypothesis.structure))
     try:
         return suppose(benches, hypothesis, numbers, iterations)

@@ -35,6 +35,8 @@ LOWEST = 0.08
 RIGID_END, BENT, BEYOND = 10, 0.3, 1.3
 """Share of the highest lines that may show a motor's own mass; logarithm by which its stiffness differs from
 that where chains bend it; and how far beyond there a pole may be."""
+CLOSED = 0.01
+"""Jump from a record's start to its end over its range up to which it closes (numerical)."""
 BAND_LINES = 3
 """Lines of a record without a period whose median counts: its ends bend single ones."""
 FEW_LINES = 8
@@ -67,7 +69,7 @@ def total_inertias(stacks: Sequence[Stack]) -> Float64:
     motors = stacks[0].position.shape[2]
     out = np.ones(motors)
     for m in range(motors):
-        top = elastic_top(*own_stiffness(stacks, m))
+        top = _top(stacks, m)
         rows, right = [], []
         for stack in stacks:
             omega = stack.omega
@@ -80,8 +82,13 @@ def total_inertias(stacks: Sequence[Stack]) -> Float64:
                 if use.sum() < 3:
                     use = (omega > 0) & (omega < 2 * SLOW[1] * top)
                 w, theta = omega[use], stack.position[k, use, m]
+                speed = 1j * w * theta + 2.0 / record.span * record.jump[m]
+                bend = record.motion.velocity[-1, m] - record.motion.velocity[0, m]
                 rows.append(
-                    np.stack((-(w**2) * theta, 1j * w * theta, 1j * theta / (np.abs(theta) + 1e-300)), axis=1)
+                    np.stack(
+                        (1j * w * speed + 2.0 / record.span * bend, speed, speed / (np.abs(speed) + 1e-300)),
+                        axis=1,
+                    )
                 )
                 right.append(torque[k, use, m])
         if rows:
@@ -111,7 +118,7 @@ def random_plants(
 ) -> list[Plant]:
     """Random splits of the chains' inertia."""
     total = total_inertias(stacks)
-    tops = [elastic_top(*own_stiffness(stacks, m)) for m in range(structure.motors)]
+    tops = [_top(stacks, m) for m in range(structure.motors)]
     out = []
     for _ in range(count):
         chains = []
@@ -282,6 +289,12 @@ def elastic_top(omega: Float64, size: Float64) -> float:
     return float(min(omega[-1], BEYOND * omega[last]))
 
 
+def _top(stacks: Sequence[Stack], motor: int) -> float:
+    """``elastic_top`` of a motor; of too few lines the highest frequency that is excited."""
+    omega, size = own_stiffness(stacks, motor)
+    return elastic_top(omega, size) if omega.size >= FEW_LINES else 2 * np.pi * stacks[0].records[0].top_hz
+
+
 def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:
     """Lines [rad/s] and |Z| of a motor with the other motors still, by least squares over the records.
 
@@ -290,7 +303,7 @@ def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64
     lines of its own (stepped sines), those of all.
     """
     stack = max(stacks, key=lambda s: s.count)
-    if not stack.records[0].periods:
+    if not all(r.periods and _closes(r) for r in stack.records):
         return _stiffness_in_bands(stack, motor)
     omega, size = _stiffness_on_lines([s for s in stacks if np.array_equal(s.omega, stack.omega)], motor)
     if omega.size >= FEW_LINES:
@@ -299,6 +312,11 @@ def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64
     omega, size = (np.concatenate(part) for part in zip(*each, strict=True))
     order = np.argsort(omega)
     return omega[order], size[order]
+
+
+def _closes(record: Record) -> bool:
+    """Whether the motion ends where it began: else its ends bend every line."""
+    return bool((np.abs(record.jump) <= CLOSED * np.ptp(record.motion.position, axis=0)).all())
 
 
 def _stiffness_on_lines(alike: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:

@@ -55,8 +55,8 @@ def records_of(recording: Recording, *, by_period: bool = False) -> Split:
     lines = sum(r.used.size for r in fitted)
     if lines < LEAST_LINES * recording.axis_count:
         raise NotIdentifiableError(
-            f"{recording.source}: the records hold {lines} lines to {parts.band:.3g} Hz, and a machine takes "
-            f"{LEAST_LINES} an axis: record for longer, lengthen the period, or widen the band"
+            f"{recording.source}: the records hold {lines} lines to {parts.band:.3g} Hz, and the unknowns of "
+            f"a machine take {LEAST_LINES} an axis: record for longer, lengthen the period, or widen the band"
         )
     said = row.sentence(parts)
     known = _with_holds([*fitted, *kept], parts)  # of one machine: what one record shows holds for all

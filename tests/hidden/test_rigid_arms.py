@@ -3,28 +3,23 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from hidden.arms import _arm, draw, inverse_dynamics
 from invid.cli.app import run
-from invid.identification.machine_kind import ChainsTried, is_of_rigid_axes, machine_kind, rigid_model
-from invid.model.chains import CoupledChains
-from invid.model.document import ChainStd, Model
+from invid.identification.begun import Begun
+from invid.identification.machine_kind import is_of_rigid_axes, machine_kind, rigid_model
 from invid.recording.hdf5 import write_recording
 from invid.recording.model import Recording
 
 
-def chains_of(recording: Recording, masses: int, missed: float = np.inf) -> ChainsTried:
-    """Chains as an identification of them gives them."""
-    chains = CoupledChains.build(
-        [np.ones(masses)] * recording.axis_count,
-        [np.full(masses - 1, 1e4)] * recording.axis_count,
-        axes=recording.axes,
-    )
-    model = Model("arm", "refined", chains, ChainStd.unknown(chains))
-    return ChainsTried(chains.masses_per_branch, lambda: missed, model)
+def chains_of(recording: Recording, masses: int, missed: float = np.inf) -> Begun:
+    """The first fit of chains as the choice of the kind sees it."""
+    return cast("Begun", SimpleNamespace(sizes=(masses,) * recording.axis_count, missed=missed))
 
 
 @pytest.mark.parametrize(("seed", "axes"), [(2, 5), (3, 5), (5, 4), (8, 3)])

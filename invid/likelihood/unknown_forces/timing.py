@@ -10,6 +10,7 @@ lags has λ > 0; where what it shows of its torque is low-passed, λ < 0.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from invid.numerics.arrays import Complex128, Float64
 
 COMMAND, HOLD = 0, 1
 """Parts of the torque."""
-DELAY_PRIOR, SHARE_PRIOR = 0.5, 0.3
+DELAY_PRIOR, SHARE_PRIOR = 0.5, 0.5
 """Standard deviations of a part's delay [samples] and of the share held over the sample: what one sample of
 convention leaves open (physical)."""
 NO_LAG = 1e-9
@@ -29,8 +30,10 @@ EXPECTED_DELAY = (-0.5, 0.0)
 CONVENTION = 1.5
 """Delay of either sign [samples] that conventions make: half a sample of holding, and one between the command
 that is shown and the one that acts."""
-EXPECTED_SHARE = (1.0, 0.5)
-"""Share of a command that is held over the sample, and of a hold, which works inside the drive or outside."""
+EXPECTED_SHARE = (0.5, 0.5)
+"""Share of either part that is held over the sample: a record may have fewer samples than its drive."""
+SAMPLED = (1.0, 0.3)
+"""The same of what a master commands once a sample, and its deviation, which a drive's loop leaves open."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +44,23 @@ class Timing:
     share: Float64
     lag: Float64
     step: float
+    is_sampled: bool = False
+    """Whether the records say that all torque is commanded once a sample."""
 
     @classmethod
-    def nominal(cls, motors: int, step: float) -> Timing:
+    def nominal(cls, motors: int, step: float, *, is_sampled: bool = False) -> Timing:
         """What a drive shows at a SYNC of the command acted over the sample before it, of its hold at it."""
+        expected_share = (SAMPLED[0], SAMPLED[0]) if is_sampled else EXPECTED_SHARE
         delay, share = (
-            np.repeat(np.array(v)[:, None], motors, axis=1) for v in (EXPECTED_DELAY, EXPECTED_SHARE)
+            np.repeat(np.array(v)[:, None], motors, axis=1) for v in (EXPECTED_DELAY, expected_share)
         )
-        return cls(delay, share, np.zeros(motors), step)
+        return cls(delay, share, np.zeros(motors), step, is_sampled)
+
+    @classmethod
+    def of_records(cls, stacks: Sequence[Stack]) -> Timing:
+        """As ``nominal``, by what records say of how they are commanded."""
+        sampled = all(r.is_hold_sampled for s in stacks for r in s.records)
+        return cls.nominal(stacks[0].position.shape[2], stacks[0].step, is_sampled=sampled)
 
     @property
     def motors(self) -> int:
@@ -63,14 +75,18 @@ class Timing:
     @property
     def expected(self) -> Float64:
         """(5M,) centre of the prior."""
-        return Timing.nominal(self.motors, self.step).x
+        return Timing.nominal(self.motors, self.step, is_sampled=self.is_sampled).x
 
     @property
     def prior(self) -> Float64:
         """(5M,) standard deviations of the prior."""
         size = 2 * self.motors
         return np.concatenate(
-            (np.full(size, DELAY_PRIOR), np.full(size, SHARE_PRIOR), np.full(self.motors, NO_LAG))
+            (
+                np.full(size, DELAY_PRIOR),
+                np.full(size, SAMPLED[1] if self.is_sampled else SHARE_PRIOR),
+                np.full(self.motors, NO_LAG),
+            )
         )
 
     def moved(self, x: Float64) -> Timing:

@@ -75,5 +75,5 @@ def test_records_without_anything_to_fit_are_refused_in_words(recording: Recordi
     with pytest.raises(InputError, match="role 'identify'"):
         records_of(replace(recording, experiments=only))
     short = tuple(_rows(e, slice(0, 80)) for e in recording.experiments)
-    with pytest.raises(NotIdentifiableError, match="too short"):
+    with pytest.raises(NotIdentifiableError, match="record for longer"):
         records_of(replace(recording, experiments=short))

@@ -64,7 +64,7 @@ def test_a_demand_with_the_hold_in_it_does_not_tell_when_the_hold_acts(in_drive:
     by_master = tuple(replace(e, attributes={"hold_by": "master"}) for e in shown.experiments)
     told = identify(replace(shown, experiments=by_master))
     assert worst(deviations(told, ONE)) < 4.5
-    assert told.std.masses[0][0] < 0.2 * model.std.masses[0][0]
+    assert told.std.masses[0][0] < 0.3 * model.std.masses[0][0]
 
 
 def test_a_command_that_falls_with_frequency_is_smooth_where_its_lines_are_far_apart() -> None:
