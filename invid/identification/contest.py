@@ -10,6 +10,7 @@ import numpy as np
 
 from invid.identification.first_plants import (
     chains_of_plant,
+    closes,
     fraction_plants,
     grown_plants,
     masses_seen,
@@ -102,7 +103,10 @@ def begin(
     hypothesis = Hypothesis(structure, shapes)
     plants = [] if known.plant is None else [known.plant]
     # Where to start may be read from all records: as many as motors tell couplings apart.
-    plants += fraction_plants((*bench.stacks, *(kept.stacks if kept else ())), structure)
+    stacks = (*bench.stacks, *(kept.stacks if kept else ()))
+    plants += fraction_plants(stacks, structure)
+    if not all(closes(r) for s in stacks for r in s.records):
+        plants += fraction_plants(stacks, structure, in_bands=True)
     if fewer is not None:
         plants += grown_plants(fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
     lowest, least = None, np.inf

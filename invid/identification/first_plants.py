@@ -167,9 +167,12 @@ def _split(mass: Float64, spring: Float64, at: int, stiffness: float) -> Chain:
     return masses, np.insert(spring, at, stiffness * mass[at])
 
 
-def fraction_plants(stacks: Sequence[Stack], structure: Structure) -> list[Plant]:
-    """Chains by continued fractions: the best of every axis, then each axis and all at their next best."""
-    chains = [fraction_chains(stacks, m, n) for m, n in enumerate(structure.sizes)]
+def fraction_plants(stacks: Sequence[Stack], structure: Structure, *, in_bands: bool = False) -> list[Plant]:
+    """Chains by continued fractions: the best of every axis, then each axis and all at their next best.
+
+    ``in_bands``: of each motor's own stiffness in bands, where the ends of records bend single lines.
+    """
+    chains = [fraction_chains(stacks, m, n, in_bands=in_bands) for m, n in enumerate(structure.sizes)]
     if not all(chains):
         return []
     motors = structure.motors
@@ -185,13 +188,15 @@ def fraction_plants(stacks: Sequence[Stack], structure: Structure) -> list[Plant
     ]
 
 
-def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int = 4) -> list[Chain]:
+def fraction_chains(
+    stacks: Sequence[Stack], motor: int, masses: int, most: int = 4, *, in_bands: bool = False
+) -> list[Chain]:
     """Chains whose zeros and poles follow the motor's own stiffness best, the best first."""
     zeros = masses - 1
     if zeros == 0:
-        omega, size = own_stiffness(stacks, motor)
+        omega, size = own_stiffness(stacks, motor, in_bands=in_bands)
         return [(np.array([np.exp(np.median(np.log(size / omega**2)))]), np.zeros(0))]
-    looked = _interlaced(stacks, motor, zeros)
+    looked = _interlaced(stacks, motor, zeros, in_bands=in_bands)
     if looked is None:
         return []
     grid, sets, inertia, misfit = looked
@@ -206,11 +211,11 @@ def fraction_chains(stacks: Sequence[Stack], motor: int, masses: int, most: int 
             starts.append(np.concatenate(chain))
         if len(starts) >= FOLLOWED:
             break
-    for chain in fraction_chains(stacks, motor, masses - 1, GROWING):
+    for chain in fraction_chains(stacks, motor, masses - 1, GROWING, in_bands=in_bands):
         starts += _with_close_pair(chain, grid)
     if not starts:
         return []
-    found, loss = follow(*own_stiffness(stacks, motor), np.array(starts))
+    found, loss = follow(*own_stiffness(stacks, motor, in_bands=in_bands), np.array(starts))
     out: list[Float64] = []
     for k in np.argsort(loss):
         if all(np.abs(np.log(found[k] / other)).max() > SAME for other in out):
@@ -258,11 +263,11 @@ def masses_seen(stacks: Sequence[Stack], motor: int) -> int:
 
 
 def _interlaced(
-    stacks: Sequence[Stack], motor: int, zeros: int
+    stacks: Sequence[Stack], motor: int, zeros: int, *, in_bands: bool = False
 ) -> tuple[Float64, Int64, Float64, Float64] | None:
     """Grid of frequencies, sets of interlaced zeros and poles (S, 2·zeros) on it, and (S,) each set's inertia
     and mean misfit of the logarithm; none where there are too few lines."""
-    omega, size = own_stiffness(stacks, motor)
+    omega, size = own_stiffness(stacks, motor, in_bands=in_bands)
     if zeros not in GRIDS or omega.size < 2 * zeros + 2:
         return None
     top = elastic_top(omega, size)
@@ -295,7 +300,7 @@ def _top(stacks: Sequence[Stack], motor: int) -> float:
     return elastic_top(omega, size) if omega.size >= FEW_LINES else 2 * np.pi * stacks[0].records[0].top_hz
 
 
-def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64]:
+def own_stiffness(stacks: Sequence[Stack], motor: int, *, in_bands: bool = False) -> tuple[Float64, Float64]:
     """Lines [rad/s] and |Z| of a motor with the other motors still, by least squares over the records.
 
     Where there are fewer records than motors, torque over motion of the records that drive it; where a
@@ -303,7 +308,7 @@ def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64
     lines of its own (stepped sines), those of all.
     """
     stack = max(stacks, key=lambda s: s.count)
-    if not all(r.periods and _closes(r) for r in stack.records):
+    if in_bands or not stack.records[0].periods:
         return _stiffness_in_bands(stack, motor)
     omega, size = _stiffness_on_lines([s for s in stacks if np.array_equal(s.omega, stack.omega)], motor)
     if omega.size >= FEW_LINES:
@@ -314,8 +319,8 @@ def own_stiffness(stacks: Sequence[Stack], motor: int) -> tuple[Float64, Float64
     return omega[order], size[order]
 
 
-def _closes(record: Record) -> bool:
-    """Whether the motion ends where it began: else its ends bend every line."""
+def closes(record: Record) -> bool:
+    """Return whether the motion ends where it began: else its ends bend every line."""
     return bool((np.abs(record.jump) <= CLOSED * np.ptp(record.motion.position, axis=0)).all())
 
 
