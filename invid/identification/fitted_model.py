@@ -14,7 +14,7 @@ from invid.identification.open_holds import open_masses
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import curvature
 from invid.likelihood.unknown_forces.supposition import Supposed
-from invid.likelihood.unknown_forces.timing import COMMAND, HOLD
+from invid.likelihood.unknown_forces.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts
@@ -212,7 +212,7 @@ def hold_warnings(end: Supposed, open_part: Float64, recording: Recording) -> li
                 "record a torque_demand that leaves the hold out, drive the axis without a hold, or state "
                 "hold_by"
             )
-        elif not is_told and timing.delay[HOLD, i] < -EARLY:
+        elif not is_told and timing.delay[HOLD, i] < EXPECTED_DELAY[HOLD] - EARLY:
             friction = -timing.delay[HOLD, i] * timing.step * max(float(r.hold[i]) for r in records)
             out.append(
                 f"{axis}: its hold is taken to act up to half a sample before the command, as fits best; "

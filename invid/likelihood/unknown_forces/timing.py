@@ -20,13 +20,14 @@ from invid.numerics.arrays import Complex128, Float64
 
 COMMAND, HOLD = 0, 1
 """Parts of the torque."""
-DELAY_PRIOR, SHARE_PRIOR = 0.5, 0.5
-"""Standard deviations of a part's delay [samples] and of the share held over the sample: what one sample of
-convention leaves open (physical)."""
+DELAY_PRIOR, SHARE_PRIOR = (0.5, 0.35), 0.5
+"""Standard deviations of each part's delay [samples] and of the share held over the sample: what one sample
+of convention leaves open (physical)."""
 NO_LAG = 1e-9
 """Standard deviation of a lag that is not supposed."""
-EXPECTED_DELAY = (-0.5, 0.0)
-"""Delay [samples] of a command, which acts over the sample before the SYNC that shows it, and of a hold."""
+EXPECTED_DELAY = (-0.5, -0.25)
+"""Delay [samples] of a command, which acts over the sample before the SYNC that shows it, and of a hold,
+which acts with it or at the SYNC."""
 CONVENTION = 1.5
 """Delay of either sign [samples] that conventions make: half a sample of holding, and one between the command
 that is shown and the one that acts."""
@@ -83,7 +84,7 @@ class Timing:
         size = 2 * self.motors
         return np.concatenate(
             (
-                np.full(size, DELAY_PRIOR),
+                np.repeat(np.array(DELAY_PRIOR), self.motors),
                 np.full(size, SAMPLED[1] if self.is_sampled else SHARE_PRIOR),
                 np.full(self.motors, NO_LAG),
             )
