@@ -28,6 +28,7 @@ from invid.identification.begun import settled_about
 from invid.identification.fitted_model import chains_covariance
 from invid.identification.identify import identify
 from invid.identification.kept_out import all_records
+from invid.identification.open_holds import open_masses
 from invid.model.chains import CoupledChains
 from invid.model.document import Model, parameter_vector
 from invid.recording.model import Experiment, Kind, Recording, Role
@@ -141,7 +142,8 @@ def bound(
     for (i, j), value in plant.couplings.items():
         couplings[i, j] = couplings[j, i] = value
     chains = CoupledChains.build(plant.masses, plant.springs, plant.dampers, couplings, axes=recording.axes)
-    settled, covariance = chains_covariance(settled_about(chains, records), recording.axes)
+    end = settled_about(chains, records)
+    settled, covariance = chains_covariance(end, recording.axes, open_masses(end))
     deviation = dict(zip(parameter_vector(settled)[0], np.sqrt(np.diag(covariance)), strict=True))
     ordered = [n for kind in (".mass.", ".spring.", ".coupling") for n in deviation if kind in n]
     return np.array([deviation[n] for n in ordered])

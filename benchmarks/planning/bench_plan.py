@@ -24,7 +24,7 @@ import numpy as np
 from invid.config import CellConfig, load_config
 from invid.errors import InvidError
 from invid.identification.begun import settled_about
-from invid.identification.fitted_model import chains_covariance
+from invid.identification.fitted_model import chains_of
 from invid.identification.identify import identify
 from invid.identification.kept_out import all_records
 from invid.model.document import parameter_vector
@@ -172,7 +172,8 @@ def stepped_error(config: CellConfig, path: Path) -> float:
     """Largest relative error of the same fit on stepped sine, from the truth."""
     plant = replace(truth(config), ground_dampers=np.zeros(3))
     try:
-        chains, _ = chains_covariance(settled_about(plant, all_records(read_recording(path))), plant.axes)
+        end = settled_about(plant, all_records(read_recording(path)))
+        chains, _ = chains_of(end, plant.axes)
     except (InvidError, np.linalg.LinAlgError) as error:
         print(f"    {error}"[:150])
         return float("inf")

@@ -15,6 +15,7 @@ from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.begun import Begun, begin_elastic
+from invid.identification.identify import requested_sizes
 from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model
@@ -79,7 +80,7 @@ def _diagnose_clean(
     dropped = find_dropped_rows(recording)
     repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
     if model is None:
-        begin = cache(partial(_begin, recording, repaired, _requested_sizes(recording, masses)))
+        begin = cache(partial(_begin, recording, repaired, requested_sizes(recording, masses)))
         with budget.use_share(1.0, 0.0, 0.3):
             kind = machine_kind(recording, masses, begin, TIME_TO_IDENTIFY)
         if kind.rigid:
@@ -102,14 +103,6 @@ def _begin(recording: Recording, repaired: Recording, sizes: tuple[int, ...] | N
     """Where the search begins of a machine that is shaken; one that is moved need not show chains."""
     check_shaken(recording)
     return begin_elastic(repaired, sizes)
-
-
-def _requested_sizes(
-    recording: Recording, masses: Sequence[int] | Literal["auto"] | None
-) -> tuple[int, ...] | None:
-    """Masses of each axis as asked for or recorded; ``None`` where the data are to choose."""
-    wanted = recording.masses_per_axis if masses is None else masses
-    return None if wanted is None or isinstance(wanted, str) else tuple(wanted)
 
 
 __all__ = ["diagnose"]

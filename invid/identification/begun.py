@@ -97,6 +97,10 @@ def _benches(split: Split) -> tuple[Bench, Bench]:
     return Bench(stack_records(split.fitted, damping)), Bench(stack_records(split.kept, damping))
 
 
+def _bench(records: Sequence[Record]) -> Bench:
+    return Bench(stack_records(records, hold_damping(records)))
+
+
 def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known) -> Begun:
     split = records_of(recording)
     bench, beside = _benches(split)
@@ -118,14 +122,13 @@ def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known) -> B
 
 def on_all_records(now: Supposed, recording: Recording) -> Supposed:
     """A hypothesis without laws fitted to every record of a recording, none kept out."""
-    records = all_records(recording)
-    bench = Bench(stack_records(records, hold_damping(records)))
+    bench = _bench(all_records(recording))
     return reshape(suppose((bench, None), now.hypothesis, now.numbers))
 
 
 def settled_about(chains: CoupledChains, records: Sequence[Record]) -> Supposed:
     """A known plant with friction at its motors on records: strengths and timing as the records have them."""
-    bench, plant = Bench(stack_records(records, hold_damping(records))), plant_of(chains)
+    bench, plant = _bench(records), plant_of(chains)
     timing = Timing.of_records(bench.stacks)
     power = np.mean([(r.motion.velocity**2).mean(axis=0) for r in records], axis=0)
     still = np.flatnonzero(power <= STILL**2 * power.max())

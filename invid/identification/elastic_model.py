@@ -26,6 +26,7 @@ from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.document import EffectTerm, Model
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts, doubts_of
 from invid.numerics import budget
+from invid.recording.model import Recording
 
 EXPLAINED = 0.9
 """Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
@@ -42,10 +43,9 @@ NOISY = 2.0
 
 def model_of_chains(begun: Begun) -> Model:
     """The model of a first fit: with the friction that pays its price, and what is to be doubted."""
-    recording, axes = begun.recording, begun.recording.axes
+    recording = begun.recording
     now = _with_late_drives(reshape(scan_friction(begun.first)))
-    if not budget.is_left_out("fewer masses than declared"):
-        now = with_masses_seen(now)
+    now = with_masses_seen(now)
     nothing: list[Worth] = []
     worths = budget.or_else("what friction is worth", lambda: friction_worths(now, CLEAR), nothing)
     hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | gone_columns(worths))
@@ -55,7 +55,7 @@ def model_of_chains(begun: Begun) -> Model:
     model = model_of(end, _friction_terms(end, worths, begun), recording)
     found = _doubts(begun, end, model)
     routes: list[str] = []
-    fit = {**model.fit, "routes": _routes(begun, end, model, routes)}
+    fit = {**model.fit, "routes": _routes(recording, model, routes)}
     if begun.declared is None:
         fit["order"] = {
             "chosen": list(end.hypothesis.structure.sizes),
@@ -67,7 +67,7 @@ def model_of_chains(begun: Begun) -> Model:
         *(d.text for d in found),
         *model.warnings,
         *fewer_masses_warnings(begun.declared, end.hypothesis.structure.sizes),
-        *_warnings(model, axes),
+        *_warnings(model),
         *routes,
     ]
     return replace(model, fit={**fit, **doubt_facts(doubts)}, warnings=tuple(dict.fromkeys(said)))
@@ -123,7 +123,7 @@ def _doubts(begun: Begun, end: Supposed, model: Model) -> list[Doubt]:
     return out
 
 
-def _warnings(model: Model, axes: Sequence[str]) -> list[str]:
+def _warnings(model: Model) -> list[str]:
     """What is said of a fit beside its doubts."""
     out = []
     times = float(np.sqrt(model.fit["noise_chi2_per_dof"]))
@@ -135,9 +135,9 @@ def _warnings(model: Model, axes: Sequence[str]) -> list[str]:
     return out
 
 
-def _routes(begun: Begun, end: Supposed, model: Model, warnings: list[str]) -> dict[str, Any]:
+def _routes(recording: Recording, model: Model, warnings: list[str]) -> dict[str, Any]:
     """The paper's inverse beside the fit."""
     paper: PaperResult | InvidError = NotIdentifiableError("the budget was spent before the second route")
     if not budget.is_left_out("the paper's method as a second route"):
-        paper = second_route(begun.recording, model)
+        paper = second_route(recording, model)
     return compare_routes(paper, model, warnings)

@@ -34,7 +34,7 @@ def with_masses_seen(now: Supposed) -> Supposed:
     Only where a mass or spring of a chain is loosely known may one be too many.
     """
     motors = now.hypothesis.structure.motors
-    while not budget.is_left_out("fewer masses"):
+    while not budget.is_left_out("fewer masses than declared"):
         shorter = [shortened(now, axis) for axis in range(motors)]
         known = [s for s in shorter if s is not None and s.total - now.total < PRICE_OF_MASS]
         if not known:

@@ -64,12 +64,11 @@ Chain = tuple[Float64, Float64]
 """Masses and springs."""
 
 
-def total_inertias(stacks: Sequence[Stack]) -> Float64:
-    """(M,) inertia of each chain from its slowest lines, beside viscous and dry friction."""
-    motors = stacks[0].position.shape[2]
-    out = np.ones(motors)
-    for m in range(motors):
-        top = _top(stacks, m)
+def total_inertias(stacks: Sequence[Stack], tops: Sequence[float]) -> Float64:
+    """(M,) inertia of each chain from its slowest lines, beside viscous and dry friction; ``tops`` (M,) as
+    ``elastic_top``."""
+    out = np.ones(len(tops))
+    for m, top in enumerate(tops):
         rows, right = [], []
         for stack in stacks:
             omega = stack.omega
@@ -117,8 +116,8 @@ def random_plants(
     stacks: Sequence[Stack], structure: Structure, count: int, rng: np.random.Generator
 ) -> list[Plant]:
     """Random splits of the chains' inertia."""
-    total = total_inertias(stacks)
     tops = [_top(stacks, m) for m in range(structure.motors)]
+    total = total_inertias(stacks, tops)
     out = []
     for _ in range(count):
         chains = []

@@ -63,10 +63,12 @@ def plant_of(chains: CoupledChains) -> Plant:
     return Plant.of_values(structure, np.concatenate(parts))
 
 
-def chains_covariance(end: Supposed, axes: tuple[str, ...]) -> tuple[CoupledChains, Float64]:
+def chains_covariance(
+    end: Supposed, axes: tuple[str, ...], open_part: Float64
+) -> tuple[CoupledChains, Float64]:
     """The chains, and the covariance (n, n) of their parameters in the order of ``parameter_vector``.
 
-    Contained is what holds of unknown damping leave open of motors' own masses.
+    ``open_part`` (M,): mass of each motor that its hold leaves open (``open_masses``).
     """
     built, names = chains_of(end, axes)
     known, _ = parameter_vector(built)
@@ -75,14 +77,14 @@ def chains_covariance(end: Supposed, axes: tuple[str, ...]) -> tuple[CoupledChai
     around = curvature(end).covariance[: plant.x.size, : plant.x.size]
     covariance = around * plant.slope[:, None] * plant.slope
     motors = plant.structure.index(Kind.MASS).start + np.array(plant.structure.motor)
-    covariance[motors, motors] += open_masses(end) ** 2
+    covariance[motors, motors] += open_part**2
     return built, covariance[np.ix_(index, index)]
 
 
 def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recording) -> Model:
     """The chains with their covariance, the causes, and what the data do not tell."""
-    axes = recording.axes
-    built, covariance = chains_covariance(end, axes)
+    axes, open_part = recording.axes, open_masses(end)
+    built, covariance = chains_covariance(end, axes, open_part)
     known, values = parameter_vector(built)
     band = _band(recording)
     blind = blind_directions(built, known, values, covariance, band)
@@ -91,7 +93,7 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
     doubts = [*_short_experiments(recording), *(Doubt(DoubtCode.UNSEEN, said) for said in blind.sentences)]
     said = [
         *(d.text for d in doubts),
-        *hold_warnings(end, open_masses(end), recording),
+        *hold_warnings(end, open_part, recording),
         *_lag_warnings(end, axes),
     ]
     return Model(

@@ -82,8 +82,7 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
 
 def _identify_kind(recording: Recording, masses: Masses, method: Method) -> Model:
     """Model of rigid inertias or of chains, by the kind of the recording."""
-    wanted = recording.masses_per_axis if masses is None else masses
-    sizes = None if wanted is None or isinstance(wanted, str) else _checked_sizes(recording, wanted)
+    sizes = requested_sizes(recording, masses)
     begin = cache(partial(_begin, recording, sizes))
     if method == "paper":
         return _model_by_paper(recording, begin().sizes if sizes is None else sizes)
@@ -151,7 +150,17 @@ def _measured_frf(spectra: Sequence[LineSpectra]) -> FrfMatrix:
     return replace(frf, variance=frf.variance + (BLUNT * np.abs(frf.frf)) ** 2)
 
 
-def _checked_sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ...]:
+def requested_sizes(recording: Recording, masses: Masses) -> tuple[int, ...] | None:
+    """Masses of each axis as asked for or recorded; ``None`` where the data are to choose.
+
+    Raises
+    ------
+    InputError
+        Not one number of at least one for each axis.
+    """
+    wanted = recording.masses_per_axis if masses is None else masses
+    if wanted is None or isinstance(wanted, str):
+        return None
     sizes = tuple(int(n) for n in wanted)
     if len(sizes) != recording.axis_count or any(n < 1 for n in sizes):
         raise InputError(
@@ -161,4 +170,4 @@ def _checked_sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ..
     return sizes
 
 
-__all__ = ["identify"]
+__all__ = ["identify", "requested_sizes"]

@@ -16,6 +16,7 @@ import numpy as np
 from invid.config import CellConfig
 from invid.identification.begun import settled_about
 from invid.identification.fitted_model import chains_covariance
+from invid.identification.open_holds import open_masses
 from invid.model.chains import CoupledChains
 from invid.model.document import parameter_vector
 from invid.numerics.arrays import Bool, Float64, frozen_float
@@ -170,7 +171,7 @@ def expected(
     records = read_holds([_with_least_noise(make_record(e, None), noise) for e in recorded])
     now = settled_about(belief.chains, records)
     names, values = parameter_vector(belief.chains)
-    covariance = chains_covariance(now, belief.chains.axes)[1]
+    covariance = chains_covariance(now, belief.chains.axes, open_masses(now))[1]
     scale = parameter_scale(belief.chains)
     unseen = ~(np.sqrt(np.maximum(np.diag(covariance), 0.0)) < UNSEEN * scale)
     covariance[unseen] = covariance[:, unseen] = np.inf

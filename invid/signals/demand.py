@@ -11,6 +11,8 @@ LATEST = 4
 """Samples by which a drive may report its torque after the demand."""
 CLEARLY = 4.0
 """Factor in power by which a late command has to explain the torque better than a punctual one."""
+LEAST_LINES = 4
+"""Lines from which a hold of three numbers leaves something to compare."""
 MOST_LEFT = 0.1
 """Share of its power that a hold may leave of the torque beside a command: else that is none, or the hold's
 torque is within the command (empirical)."""
@@ -27,16 +29,41 @@ def command_within(
     omega, position, torque = lines
     power = (np.abs(demand) ** 2).sum(axis=1)
     at = np.flatnonzero(power > 1e-3 * power.max())
-    earlier = np.exp(1j * omega[at] * step)[:, None]
-    holds = [torque[at] * earlier**lag - demand[at] for lag in range(LATEST + 1)]
-    left = np.array(
-        [[_beside(omega[at], p, h) for p, h in zip(position[at].T, hold.T, strict=True)] for hold in holds]
-    )
-    whole = left[..., 0].sum(axis=1)
-    best = int(np.argmin(whole))
-    late = best if CLEARLY * whole[best] < whole[0] else 0
-    rest, hold = left[late].T
-    return np.where(rest < MOST_LEFT * hold, demand, np.nan), late
+    axes = np.flatnonzero(np.abs(demand[at]).max(axis=0, initial=0.0) > 0.0)
+    there = np.ix_(at, axes)
+    late = samples_late((omega[at], position[there], torque[there]), demand[there], step)
+    out = np.full_like(demand, np.nan)
+    for i in axes if at.size >= LEAST_LINES else ():
+        beside = _hold(omega[at], torque[at, i], demand[at, i], late * step)
+        rest, hold = _beside(omega[at], position[at, i], beside)
+        if rest < MOST_LEFT * hold:
+            out[:, i] = demand[:, i]
+    return out, late
+
+
+def samples_late(lines: tuple[Float64, Complex128, Complex128], demand: Complex128, step: float) -> int:
+    """Samples by which a demand (F, M) appears late in the recorded torque, the same for all axes.
+
+    Without the demand the torque is the hold's: the right lag explains most of it. Zero unless another is
+    better by ``CLEARLY``.
+    """
+    omega, position, torque = lines
+    if omega.size < LEAST_LINES:
+        return 0
+    left = np.zeros(LATEST + 1)
+    for theta, shown, command in zip(position.T, torque.T, demand.T, strict=True):
+        power = max(float((np.abs(command) ** 2).sum()), 1e-300)
+        for late in range(left.size):
+            hold = _hold(omega, shown, command, late * step)
+            left[late] += _beside(omega, theta, hold)[0] / power
+    best = int(np.argmin(left))
+    return best if CLEARLY * left[best] < left[0] else 0
+
+
+def _hold(omega: Float64, torque: Complex128, demand: Complex128, late: float) -> Complex128:
+    """(F,) what is beside a demand in torque that is recorded ``late`` [s]."""
+    out: Complex128 = torque * np.exp(1j * omega * late) - demand
+    return out
 
 
 def _beside(omega: Float64, position: Complex128, hold: Complex128) -> tuple[float, float]:

@@ -7,13 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.numerics.arrays import Bool, Complex128, Float64
-from invid.numerics.linear_algebra import real_rows
+from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Experiment
+from invid.signals.demand import samples_late
 from invid.signals.spectra import LineSpectra
-
-LATEST = 4
-"""Samples by which a drive may report its torque after the demand."""
 
 
 def replace_by_acting_torque(
@@ -41,7 +38,9 @@ def _with_acting_torque(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     if not combined.any():
         return s
     command = _demand_spectrum(s, demand)
-    delay = _delay_samples(s, command[0] + command[1], combined)
+    lines = np.ix_(np.flatnonzero(s.excited), np.flatnonzero(combined))
+    shown = s.omega[s.excited], s.position[lines], s.torque[lines]
+    delay = samples_late(shown, (command[0] + command[1])[lines], 1.0 / s.sample_rate_hz)
     if delay:  # where the torque is recorded some samples after the demand, so is the demand within it
         demand = np.concatenate((np.repeat(demand[:1], delay, axis=0), demand[:-delay]))
         command = _demand_spectrum(s, demand)
@@ -85,26 +84,3 @@ def _demand_spectrum(s: LineSpectra, demand: Float64) -> tuple[Complex128, Float
     index = np.rint(s.frequency_hz * count / s.sample_rate_hz).astype(int)
     spectrum: Complex128 = np.fft.rfft(wave, axis=0)[index] * (2.0 / count)
     return spectrum, ends
-
-
-def _delay_samples(s: LineSpectra, command: Complex128, combined: Bool) -> int:
-    """Samples by which the demand appears late in the recorded torque, the same for all axes.
-
-    Without the demand the torque is the hold's, −(P + jωD)·position: the right lag explains most of it. Zero
-    unless another is better by a factor of four in power.
-    """
-    remainder = np.zeros(LATEST + 1)
-    lines = np.asarray(s.excited)
-    for i in np.flatnonzero(combined):
-        theta = s.position[lines, i]
-        # The constant: what the ends of a record that does not close add to the spectrum of its velocity.
-        law = real_rows(np.stack((theta, 1j * s.omega[lines] * theta, np.ones(theta.size)), axis=1))
-        for lag in range(LATEST + 1):
-            rotation = np.exp(1j * s.omega[lines] * lag / s.sample_rate_hz)
-            hold = real_rows((s.torque[lines, i] * rotation - command[lines, i])[:, None])
-            rest = hold - law @ np.linalg.lstsq(law, hold, rcond=None)[0]
-            remainder[lag] += float(np.sum(rest**2)) / max(
-                float(np.sum(np.abs(command[lines, i]) ** 2)), 1e-300
-            )
-    best = int(np.argmin(remainder))
-    return best if 4.0 * remainder[best] < remainder[0] else 0

@@ -69,3 +69,23 @@ def recording(*experiments: Experiment) -> Recording:
         masses_per_axis=(2,),
         experiments=experiments,
     )
+
+
+def free_multisine(periods: int, count: float) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) motor position in counts of ``count`` and torque at 1 kHz, from rest: lines 1 to 79 of a period of
+    2048, without a hold; both masses rub on the ground."""
+    rng = np.random.default_rng(5)
+    m1, m2, k, c, d = 0.7, 2.0, 1000.0, 0.6, 0.5
+    speeds = [
+        [-k / m1, k / m1, -(c + d) / m1, c / m1, 1 / m1],
+        [k / m2, -k / m2, c / m2, -(c + d) / m2, 0],
+    ]
+    whole = expm(np.array([[0, 0, 1, 0, 0], [0, 0, 0, 1, 0], *speeds, [0] * 5]) * 1e-3)
+    phase = rng.uniform(0, 2 * np.pi, 79)
+    wave = np.cos(2 * np.pi * np.outer(np.arange(2048) / 2048, np.arange(1, 80)) + phase).sum(axis=1)
+    torque = np.tile(np.round(wave / 0.05) * 0.05, periods)
+    state, position = np.zeros(5), np.zeros(torque.size)
+    for n, u in enumerate(torque):
+        state[4], position[n] = u, state[0]
+        state = whole @ state
+    return np.round((position + rng.normal(0, 0.3 * count, torque.size)) / count) * count, torque

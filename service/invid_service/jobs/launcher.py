@@ -104,13 +104,18 @@ async def launch_process(job: Job) -> ProcessWorker:
             stderr=log,
             limit=_LINE_LIMIT,
             start_new_session=True,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            env=one_thread(),
         )
     finally:
         os.close(log)
     worker = ProcessWorker(process)
     await worker.write(job.model_dump_json())
     return worker
+
+
+def one_thread() -> dict[str, str]:
+    """The environment of a process that computes on one thread."""
+    return {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def _open_log(path: Path) -> int:

@@ -7,12 +7,12 @@ import asyncio
 import contextlib
 import json
 import logging
-import os
 import sys
 from collections.abc import Callable
 from datetime import datetime
 from typing import Any
 
+from invid_service.jobs.launcher import one_thread
 from invid_service.store.blobs import KINDS, Blobs
 from invid_service.store.store import Store
 
@@ -83,7 +83,7 @@ class Tunings:
             "invid_service.jobs.tuning_worker",
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            env=one_thread(),
             start_new_session=True,
         )
         try:

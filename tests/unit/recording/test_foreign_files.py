@@ -18,8 +18,8 @@ import can
 import numpy as np
 import pytest
 import yaml
-from scipy.linalg import expm
 from scipy.signal import butter, lfilter
+from two_masses import free_multisine
 
 import invid
 from invid.cli.app import run
@@ -83,21 +83,7 @@ LONG = 2048
 
 def driven(periods: int) -> Experiment:
     """Two masses driven by a multisine: 0.7, 2.0 kg·m², 1000 N·m/rad; exact over held torque, then noise."""
-    rng = np.random.default_rng(5)
-    m1, m2, k, c, d = 0.7, 2.0, 1000.0, 0.6, 0.5
-    speeds = [
-        [-k / m1, k / m1, -(c + d) / m1, c / m1, 1 / m1],
-        [k / m2, -k / m2, c / m2, -(c + d) / m2, 0],
-    ]
-    whole = expm(np.array([[0, 0, 1, 0, 0], [0, 0, 0, 1, 0], *speeds, [0] * 5]) * 1e-3)
-    phase = rng.uniform(0, 2 * np.pi, 79)
-    wave = np.cos(2 * np.pi * np.outer(np.arange(LONG) / LONG, np.arange(1, 80)) + phase).sum(axis=1)
-    torque = np.tile(np.round(wave / 0.05) * 0.05, periods)
-    state, position = np.zeros(5), np.zeros(torque.size)
-    for n, u in enumerate(torque):
-        state[4], position[n] = u, state[0]
-        state = whole @ state
-    position = np.round((position + rng.normal(0, 0.3 * COUNT, torque.size)) / COUNT) * COUNT
+    position, torque = free_multisine(periods, COUNT)
     return Experiment(
         key="000", kind=Kind.MULTISINE, role=Role.IDENTIFY, excited_axis=0, hold_gain=np.zeros(1),
         period_samples=LONG, frequencies_hz=np.zeros(0), sample_rate_hz=1000.0,

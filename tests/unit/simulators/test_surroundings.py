@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pythonfmu.builder import FmuBuilder
-from scipy.linalg import expm
+from two_masses import free_multisine
 
 import invid
 from invid.errors import InputError
@@ -28,21 +28,7 @@ COUNT = 1.2e-5
 
 
 def driven(periods: int, gear: float, role: Role) -> Experiment:
-    rng = np.random.default_rng(5)
-    m1, m2, k, c, d = 0.7, 2.0, 1000.0, 0.6, 0.5
-    speeds = [
-        [-k / m1, k / m1, -(c + d) / m1, c / m1, 1 / m1],
-        [k / m2, -k / m2, c / m2, -(c + d) / m2, 0],
-    ]
-    whole = expm(np.array([[0, 0, 1, 0, 0], [0, 0, 0, 1, 0], *speeds, [0] * 5]) * STEP)
-    phase = rng.uniform(0, 2 * np.pi, 79)
-    wave = np.cos(2 * np.pi * np.outer(np.arange(PERIOD) / PERIOD, np.arange(1, 80)) + phase).sum(axis=1)
-    torque = np.tile(np.round(wave / 0.05) * 0.05, periods)
-    state, position = np.zeros(5), np.zeros(torque.size)
-    for n, u in enumerate(torque):
-        state[4], position[n] = u, state[0]
-        state = whole @ state
-    position = np.round((position + rng.normal(0, 0.3 * COUNT, torque.size)) / COUNT) * COUNT
+    position, torque = free_multisine(periods, COUNT)
     return Experiment(
         key="000" if role is Role.IDENTIFY else "001", kind=Kind.MULTISINE, role=role, excited_axis=0,
         hold_gain=frozen_float(np.zeros(1)), period_samples=PERIOD,
