@@ -182,10 +182,12 @@ def _timing(end: Supposed, axes: tuple[str, ...]) -> dict[str, Any]:
     first = end.numbers.plant.x.size
     deviation = np.sqrt(np.maximum(np.diag(end.fit.covariance), 0.0))[first:] * timing.step
     offsets, lags = {}, {}
+    # Delays count from torque that is put where it acted already, as far as a logged command tells.
+    late = float(np.mean([r.late for s in end.bench.stacks for r in s.records]))
     for i, axis in enumerate(axes):
         driven = any(r.driven[i] for s in end.bench.stacks for r in s.records)
         part = COMMAND if driven else HOLD
-        offset = timing.delay[part, i] * timing.step
+        offset = timing.delay[part, i] * timing.step - late
         offsets[f"{axis}.time_offset"] = {"value": float(offset), "std": float(deviation[part * motors + i])}
         if any(c[1] == i for c in end.hypothesis.channels) and timing.lag[i]:
             lags[axis] = {

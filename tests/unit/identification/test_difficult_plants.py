@@ -91,6 +91,10 @@ def test_a_demand_logged_beside_an_aperiodic_record_tells_when_the_hold_acts(lat
     model = identify(recording, masses=(2,))
     assert model.fit["trustworthy"]
     assert not any("a hold works" in w for w in model.warnings)
+    # The command, held over its sample, acts half of it after its instant; the record shows it ``late``.
+    assert model.fit["time_offset_s"]["A1.time_offset"]["value"] == pytest.approx(
+        (0.5 - late) / RATE, abs=1e-4
+    )
     # Half a sample of this hold's damping is 4 % of the motor's mass; the drive's loop leaves an eighth.
     assert worst(model, plant) < 0.01
     assert abs(model.chains.masses[0][0] - 1.0) < 3.5 * model.std.masses[0][0]
