@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
 
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.plant import Plant
@@ -38,12 +39,25 @@ class AxisTones:
 def tones_of(found: Supposed) -> list[AxisTones]:
     """Axes whose missing torque holds a tone in all records of two periods and more, the strongest first."""
     by_axis: dict[int, list[tuple[list[Tone], float]]] = {}
+    own_hz = _own_frequencies(found.numbers.plant)
     for record, missing, sensors, free in _between_periods(found):
         for m in range(missing.shape[1]):
-            tones = find_tones(missing[:, m], sensors[:, m], free, record.span)
+            tones = find_tones((missing[:, m], sensors[:, m], free), record.span, own_hz)
             by_axis.setdefault(m, []).append((tones, 1.0 / record.span))
     out = [AxisTones(m, _in_every(found)) for m, found in by_axis.items()]
     return sorted((a for a in out if a.tones), key=lambda a: -a.power)
+
+
+def _own_frequencies(plant: Plant) -> Float64:
+    """Frequencies of the loads with all motors held [Hz]: what the records' ends left of them, a wrong plant
+    shows as missing."""
+    stiffness, _, mass = plant.matrices
+    if not plant.structure.inner:
+        return np.zeros(0)
+    inner = np.ix_(plant.structure.inner, plant.structure.inner)
+    squares = eigh(stiffness[inner], mass[inner], eigvals_only=True)
+    out: Float64 = np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
+    return out
 
 
 def changes_within(found: Supposed) -> bool:

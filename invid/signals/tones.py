@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.numerics.arrays import Bool, Complex128, Float64, Int64
 from invid.recording.model import Experiment, Recording
 
 CHANCE = 1e-3
@@ -26,10 +26,17 @@ NEAR = 12
 """Lines on either side from which a tone is read."""
 FAINT = 0.2
 """Amplitude over the strongest tone's up to which another may be what that did to the fit (empirical)."""
+DECAYS = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Logarithmic decays over the span of what swings."""
+SWINGS = 2.0
+"""Lines from a load's own frequency, and the factor in power by which a decaying sinusoid leaves less than a
+steady one, from which a load swings there: steady noise leaves what it was."""
 NARROWED = 5
 """Times that the range of frequencies about a tone is narrowed, to a thousandth of a line."""
 FINE = 161
-"""Frequencies tried between the neighbours of its strongest line."""
+APART = 0.9
+"""Frequencies tried about a tone's strongest line, and how many lines from it they reach: closer to a line of
+the period it is not told from what repeats."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +47,23 @@ class Tone:
     amplitude: float
 
 
-def find_tones(lines: Complex128, noise: Float64, free: Bool, span: float) -> list[Tone]:
-    """Tones in amplitudes (A,) on the lines k/T of a span T, the strongest first; none where they are not
-    most of what stands above ``noise`` (A,) on the ``free`` (A,) lines."""
+def find_tones(lines: tuple[Complex128, Float64, Bool], span: float, own_hz: Float64) -> list[Tone]:
+    """Tones on the lines k/T of a span T, the strongest first.
+
+    None where they, and loads that swing, are not most of what stands above the noise.
+
+    Parameters
+    ----------
+    lines
+        Amplitudes (A,), power of their noise (A,), and on which (A,) tones are looked for.
+    own_hz
+        Frequencies of the loads with all motors held.
+    """
+    amplitude, noise, free = lines
     number = np.flatnonzero(free)
     if number.size < 2 * NEAR:
         return []
-    rest, power = lines[number].copy(), noise[number]
+    rest, power = amplitude[number].copy(), noise[number]
     level = max(float(np.median(np.abs(rest) ** 2 / power)) / np.log(2.0), 1.0)
     power = power * level
     excess = float((np.abs(rest) ** 2 / power).sum()) - number.size
@@ -54,12 +71,17 @@ def find_tones(lines: Complex128, noise: Float64, free: Bool, span: float) -> li
     found: list[Tone] = []
     taken = 0.0
     for _ in range(MOST_TONES):
-        at, size, gain = _strongest(rest, power, number)
-        if gain < limit:
+        near = _near_peak(rest, power, number)
+        best = near.read(0.0)
+        if best.gain < limit:
             break
-        rest = rest - size * _leakage(at - number)
-        found.append(Tone(at / span, abs(size)))
-        taken += gain
+        if np.any(np.abs(own_hz * span - best.cycles) < SWINGS):
+            dying = max((near.read(decay) for decay in DECAYS), key=lambda s: s.gain)
+            best = dying if SWINGS * (near.power - dying.gain) < near.power - best.gain else best
+        rest = rest - best.lines(number)
+        taken += best.gain
+        if best.decay == 0.0:
+            found.append(Tone(best.cycles / span, abs(best.size)))
     if not found or taken < SHARE * excess or _is_one_that_changes(found, span):
         return []
     return sorted(found, key=lambda t: -t.amplitude)
@@ -74,23 +96,57 @@ def _is_one_that_changes(tones: Sequence[Tone], span: float) -> bool:
     )
 
 
-def _strongest(rest: Complex128, power: Float64, number: np.ndarray) -> tuple[float, complex, float]:
-    """Cycles in the span, complex amplitude and gain of the tone that tells most of the largest."""
+@dataclass(frozen=True)
+class _Sinusoid:
+    """One that begins at ``size`` and falls by e^−decay within the span, and what it tells of the lines."""
+
+    cycles: float
+    decay: float
+    size: complex
+    gain: float
+
+    def lines(self, number: Int64) -> Complex128:
+        """(A,) its amplitudes."""
+        out: Complex128 = self.size * _leakage(self.cycles - number, self.decay)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """The lines about the largest."""
+
+    number: Int64
+    rest: Complex128
+    noise: Float64
+
+    @property
+    def power(self) -> float:
+        """Power over the noise's."""
+        return float((np.abs(self.rest) ** 2 / self.noise).sum())
+
+    def read(self, decay: float) -> _Sinusoid:
+        """The sinusoid of this decay that tells most."""
+        peak = self.number[np.argmax(np.abs(self.rest) ** 2 / self.noise)]
+        cycles: Float64 = peak + np.linspace(-APART, APART, FINE)
+        shape = _leakage(cycles[:, None] - self.number, decay)
+        told = (shape.conj() / self.noise * self.rest).sum(axis=1)
+        known = (np.abs(shape) ** 2 / self.noise).sum(axis=1)
+        gain = np.abs(told) ** 2 / np.maximum(known, 1e-300)
+        best = int(np.argmax(gain))
+        return _Sinusoid(float(cycles[best]), decay, complex(told[best] / known[best]), float(gain[best]))
+
+
+def _near_peak(rest: Complex128, power: Float64, number: Int64) -> _Near:
     peak = int(np.argmax(np.abs(rest) ** 2 / power))
     near = np.abs(number - number[peak]) <= NEAR
-    weight, seen = 1.0 / power[near], rest[near]
-    cycles = number[peak] + np.linspace(-1.0, 1.0, FINE)
-    shape = _leakage(cycles[:, None] - number[near])
-    told = (shape.conj() * weight * seen).sum(axis=1)
-    known = (np.abs(shape) ** 2 * weight).sum(axis=1)
-    gain = np.abs(told) ** 2 / np.maximum(known, 1e-300)
-    best = int(np.argmax(gain))
-    return float(cycles[best]), complex(told[best] / known[best]), float(gain[best])
+    return _Near(number[near], rest[near], power[near])
 
 
-def _leakage(cycles: np.ndarray) -> Complex128:
-    """Amplitude on a line that is ``cycles`` of the span away from a tone of amplitude one."""
-    out: Complex128 = np.exp(1j * np.pi * cycles) * np.sinc(cycles)
+def _leakage(cycles: np.ndarray, decay: float) -> Complex128:
+    """Amplitude on a line ``cycles`` of the span away from a sinusoid that falls from one to e^−decay."""
+    turn = 2j * np.pi * cycles - decay
+    still = turn == 0.0
+    out: Complex128 = np.where(still, 1.0, np.expm1(turn) / np.where(still, 1.0, turn))
     return out
 
 
