@@ -277,10 +277,13 @@ class Cycle:
     def _listen(self) -> None:
         """Pass slots without SYNC until one brings no TPDO: a drive whose TPDO comes then has fallen behind.
 
+        Then two have to bring none: of what comes whole cycles late, one may come a moment early.
+
         From there on nothing is owed, and a drive that was behind is believed again when it has answered a
         SYNC in its own cycle. The drives go on with their last targets meanwhile.
         """
-        late = set()
+        late: set[int] = set()
+        silent = 0
         self._doubt = False
         self._next_listen = self._link.clock.now() + LISTEN_EVERY_S
         for _ in range(self._config.safety.missed_tpdos):
@@ -302,7 +305,8 @@ class Cycle:
                 else:
                     heard.add(axis)
             late |= heard
-            if not heard:
+            silent = 0 if heard else silent + 1
+            if silent > bool(late):
                 break
         count = len(self._nodes)
         self._owed, self._alone = [0] * count, [0] * count
