@@ -95,14 +95,14 @@ def _diagnose_clean(
         )
     check_units(model, recording)
     check_shaken(recording)
-    begun = begin_elastic(repaired, model.chains.masses_per_branch, model.chains)
+    begun = begin_elastic(repaired, model.chains.masses_per_branch, model.chains, modes=True)
     return with_lost_samples(diagnose_elastic(begun), recording, dropped)
 
 
 def _begin(recording: Recording, repaired: Recording, sizes: tuple[int, ...] | None) -> Begun:
     """Where the search begins of a machine that is shaken; one that is moved need not show chains."""
     check_shaken(recording)
-    return begin_elastic(repaired, sizes)
+    return begin_elastic(repaired, sizes, modes=True)
 
 
 __all__ = ["diagnose"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.errors import NotIdentifiableError
-from invid.identification.contest import NOTHING, Known, begin, begin_open
+from invid.identification.contest import NOTHING, Known, begin, begin_open, begin_with_modes
 from invid.identification.fitted_model import plant_of
 from invid.identification.kept_out import Split, all_records, records_of
 from invid.identification.missing_torque import missed_share
@@ -64,20 +64,25 @@ class Begun:
 
 
 def begin_elastic(
-    recording: Recording, sizes: Sequence[int] | None, known: CoupledChains | None = None
+    recording: Recording,
+    sizes: Sequence[int] | None,
+    known: CoupledChains | None = None,
+    *,
+    modes: bool = False,
 ) -> Begun:
     """The fit with friction at the motors that a search starts from, of the recording without tones.
 
     ``sizes``: masses of each axis; as many as the records ask for where not given. ``known``: chains of so
-    many masses that the first fit starts from.
+    many masses that the first fit starts from. ``modes``: where chains of so many masses are not all, a load
+    may have a mode.
     """
     before = NOTHING if known is None else Known(plant=plant_of(known))
-    begun = _begin(recording, sizes, before)
+    begun = _begin(recording, sizes, before, modes)
     tones = tones_of(begun.first)
     if not tones or budget.is_left_out("torque that keeps its own time"):
         return _each_period(begun)
     hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
-    again = _begin(remove_tones(recording, hz), sizes, before)
+    again = _begin(remove_tones(recording, hz), sizes, before, modes)
     return _each_period(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
 
 
@@ -101,7 +106,7 @@ def _bench(records: Sequence[Record]) -> Bench:
     return Bench(stack_records(records, hold_damping(records)))
 
 
-def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known) -> Begun:
+def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, modes: bool) -> Begun:
     split = records_of(recording)
     bench, beside = _benches(split)
     declared = None if sizes is None else tuple(sizes)
@@ -112,7 +117,8 @@ def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known) -> B
             if declared is None:
                 first, alike = begin_open(bench, recording.axis_count, beside)
             else:
-                first = begin(bench, Structure(declared), beside, known)
+                start = begin_with_modes if modes else begin
+                first = start(bench, Structure(declared), beside, known)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"

@@ -9,17 +9,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.identification.first_plants import (
-    chains_of_plant,
+    chain_lengths,
     closes,
     fraction_plants,
     grown_plants,
     masses_seen,
-    plant_of_chains,
     random_plants,
+    split_plants,
 )
 from invid.likelihood.unknown_forces.forces import Where
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
-from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.plant import Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import (
     Bench,
@@ -46,6 +46,11 @@ GO_ON = 5
 three masses the fourth came home)."""
 MOST_MASSES = 8
 """Masses of an axis beyond which none are sought."""
+PASSES = 2
+"""Times that every chain astray is split."""
+STRUCTURES, SEVERAL = 2, 2
+"""Structures whose chains are split at random where no start of any is home, and chains astray from which a
+structure is in doubt."""
 PRICE_OF_MASS = 120.0
 """Fall of −2 ln L on all records for one more mass: Schwarz's price of its three numbers is 25; the rest is
 what the form of friction leaves, up to 83 (empirical, axes without a period of another hand)."""
@@ -54,11 +59,6 @@ AS_WELL = 10.0
 HOME, HOME_AT_MOTORS = 0.01, 0.03
 """Unknown force over the torque's rms, behind the motors and anywhere, below which a start is home: what
 friction leaves before its shape is fitted stays below a fiftieth (empirical)."""
-
-
-SHAKE, SHAKEN, SHAKES = 0.4, 8, 3
-"""Deviation of the logarithms that are moved, how many times, and again at most (empirical: of 8 one in four
-comes home)."""
 
 
 def torque_rms(bench: Bench) -> float:
@@ -98,6 +98,44 @@ def begin(
     known: Known = NOTHING,
 ) -> Supposed:
     """The fit of a structure with friction at the motors, from the first start at home, else the lowest."""
+    return brought_home(_lowest(bench, structure, kept, known))
+
+
+def begin_with_modes(
+    bench: Bench,
+    structure: Structure,
+    kept: Bench | None = None,
+    known: Known = NOTHING,
+) -> Supposed:
+    """The same of a structure whose loads may have a mode, where a motor's own stiffness shows one more mass.
+
+    From chains that lack one no later trial comes home: it is decided before any law is looked at. Where one
+    chain alone is astray a law in it may be missing as well, and the search has both.
+    """
+    lowest = _lowest(bench, structure, kept, known)
+    pool = [lowest]
+    stacks = (*bench.stacks, *(kept.stacks if kept else ()))
+    for axis, load in enumerate(structure.load):
+        if len(_astray(lowest)) < SEVERAL or budget.is_left_out("further starts"):
+            break
+        if masses_seen(stacks, axis) > structure.sizes[axis]:
+            with suppress(np.linalg.LinAlgError):
+                pool.append(_lowest(bench, replace(structure, modes=(load,)), kept, NOTHING))
+    ends: list[Supposed] = []
+    for start in sorted(pool, key=_priced)[:STRUCTURES]:
+        ends.append(brought_home(start))
+        if len(_astray(ends[-1])) < SEVERAL:
+            break
+    return min(ends, key=_priced)
+
+
+def _priced(found: Supposed) -> float:
+    return found.total + PRICE_OF_MASS * len(found.hypothesis.structure.modes)
+
+
+def _lowest(bench: Bench, structure: Structure, kept: Bench | None, known: Known) -> Supposed:
+    """The first fit at home of what is known and of continued fractions, else the lowest; random splits where
+    those have no value."""
     fewer = known.fewer
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
@@ -124,63 +162,53 @@ def begin(
         lowest = _contest((bench, kept), hypothesis, splits)
     if lowest is None:
         raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
-    for axis in _astray(lowest):
-        if axis not in _astray(lowest) or budget.is_left_out("further starts"):
-            continue
-        # One chain after another: of several astray together none would come home.
-        split = _contest((bench, kept), hypothesis, _splits(lowest, axis), axis)
-        if split is not None and split.total < lowest.total:
-            lowest = split if is_home(split) else reshape(scan_friction(split))
     return lowest
 
 
-def _astray(now: Supposed) -> list[int]:
-    """Axes in whose chains something unknown acts, the strongest first."""
-    level = HOME * torque_rms(now.bench)
-    strong = [s for v, s in now.strength if s.where is not Where.MOTOR and v > level]
-    return list(dict.fromkeys(axis_of(now.hypothesis.structure, s) for s in strong))
-
-
-def _splits(now: Supposed, axis: int) -> list[Plant]:
-    """Random splits of one chain beside the others as they are."""
-    structure, others = now.hypothesis.structure, chains_of_plant(now.numbers.plant)
-    plants = random_plants(now.bench.stacks, structure, RANDOM, np.random.default_rng(1))
-    return [
-        plant_of_chains(
-            structure,
-            [own if i == axis else at for i, (own, at) in enumerate(zip(chains, others, strict=True))],
-        )
-        for chains in map(chains_of_plant, plants)
-    ]
-
-
-def shaken(now: Supposed, rng: np.random.Generator) -> Supposed:
-    """The lowest end about a fit that is not home: masses and springs moved at random, again from what is
-    better.
-
-    Unknown forces as strong as they are make the way home smooth.
-    """
-    for _ in range(SHAKES):
-        if is_settled(now) or budget.is_left_out("further starts"):
+def brought_home(now: Supposed) -> Supposed:
+    """The lowest end of random splits of the chains in which something unknown acts, one after another: of
+    several together none would come home. Again from what is better: beside a chain at home others follow."""
+    rng = np.random.default_rng(1)
+    for _ in range(PASSES):
+        before = now
+        for axis in _astray(now):
+            if axis in _astray(now) and not budget.is_left_out("further starts"):
+                now = _split_anew(now, axis, rng)
+        if before.total - now.total < PRICE_OF_MASS or len(_astray(now)) < SEVERAL:
             break
-        moved = []
-        for _ in range(SHAKEN):
-            with suppress(np.linalg.LinAlgError):
-                moved.append(now.refit(numbers=_shaken(now, rng), iterations=BRIEF))
-        found = contest(moved)
-        if found is None or now.total - found.total < PRICE_OF_MASS:
-            break
-        now = found
     return now
 
 
-def _shaken(now: Supposed, rng: np.random.Generator) -> Numbers:
-    plant, structure = now.numbers.plant, now.hypothesis.structure
-    x = plant.x.copy()
-    for kind in (Kind.MASS, Kind.SPRING):
-        at = structure.index(kind)
-        x[at] += SHAKE * rng.standard_normal(at.stop - at.start)
-    return replace(now.numbers, plant=plant.moved(x))
+def _split_anew(now: Supposed, axis: int, rng: np.random.Generator) -> Supposed:
+    """The lowest of random splits of one chain: of all of it, and of what is behind the first place at which
+    something acts, its first mass and spring at least."""
+    longest = chain_lengths(now.hypothesis.structure)[axis] - 1
+    kept = sorted({0, min(max(1, _astray(now)[axis]), longest)})
+    splits = [
+        plant
+        for count in kept
+        for plant in split_plants(
+            now.bench.stacks, now.numbers.plant, (axis, count), RANDOM // len(kept), rng
+        )
+    ]
+    best = _contest((now.bench, now.kept), now.hypothesis, splits, axis)
+    if best is None or best.total >= now.total:
+        return now
+    return best if is_home(best) else reshape(scan_friction(best))
+
+
+def _astray(now: Supposed) -> dict[int, int]:
+    """Axes in whose chains something unknown acts, the strongest first, each with the masses before it."""
+    level = HOME * torque_rms(now.bench)
+    structure = now.hypothesis.structure
+    out: dict[int, int] = {}
+    for strength, spot in now.strength:
+        if spot.where is not Where.MOTOR and strength > level:
+            at = structure.links[spot.number][0] if spot.where is Where.SPRING else spot.number
+            axis = axis_of(structure, spot)
+            before = min(at, structure.load[axis]) - structure.motor[axis]
+            out.setdefault(axis, 0 if spot.where is Where.PAIR else before)
+    return out
 
 
 def begin_open(bench: Bench, motors: int, kept: Bench | None = None) -> tuple[Supposed, tuple[Sizes, ...]]:

@@ -24,6 +24,8 @@ from invid.signals.record import Record
 
 DAMPING_RATIO = 0.02
 """Of every spring at the start."""
+LEAST_REST = 0.1
+"""Of a chain's inertia that is split where what is kept holds more of it."""
 SPLIT = 4.0
 """Concentration of the random shares: of two masses one is rarely less than a tenth of the other."""
 FREQUENCIES = (0.06, 1.1)
@@ -102,10 +104,20 @@ def total_inertias(stacks: Sequence[Stack], tops: Sequence[float]) -> Float64:
     return least
 
 
+def chain_lengths(structure: Structure) -> tuple[int, ...]:
+    """Masses of each chain, with that of a mode at its end."""
+    return tuple(
+        n + (load in structure.modes) for n, load in zip(structure.sizes, structure.load, strict=True)
+    )
+
+
 def plant_of_chains(structure: Structure, chains: Sequence[Chain]) -> Plant:
-    """The plant of uncoupled chains."""
-    mass = np.concatenate([m for m, _ in chains])
-    spring = np.concatenate([k for _, k in chains])
+    """The plant of uncoupled chains, each as long as ``chain_lengths``; the last mass beyond its load is the
+    mode's."""
+    pairs = list(zip(structure.sizes, chains, strict=True))
+    at_ends = [pairs[structure.load.index(host)] for host in structure.modes]
+    mass = np.concatenate([*(m[:n] for n, (m, _) in pairs), *(m[n:] for n, (m, _) in at_ends)])
+    spring = np.concatenate([*(k[: n - 1] for n, (_, k) in pairs), *(k[n - 1 :] for n, (_, k) in at_ends)])
     reduced = [1 / (1 / mass[a] + 1 / mass[b]) for a, b in structure.links]
     damper = 2 * DAMPING_RATIO * np.sqrt(spring * np.array(reduced).reshape(spring.shape))
     none = np.zeros(2 * len(structure.pairs))
@@ -121,10 +133,43 @@ def random_plants(
     out = []
     for _ in range(count):
         chains = []
-        for whole, top, n in zip(total, tops, structure.sizes, strict=True):
-            mass = rng.dirichlet(np.full(n, SPLIT)) * whole
-            frequency = top * np.exp(rng.uniform(np.log(FREQUENCIES[0]), np.log(FREQUENCIES[1]), n - 1))
-            chains.append((mass, frequency**2 / (1 / mass[:-1] + 1 / mass[1:])))
+        for whole, top, n in zip(total, tops, chain_lengths(structure), strict=True):
+            chains.append(_random_chain((np.zeros(0), np.zeros(0)), n, whole, top, rng))
+        out.append(plant_of_chains(structure, chains))
+    return out
+
+
+def _random_chain(known: Chain, masses: int, whole: float, top: float, rng: np.random.Generator) -> Chain:
+    """A chain that begins as is known, the rest of its inertia at random."""
+    first = known[0].size
+    rest = rng.dirichlet(np.full(masses - first, SPLIT)) * max(
+        whole - float(known[0].sum()), LEAST_REST * whole
+    )
+    mass = np.concatenate((known[0], rest))
+    frequency = top * np.exp(rng.uniform(np.log(FREQUENCIES[0]), np.log(FREQUENCIES[1]), masses - 1))
+    spring = frequency**2 / (1 / mass[:-1] + 1 / mass[1:])
+    spring[:first] = known[1]
+    return mass, spring
+
+
+def split_plants(
+    stacks: Sequence[Stack], plant: Plant, place: tuple[int, int], count: int, rng: np.random.Generator
+) -> list[Plant]:
+    """Random splits of one chain from a mass on, what is before it and the others as they are.
+
+    What is before the first place at which something unknown acts moves at high frequencies as it does.
+
+    Parameters
+    ----------
+    place
+        The axis, and how many of its masses stay, each with the spring behind it.
+    """
+    structure, chains, (axis, kept) = plant.structure, chains_of_plant(plant), place
+    mass, spring = chains[axis]
+    top, whole = _top(stacks, axis), float(mass.sum())
+    out = []
+    for _ in range(count):
+        chains[axis] = _random_chain((mass[:kept], spring[:kept]), mass.size, whole, top, rng)
         out.append(plant_of_chains(structure, chains))
     return out
 
@@ -151,11 +196,15 @@ def grown_plants(plant: Plant, structure: Structure, top_hz: float) -> list[Plan
 
 
 def chains_of_plant(plant: Plant) -> list[Chain]:
-    """Masses and springs of every chain."""
-    mass, spring = plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
+    """Masses and springs of every chain, with a mode at its end."""
+    structure, mass, spring = plant.structure, plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
     chains, link = [], 0
-    for first, n in zip(plant.structure.motor, plant.structure.sizes, strict=True):
-        chains.append((mass[first : first + n], spring[link : link + n - 1]))
+    for first, n, load in zip(structure.motor, structure.sizes, structure.load, strict=True):
+        masses, links = list(range(first, first + n)), list(range(link, link + n - 1))
+        if load in structure.modes:
+            masses.append(sum(structure.sizes) + structure.modes.index(load))
+            links.append(structure.links.index((load, masses[-1])))
+        chains.append((mass[masses], spring[links]))
         link += n - 1
     return chains
 
@@ -171,7 +220,9 @@ def fraction_plants(stacks: Sequence[Stack], structure: Structure, *, in_bands: 
 
     ``in_bands``: of each motor's own stiffness in bands, where the ends of records bend single lines.
     """
-    chains = [fraction_chains(stacks, m, n, in_bands=in_bands) for m, n in enumerate(structure.sizes)]
+    chains = [
+        fraction_chains(stacks, m, n, in_bands=in_bands) for m, n in enumerate(chain_lengths(structure))
+    ]
     if not all(chains):
         return []
     motors = structure.motors

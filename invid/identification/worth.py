@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import Curvature, curvature, reshape
 from invid.likelihood.unknown_forces.supposition import Supposed
@@ -19,6 +20,8 @@ Schwarz's price of its numbers, and of the places and shapes looked at, is about
 of friction and the grid of motion leave (empirical: false falls of up to 60 of −ln L in sixty rounds of whole
 cells of another hand).
 """
+NUMBER = 10.0
+"""Schwarz's price of one number and ten thousand rows."""
 PRICE_OF_FRICTION = 40.0
 """Rise of −2 ln L for a part of the friction of a motor, which is expected on every motor: Schwarz's price
 of its two numbers and ten thousand rows is 20; the rest is what an encoder's rounding leaves, up to 31
@@ -37,12 +40,15 @@ FRICTION = (
 @dataclass(frozen=True, eq=False)
 class Worth:
     """A cause of the final hypothesis with the rise of −2 ln L on all records and on either role's without
-    it."""
+    it, and the unknown force that is then left at every place [N·m]."""
 
     cause: str
     key: Hashable
     rise: float
     roles: tuple[float, float]
+    left: tuple[tuple[float, Spot], ...] = ()
+    numbers: int = 1
+    """Numbers that it brings, of a law its first alone."""
 
     @property
     def stays(self) -> bool:
@@ -50,7 +56,7 @@ class Worth:
         if isinstance(self.key, tuple) and isinstance(self.key[0], Part):
             # Its strength left at a motor makes a fit without it less sure of the records kept out.
             return self.rise > PRICE_OF_FRICTION and sum(self.roles) > PRICE_OF_FRICTION
-        return pays(*self.roles)
+        return pays(*self.roles, self.numbers)
 
 
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
@@ -58,15 +64,16 @@ def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
     return before.total - after.total, before.kept_total - after.kept_total
 
 
-def pays(fitted: float, kept: float, price: float = PRICE) -> bool:
-    """Return whether falls on the records fitted and kept out pay a price."""
+def pays(fitted: float, kept: float, numbers: int = 1) -> bool:
+    """Return whether falls on the records fitted and kept out pay the price of so many numbers."""
+    price = PRICE + NUMBER * (numbers - 1)
     share = price / PRICE
     return fitted + kept > price and fitted > share * LEAST_FITTED and kept > share * LEAST_KEPT
 
 
 def worth_of(now: Supposed, cause: str, key: Hashable, less: Supposed) -> Worth:
     budget.check()  # a fit that was cut short tells nothing
-    return Worth(cause, key, less.total - now.total, role_falls(less, now))
+    return Worth(cause, key, less.total - now.total, role_falls(less, now), tuple(less.strength))
 
 
 def friction_worths(now: Supposed, clear: float = np.inf) -> list[Worth]:

@@ -40,7 +40,8 @@ def worths(now: Supposed) -> list[Worth]:
         absent = now.hypothesis.absent | {(Channel.DELAY, axis)}
         less = replace(now.hypothesis, channels=now.hypothesis.channels - {(channel, axis)}, absent=absent)
         out.append(worth_of(now, channel.value, (channel, axis), now.refit(less, iterations=15)))
-    out += [worth_of(now, a.cause, a, without(now, a)) for a in additions_of(structure)]
+    for a in additions_of(structure):
+        out.append(replace(worth_of(now, a.cause, a, without(now, a)), numbers=a.numbers(structure)))
     return out
 
 

@@ -16,7 +16,7 @@ from invid.diagnosis.outcome import (
 )
 from invid.diagnosis.thresholds import MOST
 from invid.diagnosis.unknown_forces.floor_doubts import doubt_floors
-from invid.diagnosis.unknown_forces.left_over import forces_at
+from invid.diagnosis.unknown_forces.left_over import forces_at, is_of_shapes
 from invid.diagnosis.unknown_forces.limits import ruled_out
 from invid.diagnosis.unknown_forces.machine_search import ElasticSearch, search_elastic
 from invid.diagnosis.unknown_forces.named_terms import CauseWriter
@@ -40,6 +40,7 @@ from invid.recording.model import Recording
 
 SURE = Contest(1.0, ())
 BESIDE_MORE = "Something without a name acts at the same place: it may be a part of it."
+OF_SHAPES = "What it takes is no more than the shapes of the other causes may leave."
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,7 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
         left=left,
         opening=model.warnings,
         warnings=[
-            *(d for c in causes for d in c.doubts if d != BESIDE_MORE),
+            *(d for c in causes for d in c.doubts if d not in (BESIDE_MORE, OF_SHAPES)),
             *begun.warnings,
             *fewer_masses_warnings(begun.declared, masses),
             *model.warnings,
@@ -180,6 +181,7 @@ def named_causes(
         axis = axes.index(term.effect.axis)
         contest = contested.get(term.key, SURE)
         is_part = is_part_of_more(term.key, found.forces)
+        of_shapes = any(w.key == term.key and is_of_shapes(w, found.end, found.bare) for w in found.worths)
         if is_part and explained < MOST:
             continue
         out.append(
@@ -190,7 +192,11 @@ def named_causes(
                 explained * term.rise / whole,
                 contest.share,
                 contest.alternatives,
-                doubts=(*((BESIDE_MORE,) if is_part else ()), *_hold_doubts(found.end, term.key, axes)),
+                doubts=(
+                    *((BESIDE_MORE,) if is_part else ()),
+                    *((OF_SHAPES,) if of_shapes else ()),
+                    *_hold_doubts(found.end, term.key, axes),
+                ),
                 size_is_significant=False if is_part else None,
             )
         )

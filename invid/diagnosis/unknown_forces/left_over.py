@@ -8,10 +8,11 @@ import numpy as np
 
 from invid.effects.units import unit_of
 from invid.identification.quantities import axis_and_element
+from invid.identification.worth import Worth
 from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Structure
-from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.supposition import Supposed, axis_of
 from invid.model.diagnosis_document import ForceAt
 from invid.numerics import budget
 from invid.recording.model import Recording
@@ -40,6 +41,24 @@ class PlaceForce:
     def is_sure(self) -> bool:
         """Whether something acts there that is not the imperfect shape of what is named."""
         return self.rise > SURE and self.rms > IMPERFECT * self.before
+
+
+def is_of_shapes(worth: Worth, end: Supposed, bare: Supposed) -> bool:
+    """Whether what a cause takes is no more, on any axis, than what the laws of the others may leave there
+    since they are not quite the machine's.
+
+    ``bare``: the plant without causes.
+    """
+    structure = bare.hypothesis.structure
+    before, after = ({s: rms for rms, s in found.strength} for found in (bare, end))
+    acts, taken = np.zeros(structure.motors), np.zeros(structure.motors)
+    for rms, spot in worth.left:
+        if spot in before:
+            axes = {axis_of(structure, spot), *({spot.other} if spot.where is Where.PAIR else ())}
+            for axis in axes:
+                acts[axis] = max(acts[axis], before[spot])
+                taken[axis] = max(taken[axis], rms**2 - after.get(spot, 0.0) ** 2)
+    return bool(worth.left) and bool((taken <= (IMPERFECT * acts) ** 2).all())
 
 
 def at_their_places(found: Supposed, rounds: int = 3) -> Supposed:

@@ -115,6 +115,8 @@ def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
     for addition in additions_of(now.hypothesis.structure):
         if any(w.key == addition and not w.stays for w in found):
             now = without(now, addition)
+    # A structure that was taken out leaves places whose motion no fit has said.
+    now = now if now.motions.smoothed else now.smoothed()
     columns = gone_columns(found)
     gone = {w.key for w in found if not w.stays}
     laws = tuple(p for p in now.hypothesis.laws if p.key not in gone)

@@ -11,9 +11,8 @@ from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import ALIKE, candidates, own_share, score
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
 from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
-from invid.identification.contest import shaken
 from invid.identification.late_drives import late_drives
-from invid.identification.worth import LEAST_FITTED, pays, role_falls
+from invid.identification.worth import LEAST_FITTED, NUMBER, pays, role_falls
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, scan_law
@@ -22,8 +21,6 @@ from invid.numerics import budget
 
 PROMISING = 0.3
 """Share of the best fall from which a structure is fitted to its end (empirical)."""
-NUMBER = 10.0
-"""Schwarz's price of one number and ten thousand rows."""
 REFINED = 4
 """Leaders of the scores that are fitted."""
 OWN_STIFFNESS = (0.7, 1.4)
@@ -61,17 +58,22 @@ class Trial:
         return isinstance(self.addition, Base) and isinstance(other.addition, Mode)
 
     @property
+    def numbers(self) -> int:
+        """Numbers that it brings."""
+        if self.addition is not None:
+            return self.addition.numbers(self.found.hypothesis.structure)
+        return 1 if self.placed is None else len(self.placed.law.low) + len(self.placed.shape)
+
+    @property
     def merit(self) -> float:
-        """The fall less what the numbers of a base cost that the mode of one load has not, of a mode less
-        that of one, of a law less that of its first: of two that do as well the simpler one is taken."""
-        numbers = 0
-        if isinstance(self.addition, Mode):
-            numbers = 1
-        elif isinstance(self.addition, Base):
-            numbers = self.found.hypothesis.structure.motors
-        elif self.placed is not None:
-            numbers = len(self.placed.law.low) + len(self.placed.shape) - 1
-        return self.fall - NUMBER * numbers
+        """The fall less what its numbers cost beyond the first: of two that do as well the simpler one is
+        taken."""
+        return self.fall - NUMBER * (self.numbers - 1)
+
+    @property
+    def pays(self) -> bool:
+        """Whether it pays its price, which contains what the places and shapes of laws cost."""
+        return pays(*role_falls(self.base, self.found), 1 if self.addition is None else self.numbers)
 
 
 def is_sound(found: Supposed) -> bool:
@@ -157,11 +159,7 @@ def try_structures(now: Supposed, least: float, *, growing: bool) -> list[Trial]
         if nearest is not None:
             mode = Mode(nearest.hypothesis.structure.modes[-1])
             trials.append(Trial(mode.cause, mode.spot(structure), nearest, now, addition=mode))
-    real = [t for t in trials if t.addition is not None and t.addition.is_real(t.found)]
-    best = max(real, key=lambda t: t.merit, default=None)
-    if best is not None and best.fall > LEAST_FITTED:
-        real[real.index(best)] = replace(best, found=shaken(best.found, np.random.default_rng(1)))
-    return real
+    return [t for t in trials if t.addition is not None and t.addition.is_real(t.found)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +226,7 @@ def pursue(
             trials += try_structures(now, best, growing=growing)
         trials += try_channels(now)
         trials = finish(trials)
-        taken = next((t for t in trials if pays(*role_falls(t.base, t.found))), None)
+        taken = next((t for t in trials if t.pays), None)
         if taken is None:
             break
         close = taken.fall - max(NEARLY_AS_WELL * taken.fall, LEAST_FITTED)

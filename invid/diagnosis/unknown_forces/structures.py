@@ -53,6 +53,10 @@ class Addition(ABC):
     def within(self, structure: Structure) -> Structure:
         """The structure with it."""
 
+    def numbers(self, structure: Structure) -> int:
+        """Numbers that it brings: mass, spring and damper."""
+        return 3
+
     @abstractmethod
     def spot(self, structure: Structure) -> Spot:
         """The place in a structure without it that it hangs on."""
@@ -175,6 +179,9 @@ class Base(Addition):
     """The body under all loads on a spring to ground."""
 
     cause = "base_compliance"
+
+    def numbers(self, structure: Structure) -> int:
+        return 2 + structure.motors  # its mass is one with the scale of its couplings
 
     def within(self, structure: Structure) -> Structure:
         return replace(structure, base=True)
