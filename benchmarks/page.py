@@ -77,8 +77,7 @@ SECTIONS = (
         "number of masses. Errors are medians over the seeds; processor time is of one core.",
         "identification/bench_peer_models.py",
         ("--seeds", "5", "--seed0", "300"),
-        ("--seeds", "2", "--seed0", "300", "--peers",
-         "refined", "paper", "vector", "EMA", "subspace", "raw"),
+        ("--seeds", "2", "--seed0", "300"),
     ),
     Section(
         "Forward model and simulation beside other simulators",

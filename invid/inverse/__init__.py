@@ -3,8 +3,8 @@
 from invid.inverse.coupling import branch_sum, coupling, couplings, motor_mass
 from invid.inverse.deflate import peel_all, peel_response, peel_spectrum
 from invid.inverse.eigenvector import Spectrum, checked_spectrum, first_row_of_eigenvectors
-from invid.inverse.from_modes import Gains, chains_of, gains_of, low_frequency_mass
-from invid.inverse.identify import PaperResult, identify_paper, starts
+from invid.inverse.from_modes import Gains, chains_of, gains_of
+from invid.inverse.identify import PaperResult, identify_paper
 from invid.inverse.lanczos import LanczosRows, lanczos
 from invid.inverse.paper import Route, chain_from_spectrum, paper_inverse
 from invid.inverse.springs import Branch, inverse_end_mass, last_mass, springs_and_masses
@@ -28,12 +28,10 @@ __all__ = [
     "inverse_end_mass",
     "lanczos",
     "last_mass",
-    "low_frequency_mass",
     "motor_mass",
     "paper_inverse",
     "peel_all",
     "peel_response",
     "peel_spectrum",
     "springs_and_masses",
-    "starts",
 ]

@@ -24,7 +24,7 @@ from invid.inverse import (
     springs_and_masses,
 )
 from invid.model.chains import CoupledChains, case_study
-from invid.model.forward import antiresonances, dynamic_stiffness, resonances
+from invid.model.forward import dynamic_stiffness, natural_frequencies, resonances
 
 LAMBDA_ROOT = [0, 24.63, 29.59, 34.16, 44.92, 48.60, 51.28]
 LAMBDA0_ROOT = [
@@ -94,6 +94,13 @@ PRINTED = [
 def half(digits: int) -> float:
     """Half a unit of the last printed digit, and what double precision adds."""
     return 0.5 * 10.0**-digits * (1 + 1e-9)
+
+
+def antiresonances(chains: CoupledChains, branch: int) -> np.ndarray:
+    """Motor ``branch`` locked; the rigid zeros of the two others left out, as in the paper's list λ0."""
+    kept = np.delete(np.arange(chains.dofs), chains.motor_dofs[branch])
+    at = np.ix_(kept, kept)
+    return natural_frequencies(chains.mass_matrix[at], chains.stiffness_matrix[at])[2:]
 
 
 def lists(chains: CoupledChains) -> list[tuple[np.ndarray, np.ndarray]]:
