@@ -295,14 +295,6 @@ ANY = st.one_of(LOGS, LOGS.filter(lambda log: log.kind in ON_A_BUS).map(lambda l
 QUIET = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.filter_too_much]
 
 
-@settings(
-    max_examples=4, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=QUIET
-)
-@given(log=ANY)
-def test_any_log_gives_the_clean_model_or_the_sentence_that_does(tmp_path_factory, capsys, log: Log) -> None:
-    gives_the_clean_model(tmp_path_factory.mktemp("model"), log, capsys)
-
-
 @pytest.mark.campaign
 @settings(
     max_examples=40, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=QUIET
