@@ -29,7 +29,6 @@ from benchmarks.identification.bench_identify import RATE, estimate, measure, tr
 from benchmarks.shared import plant_oracle as oracle
 from invid.errors import InvidError
 from invid.identification.identify import identify
-from invid.model.chains import CoupledChains
 from invid.model.forward import frf as chain_frf
 from invid.recording.model import Recording
 from invid.signals.frf import frf_matrix
@@ -39,12 +38,6 @@ SIZES = (3, 3, 3)
 PEAK = np.array([20.0, 40.0, 60.0])
 Answer = tuple[np.ndarray, np.ndarray | None]
 """G on the lines, and the parameters in the order of ``truth``."""
-
-
-def of_chains(chains: CoupledChains, hz: np.ndarray) -> Answer:
-    upper = np.triu_indices(chains.branches, 1)
-    values = np.concatenate([*chains.masses, *chains.springs, chains.couplings[upper]])
-    return np.asarray(chain_frf(chains, 2 * np.pi * hz)), values
 
 
 def by_invid(method: str) -> Callable[[Recording, np.ndarray], Answer]:
