@@ -72,6 +72,7 @@ CSV_MAP = {
 
 
 LONG = 2048
+BY_NIGHT = pytest.mark.campaign
 
 
 def driven(periods: int) -> Experiment:
@@ -567,7 +568,10 @@ def test_values_that_stand_for_several_rows_are_told_with_their_rate(tmp_path, c
         np.testing.assert_allclose(e.position[:, 0], POSITION[:: int(held)] * COUNT, atol=1e-8)
 
 
-@pytest.mark.parametrize(("held", "channel"), [(2.5, None), (3, None), (4, "torque"), (4, "position")])
+@pytest.mark.parametrize(
+    ("held", "channel"),
+    [(2.5, None), *(pytest.param(*c, marks=BY_NIGHT) for c in ((3, None), (4, "torque"), (4, "position")))],
+)
 def test_identification_uses_one_row_of_each_value_that_stands_for_several(held, channel):
     e = driven(periods=6)
     fresh = np.ceil(np.floor(np.arange(e.samples) / held) * held).astype(int)
@@ -588,7 +592,10 @@ def test_a_slow_motion_of_coarse_counts_is_not_called_held(tmp_path, capsys):
     assert "stands for" not in said
 
 
-@pytest.mark.parametrize("kind", ["every fourth torque", "every third position", "in turn"])
+@pytest.mark.parametrize(
+    "kind",
+    ["in turn", *(pytest.param(k, marks=BY_NIGHT) for k in ("every fourth torque", "every third position"))],
+)
 def test_columns_of_two_rates_in_one_table_are_read_at_the_slower(tmp_path, capsys, kind):
     e = driven(periods=6)
     rows = ["time,torque,position" if kind == "every third position" else "time,position,torque"]
