@@ -38,8 +38,8 @@ SECTIONS = (
         "`white` is the case study of the paper with three axes; the plants are simulated by code that the "
         "identification does not use. z is error over stated deviation.",
         "identification/bench_identify.py",
-        ("--case", "white", "--draws", "100"),
-        ("--case", "white", "--draws", "10"),
+        ("--draws", "100"),
+        ("--draws", "10"),
     ),
     Section(
         "Robot time",
@@ -77,15 +77,7 @@ SECTIONS = (
         "number of masses. Errors are medians over the seeds; processor time is of one core.",
         "identification/bench_peer_models.py",
         ("--seeds", "5", "--seed0", "300"),
-        ("--seeds", "2", "--seed0", "300", "--peers",
-         "refined", "paper", "vector", "EMA", "subspace", "raw"),
-    ),
-    Section(
-        "Forward model and simulation beside other simulators",
-        "Processor seconds of the same task, as ratios within one run.",
-        "simulation/bench_forward.py",
-        (),
-        (),
+        ("--seeds", "2", "--seed0", "300"),
     ),
     Section(
         "Processor time of a diagnosis",

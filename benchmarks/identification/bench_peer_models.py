@@ -10,10 +10,6 @@ acts (half a sample later than recorded), and the number of masses. FRF error: m
 
 refined    invid identify
 paper      invid identify --method paper: modes searched under the noise, the paper's inverse
-vector     plain vector fitting straight to the records (invid/modes/rational_fit.py), modes to the paper's
-           inverse
-EMA        sdypy-EMA (LSCF poles, residues of all nine FRFs at once), modes to the paper's inverse; optional:
-           pip install sdypy-EMA
 subspace   a black-box state space of the true order by frequency-domain subspace identification (McKelvey,
            Akçay, Ljung 1996) on the FRF matrix, weighted by its noise: no parameters
 raw        the FRF matrix as measured, for scale
@@ -26,7 +22,6 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -34,13 +29,9 @@ from benchmarks.identification.bench_identify import RATE, estimate, measure, tr
 from benchmarks.shared import plant_oracle as oracle
 from invid.errors import InvidError
 from invid.identification.identify import identify
-from invid.inverse import starts
-from invid.model.chains import CoupledChains
 from invid.model.forward import frf as chain_frf
-from invid.modes import Modes
-from invid.modes.rational_fit import rational_modes
 from invid.recording.model import Recording
-from invid.signals.frf import FrfMatrix, frf_matrix
+from invid.signals.frf import frf_matrix
 from invid.signals.spectra import all_spectra
 
 SIZES = (3, 3, 3)
@@ -49,74 +40,12 @@ Answer = tuple[np.ndarray, np.ndarray | None]
 """G on the lines, and the parameters in the order of ``truth``."""
 
 
-def of_chains(chains: CoupledChains, hz: np.ndarray) -> Answer:
-    upper = np.triu_indices(chains.branches, 1)
-    values = np.concatenate([*chains.masses, *chains.springs, chains.couplings[upper]])
-    return np.asarray(chain_frf(chains, 2 * np.pi * hz)), values
-
-
 def by_invid(method: str) -> Callable[[Recording, np.ndarray], Answer]:
     def run(recording: Recording, hz: np.ndarray) -> Answer:
         model = identify(recording, masses=SIZES, method="paper" if method == "paper" else "refined")
         return np.asarray(chain_frf(model.chains, 2 * np.pi * hz)), estimate(model)[0]
 
     return run
-
-
-def inverse_of(modes: Modes, measured: tuple[np.ndarray, np.ndarray, np.ndarray], hz: np.ndarray) -> Answer:
-    first, *_ = starts(*measured, SIZES, axes=("A1", "A2", "A3"), modes=modes)
-    return np.asarray(modes.response(2 * np.pi * hz)), of_chains(first, hz)[1]
-
-
-def by_vector_fitting(recording: Recording, hz: np.ndarray) -> Answer:
-    modes, g = vector_fit(recording)
-    return inverse_of(modes, (g.frequency_hz, g.frf, g.variance), hz)
-
-
-def vector_fit(recording: Recording) -> tuple[Modes, FrfMatrix]:
-    """``rational_modes`` grants the torque a quarter of a sample, as it does not know; here it is a half."""
-    spectra = [
-        replace(s, torque=s.torque * np.exp(-0.25j * s.omega / s.sample_rate_hz)[:, None])
-        for s in all_spectra(recording)
-    ]
-    found = rational_modes(spectra, SIZES)
-    if found is None:
-        raise InvidError("no poles found")
-    return found
-
-
-def by_ema(recording: Recording, hz: np.ndarray) -> Answer:
-    from sdypy import EMA
-
-    measured = frf_matrix(all_spectra(recording), delay_s=0.5 / RATE)
-    plant = oracle.case_study()
-    mass, _, stiffness, _ = plant.matrices
-    natural = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real)[3:]) / 2 / np.pi
-    # Nine accelerances side by side share their poles. In the peer's favour: frequencies a hundredfold, as
-    # its windows are whole Hz, lines down to 0 Hz, which its grid begins with (the accelerance of a free
-    # plant hardly changes there), and stable poles picked next to the true ones.
-    grid = measured.frequency_hz
-    spacing = grid[1] - grid[0]
-    acceleration = -((2 * np.pi * 100 * grid) ** 2)[:, None] * measured.frf.reshape(-1, 9)
-    below = round(grid[0] / spacing)
-    acceleration = np.concatenate((np.repeat(acceleration[:1], below, axis=0), acceleration))
-    grid = np.arange(grid.size + below) * spacing
-    model = EMA.Model(acceleration.T, 100 * grid, lower=30, upper=1280, pol_order_high=60)
-    model.get_poles(show_progress=False)
-    model.select_closest_poles(list(100 * natural), f_window=20)
-    model.get_constants()
-    omega = 2 * np.pi * np.asarray(model.nat_freq) / 100
-    ratio = np.asarray(model.nat_xi)
-    shapes = []
-    for r in range(omega.size):
-        # The receptance near a pole: A/(jω − λ) + conjugate, A = φφᵀ/(2jω_d).
-        product = (2j * omega[r] * np.sqrt(1 - ratio[r] ** 2) * model.A[:, r].reshape(3, 3) / 100).real
-        size, vectors = np.linalg.eigh(0.5 * (product + product.T))
-        shapes.append(np.sqrt(max(size[-1], 0.0)) * vectors[:, -1])
-    # Its residual terms are no mass matrix: the asymptote that the inverse needs comes from the vector
-    # fitting, and so that of its FRF, which is better for it (with its own: 3.4 % off).
-    modes = replace(vector_fit(recording)[0], omega=omega, damping=ratio, shapes=np.array(shapes))
-    return inverse_of(modes, (measured.frequency_hz, measured.frf, measured.variance), hz)
 
 
 def by_subspace(recording: Recording, hz: np.ndarray, *, blocks: int = 20) -> Answer:
@@ -173,8 +102,6 @@ def raw(recording: Recording, hz: np.ndarray) -> Answer:
 PEERS: dict[str, Callable[[Recording, np.ndarray], Answer]] = {
     "refined": by_invid("refined"),
     "paper": by_invid("paper"),
-    "vector": by_vector_fitting,
-    "EMA": by_ema,
     "subspace": by_subspace,
     "raw": raw,
 }
@@ -205,9 +132,6 @@ def main() -> int:
             started = time.process_time()
             try:
                 g, values = peer(recording, hz)
-            except ImportError as error:
-                failed[name].append(f"not installed ({error.name})")
-                continue
             except (InvidError, ValueError, np.linalg.LinAlgError) as error:
                 failed[name].append(f"seed {seed}: {str(error)[:90]}")
                 continue

@@ -48,15 +48,23 @@ from invid.model.document import (  # noqa: E402
     std_by_name,
 )
 from invid.tuning.feedforward import NONE, Feedforward  # noqa: E402
-from invid.tuning.gains import PROMISE, own_inertias, symmetric_optimum  # noqa: E402
+from invid.tuning.gains import PROMISE, Gains, own_inertias  # noqa: E402
 from invid.tuning.margins import worst_margins  # noqa: E402
 from invid.tuning.plant_draws import drawn_models  # noqa: E402
+from invid.tuning.servo_loop import DriveTiming  # noqa: E402
 from invid.tuning.simulated_loops import AxisLoop, move_figures, reference_move, run_loops  # noqa: E402
 from invid.tuning.tune import TuneSettings, tune_model, untuned  # noqa: E402
 
 SURE = {"damper": 0.2}
 KNOWN, ELSE = 0.05, 0.02
 WAYS = ("timid", "hand rule", "motor rule", "old tool", "tuned")
+
+
+def symmetric_optimum(inertia: float, timing: DriveTiming, delay: float, lag: float) -> Gains:
+    """Hand rule: the symmetric optimum with a = 2 on a rigid inertia, ω_v = 1/(2 T_Σ), T_i = 4 T_Σ, and
+    K_p = ω_v/4."""
+    total = timing.total(delay, lag)
+    return Gains(inertia / (2.0 * total), 4.0 * total, 1.0 / (8.0 * total))
 
 
 def relative(name: str) -> float:

@@ -1,12 +1,11 @@
 """The paper's inverse eigenvalue method, an equation a function, misprints corrected and said."""
 
 from invid.inverse.coupling import branch_sum, coupling, couplings, motor_mass
-from invid.inverse.deflate import peel_all, peel_response, peel_spectrum
 from invid.inverse.eigenvector import Spectrum, checked_spectrum, first_row_of_eigenvectors
-from invid.inverse.from_modes import Gains, chains_of, gains_of, low_frequency_mass
-from invid.inverse.identify import PaperResult, identify_paper, starts
+from invid.inverse.from_modes import Gains, chains_of, gains_of
+from invid.inverse.identify import PaperResult, identify_paper
 from invid.inverse.lanczos import LanczosRows, lanczos
-from invid.inverse.paper import Route, chain_from_spectrum, paper_inverse
+from invid.inverse.paper import chain_from_spectrum, paper_inverse
 from invid.inverse.springs import Branch, inverse_end_mass, last_mass, springs_and_masses
 
 __all__ = [
@@ -14,7 +13,6 @@ __all__ = [
     "Gains",
     "LanczosRows",
     "PaperResult",
-    "Route",
     "Spectrum",
     "branch_sum",
     "chain_from_spectrum",
@@ -28,12 +26,7 @@ __all__ = [
     "inverse_end_mass",
     "lanczos",
     "last_mass",
-    "low_frequency_mass",
     "motor_mass",
     "paper_inverse",
-    "peel_all",
-    "peel_response",
-    "peel_spectrum",
     "springs_and_masses",
-    "starts",
 ]

@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from invid.errors import ModelError, NotIdentifiableError
 from invid.inverse.lanczos import lanczos
-from invid.inverse.springs import check_positive, inverse_end_mass, last_mass, springs_and_masses
+from invid.inverse.springs import check_positive, last_mass, springs_and_masses
 from invid.model.chains import CoupledChains
 from invid.model.document import parameter_vector
 from invid.modes.model import Modes, high_gain_pairs, pairs
 from invid.numerics.arrays import Float64
-
-_KEPT_OF_POSITIVE = 0.95  # repaired couplings: this share of the largest still positive definite one
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,19 +50,16 @@ def gains_of(modes: Modes, *, axes: tuple[str, ...]) -> Gains:
     return Gains(high.astype(np.float64), np.linalg.inv(inverse).astype(np.float64))
 
 
-def chains_of(
-    modes: Modes, gains: Gains, *, axes: tuple[str, ...], repair: bool = False, dampers: bool = True
-) -> CoupledChains:
+def chains_of(modes: Modes, gains: Gains, *, axes: tuple[str, ...], dampers: bool = True) -> CoupledChains:
     """Coupled chains from modes and gains, eqs. 13–22 on the weights of the fitted modes.
 
     The weights φ_ir²/A_iH *are* u1² of eq. 13 (its products over λ and λ0 return them), so the
     recursion starts from them; the antiresonances stay a result for people (``Modes.zeros``).
 
-    Parameters
-    ----------
-    repair
-        Replace what is not physical (a last mass ≤ 0, too large a coupling) by the nearest thing that
-        is: for starts of a fit. Otherwise NotIdentifiableError says what came out.
+    Raises
+    ------
+    NotIdentifiableError
+        Where that is no physical chain: says which branch and value.
     """
     masses, springs = [], []
     for i, count in enumerate(modes.masses):
@@ -83,40 +77,16 @@ def chains_of(
                 f"{count - 1}; use fewer masses or a wider band"
             )
         m, k = springs_and_masses(rows, 1.0 / float(gains.high[i]), count)
-        if repair:
-            m, k = _repaired_inner(m, k, total)
-        end = last_mass(total, m)
-        if repair and end <= 0.02 * total:
-            end = max(1.0 / inverse_end_mass(rows, float(m[-1]), float(k[-1])), 0.05 * total)
-            end = end if np.isfinite(end) else 0.1 * total
-        m = np.append(m, end)
+        m = np.append(m, last_mass(total, m))
         check_positive(m, k, axis=axes[i])
         masses.append(m)
         springs.append(k)
     couplings = gains.rigid_mass - np.diag(np.diag(gains.rigid_mass))
-    if repair:
-        couplings = couplings * _admissible_share(np.array([m[-1] for m in masses]), couplings)
     try:
         chains = CoupledChains.build(masses, springs, couplings=0.5 * (couplings + couplings.T), axes=axes)
     except ModelError as error:
         raise NotIdentifiableError(f"{error}; measure longer at low frequency or use fewer masses") from None
     return _with_dampers(chains, modes) if dampers else chains
-
-
-def _repaired_inner(m: Float64, k: Float64, total: float) -> tuple[Float64, Float64]:
-    """Positive inner masses and springs, masses within the branch sum."""
-    m = np.where(np.isfinite(m) & (m > 0), m, 0.5 * total / (m.size + 1))
-    good = k[np.isfinite(k) & (k > 0)]
-    k = np.where(np.isfinite(k) & (k > 0), k, np.median(good) if good.size else 1.0)
-    if m.sum() > 0.98 * total:
-        m = m * (0.9 * total / m.sum())
-    return m, k
-
-
-def _admissible_share(ends: Float64, couplings: Float64) -> float:
-    normal = couplings / np.sqrt(np.outer(ends, ends))
-    smallest = float(np.linalg.eigvalsh(normal)[0])
-    return 1.0 if smallest > -_KEPT_OF_POSITIVE else _KEPT_OF_POSITIVE / -smallest
 
 
 def _with_dampers(chains: CoupledChains, modes: Modes) -> CoupledChains:
@@ -188,27 +158,3 @@ def _moved(modes: Modes, place: int, step: float) -> Modes:
     if rows[at] != columns[at]:
         high[columns[at], rows[at]] += step
     return replace(modes, high_gain=high)
-
-
-def low_frequency_mass(
-    frequency_hz: npt.ArrayLike, frf: npt.ArrayLike, first_antiresonance: float
-) -> Float64 | None:
-    """(M, M) S = lim −Re G⁻¹/ω², extrapolated in ω² with degree 2 below a third of the first
-    antiresonance [rad/s]; real parts, as magnitudes carry friction. ``None`` with too few lines.
-    """
-    w = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
-    pick = w < first_antiresonance / 3
-    degree = 2 if pick.sum() >= 6 else 1
-    if pick.sum() < 3:
-        return None
-    try:
-        rigid = -np.linalg.inv(np.asarray(frf)[pick]).real / w[pick, None, None] ** 2
-    except np.linalg.LinAlgError:
-        return None
-    rigid = 0.5 * (rigid + rigid.transpose(0, 2, 1))
-    x = (w[pick] / w[pick].max()) ** 2
-    # position noise and friction enter −Z/ω² as 1/ω²: weight rising with ω²
-    basis = np.vander(x, degree + 1, increasing=True) * x[:, None]
-    solution = np.linalg.lstsq(basis, (x[:, None] * rigid.reshape(x.size, -1)), rcond=None)[0]
-    mass: Float64 = solution[0].reshape(rigid.shape[1:])
-    return mass

@@ -1,16 +1,14 @@
-"""Measured FRF matrix to the coupled chains with no start values, and starts for the refined fit."""
+"""Measured FRF matrix to the coupled chains with no start values."""
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from invid.errors import InvidError, NotIdentifiableError
-from invid.inverse.from_modes import Gains, chains_of, covariance_of, gains_of, low_frequency_mass
+from invid.inverse.from_modes import Gains, chains_of, covariance_of, gains_of
 from invid.model.chains import CoupledChains
 from invid.model.document import parameter_vector
 from invid.modes import Modes, fit_modes
@@ -74,67 +72,8 @@ def identify_paper(
     return PaperResult(chains, modes, gains, covariance, _warnings(modes, frequency_hz, names))
 
 
-def starts(
-    frequency_hz: npt.ArrayLike,
-    frf: npt.ArrayLike,
-    frf_variance: npt.ArrayLike,
-    masses: Sequence[int],
-    *,
-    axes: Sequence[str] | None = None,
-    modes: Modes | None = None,
-) -> list[CoupledChains]:
-    """Physical starts for a fit, most trusted first; never empty, never raises on noisy data.
-
-    1. modes and the sum rule; 2. the same modes with S from the low-frequency extrapolation of −Z/ω²;
-    3. equal shares of the branch sums with springs at the modes' mean, for when neither is physical.
-    """
-    names = _names(axes, len(masses))
-    fitted = fit_modes(frequency_hz, frf, frf_variance, masses) if modes is None else modes
-    found: list[CoupledChains] = []
-    low = _low(frequency_hz, frf, fitted)
-    candidates: list[Gains] = []
-    with contextlib.suppress(NotIdentifiableError):
-        candidates.append(gains_of(fitted, axes=names))
-    high = np.diag(fitted.high_gain).copy()
-    if low is not None:
-        fallback = 2.0 * fitted.shapes.max(initial=1e-6) ** 2
-        candidates.append(Gains(np.where(high > 0, high, fallback), low))
-    for gains in candidates:
-        for repair in (False, True):
-            try:
-                found.append(chains_of(fitted, gains, axes=names, repair=repair))
-                break
-            except (InvidError, np.linalg.LinAlgError):
-                continue
-    found.append(_equal_shares(fitted, candidates[0].rigid_mass if candidates else None, names))
-    return found
-
-
 def _names(axes: Sequence[str] | None, count: int) -> tuple[str, ...]:
     return tuple(axes) if axes is not None else tuple(f"A{i + 1}" for i in range(count))
-
-
-def _low(frequency_hz: npt.ArrayLike, frf: npt.ArrayLike, modes: Modes) -> Float64 | None:
-    notches = [modes.zeros(i)[0] for i in range(len(modes.masses))]
-    moving = np.concatenate([z[z > 0] for z in notches]) if notches else np.zeros(0)
-    top = 2 * np.pi * float(np.max(np.asarray(frequency_hz)))
-    low = low_frequency_mass(frequency_hz, frf, float(moving.min()) if moving.size else 3 * top)
-    if low is None or not np.isfinite(low).all() or np.linalg.eigvalsh(low)[0] <= 0:
-        return None
-    return low
-
-
-def _equal_shares(modes: Modes, rigid: Float64 | None, axes: tuple[str, ...]) -> CoupledChains:
-    count = len(modes.masses)
-    high = np.abs(np.diag(modes.high_gain))
-    sums = np.diag(rigid) if rigid is not None else 3.0 / np.maximum(high, 1e-9)
-    sums = np.where(np.isfinite(sums) & (sums > 0), sums, 1.0)
-    middle = float(np.median(modes.omega)) if modes.omega.size else 1.0
-    masses = [np.full(n, sums[i] / n) for i, n in enumerate(modes.masses)]
-    springs = [np.full(n - 1, middle**2 * sums[i] / n / 2) for i, n in enumerate(modes.masses)]
-    damping = float(np.median(modes.damping)) if modes.omega.size else 0.0
-    dampers = [2 * min(damping, 0.05) * k / middle for k in springs]
-    return CoupledChains.build(masses, springs, dampers, np.zeros((count, count)), axes=axes)
 
 
 def _warnings(modes: Modes, frequency_hz: npt.ArrayLike, axes: tuple[str, ...]) -> tuple[str, ...]:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from invid.errors import InputError, NotIdentifiableError
 from invid.inverse.coupling import branch_sum, couplings, motor_mass
-from invid.inverse.deflate import peel_spectrum
-from invid.inverse.eigenvector import Spectrum, checked_spectrum, first_row_of_eigenvectors
+from invid.inverse.eigenvector import checked_spectrum, first_row_of_eigenvectors
 from invid.inverse.lanczos import lanczos
 from invid.inverse.springs import (
     Branch,
@@ -22,22 +20,20 @@ from invid.inverse.springs import (
     springs_and_masses,
 )
 from invid.model.chains import CoupledChains
-from invid.numerics.arrays import Float64
-
-Route = Literal["lanczos", "peel_one", "peel_two"]
 
 
-def chain_from_spectrum(  # noqa: PLR0913 - what the paper's equations need
+def chain_from_spectrum(
     lambda_: npt.ArrayLike,
     lambda0: npt.ArrayLike,
     m1: float,
     branch_sum: float,
     masses: int,
     *,
-    route: Route = "lanczos",
     axis: str = "A1",
 ) -> Branch:
     """One branch from its squared resonances and antiresonances, motor mass and branch sum.
+
+    N − 1 steps of eqs. 14–16 in one run: no peeling is needed, whatever the paper says.
 
     Parameters
     ----------
@@ -48,11 +44,6 @@ def chain_from_spectrum(  # noqa: PLR0913 - what the paper's equations need
         Motor mass, from eq. 3 or the datasheet [kg·m² or kg]; not used for ``masses`` = 1.
     branch_sum
         Sum of the branch's masses, eq. 2 [kg·m² or kg].
-    route
-        "lanczos": N − 1 steps of eqs. 14–16 in one run (no peeling needed, whatever the paper says).
-        "peel_one", "peel_two": eq. 23 after each step, one or two masses at a time. The high-frequency
-        gain that the two-mass variant needs again is replaced by the weight of the rigid mode: what
-        stays of the effective mass is 1/(S⁻¹)_ii less the masses taken away.
 
     Raises
     ------
@@ -69,56 +60,21 @@ def chain_from_spectrum(  # noqa: PLR0913 - what the paper's equations need
             f"branch {axis}: {masses} masses need at least {masses} resonances, the zero included, and "
             f"this motor sees {spectrum.poles.size}{seen}; use fewer masses or a wider band"
         )
-    found = _by_lanczos if route == "lanczos" else _by_peeling
-    m, k, check = found(spectrum, m1, masses, 2 if route == "peel_two" else 1)
+    rows = lanczos(spectrum.poles, first_row_of_eigenvectors(spectrum.poles, spectrum.zeros), masses - 1)
+    m, k = springs_and_masses(rows, m1, masses)
+    check = inverse_end_mass(rows, m[-1], k[-1])
     m = np.append(m, last_mass(branch_sum, m))
     check_positive(m, k, axis=axis)
     return Branch(m, k, check, spectrum.cancelled)
 
 
-def _by_lanczos(
-    spectrum: Spectrum, m1: float, masses: int, _step: int
-) -> tuple[Float64, Float64, float | None]:
-    rows = lanczos(spectrum.poles, first_row_of_eigenvectors(spectrum.poles, spectrum.zeros), masses - 1)
-    m, k = springs_and_masses(rows, m1, masses)
-    return m, k, inverse_end_mass(rows, m[-1], k[-1])
-
-
-def _by_peeling(
-    spectrum: Spectrum, m1: float, masses: int, step: int
-) -> tuple[Float64, Float64, float | None]:
-    poles, zeros = spectrum.poles, spectrum.zeros
-    m: list[float] = [m1]
-    k: list[float] = []
-    row = first_row_of_eigenvectors(poles, zeros)
-    rigid = m1 / float(row[0] ** 2) if poles[0] == 0 else np.nan  # 1/(S⁻¹)_ii
-    check: float | None = None
-    while len(k) < masses - 1:
-        row = first_row_of_eigenvectors(poles, zeros)
-        if len(k) and step == 2 and poles[0] == 0:
-            m[-1] = float(row[0] ** 2) * (rigid - sum(m[:-1]))
-        take = min(step, masses - 1 - len(k))
-        rows = lanczos(poles, row, take)
-        local_m, local_k = springs_and_masses(rows, m[-1], take + 1)
-        m = m[:-1] + local_m.tolist()
-        k += local_k.tolist()
-        check = inverse_end_mass(rows, m[-1], k[-1])
-        if len(k) == masses - 1:
-            break
-        for _ in range(take):
-            poles, zeros = peel_spectrum(poles, first_row_of_eigenvectors(poles, zeros))
-        m.append(k[-1] ** 2 / (m[-1] * rows.off_diagonal[-1] ** 2))  # eq. 19, mass still uncoupled
-    return np.array(m), np.array(k), check
-
-
-def paper_inverse(  # noqa: PLR0913 - what the paper measures
+def paper_inverse(
     spectra: Sequence[tuple[npt.ArrayLike, npt.ArrayLike]],
     high_gains: npt.ArrayLike,
     low_gains: npt.ArrayLike,
     cross_gains: npt.ArrayLike,
     masses: Sequence[int],
     *,
-    route: Route = "lanczos",
     axes: Sequence[str] | None = None,
 ) -> CoupledChains:
     """All parameters of the coupled chains from what the paper measures (sections 3.1 to 3.4).
@@ -144,7 +100,7 @@ def paper_inverse(  # noqa: PLR0913 - what the paper measures
         )
     sums = np.array([branch_sum(float(a)) for a in low])
     branches = [
-        chain_from_spectrum(p, z, motor_mass(float(high[i])), sums[i], masses[i], route=route, axis=names[i])
+        chain_from_spectrum(p, z, motor_mass(float(high[i])), sums[i], masses[i], axis=names[i])
         for i, (p, z) in enumerate(spectra)
     ]
     return CoupledChains.build(

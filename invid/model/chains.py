@@ -9,7 +9,7 @@ a P or PD hold is, and what an axis without a rigid mode has.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -225,15 +225,6 @@ class CoupledChains:
                 add_link(matrix, start + q, start + q + 1, value)
         matrix[self.motor_dofs, self.motor_dofs] += ground
         return matrix
-
-    def with_holds(self, gains: npt.ArrayLike, damping: npt.ArrayLike | None = None) -> CoupledChains:
-        """The same plant with motors held by torque −gain·θ − damping·θ̇ (eqs. 4 and 9)."""
-        extra = np.zeros(self.branches) if damping is None else np.asarray(damping, dtype=float)
-        return replace(
-            self,
-            ground_springs=frozen_float(self.ground_springs + np.asarray(gains, dtype=float)),
-            ground_dampers=frozen_float(self.ground_dampers + extra),
-        )
 
     def as_dict(self) -> dict[str, Any]:
         """Plain lists, for messages and provenance; the JSON contract is in ``invid.model``."""

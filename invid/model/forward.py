@@ -221,29 +221,8 @@ def resonances(chains: CoupledChains) -> Float64:
 
     The paper's list λ (eq. 5) is the square of this with all zeros but one removed.
     """
-    return _natural(chains, np.arange(chains.dofs), int(np.sum(chains.ground_springs == 0)))
-
-
-def antiresonances(chains: CoupledChains, axis: int) -> Float64:
-    """Antiresonances of branch ``axis`` [rad/s], ascending: its motor locked, all others as they are.
-
-    The rigid zeros of the other motors (M − 1 when all are free) are removed, as in the paper's
-    list λ0 (eq. 6): they cancel against those of the resonances.
-    """
-    if not -chains.branches <= axis < chains.branches:
-        raise InputError(f"axis {axis}: the model has {chains.branches} branches, counted from 0")
-    axis %= chains.branches
-    kept = np.delete(np.arange(chains.dofs), chains.motor_dofs[axis])
-    zeros = int(np.sum(np.delete(chains.ground_springs, axis) == 0))
-    return _natural(chains, kept, zeros)[zeros:]
-
-
-def _natural(chains: CoupledChains, kept: npt.NDArray[np.intp], zeros: int) -> Float64:
-    if kept.size == 0:
-        return np.zeros(0)
-    at = np.ix_(kept, kept)
-    natural = natural_frequencies(chains.mass_matrix[at], chains.stiffness_matrix[at])
-    natural[:zeros] = 0.0
+    natural = natural_frequencies(chains.mass_matrix, chains.stiffness_matrix)
+    natural[: int(np.sum(chains.ground_springs == 0))] = 0.0
     return natural
 
 

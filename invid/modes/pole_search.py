@@ -46,8 +46,10 @@ MOST = 4e9
 def search_modes(
     spectra: Sequence[LineSpectra], masses: Sequence[int], *, model_error: float = 0.0
 ) -> tuple[Modes, FrfMatrix, float] | None:
-    """Modes and G as from ``rational_modes``, weak modes included, and how much later than recorded the
+    """Modes and G on a grid that resolves them, weak modes included, and how much later than recorded the
     torque acts [s]; ``None`` where it fails or is too long.
+
+    A start for the fit: the modes carry no covariance. Uses about ``MOST_LINES`` lines of each record.
 
     ``model_error``: relative error of the spectra beyond their noise (friction).
     """

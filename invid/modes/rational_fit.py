@@ -15,7 +15,6 @@ import numpy as np
 
 from invid.modes import Modes
 from invid.modes.model import high_gain_pairs, pairs
-from invid.numerics import budget
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.numerics.linear_algebra import eigenvalues, least_squares, real_rows
 from invid.signals.frf import FrfMatrix
@@ -23,45 +22,10 @@ from invid.signals.spectra import FEW_LINES, LineSpectra
 
 TRUSTED = 0.02
 """Relative error granted to every spectrum: records with friction must not be fitted to their noise."""
-FINE = 0.002
-"""The same for a second try, which resolves modes that are barely visible where friction is small."""
 LEAST_DAMPING = 1e-9
 """Of a pole between rounds; finer than any band of lines can tell from none."""
 DAMPING = 0.01
-MOST_LINES, ITERATIONS = 300, 15
-
-
-def rational_modes(
-    spectra: Sequence[LineSpectra],
-    masses: Sequence[int],
-    *,
-    trusted: float = TRUSTED,
-) -> tuple[Modes, FrfMatrix] | None:
-    """Modes and G on a grid that resolves them, for the given masses per branch; ``None`` where it fails.
-
-    A start for the fit: the modes carry no covariance. Uses about ``MOST_LINES`` lines of each record.
-    """
-    motors = spectra[0].axis_count
-    modes = sum(masses) - motors
-    data = [record_of(s, trusted) for s in spectra]
-    low = min(float(w[0]) for w, *_ in data)
-    high = max(float(w[-1]) for w, *_ in data)
-    scale = float(np.sqrt(low * high))
-    poles = even_poles(low, high, modes, scale)
-    for number in range(ITERATIONS):
-        if number and budget.is_spent():
-            break
-        fresh = relocate_once(data, poles, motors, scale)
-        if fresh is None:
-            return None
-        settled = np.allclose(fresh, poles, rtol=1e-6, atol=0)
-        poles = fresh
-        if settled:
-            break
-    residues = residues_of(data, poles, motors, scale)
-    if not np.isfinite(residues).all():
-        return None
-    return sample_modes(poles, residues, scale, tuple(masses), (low, high))
+MOST_LINES = 300
 
 
 def even_poles(low: float, high: float, count: int, scale: float) -> Complex128:

@@ -9,11 +9,6 @@ import numpy as np
 from scipy import special
 
 
-def normal_sf(z: float) -> float:
-    """Chance that a standard normal exceeds z."""
-    return float(special.ndtr(-z))
-
-
 def normal_isf(p: float) -> float:
     """The z that a standard normal exceeds with chance p."""
     return float(-special.ndtri(p))

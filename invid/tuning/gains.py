@@ -55,13 +55,6 @@ def gains_at(
     return Gains(crossover * inertia, 1.0 / slow, slow, notches)
 
 
-def symmetric_optimum(inertia: float, timing: DriveTiming, delay: float, lag: float) -> Gains:
-    """Hand rule: the symmetric optimum with a = 2 on a rigid inertia, ω_v = 1/(2 T_Σ), T_i = 4 T_Σ, and
-    K_p = ω_v/4."""
-    total = timing.total(delay, lag)
-    return Gains(inertia / (2.0 * total), 4.0 * total, 1.0 / (8.0 * total))
-
-
 def own_inertias(plant: LinearPlant) -> Float64:
     """(M,) all that each motor moves as its commanded torque feels it, with what hangs on springs at it
     (extra modes)."""

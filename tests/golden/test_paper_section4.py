@@ -24,7 +24,7 @@ from invid.inverse import (
     springs_and_masses,
 )
 from invid.model.chains import CoupledChains, case_study
-from invid.model.forward import antiresonances, dynamic_stiffness, resonances
+from invid.model.forward import dynamic_stiffness, natural_frequencies, resonances
 
 LAMBDA_ROOT = [0, 24.63, 29.59, 34.16, 44.92, 48.60, 51.28]
 LAMBDA0_ROOT = [
@@ -94,6 +94,13 @@ PRINTED = [
 def half(digits: int) -> float:
     """Half a unit of the last printed digit, and what double precision adds."""
     return 0.5 * 10.0**-digits * (1 + 1e-9)
+
+
+def antiresonances(chains: CoupledChains, branch: int) -> np.ndarray:
+    """Motor ``branch`` locked; the rigid zeros of the two others left out, as in the paper's list λ0."""
+    kept = np.delete(np.arange(chains.dofs), chains.motor_dofs[branch])
+    at = np.ix_(kept, kept)
+    return natural_frequencies(chains.mass_matrix[at], chains.stiffness_matrix[at])[2:]
 
 
 def lists(chains: CoupledChains) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -209,8 +216,7 @@ def test_couplings_are_the_printed_ones() -> None:
     np.testing.assert_allclose(found, [1.0, 2.0, 3.0], rtol=1e-5)
 
 
-@pytest.mark.parametrize("route", ["lanczos", "peel_one", "peel_two"])
-def test_all_parameters_come_back_from_full_precision(route: str) -> None:
+def test_all_parameters_come_back_from_full_precision() -> None:
     chains = case_study()
     rigid = chains.rigid_mass_matrix
     cross = np.zeros((3, 3))
@@ -222,7 +228,6 @@ def test_all_parameters_come_back_from_full_precision(route: str) -> None:
         1 / np.diag(rigid),
         cross,
         (3, 3, 3),
-        route=route,  # type: ignore[arg-type]
     )
     for mine, theirs in zip(found.masses + found.springs, chains.masses + chains.springs, strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=1e-9)

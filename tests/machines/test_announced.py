@@ -56,9 +56,9 @@ def test_no_axis_does_more_than_was_announced_in_any_phase_and_the_run_lasts_as_
     [
         # soft axes that swing on from doublet to doublet, with nothing that holds them
         (9116, "trying the signs of A2"),
-        (9133, "trying the signs of A1"),
+        pytest.param(9133, "trying the signs of A1", marks=BY_NIGHT),
         # let go while the load swings behind it: the branch drifts
-        (9127, "trying the signs of A3"),
+        pytest.param(9127, "trying the signs of A3", marks=BY_NIGHT),
         # the loop around other phases than those tried
         (9107, "experiment 2 of 4"),
     ],
@@ -70,6 +70,7 @@ def test_what_swings_drifts_or_is_led_stays_within_what_was_announced(seed: int,
     assert truth.ratios().max() <= 1.0
 
 
+@BY_NIGHT
 def test_an_axis_that_friction_holds_at_a_share_of_the_tried_torque_is_not_called_stuck() -> None:
     # a light axis that swings allows 3 % of the torque; A2 and A5 stand under that
     truth = run(draw(9094))
@@ -77,7 +78,7 @@ def test_an_axis_that_friction_holds_at_a_share_of_the_tried_torque_is_not_calle
     assert truth.ratios().max() <= 1.0
 
 
-@pytest.mark.parametrize("seed", [401, 413, 415, 418, 420, 423])
+@pytest.mark.parametrize("seed", [401, 420, *(pytest.param(s, marks=BY_NIGHT) for s in (413, 415, 418, 423))])
 def test_an_axis_that_swings_is_not_taken_for_one_with_a_wrong_scale(seed: int) -> None:
     # Masses behind springs of 1 to 5 Hz, or friction above the slow doublet: the motor moves like a third or
     # like ten times of the axis.
@@ -85,7 +86,7 @@ def test_an_axis_that_swings_is_not_taken_for_one_with_a_wrong_scale(seed: int) 
 
 
 @pytest.mark.parametrize("factor", [0.2, 5.0])
-@pytest.mark.parametrize("seed", [405, 444, 448])
+@pytest.mark.parametrize("seed", [405, *(pytest.param(s, marks=BY_NIGHT) for s in (444, 448))])
 def test_a_rigid_axis_five_times_off_is_refused(seed: int, factor: float) -> None:
     drawn = draw(seed)
     first = drawn.config.axes[0]

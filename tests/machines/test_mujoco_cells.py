@@ -1,4 +1,4 @@
-"""Cells whose physics is MuJoCo's: what the product says of a few; hundreds by bench_mujoco.py."""
+"""Cells whose physics is MuJoCo's: what the product says of a few."""
 
 import math
 from pathlib import Path

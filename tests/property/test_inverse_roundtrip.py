@@ -12,14 +12,9 @@ from invid.errors import InputError, NotIdentifiableError
 from invid.inverse import (
     chain_from_spectrum,
     coupling,
-    first_row_of_eigenvectors,
     paper_inverse,
-    peel_all,
-    peel_response,
-    peel_spectrum,
 )
 from invid.model.chains import CoupledChains
-from invid.model.forward import antiresonances, frf, resonances
 
 BOUNDED = settings(
     max_examples=60,
@@ -94,26 +89,6 @@ def test_exact_spectra_give_every_parameter_back_to_1e_6(truth: CoupledChains) -
     assert_same(found, truth, 1e-6)
 
 
-@BOUNDED
-@given(chains(most_branches=3, most_masses=4), st.sampled_from(["peel_one", "peel_two"]))
-def test_peeling_one_or_two_masses_agrees_with_one_lanczos_run(truth: CoupledChains, route: str) -> None:
-    low, cross = locked_gains(truth)
-    lists = [(p.astype(float), z.astype(float)) for p, z in exact_lists(truth)]
-    high = [1 / m[0] for m in truth.masses]
-    found = paper_inverse(lists, high, low, cross, truth.masses_per_branch, route=route)  # type: ignore[arg-type]
-    assert_same(found, truth, 1e-6)
-
-
-@BOUNDED
-@given(chains(most_branches=4, most_masses=3))
-def test_the_product_of_the_forward_model_is_what_the_inverse_takes(truth: CoupledChains) -> None:
-    low, cross = locked_gains(truth)
-    poles = resonances(truth)[truth.branches - 1 :] ** 2
-    lists = [(poles, antiresonances(truth, i) ** 2) for i in range(truth.branches)]
-    high = [1 / m[0] for m in truth.masses]
-    assert_same(paper_inverse(lists, high, low, cross, truth.masses_per_branch), truth, 1e-6)
-
-
 def two_branches() -> CoupledChains:
     return CoupledChains.build(
         [[1.0, 2.0, 3.0], [2.0, 1.0, 4.0, 2.0]],
@@ -130,40 +105,6 @@ def test_the_last_lanczos_step_checks_the_couplings() -> None:
             poles, zeros, truth.masses[i][0], truth.masses[i].sum(), truth.masses[i].size
         )
         assert branch.inverse_end_mass == pytest.approx(inverse[i, i], rel=1e-8)
-
-
-def test_peeled_lists_are_those_of_the_plant_without_that_mass_and_spring() -> None:
-    truth = two_branches()
-    poles, zeros = exact_lists(truth)[0]
-    shorter = CoupledChains.build(
-        [truth.masses[0][1:], truth.masses[1]],
-        [truth.springs[0][1:], truth.springs[1]],
-        couplings=truth.couplings,
-    )
-    new_poles, new_zeros = peel_spectrum(poles, first_row_of_eigenvectors(poles, zeros))
-    np.testing.assert_allclose(new_poles, resonances(shorter)[1:] ** 2, rtol=1e-8, atol=1e-6)
-    np.testing.assert_allclose(new_zeros, antiresonances(shorter, 0) ** 2, rtol=1e-8)
-
-
-def test_peeled_responses_are_those_of_the_plant_without_the_first_masses() -> None:
-    truth = two_branches()
-    omega = np.linspace(3.0, 90.0, 40)
-    response = frf(truth, omega)
-    shorter = CoupledChains.build(
-        [truth.masses[0][1:], truth.masses[1]],
-        [truth.springs[0][1:], truth.springs[1]],
-        couplings=truth.couplings,
-    )
-    one = peel_response(omega, response[:, 0, 0], truth.masses[0][0], truth.springs[0][0])
-    np.testing.assert_allclose(one, frf(shorter, omega)[:, 0, 0], rtol=1e-8)
-    both = CoupledChains.build(
-        [m[1:] for m in truth.masses], [k[1:] for k in truth.springs], couplings=truth.couplings
-    )
-    torque = np.broadcast_to(np.eye(2), response.shape)
-    theta2, tau2 = peel_all(
-        omega, response, torque, [m[0] for m in truth.masses], [k[0] for k in truth.springs]
-    )
-    np.testing.assert_allclose(theta2 @ np.linalg.inv(tau2), frf(both, omega), rtol=1e-7, atol=1e-12)
 
 
 def test_a_mode_the_motor_cannot_see_is_cancelled_and_said() -> None:

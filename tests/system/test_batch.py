@@ -20,6 +20,7 @@ import invid
 from invid.batch.analysis import Options
 from invid.batch.helper import Helper
 from invid.batch.results import COLUMNS, Results
+from invid.cli import app
 from invid.model.diagnosis_document import diagnosis_to_json
 from invid.model.document import dump_json, model_to_json
 
@@ -205,12 +206,18 @@ def test_a_recording_whose_process_always_dies_is_listed_and_tried_again_next_ti
     ],
 )
 def test_bad_requests_end_with_one_message(
-    arguments: tuple[str, ...], says: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arguments: tuple[str, ...],
+    says: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     if "--scheduler" in arguments:
         pytest.importorskip("distributed")
-    status, _, err = run(*(a.format(folder=folder) for a in arguments))
+    status = app.run(["batch", *(a.format(folder=folder) for a in arguments)])
+    err = capsys.readouterr().err
     assert status == 2, err
     assert says in err
     assert "Traceback" not in err

@@ -14,15 +14,9 @@ from urllib.parse import unquote
 
 import pytest
 
-from invid.api import import_recording
 from invid.cli.app import run
 from invid.public_records import SETS, RecordFile, RecordSet
 
-ROOT = Path(__file__).resolve().parents[2]
-DATA = next(
-    (p for p in (ROOT.parent / "shared/data", ROOT.parents[1] / "shared/data") if p.is_dir()),
-    ROOT.parent / "shared/data",
-)
 PENDULUM = next(s for s in SETS if s.name == "double_pendulum")
 
 
@@ -50,14 +44,6 @@ class Place:
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.url = f"http://127.0.0.1:{self.server.server_port}"
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
-
-    def carry(self, name: str, data: Path) -> None:
-        """Carry a set as its repository does."""
-        records = next(s for s in SETS if s.name == name)
-        for f in records.files:
-            content = data / name / f.name
-            if content.exists():
-                self.files[f"{records.repository}/{records.commit}/{f.upstream}"] = content.read_bytes()
 
 
 @pytest.fixture
@@ -139,18 +125,3 @@ def test_every_set_says_licence_and_source_and_pins_every_file() -> None:
         assert len(s.commit) == 40
         assert all(len(f.sha256) == 64 for f in s.files)
         assert ("LICENSE" in s.licence) == any(f.name == "LICENSE" for f in s.files)
-
-
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"measured data are not in {DATA}: sets are NOT checked")
-def test_the_published_records_are_those_of_the_tutorials_and_import(tmp_path: Path, place: Place) -> None:
-    for s in SETS:
-        for f in s.files:
-            there = DATA / s.name / f.name
-            if there.exists():  # a licence may lie in the repository alone
-                assert hashlib.sha256(there.read_bytes()).hexdigest() == f.sha256, there
-    for name in ("emps", "screw_drives"):
-        place.carry(name, DATA)
-        assert run(["fetch-data", name, "--to", str(tmp_path), "--source", place.url]) == 0
-    assert import_recording(tmp_path / "emps", ROOT / "configs/import/emps.yaml").experiments
-    drive = tmp_path / "screw_drives" / "driveNo1"
-    assert import_recording(drive, ROOT / "configs/import/screw_drive_1.yaml").experiments

@@ -50,57 +50,8 @@ def model(
     return Model("cell", "refined", chains, std, effects=effects)
 
 
-def drawn(base: Model, rng: np.random.Generator) -> Model:
-    """Another estimate of the same robot: every parameter off by its own standard deviation."""
-    chains, std = base.chains, base.std
-    noisy = CoupledChains.build(
-        [m + s * rng.standard_normal(m.size) for m, s in zip(chains.masses, std.masses, strict=True)],
-        [k + s * rng.standard_normal(k.size) for k, s in zip(chains.springs, std.springs, strict=True)],
-        [d + s * rng.standard_normal(d.size) for d, s in zip(chains.dampers, std.dampers, strict=True)],
-        chains.couplings
-        + (lambda x: x + x.T)(np.triu(std.couplings, 1) * rng.standard_normal(chains.couplings.shape)),
-        axes=chains.axes,
-    )
-    return replace(base, chains=noisy)
-
-
 def by_name(c: Comparison, name: str) -> Status:
     return next(x.status for x in c.parameters + c.effects if x.name == name)
-
-
-def test_a_heavier_tool_is_named_and_nothing_else() -> None:
-    heavier = model([[0.7, 2.0, 3.0], [4.0, 5.0, 7.31]])
-    result = compare(model(), heavier)
-    assert [c.name for c in result.parameters if c.status is Status.CHANGED] == ["A2.mass.3"]
-    assert result.sentences[0] == (
-        "A2: final mass 6.00 → 7.31 kg·m² (+1.31 ± 0.02): consistent with a tool change."
-    )
-    assert result.sentences[1] == "Nothing else changed."
-    assert result.sentences[2].startswith("All 14 other parameters are the same within ±")
-
-
-def test_the_same_robot_measured_twice_is_called_changed_at_most_as_often_as_stated() -> None:
-    """Family-wise error over 1200 pairs at alpha = 5 %: within three binomial deviations of it."""
-    rng = np.random.default_rng(20261121)
-    base, trials = model(), 1200
-    false = sum(
-        any(
-            c.status is Status.CHANGED
-            for c in compare(drawn(base, rng), drawn(base, rng), alpha=0.05).parameters
-        )
-        for _ in range(trials)
-    )
-    assert false / trials < 0.05 + 3 * np.sqrt(0.05 * 0.95 / trials)
-    assert false / trials > 0.02  # Holm on independent tests is not conservative: a dead test would show 0
-
-
-@pytest.mark.campaign
-def test_the_joint_test_is_uniform_on_a_robot_that_did_not_change() -> None:
-    rng = np.random.default_rng(7)
-    base = model()
-    p = np.array([compare(drawn(base, rng), drawn(base, rng)).joint_p for _ in range(500)], dtype=float)
-    assert abs(np.mean(p < 0.1) - 0.1) < 3 * np.sqrt(0.09 / 500)
-    assert abs(p.mean() - 0.5) < 3 * 0.2887 / np.sqrt(500)
 
 
 def test_a_change_along_a_well_known_direction_of_correlated_parameters_is_seen_jointly() -> None:
@@ -127,20 +78,6 @@ def test_a_change_along_a_well_known_direction_of_correlated_parameters_is_seen_
     assert result.joint_p is not None
     assert result.joint_p < 1e-6
     assert not any(s.startswith("Nothing changed") for s in result.sentences)
-
-
-def test_without_a_standard_deviation_nothing_is_claimed() -> None:
-    old = model()
-    result = compare(replace(old, std=ChainStd.unknown(old.chains)), model([[0.7, 2, 3], [4, 5, 60.0]]))
-    assert not result.told
-    assert all(c.status is Status.CANNOT_TELL for c in result.parameters)
-    assert not any("othing" in s and "changed" in s for s in result.sentences)
-
-
-def test_a_wide_uncertainty_is_no_proof_of_no_change() -> None:
-    result = compare(model(relative=0.2), model(relative=0.2))
-    assert {c.status for c in result.parameters} == {Status.CANNOT_TELL}
-    assert "would not be seen" in result.sentences[-1]
 
 
 def test_a_change_that_is_significant_but_tiny_is_said_without_a_story() -> None:

@@ -79,6 +79,7 @@ def test_an_unchanged_cell_is_said_to_be_unchanged_and_what_would_have_been_seen
     assert {c.status.value for c in found.comparison.causes} <= {"unchanged", "cannot_tell"}
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("changed", "parameter", "by"),
     [({"load": 7.28}, "A2.mass.2", 1.31), ({"spring": 1400.0}, "A1.spring.1", -100.0)],

@@ -70,6 +70,7 @@ def test_the_document_is_read_as_it_was_written(with_play: Diagnosis) -> None:
     assert json.dumps(diagnosis_to_json(diagnosis_from_json(json.loads(written)))) == written
 
 
+@pytest.mark.campaign
 def test_a_torque_that_fades_is_left_on_its_axis_and_goes_with_time() -> None:
     plant = ChainPlant()
     found = diagnose_elastic(begin_elastic(cooling(plant.recording(42), 1, 2.0), plant.sizes))
@@ -79,7 +80,7 @@ def test_a_torque_that_fades_is_left_on_its_axis_and_goes_with_time() -> None:
     assert "time-dependent" in found.unexplained.character
 
 
-@pytest.mark.parametrize("ticks", [3, 60])
+@pytest.mark.parametrize("ticks", [3, pytest.param(60, marks=pytest.mark.campaign)])
 def test_a_search_that_its_budget_ends_says_so_and_calls_nothing_consistent(ticks: int) -> None:
     plant, count = ChainPlant(gaps={0: GAP}), itertools.count()
     with budget.use_budget(budget.Budget(float(ticks), lambda: float(next(count)))):

@@ -67,6 +67,7 @@ def test_it_says_of_every_cause_and_place_a_limit_or_why_there_is_none_and_is_ke
     assert keys <= set(diagnosis_to_json(found)["ruled_out"][0])
 
 
+@pytest.mark.campaign
 def test_more_noise_hides_more() -> None:
     low, high = (invid.diagnose(make(None, **{**quiet(656), "noise": noise})[0]) for noise in (0.001, 0.01))
     for cause, element in (("coulomb_friction", "mass 1"), ("backlash", "spring 1")):

@@ -50,7 +50,8 @@ def test_friction_alone_hides_nothing_else() -> None:
     assert masses == pytest.approx(np.concatenate(plant.masses), rel=2e-3)
 
 
-@pytest.mark.parametrize("seed", [21, pytest.param(22, marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", [21, 22])
 def test_free_play_is_found_in_its_spring_with_its_gap(seed: int) -> None:
     rng = np.random.default_rng(seed)
     spring, gap = int(rng.integers(3)), float(np.exp(rng.uniform(np.log(1.5e-3), np.log(5e-3))))
@@ -76,6 +77,7 @@ def test_a_hardening_spring_is_found_with_its_coefficient(seed: int) -> None:
     assert finding.parameters["coefficient"].value == pytest.approx(stiffness * share, rel=0.1)
 
 
+@pytest.mark.campaign
 def test_a_cause_in_a_file_of_its_own_is_found_by_its_law() -> None:
     plant = ChainPlant(drag=(0.0, 12.0), viscous=(1.1, 0.0))
     with registered_effects([DRAG]):

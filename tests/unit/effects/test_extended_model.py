@@ -15,7 +15,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from hidden.generator import make
 
 from invid.diagnosis.diagnose import diagnose
-from invid.effects.registry import CATALOGUE
 from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Verdict
@@ -25,10 +24,8 @@ from invid.model.document import (
     Estimate,
     Model,
     dump_json,
-    load_model,
     model_from_json,
     model_to_json,
-    save_model,
 )
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.simulation.run import simulate
@@ -112,26 +109,6 @@ def excited() -> Recording:
         created="2026-01-01T00:00:00Z",
         experiments=(one,),
     )
-
-
-def test_the_sizes_here_are_those_of_the_whole_catalogue() -> None:
-    assert sorted(SIZES) == sorted(e.cause for e in CATALOGUE)
-    assert len(SIZES) == 24
-
-
-@pytest.mark.parametrize("cause", sorted(SIZES))
-def test_every_cause_is_saved_loaded_and_simulated_to_another_motion_than_without_it(
-    cause: str, excited: Recording, tmp_path: Path
-) -> None:
-    path = tmp_path / "model.json"
-    save_model(extended(term(cause)), path)
-    loaded = load_model(path)
-    assert loaded.effects == (term(cause),)
-    plain = simulate(extended(), excited).experiments[0]
-    other = simulate(loaded, excited).experiments[0]
-    assert np.isfinite(other.position).all()
-    moved = np.abs(other.position - plain.position).max() + np.abs(other.torque - plain.torque).max()
-    assert moved > 1e-6
 
 
 def test_a_drifting_parameter_may_be_called_by_its_name() -> None:

@@ -45,16 +45,6 @@ def test_a_rigid_motion_of_a_free_branch_meets_no_force() -> None:
     np.testing.assert_allclose(chains.damping_matrix @ rigid, 0, atol=1e-12)
 
 
-def test_holds_add_to_the_motors_alone() -> None:
-    chains = case_study()
-    held = chains.with_holds([0.0, 10.0, 20.0], [0.0, 1.0, 2.0])
-    difference = held.stiffness_matrix - chains.stiffness_matrix
-    wanted = np.zeros((9, 9))
-    wanted[3, 3], wanted[6, 6] = 10, 20
-    np.testing.assert_array_equal(difference, wanted)
-    assert held.damping_matrix[6, 6] - chains.damping_matrix[6, 6] == 2.0
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

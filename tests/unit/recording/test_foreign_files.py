@@ -1,13 +1,11 @@
 """Files as other people log them: read right, or refused in words that help.
 
-Each kind stands with the field file where it was met (``../shared/data/field``, left out loudly where
-that is missing) and with two more made here, from a motion that is known, never from the code under test.
+Each kind is made here, from a motion that is known, never from the code under test.
 """
 
 from __future__ import annotations
 
 import json
-import lzma
 import re
 import struct
 from dataclasses import replace
@@ -26,13 +24,8 @@ from invid.cli.app import run
 from invid.recording.hdf5 import read_recording
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.recording.plausibility import doubts
-from invid_drivers.eds import parse_eds
 
 ROOT = Path(__file__).resolve().parents[3]
-FIELD = next(
-    (p for p in (ROOT.parent / "shared/data/field", ROOT.parents[1] / "shared/data/field") if p.is_dir()),
-    ROOT.parent / "shared/data/field",
-)
 COUNT = 1.1984224905356572e-05
 N = 1200
 ROW = np.arange(N)
@@ -79,6 +72,7 @@ CSV_MAP = {
 
 
 LONG = 2048
+BY_NIGHT = pytest.mark.campaign
 
 
 def driven(periods: int) -> Experiment:
@@ -106,23 +100,6 @@ def near_truth(model) -> None:
     for value, one, truth in found:
         assert abs(value - truth) <= 3 * one, (value, one, truth)
         assert one < 0.01 * truth
-
-
-def field_file(name: str, folder: Path) -> Path:
-    if not FIELD.is_dir():
-        pytest.skip(f"{FIELD} is missing: the field files are not checked here")
-    if not name.endswith(".xz"):
-        return FIELD / name
-    out = folder / name.removesuffix(".xz")
-    out.write_bytes(lzma.decompress((FIELD / name).read_bytes()))
-    return out
-
-
-def field_map(name: str) -> dict:
-    """The field file's own map; two seconds are less than its period."""
-    chart = yaml.safe_load((FIELD / name).read_text(encoding="utf-8"))
-    chart["experiments"] = [{"role": "identify"}]
-    return chart
 
 
 def taken(folder: Path, source: Path, chart: dict, capsys, status: int = 0):
@@ -211,14 +188,6 @@ def test_a_wrapping_counter_of_a_can_log_is_unwrapped(tmp_path, capsys):
     np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=2e-6)
 
 
-@pytest.mark.parametrize(("name", "chart"), [("us32_wrap.log", "map.yaml"), ("micros_wrap.csv", "v4.yaml")])
-def test_the_wraps_of_the_field_are_read(tmp_path, capsys, name, chart):
-    e, said = taken(tmp_path, field_file(name, tmp_path), field_map(chart), capsys)
-    assert "starts over" in said
-    assert e.samples in (1999, 2000)
-    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=2e-6)
-
-
 @pytest.mark.parametrize(
     "kind", ["zero", "frozen", "differences", "differences of frames", "two a tick", "three a tick"]
 )
@@ -255,17 +224,6 @@ def test_stamps_that_are_no_instants_are_named_with_the_line_that_reads_the_file
 
 
 @pytest.mark.parametrize(
-    ("name", "chart"),
-    [("zero_stamps.log", "map.yaml"), ("candump_td.log", "map.yaml"), ("ms_stamps_2kHz.csv", "v2.yaml")],
-)
-def test_the_stamps_of_the_field_that_are_none_are_refused_with_the_way_out(tmp_path, capsys, name, chart):
-    source, plan = field_file(name, tmp_path), field_map(chart)
-    assert "sample_rate_hz" in taken(tmp_path, source, plan, capsys, 2)
-    e, _ = taken(tmp_path, source, with_time(plan, sample_rate_hz=1000), capsys)
-    assert e.samples > 1990
-
-
-@pytest.mark.parametrize(
     "pattern", ["%m/%d/%Y %I:%M:%S.%f %p", "%I:%M:%S.%f %p", "%d-%b-%Y %H:%M:%S.%f", "%H:%M:%S:%f"]
 )
 def test_wall_clocks_of_half_days_and_of_month_names_are_instants(tmp_path, capsys, pattern):
@@ -275,12 +233,6 @@ def test_wall_clocks_of_half_days_and_of_month_names_are_instants(tmp_path, caps
         e, _ = taken(tmp_path, csv(tmp_path, stamps), CSV_MAP, capsys)
         whole(e)
         np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)
-
-
-def test_the_half_days_of_the_field_are_read(tmp_path, capsys):
-    e, _ = taken(tmp_path, field_file("ampm.csv", tmp_path), field_map("v14.yaml"), capsys)
-    assert e.samples == 2000
-    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)
 
 
 def test_a_wall_clock_set_back_an_hour_goes_on(tmp_path, capsys):
@@ -351,14 +303,6 @@ def test_sync_of_a_bus_without_the_drive_clocks_nobody(tmp_path, capsys):
     log.write_text("\n".join(lines) + "\n", encoding="utf-8")
     e, _ = taken(tmp_path, log, CAN_MAP, capsys)
     whole(e)
-
-
-def test_the_two_buses_of_the_field_are_refused(tmp_path, capsys):
-    source = field_file("two_buses.log.xz", tmp_path)
-    said = taken(tmp_path, source, field_map("map.yaml"), capsys, 2)
-    assert "can0" in said
-    assert "can1" in said
-    assert "channel" in said
 
 
 @pytest.mark.parametrize("flagged", [True, False])
@@ -452,15 +396,6 @@ def test_can_logs_of_other_tools_are_read(tmp_path, capsys, kind):
     whole(e)
 
 
-@pytest.mark.parametrize("name", ["savvycan_gvret.csv", "busmaster.log", "pcan.trc"])
-def test_can_logs_of_the_field_are_read_and_a_first_map_is_suggested(tmp_path, capsys, name):
-    source = field_file(name, tmp_path)
-    e, _ = taken(tmp_path, source, field_map("map.yaml"), capsys)
-    assert e.samples > 1990
-    assert run(["import", str(source), "--suggest", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["map"]["source"]["pdos"]
-
-
 @pytest.mark.parametrize("text", ["nothing of a bus\n" * 50, "1;2;3\n" * 50, "12:00:01 hello 0x181\n" * 50])
 def test_a_log_that_holds_no_frame_is_told_which_kinds_are_read(tmp_path, capsys, text):
     log = tmp_path / "x.log"
@@ -537,12 +472,6 @@ def three_decimals(tmp_path, capsys, sign, offset):
     np.testing.assert_allclose(e.torque[:, 0], TORQUE * 0.05, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["thousands_de.csv", "thousands_us.csv"])
-def test_the_thousands_of_the_field_are_read(tmp_path, capsys, name):
-    e, _ = taken(tmp_path, field_file(name, tmp_path), field_map("v6.yaml"), capsys)
-    np.testing.assert_allclose(e.torque[:3, 0], [-0.2, 1.65, 3.1])
-
-
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-16-le", "utf-8-sig"])
 def test_names_in_any_usual_encoding_are_found(tmp_path, capsys, encoding):
     path = csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW])
@@ -613,24 +542,6 @@ def test_eds_and_dcf_of_vendors_are_read_as_they_are(tmp_path, capsys, ending, e
     whole(e)
 
 
-@pytest.mark.parametrize("name", ["axis1_l1.eds", "b_cp1252.eds", "d_bom.eds"])
-def test_the_eds_of_the_field_in_other_encodings_are_read_whole(tmp_path, name):
-    plain = parse_eds(field_file("axis1.eds", tmp_path), 1)
-    assert len(parse_eds(FIELD / name, 1).variables) == len(plain.variables)
-
-
-@pytest.mark.parametrize("name", ["axis1.dcf", "axis1.eds", "axis1_l1.eds"])
-def test_the_eds_and_dcf_of_the_field_map_the_log_of_the_field(tmp_path, capsys, name):
-    source = field_file("base.log", tmp_path)
-    (tmp_path / name).write_bytes((FIELD / name).read_bytes())
-    chart = field_map("mdcf.yaml")
-    chart["source"]["eds"] = name
-    found, _ = taken(tmp_path, source, chart, capsys)
-    plain, _ = taken(tmp_path, source, field_map("map.yaml"), capsys)
-    np.testing.assert_array_equal(found.position, plain.position)
-    np.testing.assert_array_equal(found.torque, plain.torque)
-
-
 # --- plausibility
 # ---------------------------------------------------------------------------------------------
 
@@ -657,7 +568,10 @@ def test_values_that_stand_for_several_rows_are_told_with_their_rate(tmp_path, c
         np.testing.assert_allclose(e.position[:, 0], POSITION[:: int(held)] * COUNT, atol=1e-8)
 
 
-@pytest.mark.parametrize(("held", "channel"), [(2.5, None), (3, None), (4, "torque"), (4, "position")])
+@pytest.mark.parametrize(
+    ("held", "channel"),
+    [(2.5, None), *(pytest.param(*c, marks=BY_NIGHT) for c in ((3, None), (4, "torque"), (4, "position")))],
+)
 def test_identification_uses_one_row_of_each_value_that_stands_for_several(held, channel):
     e = driven(periods=6)
     fresh = np.ceil(np.floor(np.arange(e.samples) / held) * held).astype(int)
@@ -665,12 +579,6 @@ def test_identification_uses_one_row_of_each_value_that_stands_for_several(held,
     model = invid.identify(recorded(replace(e, **stale)))
     assert any(f"{1000 / held:.4g} Hz" in w and "one row of each is used" in w for w in model.warnings)
     near_truth(model)
-
-
-def test_the_held_values_of_the_field_give_the_model_of_every_fourth_row(tmp_path, capsys):
-    chart = yaml.safe_load((FIELD / "v10.yaml").read_text(encoding="utf-8")) if FIELD.is_dir() else {}
-    taken(tmp_path, field_file("stale4ms.csv.xz", tmp_path), chart, capsys)
-    near_truth(invid.identify(read_recording(tmp_path / "r.h5")))
 
 
 def test_a_slow_motion_of_coarse_counts_is_not_called_held(tmp_path, capsys):
@@ -684,7 +592,10 @@ def test_a_slow_motion_of_coarse_counts_is_not_called_held(tmp_path, capsys):
     assert "stands for" not in said
 
 
-@pytest.mark.parametrize("kind", ["every fourth torque", "every third position", "in turn"])
+@pytest.mark.parametrize(
+    "kind",
+    ["in turn", *(pytest.param(k, marks=BY_NIGHT) for k in ("every fourth torque", "every third position"))],
+)
 def test_columns_of_two_rates_in_one_table_are_read_at_the_slower(tmp_path, capsys, kind):
     e = driven(periods=6)
     rows = ["time,torque,position" if kind == "every third position" else "time,position,torque"]
@@ -753,18 +664,6 @@ def test_a_sign_lost_on_the_way_is_told_with_the_key_that_gives_it_back(tmp_path
     e, said = taken(tmp_path, path, chart, capsys)
     assert "rated torque" not in said
     whole(e)
-
-
-@pytest.mark.parametrize(
-    ("name", "chart", "said"),
-    [
-        ("torque_uint16.csv.xz", "v8.yaml", "a signed number read as unsigned"),
-        ("stale4ms.csv.xz", "v10.yaml", "every value stands for 4 rows: it was taken at 250 Hz"),
-    ],
-)
-def test_what_the_field_cannot_mean_is_told_at_import(tmp_path, capsys, name, chart, said):
-    _, told = taken(tmp_path, field_file(name, tmp_path), field_map(chart), capsys)
-    assert said in told
 
 
 @pytest.mark.parametrize(

@@ -142,16 +142,6 @@ def test_with_nothing_missing_there_is_nothing_to_show(friction: tuple[Recording
     assert cause_views(recording, model, diagnosed(recording, model)) == []
 
 
-def test_the_report_keeps_the_whole_configuration(friction: tuple[Recording, Truth, Model]) -> None:
-    from invid.report import render_report
-
-    recording, _, model = friction
-    lines = [f"line_{n}: {'x' * 40}" for n in range(200)]
-    html = render_report(replace(recording, config="\n".join(lines)), model, diagnosed(recording, model))
-    assert lines[0] in html
-    assert lines[-1] in html
-
-
 def test_beside_an_antiresonance_a_record_from_rest_shows_the_friction_and_not_its_own_ringing() -> None:
     # Motor position and torque of two masses with friction at the motor, shaken from rest: what the record
     # does not end with as it began is fitted beside the cause, never in its stead.

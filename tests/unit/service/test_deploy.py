@@ -53,13 +53,6 @@ def test_systemd_takes_the_units_without_a_word(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
 
-def test_a_slip_in_a_unit_would_be_seen(tmp_path: Path) -> None:
-    units = units_with(tmp_path)
-    path = Path(units[0])
-    path.write_text(path.read_text().replace("WatchdogSec=", "WatchdgoSec="))
-    assert "WatchdgoSec" in analyze("verify", *units).stderr
-
-
 def test_the_units_are_hardened(tmp_path: Path) -> None:
     for unit in units_with(tmp_path):
         done = analyze("security", "--offline=yes", "--threshold=25", unit)

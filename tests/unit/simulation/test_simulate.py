@@ -512,7 +512,9 @@ def relative_complex(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_a_hold_gain_is_replayed_as_a_closed_loop() -> None:
-    held = plant().with_holds([0.0, 400.0], [2.0, 5.0])
+    held = dataclasses.replace(
+        plant(), ground_springs=np.array([0.0, 400.0]), ground_dampers=np.array([2.0, 5.0])
+    )
     time, truth = reference(held, nothing)
     seen = torque_at(time)
     rate = np.gradient(truth, time, axis=0)

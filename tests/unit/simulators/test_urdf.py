@@ -52,7 +52,7 @@ def machine(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Cel
     return cell, recording, invid.diagnose(recording, budget=60)
 
 
-@pytest.mark.parametrize("gear", [1.0, -50.0])
+@pytest.mark.parametrize("gear", [pytest.param(1.0, marks=pytest.mark.campaign), -50.0])
 def test_a_right_urdf_is_called_right_and_a_wrong_one_is_mended_behind_any_gear(
     machine: Any, gear: float, tmp_path: Path
 ) -> None:
