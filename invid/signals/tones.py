@@ -26,11 +26,10 @@ NEAR = 12
 """Lines on either side from which a tone is read."""
 FAINT = 0.2
 """Amplitude over the strongest tone's up to which another may be what that did to the fit (empirical)."""
-DECAYS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Logarithmic decays over the span of what swings."""
 SWINGS = 2.0
-"""Lines from a load's own frequency, and the factor in power by which a decaying sinusoid leaves less than a
-steady one, from which a load swings there: steady noise leaves what it was."""
+"""Lines from a load's own frequency within which it swings there, and what else may is not told from that."""
+DECAYS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
+"""Logarithmic decays over the span of what swings."""
 NARROWED = 5
 """Times that the range of frequencies about a tone is narrowed, to a thousandth of a line."""
 FINE = 161
@@ -75,12 +74,12 @@ def find_tones(lines: tuple[Complex128, Float64, Bool], span: float, own_hz: Flo
         best = near.read(0.0)
         if best.gain < limit:
             break
-        if np.any(np.abs(own_hz * span - best.cycles) < SWINGS):
-            dying = max((near.read(decay) for decay in DECAYS), key=lambda s: s.gain)
-            best = dying if SWINGS * (near.power - dying.gain) < near.power - best.gain else best
+        swings = bool(np.any(np.abs(own_hz * span - best.cycles) < SWINGS))
+        if swings:
+            best = max((near.read(decay) for decay in DECAYS), key=lambda s: s.gain)
         rest = rest - best.lines(number)
         taken += best.gain
-        if best.decay == 0.0:
+        if not swings:
             found.append(Tone(best.cycles / span, abs(best.size)))
     if not found or taken < SHARE * excess or _is_one_that_changes(found, span):
         return []
@@ -118,11 +117,6 @@ class _Near:
     number: Int64
     rest: Complex128
     noise: Float64
-
-    @property
-    def power(self) -> float:
-        """Power over the noise's."""
-        return float((np.abs(self.rest) ** 2 / self.noise).sum())
 
     def read(self, decay: float) -> _Sinusoid:
         """The sinusoid of this decay that tells most."""
