@@ -161,7 +161,7 @@ def expected(
     The sensors' noise is drawn once: it stands for the noise floor and the lattice that the spectra find in a
     real record, not for an outcome.
     """
-    experiments = plan.experiments if isinstance(plan, Plan) else tuple(plan)
+    experiments = plan.recorded if isinstance(plan, Plan) else tuple(plan)
     rng = np.random.default_rng(0)
     recorded = tuple(
         _synthetic_experiment(config, e, belief, noise, rng)

@@ -45,21 +45,18 @@ class Multisine:
         result: Float64 = self.lines.astype(np.float64) * spacing
         return result
 
-    def period(self, rotation: float = 0.0, only: npt.ArrayLike | None = None) -> Float64:
-        """(period_samples,) one period, every line turned by ``rotation`` [rad].
-
-        ``only`` picks a subset of lines by index (interleaved lines: each axis has its own).
-        """
+    def period(self, rotation: float = 0.0) -> Float64:
+        """(period_samples,) one period, every line turned by ``rotation`` [rad]."""
         spectrum = np.zeros(self.period_samples // 2 + 1, dtype=complex)
         values = self.amplitudes * np.exp(1j * (self.phases + rotation))
-        pick = slice(None) if only is None else np.asarray(only, dtype=int)
-        spectrum[self.lines[pick]] = values[pick] * (self.period_samples / 2)
+        spectrum[self.lines] = values * (self.period_samples / 2)
         samples: Float64 = np.fft.irfft(spectrum, n=self.period_samples)
         return samples
 
 
-DRAWS, ITERATIONS = 24, 60
-"""Random phase sets of a multisine, and clippings of the best; the crest factor hardly falls beyond."""
+DRAWS, ITERATIONS = 24, 400
+"""Random phase sets of a multisine, and clippings of the best. Empirical (every third line of 0.5 to 12 Hz):
+60 leave a crest factor 12 % higher, a thousand take 3 % off."""
 
 
 def line_numbers(

@@ -46,7 +46,7 @@ def noise_of(config: CellConfig, recording: Path | None) -> Noise:
 
 def expectation(config: CellConfig, plan: Plan, belief: Belief | None, noise: Noise) -> Expected | None:
     """Expected covariance of a plan; ``None`` where there is no belief or nothing to identify from."""
-    if belief is None or not any(e.role == "identify" and e.frequencies_hz.size for e in plan.experiments):
+    if belief is None or not any(e.role == "identify" and e.frequencies_hz.size for e in plan.recorded):
         return None
     return expected(config, plan, belief, noise)
 

@@ -93,11 +93,11 @@ class ProgressLine:
 def plan_text(plan: Plan, robot: str) -> str:
     """The plan as text for a person: experiments, torque, travel, velocity, power."""
     lines = [
-        f"{robot}: {len(plan.experiments)} experiments, {plan.duration_s:.0f} s of robot time; "
+        f"{robot}: {len(plan.recorded)} experiments, {plan.duration_s:.0f} s of robot time; "
         f"bus load {plan.budget.load:.0%} of at most {plan.budget.max_load:.0%}",
         f"  {'experiment':<11}{'kind':<18}{'role':<10}{'axes':<14}{'seconds':>8}  band",
     ]
-    for e in plan.experiments:
+    for e in plan.recorded:
         axes = ",".join(plan.axes[i] for i in e.excited)
         band = (
             f"{e.frequencies_hz.min():.3g}…{e.frequencies_hz.max():.3g} Hz, {e.frequencies_hz.size} lines"
@@ -260,7 +260,7 @@ def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) 
         result, found = measure_to_goal(cell, design, out, progress=ProgressLine(), stop=stop, tell=tell)
     there = found.meets(design.goal)
     sentence = (
-        f"goal of {design.goal:.2g} reached after {found.blocks} of {len(design.plan.experiments)} blocks: "
+        f"goal of {design.goal:.2g} reached after {found.blocks} of {len(design.plan.recorded)} blocks: "
         f"worst is {found.worst} at {found.relative:.2g}"
         if there
         else f"goal of {design.goal:.2g} not reached: "
