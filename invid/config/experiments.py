@@ -49,6 +49,11 @@ class MultisineSpec(_Spec):
     )
     """Slow motion under the excitation that keeps friction from changing sign."""
 
+    @property
+    def is_from_rest(self) -> bool:
+        """Whether each run is one record from rest."""
+        return self.periods == 1 and self.settle_periods == 0
+
     @model_validator(mode="after")
     def _band(self) -> MultisineSpec:
         low, high = self.band_Hz

@@ -14,6 +14,7 @@ from invid.config import (
     MultisineSpec,
     SteppedSineSpec,
 )
+from invid.config.experiments import ExperimentSpec
 from invid.errors import ConfigError, InputError
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import Float64, Int64, frozen_float
@@ -22,6 +23,7 @@ from invid.planning.budget import require_budget
 from invid.planning.forecast import fitted, limit_forecast, model_forecast, model_trials, scale_torque
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import (
+    CLIMB_CYCLES,
     FADE_S,
     RECORDED_CLIMB_S,
     REST_S,
@@ -43,10 +45,6 @@ CREEP_TRAVEL = 0.5
 
 DEFAULT = MultisineSpec(kind="multisine", seed=1)
 """What is measured where the config asks for nothing: as many runs as axes, all of them shaken at once."""
-DEFAULT_CLIMB = MultisineSpec(
-    kind="multisine", role="validate", period_s=RECORDED_CLIMB_S, experiments=1, seed=2
-)
-"""What its amplitude is tried on; recorded at about a third, it judges what comes of the others."""
 
 
 def make_plan(
@@ -85,7 +83,8 @@ def make_plan(
     require_budget(config)
     chosen = None if axes is None else {names.index(n) for n in axes}
     experiments: list[PlannedExperiment] = []
-    for spec in config.experiments or [DEFAULT, DEFAULT_CLIMB]:
+    specs = config.experiments or [DEFAULT]
+    for spec in (*specs, *_climb(specs)):
         specs_wanted = range(len(names)) if spec.axes is None else [names.index(n) for n in spec.axes]
         excited = tuple(i for i in specs_wanted if chosen is None or i in chosen)
         if not excited:
@@ -109,7 +108,7 @@ def make_plan(
         experiments += planned
     if not experiments:
         raise ConfigError(f"experiments: none excites any of the axes {', '.join(axes or names)}")
-    climb = None if config.experiments else experiments.pop()
+    climb = experiments.pop() if _climb(specs) else None
     warnings = []
     if climb is None and not any(e.role is Role.VALIDATE for e in experiments):
         warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
@@ -117,6 +116,27 @@ def make_plan(
     kept = np.ones(len(names)) if lowered is None else np.asarray(lowered, dtype=float)
     made = assemble(config, experiments, belief, share=amplitude_scale, lowered=kept, climb=climb)
     return replace(made, warnings=(*warnings, *made.warnings))
+
+
+def _climb(specs: Sequence[ExperimentSpec]) -> list[MultisineSpec]:
+    """What the amplitude of multisines from rest is tried on, where none of them is there to validate.
+
+    It is recorded at about a third of the amplitude, in another realisation, and judges what comes of them.
+    """
+    rest = [s for s in specs if isinstance(s, MultisineSpec) and s.is_from_rest and s.role == "identify"]
+    if len(rest) < len(specs) or len({s.axes for s in rest}) > 1:
+        return []
+    first = rest[0]
+    length = min(first.period_s, max(RECORDED_CLIMB_S, CLIMB_CYCLES / first.band_Hz[0]))
+    # every line on all axes: the watch over signs learns on it how each follows its torque
+    changes = {
+        "role": "validate",
+        "period_s": length,
+        "experiments": 1,
+        "lines": "all",
+        "seed": first.seed + 1,
+    }
+    return [first.model_copy(update=changes)]
 
 
 def require_known_axes(config: CellConfig, axes: Sequence[str] | None) -> tuple[str, ...]:
@@ -193,7 +213,7 @@ def _multisine(
     period = round(spec.period_s * rate)
     _check_below_nyquist(spec.band_Hz[1], rate)
     is_shared = spec.lines == "interleaved"
-    from_rest = spec.periods == 1 and spec.settle_periods == 0
+    from_rest = spec.is_from_rest
     rng = np.random.default_rng(spec.seed)
     # odd lines show distortion between them in settled periods alone
     kind = spec.lines if not is_shared else "all" if from_rest else "odd"
@@ -202,11 +222,12 @@ def _multisine(
     )
     fade = round(fade_s(float(lines.min()) * rate / period) * rate)
     result = []
+    is_own = is_shared or (spec.experiments == 1 and count > 1)
     for waves in _waves(spec, lines, (period, rate), count, rng):
         one = np.zeros((period, peaks.size))
         one[:, list(excited)] = waves * peaks[list(excited)]
         if from_rest:
-            torque, first = played_once(one, 1.0 / rate), 0
+            torque, first = played_once(one, 1.0 / rate, is_free=is_own), 0
             last = len(torque)
         else:
             # rows are laid out so that the recorded part starts with the first sample of a period

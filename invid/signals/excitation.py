@@ -176,6 +176,35 @@ def apply_ramps(values: Float64, ramp_in: int, ramp_out: int = 0) -> Float64:
     return result
 
 
+CAUGHT = 6.0
+"""Radians of its slowest line for which a free mass drifts before a weak hold catches it (an order)."""
+
+
+def without_drift(period: Float64, sample_rate: float, ramp: int) -> Float64:
+    """(n,) a period (n,), begun where a free mass, from rest through a start of ``ramp`` samples,
+    is left with the least drift.
+
+    A multisine that begins anywhere leaves it with about the peak velocity of its slowest line, until a weak
+    hold has caught it.
+    """
+    n = period.size
+    spectrum = np.fft.rfft(period)
+    jw = 2j * np.pi * sample_rate / n * np.arange(spectrum.size)
+    integral = np.divide(1.0, jw, out=np.zeros_like(jw), where=jw != 0)
+    lost = np.zeros(n)
+    lost[:ramp] = (1.0 - raised_cosine(ramp)) / sample_rate
+    later = (ramp - np.arange(n)) / sample_rate * lost
+    # what a start at each sample lacks of the settled velocity and place, at the ramp's end
+    velocity = np.fft.irfft(spectrum * (integral + np.conj(np.fft.rfft(lost))), n)
+    place = np.fft.irfft(
+        spectrum * (integral**2 + integral * ramp / sample_rate + np.conj(np.fft.rfft(later))), n
+    )
+    slowest = np.abs(jw[np.flatnonzero(np.abs(spectrum) > 1e-6 * np.abs(spectrum).max())[0]])
+    drift = (CAUGHT * velocity) ** 2 + (slowest * place) ** 2
+    result: Float64 = np.roll(period, -int(np.argmin(drift)))
+    return result
+
+
 def chirp(band: tuple[float, float], samples: int, sample_rate: float) -> Float64:
     """(samples,) unit linear sweep through ``band`` [Hz], starting as a cosine."""
     t = np.arange(samples) / sample_rate
