@@ -98,7 +98,10 @@ def _unit(cause: str, linear: bool) -> str:
 
 
 def _of_friction(now: Supposed, screen: Screen, key: tuple[Part, int], parameter: str) -> float:
-    """Limit of a part of a motor's friction that the fit holds already: as if it were not there."""
+    """Limit of a part of a motor's friction that the fit holds already: as if it were not there. An axis that
+    stands still has none in its fit."""
+    if key in now.hypothesis.absent:
+        return np.inf
     less = now.refit(replace(now.hypothesis, absent=now.hypothesis.absent | {key}), iterations=0)
     limit = Screen(less, screen.recording).of_friction(*key, parameter)
     return np.inf if limit is None else limit.size
