@@ -12,7 +12,15 @@ import numpy as np
 from invid.config import CellConfig
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Bool, Float64
-from invid.planning.hold_laws import Gains, centring, following, least_damping, master_hold
+from invid.planning.hold_laws import (
+    CATCHING_RATIO,
+    CENTRING_RATIO,
+    Gains,
+    centring,
+    following,
+    least_damping,
+    master_hold,
+)
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import CATCH_HZ, SETTLE_S, highest_frequency
 from invid.sweep.bounds import Bounds, Statistics, bounds_of
@@ -415,7 +423,8 @@ class Motion:
             limit = settings.limits.torque
             if i in excited:
                 inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0
-                gains = following(inertia, cycle) if path else centring(inertia, lowest, cycle)
+                ratio = CATCHING_RATIO if lowest == CATCH_HZ else CENTRING_RATIO
+                gains = following(inertia, cycle) if path else centring(inertia, lowest, cycle, ratio)
                 if self.by_offset(i):
                     gains = Gains(0.0, 0.0)  # its drive holds it all the time
                 modes.append(Mode.TORQUE)
@@ -453,7 +462,8 @@ class Motion:
             most = CATCH_SHARE * self.plan.forecast[i].peak_torque
             while f.gains.stiffness * away + f.gains.damping * speed > most and lowest > CATCH_LEAST_HZ:
                 lowest /= 2
-                f.gains = centring(self.inertia.get(i) or self.plan.inertia[i] or 0.0, lowest, cycle)
+                inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0
+                f.gains = centring(inertia, lowest, cycle, CATCHING_RATIO)
         log = self.play(None, round(self.plan.rest_s / cycle))
         self._rested = set(excited)
         return log

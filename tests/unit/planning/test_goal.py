@@ -57,7 +57,7 @@ def test_a_goal_beyond_the_limits_is_refused_with_the_figure_that_can_be_reached
 ) -> None:
     design = plan_for_goal(cell, belief, sensor_noise(cell), 1e-5, max_duration_s=13.0)
     assert not design.reachable
-    climb, *blocks = design.plan.recorded
+    _, *blocks = design.plan.recorded
     assert sum(e.cycles for e in blocks) * design.plan.cycle_s <= 13.0
     name, worst = design.expected.worst
     assert worst > 1e-5
