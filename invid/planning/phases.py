@@ -68,8 +68,9 @@ SPREAD_USUAL = 0.5
 lies within the limit unless it is the same axis that is near one."""
 SPREAD_CLIMB = 1.4
 """Usual motion of runs from rest, which begin where an axis drifts least, over that of a climb with
-every line on all axes. Empirical (76 cells of ``tests/machines/cells.py``, one to four axes, default plan): travel
-goes beyond it in 4, velocity in 2, and what is announced was exceeded in 3, by 13 % at most."""
+every line on all axes. Empirical (76 cells of ``tests/machines/cells.py``, one to four axes,
+default plan): travel goes beyond it in 4, velocity in 2, and what is announced was exceeded in 3, by 13 % at
+most."""
 SPREAD_TORQUE = 1.25
 """The same for the torque, most of which is the excitation itself."""
 SPREAD_SWEEP = (1.5, 2.0, 1.5)
@@ -221,7 +222,7 @@ def trials_of(
         for further in (max(SPREAD_FIRST + SPREAD_EACH * others, usual), usual):
             more = (further, further, SPREAD_TORQUE) if multisine else SPREAD_SWEEP
             spreads.append(frozen_float(np.outer(more, np.ones(len(config.axes)))))
-        found.append(Trial(largest, tuple(covers), *spreads, share))
+        found.append(Trial(largest, tuple(covers), spreads[0], spreads[1], share))
     return tuple(found)
 
 

@@ -146,7 +146,7 @@ class Sweep:
         self._report()
         self.warnings += self._motion.watching.words.said()
         return SweepResult(
-            scale=float(self._rehearsal.scales.min() * self._torque.min()),
+            scale=float(self._rehearsal.scales.min(initial=1.0) * self._torque.min()),
             inertia={self.plan.axes[i]: m for i, m in self._motion.inertia.items()},
             statistics=self._motion.watching.bounds.statistics,
             forecast=self._forecast,
