@@ -166,7 +166,7 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         wish = Wish(plan=wish) if isinstance(wish, Plan) else wish
         found = prepare(cell, config, wish, cancelled=cell.cancelled)
         plan, notes = found.plan, list(found.said)
-        require_room(out, sum(e.record_to - e.record_from for e in plan.experiments), len(plan.axes))
+        require_room(out, sum(e.record_to - e.record_from for e in plan.recorded), len(plan.axes))
         header = _header(config, cell)
         if open_sink is not None:
             recorder, more = open_sink(header)

@@ -40,7 +40,7 @@ def screening_plan(
 ) -> GoalPlan:
     """The plan of a screening: the blocks that its goal needs, on all axes, without reserve."""
     design = plan_for_goal(config, belief, noise, SCREEN_GOAL, amplitude_scale=amplitude_scale)
-    plan = design.plan.first(design.needed)
+    plan = design.plan.first(design.needed - 1)
     return replace(design, plan=plan, amplitudes=design.amplitudes[: design.needed])
 
 

@@ -15,6 +15,7 @@ from invid.model.chains import CoupledChains
 from invid.planning import Plan, make_plan
 from invid.planning.belief import Belief
 from invid.planning.forecast import lower_torque
+from invid.planning.shortest_runs import shortest_runs
 from invid.planning.stopping_distance import (
     LEAST_EXCITATION,
     Permitted,
@@ -26,6 +27,7 @@ from invid.planning.stopping_distance import (
 )
 from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.limits import tighten, tightened_limits
+from invid_drivers.foretelling import sensor_noise
 
 Budgets = tuple[StoppingBudget, ...]
 HALVINGS = 4
@@ -86,13 +88,16 @@ def plan_within(config: CellConfig, reports: Sequence[DriveReport] | None, wish:
     plan = wish.plan
     if plan is not None:
         require_torque(plan, reports or ())
+    experiments = config.experiments
+    if plan is None and not experiments and isinstance(wish.model, Belief) and not wish.model.guessed:
+        experiments = [shortest_runs(config, wish.model, sensor_noise(config))]
 
     def made(limits: CellConfig, shares: Sequence[float] | None = None) -> Plan:
         if plan is not None:
             return plan if shares is None else lower_torque(plan, np.asarray(shares))
         try:
             found = make_plan(
-                limits,
+                limits.model_copy(update={"experiments": experiments}),
                 axes=wish.axes,
                 amplitude_scale=wish.amplitude_scale,
                 model=wish.model,

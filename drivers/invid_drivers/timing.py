@@ -63,7 +63,7 @@ class Timing:
     def warnings(self, plan: Plan) -> list[str]:
         """A sentence where the plan has lines beyond the frequencies that can be trusted."""
         planned = max(
-            (float(e.frequencies_hz.max()) for e in plan.experiments if e.frequencies_hz.size), default=0.0
+            (float(e.frequencies_hz.max()) for e in plan.recorded if e.frequencies_hz.size), default=0.0
         )
         if planned <= self.highest_hz:
             return []

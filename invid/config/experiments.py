@@ -27,16 +27,20 @@ class _Spec(Strict):
 
 
 class MultisineSpec(_Spec):
-    """Random-phase odd multisine on all axes at once, phases orthogonal over ``experiments`` runs."""
+    """Random-phase multisine on all axes at once.
+
+    One period without settling is recorded whole, from rest: its transient is fitted, not waited for.
+    """
 
     kind: Literal["multisine"]
     band_Hz: tuple[float, float] = (0.5, 12.0)
-    period_s: float = Field(default=8.192, gt=0, le=600)
-    periods: int = Field(default=3, ge=1, le=1000)
-    settle_periods: int = Field(default=1, ge=0, le=100)
+    period_s: float = Field(default=10.5, gt=0, le=600)
+    periods: int = Field(default=1, ge=1, le=1000)
+    settle_periods: int = Field(default=0, ge=0, le=100)
     experiments: int | None = Field(default=None, ge=1, le=64)
-    """How many orthogonal runs; default: as many as axes are excited (1 for interleaved lines)."""
-    lines: Literal["odd", "all", "interleaved"] = "odd"
+    """How many runs; default: as many as axes are excited. With interleaved lines each axis has another share
+    of them in each run; with common ones the phases are orthogonal over the runs."""
+    lines: Literal["odd", "all", "interleaved"] = "interleaved"
     detection_fraction: float = Field(default=0.2, ge=0, le=0.9)
     """Share of the odd lines left out at random: there odd distortion shows without excitation."""
     seed: int = Field(default=0, ge=0)
@@ -44,6 +48,11 @@ class MultisineSpec(_Spec):
         "creep_velocity", "creep_velocity_rad_per_s", "creep_velocity_m_per_s", default=0.0, ge=0
     )
     """Slow motion under the excitation that keeps friction from changing sign."""
+
+    @property
+    def is_from_rest(self) -> bool:
+        """Whether each run is one record from rest."""
+        return self.periods == 1 and self.settle_periods == 0
 
     @model_validator(mode="after")
     def _band(self) -> MultisineSpec:

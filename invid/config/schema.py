@@ -190,6 +190,19 @@ class SafetyConfig(Strict):
     """Share of the full amplitude at which torque and encoder signs are tried first."""
 
 
+class InterestConfig(Strict):
+    """Sizes of causes that a plan is to show where they are there (``invid.planning.detection``)."""
+
+    dry_friction: float = Field(default=0.005, gt=0)
+    """Of a motor, as a share of its rated torque."""
+    viscous_friction: float = Field(default=0.005, gt=0)
+    """Of a motor at the axis' velocity limit, as a share of its rated torque."""
+    free_play: float = with_units("free_play", "free_play_rad", "free_play_m", default=5e-4, gt=0)
+    """Of a spring: 1.7 minutes of arc, what is sold as low backlash."""
+    mode: float = Field(default=0.05, gt=0)
+    """Mass that swings on a load, as a share of the axis' inertia."""
+
+
 class CellConfig(Strict):
     """A robot cell."""
 
@@ -200,6 +213,7 @@ class CellConfig(Strict):
     bus: BusConfig
     axes: list[AxisConfig] = Field(min_length=1)
     safety: SafetyConfig = SafetyConfig()
+    sizes_of_interest: InterestConfig = InterestConfig()
     experiments: list[ExperimentSpec] = Field(default_factory=list)
     """Empty: the default plan of ``invid.planning``."""
     simulation: dict[str, Any] | None = None

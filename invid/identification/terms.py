@@ -54,7 +54,7 @@ class TermWriter:
         parts = parts - named
         dry, rise, viscous = (self.known.coefficient((p, motor)) for p in (Part.DRY, Part.RISE, Part.VISCOUS))
         out = []
-        if Part.RISE in parts:
+        if Part.RISE in parts and rise is not None:  # at its bound, there is none to have a velocity
             velocity = self.known.shape((Part.DRY, motor, "stribeck"))
             sizes: Sizes = {
                 "static": (lambda v: float(v[0] + v[1]), [dry, rise]),

@@ -2,7 +2,7 @@
 
 from invid.config.frames import frame_bits
 from invid.planning.budget import BusBudget, bus_budget, bus_load, require_budget
-from invid.planning.build import default_experiments, make_plan
+from invid.planning.build import make_plan
 from invid.planning.model import AxisForecast, Plan, PlannedExperiment
 
 __all__ = [
@@ -12,7 +12,6 @@ __all__ = [
     "PlannedExperiment",
     "bus_budget",
     "bus_load",
-    "default_experiments",
     "frame_bits",
     "make_plan",
     "require_budget",

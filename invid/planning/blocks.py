@@ -24,14 +24,13 @@ from invid.planning.build import CREEP_TRAVEL
 from invid.planning.expected_covariance import Expected, Noise, expected, parameter_scale
 from invid.planning.forecast import QUANTITIES, usable, with_margin
 from invid.planning.model import PlannedExperiment
+from invid.planning.phases import played_once
 from invid.planning.response import foretold_motion, hold_gains
 from invid.recording.model import Kind
 from invid.signals import excitation
 
 LIMITS = ("position window", "velocity limit", "torque limit")
 TORQUE = QUANTITIES.index("torque")
-RAMP_S = 0.25
-"""Raised-cosine start and end of a block."""
 FRICTION_FACTOR = 13.0
 """Peak torque over Coulomb torque below which sticking shows (notes, case study)."""
 ITERATIONS = 40
@@ -125,7 +124,7 @@ class BlockDesigner:
         lines = np.arange(first, int(np.floor(self.band[1] / spacing + 1e-9)) + 1)
         axis = interleaved(lines, self.excited, number)
         peaks = self.peaks(rung)
-        torque = np.zeros((period + 1, len(config.axes)))
+        torque = np.zeros((period, len(config.axes)))
         shell = PlannedExperiment(
             kind=Kind.MULTISINE,
             excited=self.excited,
@@ -149,9 +148,8 @@ class BlockDesigner:
                     f"{self.band[0]:g}…{self.band[1]:g} Hz; widen band_Hz"
                 )
             wave = excitation.multisine(own, period, 1.0 / cycle, rng=rng, shape=amplitude).period()
-            torque[:, i] = peaks[i] * np.append(wave, wave[0])
-        ramp = round(RAMP_S / cycle)
-        torque = excitation.apply_ramps(torque, ramp, ramp)
+            torque[:, i] = peaks[i] * wave
+        torque = played_once(torque, cycle)
         return replace(shell, torque=frozen_float(torque), reference=self._creep_path(peaks, period + 1))
 
     def _creep_path(self, peaks: Float64, samples: int) -> Float64 | None:

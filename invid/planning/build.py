@@ -14,14 +14,24 @@ from invid.config import (
     MultisineSpec,
     SteppedSineSpec,
 )
+from invid.config.experiments import ExperimentSpec
 from invid.errors import ConfigError, InputError
 from invid.model.chains import CoupledChains
-from invid.numerics.arrays import Float64, frozen_float
+from invid.numerics.arrays import Float64, Int64, frozen_float
 from invid.planning.belief import Belief, rigid
 from invid.planning.budget import require_budget
 from invid.planning.forecast import fitted, limit_forecast, model_forecast, model_trials, scale_torque
 from invid.planning.model import Plan, PlannedExperiment
-from invid.planning.phases import FADE_S, REST_S, fade_s, phases_of, trials_of
+from invid.planning.phases import (
+    CLIMB_CYCLES,
+    FADE_S,
+    RECORDED_CLIMB_S,
+    REST_S,
+    fade_s,
+    phases_of,
+    played_once,
+    trials_of,
+)
 from invid.recording.model import Kind, Role
 from invid.signals import excitation
 
@@ -33,12 +43,8 @@ CREEP_TRAVEL = 0.5
 """Share of the position window (±) that a creep may use; the excitation needs the rest."""
 
 
-def default_experiments() -> list[MultisineSpec]:
-    """M orthogonal multisines to identify from; one, at another level and phases, to judge with."""
-    return [
-        MultisineSpec(kind="multisine", seed=1),
-        MultisineSpec(kind="multisine", role="validate", amplitude=0.35, experiments=1, seed=2),
-    ]
+DEFAULT = MultisineSpec(kind="multisine", seed=1)
+"""What is measured where the config asks for nothing: as many runs as axes, all of them shaken at once."""
 
 
 def make_plan(
@@ -77,7 +83,8 @@ def make_plan(
     require_budget(config)
     chosen = None if axes is None else {names.index(n) for n in axes}
     experiments: list[PlannedExperiment] = []
-    for spec in config.experiments or default_experiments():
+    specs = config.experiments or [DEFAULT]
+    for spec in (*specs, *_climb(specs)):
         specs_wanted = range(len(names)) if spec.axes is None else [names.index(n) for n in spec.axes]
         excited = tuple(i for i in specs_wanted if chosen is None or i in chosen)
         if not excited:
@@ -98,16 +105,38 @@ def make_plan(
             raise
         except InputError as error:
             raise ConfigError(f"experiments: {error}") from None
-        for e in planned:
-            experiments.append(replace(e, key=f"{len(experiments):03d}"))
+        experiments += planned
     if not experiments:
         raise ConfigError(f"experiments: none excites any of the axes {', '.join(axes or names)}")
+    climb = experiments.pop() if _climb(specs) else None
     warnings = []
-    if not any(e.role is Role.VALIDATE for e in experiments):
+    if climb is None and not any(e.role is Role.VALIDATE for e in experiments):
         warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
     belief = model if isinstance(model, Belief) or model is None else _without_friction(model)
     kept = np.ones(len(names)) if lowered is None else np.asarray(lowered, dtype=float)
-    return assemble(config, experiments, belief, share=amplitude_scale, lowered=kept, warnings=warnings)
+    made = assemble(config, experiments, belief, share=amplitude_scale, lowered=kept, climb=climb)
+    return replace(made, warnings=(*warnings, *made.warnings))
+
+
+def _climb(specs: Sequence[ExperimentSpec]) -> list[MultisineSpec]:
+    """What the amplitude of multisines from rest is tried on, where none of them is there to validate.
+
+    It is recorded at about a third of the amplitude, in another realisation, and judges what comes of them.
+    """
+    rest = [s for s in specs if isinstance(s, MultisineSpec) and s.is_from_rest and s.role == "identify"]
+    if len(rest) < len(specs) or len({s.axes for s in rest}) > 1:
+        return []
+    first = rest[0]
+    length = min(first.period_s, max(RECORDED_CLIMB_S, CLIMB_CYCLES / first.band_Hz[0]))
+    # every line on all axes: the watch over signs learns on it how each follows its torque
+    changes = {
+        "role": "validate",
+        "period_s": length,
+        "experiments": 1,
+        "lines": "all",
+        "seed": first.seed + 1,
+    }
+    return [first.model_copy(update=changes)]
 
 
 def require_known_axes(config: CellConfig, axes: Sequence[str] | None) -> tuple[str, ...]:
@@ -126,41 +155,45 @@ def assemble(
     *,
     share: float,
     lowered: Float64 | None = None,
-    warnings: Sequence[str] = (),
+    climb: PlannedExperiment | None = None,
 ) -> Plan:
-    """Experiments with their trials, phases and forecast; torque lowered where the model leaves a limit.
+    """Experiments with keys, trials, phases and forecast; torque lowered where the model leaves a limit.
 
     ``share`` is the factor on every torque that was asked for, ``lowered`` (M,) what each axis keeps of it
-    so that it comes to rest in time.
+    so that it comes to rest in time. ``climb`` is what multisines are tried on, and recorded before them.
     """
     known = belief is not None and not belief.guessed
     kept = np.ones(len(config.axes)) if lowered is None else lowered
-    experiments, sentences = scale_torque(experiments, kept), list(warnings)
+    first = 0 if climb is None else 1
+    played = scale_torque([*([] if climb is None else [climb]), *experiments], kept)
+    played = tuple(replace(e, key=f"{k:03d}") for k, e in enumerate(played))
+    sentences: list[str] = []
     inertia: list[float | None] = [a.inertia for a in config.axes]
     if belief is not None and known:
         inertia = [a.inertia or float(m) for a, m in zip(config.axes, belief.inertia, strict=True)]
-        experiments, peaks, is_lowered = fitted(config, experiments, belief, share, kept)
+        played, peaks, is_lowered = fitted(config, played, belief, share, kept)
         sentences += is_lowered
-        trials = model_trials(config, trials_of(config, experiments), peaks, belief)
-        expected = model_forecast(config, experiments, peaks, belief)
+        trials = trials_of(config, played[first:], climb and played[0])
+        trials = model_trials(config, trials, peaks[first:], belief)
+        expected = model_forecast(config, played, peaks, belief)
     else:
         rough_peaks = rigid(config) if belief is None else None
         if rough_peaks is not None:
-            experiments, _, is_lowered = fitted(config, experiments, rough_peaks, share, kept)
+            played, _, is_lowered = fitted(config, played, rough_peaks, share, kept)
             sentences += is_lowered
-        trials = trials_of(config, experiments)
-        expected = limit_forecast(config, experiments, share)
+        trials = trials_of(config, played[first:], climb and played[0])
+        expected = limit_forecast(config, played, share)
         sentences.append(UNKNOWN)
     return Plan(
         axes=tuple(a.name for a in config.axes),
         cycle_s=config.bus.cycle_s,
-        experiments=experiments,
+        experiments=played[first:],
         rest_s=REST_S,
         budget=require_budget(config),
         forecast=expected,
         warnings=tuple(sentences),
         trials=trials,
-        phases=phases_of(config, experiments, trials, inertia=inertia),
+        phases=phases_of(config, played[first:], trials, inertia=inertia),
         inertia=tuple(inertia),
         share=share,
     )
@@ -179,46 +212,35 @@ def _multisine(
     count = len(excited)
     period = round(spec.period_s * rate)
     _check_below_nyquist(spec.band_Hz[1], rate)
+    is_shared = spec.lines == "interleaved"
+    from_rest = spec.is_from_rest
     rng = np.random.default_rng(spec.seed)
-    kind = "odd" if spec.lines == "interleaved" else spec.lines
+    # odd lines show distortion between them in settled periods alone
+    kind = spec.lines if not is_shared else "all" if from_rest else "odd"
     lines = excitation.line_numbers(
         period / rate, spec.band_Hz, kind, detection_fraction=spec.detection_fraction, rng=rng
     )
-    interleaved = spec.lines == "interleaved"
-    runs = spec.experiments or (1 if interleaved else count)
-    turns = [
-        0.0 if interleaved else excitation.orthogonal_rotation(a, e, max(count, runs))
-        for a in range(count)
-        for e in range(runs)
-    ]
-    signal = excitation.multisine(lines, period, rate, rng=rng, rotations=turns)
-    # Runs of one count only are orthogonal; a single validating run takes the phases as drawn, each
-    # axis with its own so that the axes do not all push at the same moment.
-    fade = round(fade_s(float(signal.frequencies.min())) * rate)
+    fade = round(fade_s(float(lines.min()) * rate / period) * rate)
     result = []
-    for run in range(runs):
+    is_own = is_shared or (spec.experiments == 1 and count > 1)
+    for waves in _waves(spec, lines, (period, rate), count, rng):
         one = np.zeros((period, peaks.size))
-        for a, axis in enumerate(excited):
-            if interleaved:
-                wave = signal.period(only=np.arange(a, lines.size, count))
-                wave /= max(float(np.abs(wave).max()), 1e-300)
-            elif runs == 1 and count > 1:
-                own = excitation.multisine(lines, period, rate, rng=np.random.default_rng([spec.seed, a]))
-                wave = own.period()
-            else:
-                wave = signal.period(excitation.orthogonal_rotation(a, run, max(count, runs)))
-            one[:, axis] = peaks[axis] * wave
-        total = period * (spec.settle_periods + spec.periods) + 2 * fade
-        # rows are laid out so that the recorded part starts with the first sample of a period
-        rows = (np.arange(total) - fade) % period
-        torque = excitation.apply_ramps(one[rows], fade, fade)
-        start = fade + spec.settle_periods * period
+        one[:, list(excited)] = waves * peaks[list(excited)]
+        if from_rest:
+            torque, first = played_once(one, 1.0 / rate, is_free=is_own), 0
+            last = len(torque)
+        else:
+            # rows are laid out so that the recorded part starts with the first sample of a period
+            rows = np.arange(period * (spec.settle_periods + spec.periods) + 2 * fade) - fade
+            torque = excitation.apply_ramps(one[rows % period], fade, fade)
+            first = fade + spec.settle_periods * period
+            last = first + spec.periods * period
         reference = None
         if spec.creep_velocity > 0:
             reference = np.zeros_like(torque)
             for axis in excited:
                 window = config.axes[axis].limits.position * CREEP_TRAVEL
-                reference[:, axis] = excitation.triangle_path(spec.creep_velocity, total, rate, window)
+                reference[:, axis] = excitation.triangle_path(spec.creep_velocity, len(torque), rate, window)
         result.append(
             PlannedExperiment(
                 kind=Kind.MULTISINE,
@@ -226,14 +248,55 @@ def _multisine(
                 excited=excited,
                 torque=frozen_float(torque),
                 reference=None if reference is None else frozen_float(reference),
-                record_from=start,
-                record_to=start + spec.periods * period,
-                period_samples=period,
-                frequencies_hz=frozen_float(signal.frequencies),
-                attributes={"seed": spec.seed, "amplitude": spec.amplitude, "lines": spec.lines},
+                record_from=first,
+                record_to=last,
+                period_samples=0 if from_rest else period,
+                frequencies_hz=frozen_float(lines * rate / period),
+                attributes={"seed": spec.seed, "amplitude": spec.amplitude, "lines": spec.lines}
+                | ({"from_rest": True} if from_rest else {}),
             )
         )
     return result
+
+
+def _waves(
+    spec: MultisineSpec, lines: Int64, grid: tuple[int, float], count: int, rng: np.random.Generator
+) -> list[Float64]:
+    """(n, M) waves of peak 1 of so many axes for each run; ``grid``: samples of a period and their rate [Hz].
+
+    Runs of one count are orthogonal. Lines of each axis alone, and those of a single run, have phases of
+    their own, so that the axes do not all push at the same moment.
+    """
+    runs, (period, rate) = spec.experiments or count, grid
+    if spec.lines == "interleaved" or (runs == 1 and count > 1):
+        turns = range(count)
+        own = [
+            [lines[(t - run) % count :: count] if spec.lines == "interleaved" else lines for t in turns]
+            for run in range(runs)
+        ]
+        if min(part.size for parts in own for part in parts) == 0:
+            raise ConfigError(
+                f"experiments: a period of {spec.period_s:g} s has too few lines in {spec.band_Hz[0]:g}…"
+                f"{spec.band_Hz[1]:g} Hz for {count} axes; lengthen period_s or widen band_Hz"
+            )
+        return [
+            np.stack(
+                [
+                    excitation.multisine(
+                        part, period, rate, rng=np.random.default_rng([spec.seed, run, a])
+                    ).period()
+                    for a, part in enumerate(parts)
+                ],
+                axis=1,
+            )
+            for run, parts in enumerate(own)
+        ]
+    rotations = [
+        excitation.orthogonal_rotation(a, run, max(count, runs)) for run in range(runs) for a in range(count)
+    ]
+    signal = excitation.multisine(lines, period, rate, rng=rng, rotations=rotations)
+    waves = np.stack([signal.period(r) for r in rotations], axis=1)
+    return [waves[:, run * count : (run + 1) * count] for run in range(runs)]
 
 
 def _stepped_sine(

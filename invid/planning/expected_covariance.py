@@ -17,6 +17,7 @@ from invid.config import CellConfig
 from invid.identification.begun import settled_about
 from invid.identification.fitted_model import chains_covariance
 from invid.identification.open_holds import open_masses
+from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.chains import CoupledChains
 from invid.model.document import parameter_vector
 from invid.numerics.arrays import Bool, Float64, frozen_float
@@ -161,15 +162,8 @@ def expected(
     The sensors' noise is drawn once: it stands for the noise floor and the lattice that the spectra find in a
     real record, not for an outcome.
     """
-    experiments = plan.experiments if isinstance(plan, Plan) else tuple(plan)
-    rng = np.random.default_rng(0)
-    recorded = tuple(
-        _synthetic_experiment(config, e, belief, noise, rng)
-        for e in experiments
-        if e.role is Role.IDENTIFY and e.kind is not Kind.CONSTANT_VELOCITY
-    )
-    records = read_holds([_with_least_noise(make_record(e, None), noise) for e in recorded])
-    now = settled_about(belief.chains, records)
+    experiments = plan.recorded if isinstance(plan, Plan) else tuple(plan)
+    now, _ = fit_about(config, [e for e in experiments if e.role is Role.IDENTIFY], belief, noise)
     names, values = parameter_vector(belief.chains)
     covariance = chains_covariance(now, belief.chains.axes, open_masses(now))[1]
     scale = parameter_scale(belief.chains)
@@ -186,6 +180,32 @@ def expected(
         noise=noise.source,
         guessed=belief.guessed,
     )
+
+
+def fit_about(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief, noise: Noise
+) -> tuple[Supposed, Recording]:
+    """The fit about the believed plant of what planned experiments would record, and that recording.
+
+    Slow moves are left out: they show no elasticity.
+    """
+    rng = np.random.default_rng(0)
+    recorded = tuple(
+        _synthetic_experiment(config, e, belief, noise, rng)
+        for e in experiments
+        if e.kind is not Kind.CONSTANT_VELOCITY
+    )
+    records = read_holds([_with_least_noise(make_record(e, None), noise) for e in recorded])
+    recording = Recording(
+        robot=config.robot,
+        axes=tuple(a.name for a in config.axes),
+        position_unit="m" if config.linear else "rad",
+        torque_unit="N" if config.linear else "N·m",
+        created="",
+        experiments=recorded,
+        encoder_resolution=noise.position_step,
+    )
+    return settled_about(belief.chains, records), recording
 
 
 def _with_least_noise(record: Record, noise: Noise) -> Record:

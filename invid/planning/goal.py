@@ -1,9 +1,9 @@
 """The shortest experiment that is expected to reach a stated uncertainty, in blocks.
 
 One block is one record from rest: all axes at once on interleaved lines, crest factor low, amplitude by
-frequency from ``invid.planning.blocks`` where a model is known. After each block whoever runs the plan
-looks at the measured covariance and stops as soon as it is there; amplitude rises from block to block
-up to the limits, and blocks of reserve follow the expected ones.
+frequency from ``invid.planning.blocks`` where a model is known. The first is the climb of the trial, at about
+a third of the amplitude. After each block whoever runs the plan looks at the measured covariance and stops as
+soon as it is there; blocks of reserve follow the expected ones.
 """
 
 from __future__ import annotations
@@ -16,27 +16,26 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.errors import ConfigError
+from invid.numerics.arrays import frozen_float
 from invid.planning.belief import Belief
-from invid.planning.blocks import FRICTION_FACTOR, BlockDesigner
+from invid.planning.blocks import BlockDesigner
 from invid.planning.budget import require_budget
 from invid.planning.build import assemble, require_known_axes
 from invid.planning.expected_covariance import Expected, Noise
 from invid.planning.forecast import turning_back
 from invid.planning.model import Plan, PlannedExperiment
-from invid.planning.phases import REST_S
+from invid.planning.phases import RECORDED_CLIMB_S, REST_S, trial_shares
 
 BLOCKS_S = (5.0, 6.5, 8.0, 10.0, 13.0, 16.0, 20.0)
 """Lengths of a block. Shorter than 5 s the lines lie so far apart that a fit from nothing may miss a
 resonance (empirical, modes of 4 to 8 Hz); they scale with the lowest frequency below 0.5 Hz."""
-AMPLITUDES = (0.25, 0.35, 0.5, 0.7, 1.0)
-"""Amplitudes tried, as shares of the largest allowed."""
 MARGIN = 0.9
 """The expected uncertainty must be this much below the goal: the measured one scatters about it."""
 HOPELESS_FACTOR = 2.0
 """Factor by which a block may be expected to miss the goal and still be computed; longer blocks resolve
 more."""
 RESERVE = 2
-"""Blocks after the expected ones, at the largest amplitude."""
+"""Blocks after the expected ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,7 @@ class GoalPlan:
     plan: Plan
     goal: float
     needed: int
-    """Blocks after which the goal is expected to be met; all of them where it is not."""
+    """Blocks, the climb included, after which the goal is expected to be met; all of them where it is not."""
     reachable: bool
     expected: Expected
     """Expected covariance after ``needed`` blocks."""
@@ -57,7 +56,7 @@ class GoalPlan:
     @property
     def expected_s(self) -> float:
         """Robot time until the goal is expected to be met, trials of the signs apart [s]."""
-        cycles = sum(e.cycles for e in self.plan.experiments[: self.needed])
+        cycles = sum(e.cycles for e in self.plan.recorded[: self.needed])
         return cycles * self.plan.cycle_s + self.needed * self.plan.rest_s
 
     @property
@@ -67,7 +66,7 @@ class GoalPlan:
         if self.reachable:
             return (
                 f"{self.goal:.2g} of every mass, spring and coupling expected after {self.needed} of "
-                f"{len(self.plan.experiments)} blocks, {self.expected_s:.0f} s (worst: {name}, {worst:.2g})"
+                f"{len(self.plan.recorded)} blocks, {self.expected_s:.0f} s (worst: {name}, {worst:.2g})"
             )
         if not np.isfinite(worst):
             return (
@@ -84,7 +83,7 @@ class GoalPlan:
             "goal": self.goal,
             "reachable": self.reachable,
             "blocks_needed": self.needed,
-            "blocks_planned": len(self.plan.experiments),
+            "blocks_planned": len(self.plan.recorded),
             "expected_s": self.expected_s,
             "amplitudes": list(self.amplitudes),
             "binding": list(self.binding),
@@ -121,9 +120,8 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
     designer = BlockDesigner(config, belief, noise, excited, amplitude_scale)
     require_budget(config)
 
-    def plan_of(blocks: Sequence[PlannedExperiment]) -> Plan:
-        numbered = tuple(replace(e, key=f"{k:03d}") for k, e in enumerate(blocks))
-        return assemble(config, numbered, belief, share=amplitude_scale)
+    def plan_of(climb: PlannedExperiment, blocks: Sequence[PlannedExperiment]) -> Plan:
+        return assemble(config, blocks, belief, share=amplitude_scale, climb=climb)
 
     lengths = [t * max(1.0, 0.5 / designer.band[0]) for t in BLOCKS_S]
     lengths = [t for t in lengths if t + REST_S <= max_duration_s] or [max(max_duration_s - REST_S, 1.0)]
@@ -133,7 +131,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
         # Information grows with the length: what is expected of the shortest says which ones cannot do.
         if first * np.sqrt(lengths[0] / length) > HOPELESS_FACTOR * goal and length != lengths[-1]:
             continue
-        blocks = [designer.block(length, 0, 1.0)]
+        blocks = [designer.block(length, 1, 1.0)]
         reached = designer.expected(blocks)
         best = (blocks, reached)
         first = first or reached.worst[1]
@@ -147,7 +145,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
         room = int(max_duration_s // (length + REST_S)) - len(blocks)
         if min(more, room) <= 0:
             break
-        blocks += [designer.block(length, len(blocks) + k, 1.0) for k in range(min(more, room))]
+        blocks += [designer.block(length, 1 + len(blocks) + k, 1.0) for k in range(min(more, room))]
         reached = designer.expected(blocks)
     return _complete_plan(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
 
@@ -165,42 +163,34 @@ def _complete_plan(
     designer: BlockDesigner,
     layout: _Layout,
     goal: float,
-    plan_of: Callable[[Sequence[PlannedExperiment]], Plan],
+    plan_of: Callable[[PlannedExperiment, Sequence[PlannedExperiment]], Plan],
     max_duration_s: float,
 ) -> GoalPlan:
-    """The plan with the lowest sufficient amplitude, then rising ones, then reserve."""
+    """The plan: the climb of its trial, which may be enough, the blocks, then reserve."""
     blocks, reached, length = layout.blocks, layout.expected, layout.length
     reachable = reached.worst[1] <= goal
-    rungs = [1.0] * len(blocks)
-    if reachable and len(blocks) == 1:
-        for rung in AMPLITUDES[:-1]:
-            low = designer.peaks(rung)
-            if any(low[i] < FRICTION_FACTOR * designer.belief.coulomb[i] for i in designer.excited):
-                continue
-            trial = [designer.block(length, 0, rung)]
-            found = designer.expected(trial)
-            if found.worst[1] <= MARGIN * goal:
-                blocks, reached, rungs = trial, found, [rung]
-                break
-    needed = len(blocks)
+    climb = designer.block(max(length, RECORDED_CLIMB_S), 0, 1.0)
+    share = trial_shares(designer.config, climb)[1]
+    first = designer.expected([replace(climb, torque=frozen_float(share * climb.torque))])
+    needed = 1 + len(blocks)
+    if first.worst[1] <= MARGIN * goal:
+        needed, reached, reachable = 1, first, True
     for _ in range(RESERVE):
         if reachable and (len(blocks) + 1) * (length + REST_S) <= max_duration_s:
-            higher = [r for r in AMPLITUDES if r > rungs[-1]]
-            rungs.append(higher[min(1, len(higher) - 1)] if higher else 1.0)
-            blocks = [*blocks, designer.block(length, len(blocks), rungs[-1])]
+            blocks = [*blocks, designer.block(length, 1 + len(blocks), 1.0)]
     binding = sorted(designer.touched)
     if not reachable and np.isfinite(reached.worst[1]):
         if not binding or designer.reduced.min() > 0.99:
             name = reached.worst[0].split(".")[0].split("-")[0]
             binding.append(f"torque limit of {name}")
         binding.append(f"duration of {max_duration_s:g} s")
-    plan = plan_of(blocks)
+    plan = plan_of(climb, blocks)
     return GoalPlan(
         plan=replace(
             plan,
             warnings=(
                 *plan.warnings,
-                *designer.warnings(rungs[0]),
+                *designer.warnings(1.0),
                 *turning_back(designer.config, plan.experiments[0], designer.belief),
             ),
         ),
@@ -209,5 +199,5 @@ def _complete_plan(
         reachable=reachable,
         expected=reached,
         binding=tuple(binding),
-        amplitudes=tuple(r * designer.share for r in rungs),
+        amplitudes=(share * designer.share, *(designer.share for _ in blocks)),
     )

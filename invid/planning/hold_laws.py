@@ -16,11 +16,15 @@ from invid.errors import ConfigError
 DELAY_CYCLES = 1
 """d: a sample taken at one SYNC is answered at the next."""
 
-CENTRING_RATIO = 0.7
-"""Damping ratio of the hold that keeps an excited axis in its place."""
+CATCHING_RATIO = 0.7
+"""Damping ratio of the PD that follows a path or brings an axis back to rest."""
+CENTRING_RATIO = 0.35
+"""Damping ratio of the hold that keeps an excited axis in its place. Twice as much takes a third of the
+torque limit and half the motion of the modes; runs begin where an axis drifts least. Empirical (case study)."""
 CENTRING_SHARE = 1.0 / 3.0
 """Its natural frequency as a share of the lowest excited line: far enough below to leave the excitation
-nearly alone, fast enough to bring the axis back during a rest of a second or two. Empirical (case study)."""
+nearly alone, fast enough to bring the axis back during a rest of a second or two, and stiff enough for
+what is not known of a load. Empirical (case study, ``tests/machines/ordinary.py``)."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +67,17 @@ def master_hold(axis: AxisConfig, cycle_s: float) -> Gains | None:
     return Gains(hold.gain, max(damping, least_damping(hold.gain, cycle_s)))
 
 
-def centring(inertia: float, lowest_hz: float, cycle_s: float) -> Gains:
+def centring(inertia: float, lowest_hz: float, cycle_s: float, ratio: float = CENTRING_RATIO) -> Gains:
     """Return a weak PD around the start for an excited axis: a free axis drifts away on the smallest
     offset.
     """
     omega = 2 * math.pi * lowest_hz * CENTRING_SHARE
     stiffness = inertia * omega**2
-    damping = 2 * CENTRING_RATIO * inertia * omega
+    damping = 2 * ratio * inertia * omega
     return Gains(stiffness, max(damping, least_damping(stiffness, cycle_s)))
 
 
 def following(inertia: float, cycle_s: float) -> Gains:
     """PD that follows a slow path: 2 Hz, below the modes of most drives, damped. Empirical."""
     omega = 2 * math.pi * min(2.0, 0.02 / cycle_s)
-    return Gains(inertia * omega**2, 2 * CENTRING_RATIO * inertia * omega)
+    return Gains(inertia * omega**2, 2 * CATCHING_RATIO * inertia * omega)

@@ -96,6 +96,9 @@ class Trial:
     spread: Float64
     usual: Float64
     """(3, M) the same for nearly all cells: by this the torque is lowered."""
+    recorded_share: float = 0.0
+    """Share of its amplitude at which its second step, the climb, is expected to be recorded as an
+    experiment of its own; 0: it is not recorded."""
 
 
 @dataclass(frozen=True)
@@ -155,9 +158,20 @@ class Plan:
         return tuple(sorted({i for e in self.experiments for i in e.excited}))
 
     @property
+    def recorded(self) -> tuple[PlannedExperiment, ...]:
+        """What comes into the recording, in order: climbs at their expected torque, then the experiments."""
+        climbs = [
+            replace(t.experiment, torque=frozen_float(t.recorded_share * t.experiment.torque))
+            for t in self.trials
+            if t.recorded_share
+        ]
+        return (*climbs, *self.experiments)
+
+    @property
     def peak_torque(self) -> Float64:
         """(M,) largest excitation of each axis [N·m or N]."""
-        peaks = [np.abs(e.torque).max(axis=0, initial=0.0) for e in self.experiments]
+        played = (*self.experiments, *(t.experiment for t in self.trials if t.recorded_share))
+        peaks = [np.abs(e.torque).max(axis=0, initial=0.0) for e in played]
         largest: Float64 = np.max([np.zeros(len(self.axes)), *peaks], axis=0)
         return largest
 
@@ -168,9 +182,9 @@ class Plan:
 
     @property
     def shaking_s(self) -> float:
-        """Robot time of the experiments and the rests between them [s]."""
-        cycles = sum(e.cycles for e in self.experiments)
-        return cycles * self.cycle_s + len(self.experiments) * self.rest_s
+        """Robot time of what is recorded and the rests after it [s]."""
+        cycles = sum(e.cycles for e in self.recorded)
+        return cycles * self.cycle_s + len(self.recorded) * self.rest_s
 
     def first(self, count: int) -> Plan:
         """The plan with its first ``count`` experiments only."""
@@ -199,7 +213,7 @@ class Plan:
                     "lowest_Hz": float(e.frequencies_hz.min()) if e.frequencies_hz.size else None,
                     "highest_Hz": float(e.frequencies_hz.max()) if e.frequencies_hz.size else None,
                 }
-                for e in self.experiments
+                for e in self.recorded
             ],
             "forecast": [f.to_json() for f in self.forecast],
             "warnings": list(self.warnings),

@@ -21,7 +21,12 @@ REST_S = 1.0
 FADE_S = 0.5
 """Least length of the raised-cosine start and end of an excitation."""
 FIRST_S, CLIMB_S = 5.0, 10.0
-"""Length of the two steps of a trial: at a tenth of the amplitude, and at about a third."""
+"""Longest two steps of a trial: at a tenth of the amplitude, and at about a third. The first is never longer
+than half of what is tried."""
+RECORDED_CLIMB_S = 6.0
+"""Length of a climb that is recorded: three cycles of the slowest line of the default plan."""
+RAMP_S = 0.25
+"""Raised-cosine start and end of an experiment that is recorded from rest: both are in the record."""
 CLIMB_CYCLES = 3.0
 """And never below three cycles of the slowest line."""
 FIRST_SHARE, CLIMB_SHARE = 0.25, 0.8
@@ -61,6 +66,11 @@ one adds up as a random walk. Empirical (``tests/machines/test_announced.py``)."
 SPREAD_USUAL = 0.5
 """Each, again, for most cells: torque is lowered for so much. What few cells do beyond it is announced, and
 lies within the limit unless it is the same axis that is near one."""
+SPREAD_CLIMB = 1.4
+"""Usual motion of runs from rest, which begin where an axis drifts least, over that of a climb with
+every line on all axes. Empirical (76 cells of ``tests/machines/cells.py``, one to four axes,
+default plan): travel goes beyond it in 4, velocity in 2, and what is announced was exceeded in 3, by 13 % at
+most."""
 SPREAD_TORQUE = 1.25
 """The same for the torque, most of which is the excitation itself."""
 SPREAD_SWEEP = (1.5, 2.0, 1.5)
@@ -168,11 +178,26 @@ def _doublet_torque(config: CellConfig, axis: int, wave: Float64, hold_hz: float
     )
 
 
-def trials_of(config: CellConfig, experiments: Sequence[PlannedExperiment]) -> tuple[Trial, ...]:
+def played_once(period: Float64, cycle_s: float, *, is_free: bool = True) -> Float64:
+    """(n + 1, M) torque of one period (n, M) that is recorded whole, from rest to its fading out.
+
+    ``is_free``: each axis may begin anywhere in its period, and does where it drifts least.
+    """
+    ramp = round(RAMP_S / cycle_s)
+    if is_free:
+        waves = [excitation.without_drift(w, 1.0 / cycle_s, ramp) if w.any() else w for w in period.T]
+        period = np.stack(waves, axis=1)
+    return excitation.apply_ramps(np.concatenate((period, period[:1])), ramp, ramp)
+
+
+def trials_of(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], climb: PlannedExperiment | None = None
+) -> tuple[Trial, ...]:
     """One trial for each kind of experiment on each set of axes, slow moves apart.
 
     A multisine is tried on the largest of its runs; the stepped sines and chirps of an axis on one quick
     sweep through their band. A slow move follows its path whatever the plant is: it needs none.
+    Multisines are tried on ``climb`` where there is one, which is then recorded.
     """
     families: dict[tuple[bool, tuple[int, ...]], list[int]] = {}
     for number, e in enumerate(experiments):
@@ -186,14 +211,18 @@ def trials_of(config: CellConfig, experiments: Sequence[PlannedExperiment]) -> t
             continue
         # the first of the largest; runs of one multisine differ by rounding
         largest = next(e for e, p in zip(covered, peaks, strict=True) if p >= 0.999 * max(peaks))
+        share = 0.0
         if not multisine:
             largest = _quick_sweep(config, covered, largest, max(peaks))
+        elif climb is not None:
+            largest, share = climb, trial_shares(config, climb)[1]
         spreads = []
-        for each in (SPREAD_EACH, SPREAD_USUAL):
-            further = SPREAD_FIRST + each * np.sqrt(len(largest.excited) - 1)
+        others = np.sqrt(len(largest.excited) - 1)
+        usual = SPREAD_CLIMB if share else SPREAD_FIRST + SPREAD_USUAL * others
+        for further in (max(SPREAD_FIRST + SPREAD_EACH * others, usual), usual):
             more = (further, further, SPREAD_TORQUE) if multisine else SPREAD_SWEEP
             spreads.append(frozen_float(np.outer(more, np.ones(len(config.axes)))))
-        found.append(Trial(largest, tuple(covers), *spreads))
+        found.append(Trial(largest, tuple(covers), spreads[0], spreads[1], share))
     return tuple(found)
 
 
@@ -239,7 +268,7 @@ def excerpt(config: CellConfig, trial: Trial, step: int) -> PlannedExperiment:
     """What a trial plays in its step 0 or 1 at full amplitude, faded out at its end."""
     cycle, e = config.bus.cycle_s, trial.experiment
     seconds = max((FIRST_S, CLIMB_S)[step], CLIMB_CYCLES * step / lowest_frequency([e]))
-    cycles = min(e.cycles, round(seconds / cycle))
+    cycles = min((e.cycles // 2, e.cycles)[step], round(seconds / cycle))
     fade = min(round(FADE_S / cycle), cycles // 4)
     torque: Float64 = excitation.apply_ramps(e.torque[:cycles], 0, fade)
     reference = None if e.reference is None else frozen_float(e.reference[:cycles])
@@ -261,20 +290,25 @@ def phases_of(
         seconds = sign_seconds(config, i, sign_amplitude(config, experiments, i)[0], inertia[i])
         name = f"trying the signs of {config.axes[i].name}"
         found.append(PhasePlan(Step.SIGNS, i, name, round(seconds / cycle)))
-    led_axes: tuple[int, ...] = ()
+    led: tuple[int, ...] = ()
+    resting: tuple[int, ...] | None = None
 
     def change(excited: tuple[int, ...]) -> int:
-        """Return the cycles of rest before others are shaken: those that were come to rest first."""
-        nonlocal led_axes
-        before, led_axes = led_axes, excited
-        return rest if before in ((), excited) else 2 * rest
+        """Return the cycles of rest before axes are shaken: those that were come to rest first."""
+        nonlocal led
+        before, led = led, excited
+        if resting == excited:
+            return 0
+        return rest if before in ((), excited) or resting == before else 2 * rest
 
     for number, trial in enumerate(trials):
         cycles = change(trial.experiment.excited)
         cycles += sum(excerpt(config, trial, step).cycles + rest for step in (0, 1))
         found.append(PhasePlan(Step.TRIAL, number, "trying the amplitude", cycles))
+        resting = trial.experiment.excited
     for number, e in enumerate(experiments):
         name = f"experiment {number + 1} of {len(experiments)}"
         found.append(PhasePlan(Step.EXPERIMENT, number, name, e.cycles + change(e.excited)))
+        resting = None
     found.append(PhasePlan(Step.RETURN, 0, "coming to rest", rest))
     return tuple(found)

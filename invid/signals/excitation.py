@@ -45,21 +45,18 @@ class Multisine:
         result: Float64 = self.lines.astype(np.float64) * spacing
         return result
 
-    def period(self, rotation: float = 0.0, only: npt.ArrayLike | None = None) -> Float64:
-        """(period_samples,) one period, every line turned by ``rotation`` [rad].
-
-        ``only`` picks a subset of lines by index (interleaved lines: each axis has its own).
-        """
+    def period(self, rotation: float = 0.0) -> Float64:
+        """(period_samples,) one period, every line turned by ``rotation`` [rad]."""
         spectrum = np.zeros(self.period_samples // 2 + 1, dtype=complex)
         values = self.amplitudes * np.exp(1j * (self.phases + rotation))
-        pick = slice(None) if only is None else np.asarray(only, dtype=int)
-        spectrum[self.lines[pick]] = values[pick] * (self.period_samples / 2)
+        spectrum[self.lines] = values * (self.period_samples / 2)
         samples: Float64 = np.fft.irfft(spectrum, n=self.period_samples)
         return samples
 
 
-DRAWS, ITERATIONS = 24, 60
-"""Random phase sets of a multisine, and clippings of the best; the crest factor hardly falls beyond."""
+DRAWS, ITERATIONS = 24, 400
+"""Random phase sets of a multisine, and clippings of the best. Empirical (every third line of 0.5 to 12 Hz):
+60 leave a crest factor 12 % higher, a thousand take 3 % off."""
 
 
 def line_numbers(
@@ -176,6 +173,35 @@ def apply_ramps(values: Float64, ramp_in: int, ramp_out: int = 0) -> Float64:
         result[:ramp_in] *= raised_cosine(ramp_in)[tail]
     if ramp_out:
         result[-ramp_out:] *= raised_cosine(ramp_out)[::-1][tail]
+    return result
+
+
+CAUGHT = 6.0
+"""Radians of its slowest line for which a free mass drifts before a weak hold catches it (an order)."""
+
+
+def without_drift(period: Float64, sample_rate: float, ramp: int) -> Float64:
+    """(n,) a period (n,), begun where a free mass, from rest through a start of ``ramp`` samples,
+    is left with the least drift.
+
+    A multisine that begins anywhere leaves it with about the peak velocity of its slowest line, until a weak
+    hold has caught it.
+    """
+    n = period.size
+    spectrum = np.fft.rfft(period)
+    jw = 2j * np.pi * sample_rate / n * np.arange(spectrum.size)
+    integral = np.divide(1.0, jw, out=np.zeros_like(jw), where=jw != 0)
+    lost = np.zeros(n)
+    lost[:ramp] = (1.0 - raised_cosine(ramp)) / sample_rate
+    later = (ramp - np.arange(n)) / sample_rate * lost
+    # what a start at each sample lacks of the settled velocity and place, at the ramp's end
+    velocity = np.fft.irfft(spectrum * (integral + np.conj(np.fft.rfft(lost))), n)
+    place = np.fft.irfft(
+        spectrum * (integral**2 + integral * ramp / sample_rate + np.conj(np.fft.rfft(later))), n
+    )
+    slowest = np.abs(jw[np.flatnonzero(np.abs(spectrum) > 1e-6 * np.abs(spectrum).max())[0]])
+    drift = (CAUGHT * velocity) ** 2 + (slowest * place) ** 2
+    result: Float64 = np.roll(period, -int(np.argmin(drift)))
     return result
 
 

@@ -18,7 +18,7 @@ from invid.planning.phases import lowest_frequency
 from invid.planning.stopping_distance import Permitted
 from invid.recording.model import Kind
 from invid.sweep.bounds import Statistics
-from invid.sweep.motion import Motion
+from invid.sweep.motion import Motion, RowSink
 from invid.sweep.ports import Cell, Sink
 from invid.sweep.rehearsal import Rehearsal
 
@@ -81,7 +81,7 @@ class Sweep:
     def __post_init__(self) -> None:
         self._motion = Motion(self.plan, self.config, self.cell, self.stop, self._report)
         self._rehearsal = Rehearsal(
-            self._motion, self.warnings, self._stated_inertia(), self._permitted_velocity
+            self._motion, self.warnings, self._stated_inertia(), self._permitted_velocity, self.sink
         )
         self._total_s = self.plan.duration_s
         self._torque = np.ones(len(self.plan.axes))
@@ -122,6 +122,10 @@ class Sweep:
                         self._lower_torque()
                         self._rehearsal.try_amplitude(self.plan.trials[phase.number])
                         self._forecast = self._rehearsal.forecast()
+                        recorded = self.plan.trials[phase.number].recorded_share > 0
+                        if recorded and self._enough(-1 - phase.number):
+                            self._total_s = self._motion.done_s
+                            break
                     case Step.EXPERIMENT:
                         self._lower_torque()
                         self._experiment(phase)
@@ -142,7 +146,7 @@ class Sweep:
         self._report()
         self.warnings += self._motion.watching.words.said()
         return SweepResult(
-            scale=float(self._rehearsal.scales.min() * self._torque.min()),
+            scale=float(self._rehearsal.scales.min(initial=1.0) * self._torque.min()),
             inertia={self.plan.axes[i]: m for i, m in self._motion.inertia.items()},
             statistics=self._motion.watching.bounds.statistics,
             forecast=self._forecast,
@@ -225,11 +229,7 @@ class Sweep:
         excited = set(experiment.excited)
         self._motion.rest(excited)
         self._motion.centre(excited, lowest=lowest_frequency([experiment]), path=path)
-        gains = [float("nan")] * self._motion.count
-        for f in self._motion.feedback:
-            # a loop inside the drive: nobody knows how stiff it is
-            gains[f.axis] = float("nan") if self._motion.by_offset(f.axis) else f.gains.stiffness
-        self.sink.begin(experiment, gains, scale)
+        self.sink.begin(experiment, self._motion.stated_holds(), scale)
         # a path is followed with what torque that takes; a share that friction may hide moves nobody surely
         if not path:
             played = scale * np.abs(experiment.torque).max(axis=0, initial=0.0)
@@ -241,8 +241,7 @@ class Sweep:
                 experiment.cycles,
                 reference=experiment.reference,
                 scale=scale,
-                sink=self.sink,
-                rows=(experiment.record_from, experiment.record_to),
+                recording=RowSink(self.sink, experiment.record_from, experiment.record_to),
             )
         finally:
             self._motion.must_move = set()

@@ -12,7 +12,15 @@ import numpy as np
 from invid.config import CellConfig
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Bool, Float64
-from invid.planning.hold_laws import Gains, centring, following, least_damping, master_hold
+from invid.planning.hold_laws import (
+    CATCHING_RATIO,
+    CENTRING_RATIO,
+    Gains,
+    centring,
+    following,
+    least_damping,
+    master_hold,
+)
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import CATCH_HZ, SETTLE_S, highest_frequency
 from invid.sweep.bounds import Bounds, Statistics, bounds_of
@@ -36,6 +44,17 @@ class Feedback:
     gains: Gains
     bias: float
     limit: float
+
+
+@dataclass(frozen=True)
+class RowSink:
+    """Who takes the rows of a stretch of cycles, from ``first`` up to ``last``; ``is_logged``: its log has
+    them, too."""
+
+    sink: Sink
+    first: int
+    last: int
+    is_logged: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,6 +118,8 @@ class Motion:
         """Axes whose encoders may not stand still while rows are recorded."""
         self.led: set[int] = set()
         """Axes that are or were shaken, in torque mode around their places."""
+        self._rested: set[int] | None = None
+        """Axes that rest, and have done nothing else since."""
         self._recorded = self._living = False
         self._recent: deque[tuple[float, tuple[float, ...], tuple[float, ...]]] = deque(
             maxlen=max(1, round(TRACE_S / plan.cycle_s))
@@ -259,10 +280,9 @@ class Motion:
         *,
         reference: Float64 | None = None,
         scale: float = 1.0,
-        sink: Sink | None = None,
-        rows: tuple[int, int] = (0, 0),
+        recording: RowSink | None = None,
     ) -> Log:
-        """Run ``cycles`` cycles around the feedback; the log has rows only where no ``sink`` takes them.
+        """Run ``cycles`` cycles around the feedback; the log has rows where they are not recorded alone.
 
         ``torque`` and ``reference`` are (n, M); their last row stands for every later one. Rows become
         lists one at a time: half an hour at once would stall the cycle and take gigabytes.
@@ -273,7 +293,8 @@ class Motion:
         demand = self._demand
         asked: Sequence[float] | None = getattr(cell, "asked", None)
         watch.bounds.obedience.paused = reference is not None
-        first, last = rows
+        first, last = (0, 0) if recording is None else (recording.first, recording.last)
+        logged = recording is None or recording.is_logged
         edge = round(0.5 / cycle)
         acting = cycles if torque is None else int(np.flatnonzero(torque.any(axis=1)).max(initial=-1)) + 1
         shaken = (edge, min(cycles, acting) - edge)
@@ -283,6 +304,7 @@ class Motion:
         fading = 0
         fade = max(1, round(FADE_S / cycle))
         k = 0
+        self._rested = None
         while k < cycles:
             excitation = self._zero if torque is None else torque[min(k, len(torque) - 1)].tolist()
             path = before = None
@@ -304,7 +326,7 @@ class Motion:
             if start is None:
                 start = sample.slot
             k = sample.slot - start
-            if sink is not None:
+            if recording is not None:
                 # an encoder that stands still is stuck, but not while the excitation fades in or out
                 watch.standing.excited = (
                     self.must_move if shaken[0] <= k < shaken[1] and not fading else set()
@@ -313,10 +335,10 @@ class Motion:
             recent.append((sample.time, tuple(sample.position), tuple(sample.torque)))
             watch.check(sample, asked)
             self._differentiate(sample)
-            if sink is not None and first <= k < last:
+            if recording is not None and first <= k < last:
                 self._recorded = True
-                sink.row(sample, demand)
-            if sink is None:
+                recording.sink.row(sample, demand)
+            if logged:
                 kept[0].append(list(demand))
                 kept[1].append(list(sample.torque))
                 kept[2].append(list(sample.position))
@@ -401,7 +423,8 @@ class Motion:
             limit = settings.limits.torque
             if i in excited:
                 inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0
-                gains = following(inertia, cycle) if path else centring(inertia, lowest, cycle)
+                ratio = CATCHING_RATIO if lowest == CATCH_HZ else CENTRING_RATIO
+                gains = following(inertia, cycle) if path else centring(inertia, lowest, cycle, ratio)
                 if self.by_offset(i):
                     gains = Gains(0.0, 0.0)  # its drive holds it all the time
                 modes.append(Mode.TORQUE)
@@ -419,8 +442,10 @@ class Motion:
         """Bring excited axes back to their places and to rest, hold the others as configured.
 
         Those that were excited before come to rest first: a stiff hold that takes over an axis on its way
-        stops it with all its torque.
+        stops it with all its torque. Axes that rest already need no time for it.
         """
+        if self._rested == excited:
+            return self.play(None, 0)
         if self.led and self.led != excited:
             self.rest(set(self.led))
         self.centre(excited, lowest=CATCH_HZ)
@@ -437,8 +462,18 @@ class Motion:
             most = CATCH_SHARE * self.plan.forecast[i].peak_torque
             while f.gains.stiffness * away + f.gains.damping * speed > most and lowest > CATCH_LEAST_HZ:
                 lowest /= 2
-                f.gains = centring(self.inertia.get(i) or self.plan.inertia[i] or 0.0, lowest, cycle)
-        return self.play(None, round(self.plan.rest_s / cycle))
+                inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0
+                f.gains = centring(inertia, lowest, cycle, CATCHING_RATIO)
+        log = self.play(None, round(self.plan.rest_s / cycle))
+        self._rested = set(excited)
+        return log
+
+    def stated_holds(self) -> list[float]:
+        """Return the stiffness of the hold of every axis; NaN inside a drive, where nobody knows it."""
+        gains = [float("nan")] * self.count
+        for f in self.feedback:
+            gains[f.axis] = float("nan") if self.by_offset(f.axis) else f.gains.stiffness
+        return gains
 
     def _hold_gains(self, axis: int) -> Gains | None:
         """Gains of a held axis; ``None``: inside the drive."""

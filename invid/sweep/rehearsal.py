@@ -11,14 +11,14 @@ from invid.numerics.arrays import Float64
 from invid.planning.forecast import QUANTITIES, READING_NOISE, USABLE_SHARE, announced, limits_of
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
 from invid.planning.phases import (
-    FIRST_S,
     excerpt,
     highest_frequency,
     lowest_frequency,
     trial_shares,
 )
 from invid.recording.model import Kind
-from invid.sweep.motion import Log, Motion, joined
+from invid.sweep.motion import Log, Motion, RowSink, joined
+from invid.sweep.ports import Sink
 from invid.sweep.sign_trial import SignTrial
 
 GENTLE, LEAST_SHARE = 1.0 / 3.0, 0.01
@@ -67,8 +67,9 @@ class Rehearsal:
         warnings: list[str],
         stated: Sequence[tuple[float, str] | None],
         permitted: Callable[[float], Float64],
+        sink: Sink,
     ) -> None:
-        self._motion = motion
+        self._motion, self._sink = motion, sink
         self._stated = stated
         """Inertia of each axis and who says it."""
         self._permitted = permitted
@@ -107,7 +108,7 @@ class Rehearsal:
             for i, velocity in enumerate(self._permitted(share).tolist()):
                 self._motion.permit(i, velocity)
             # Less than what friction surely lets through says nothing of an encoder that stands.
-            return self._try_share(excerpt(config, trial, step), share, moves=share >= sure)
+            return self._try_share(trial, step, share, moves=share >= sure)
 
         first = min(sure, self._gentle(experiment, allowed[0]))
         seen = tried(0, first)
@@ -227,11 +228,13 @@ class Rehearsal:
                 bounds[:, list(e.excited)] = told[:, list(e.excited)]
         return announced(config, np.minimum(bounds, told), "trial")
 
-    def _try_share(self, experiment: PlannedExperiment, share: float, *, moves: bool) -> Seen:
+    def _try_share(self, trial: Trial, step: int, share: float, *, moves: bool) -> Seen:
         """Play an excerpt at a share of its amplitude and return what it did; ``moves``: whether it
-        must move its axes.
+        must move its axes. A climb is recorded where the trial says so.
         """
         motion = self._motion
+        experiment, first = (excerpt(motion.config, trial, k) for k in (step, 0))
+        recorded = bool(trial.recorded_share) and step == 1
         excited, cycle = set(experiment.excited), motion.plan.cycle_s
         cycles = experiment.cycles
         # the fades at the ends of the excitation stand still by themselves
@@ -243,17 +246,22 @@ class Rehearsal:
 
         def play(first: int, last: int) -> Log:
             part = None if path is None else path[first:last]
-            return motion.play(rows[first:last], last - first, reference=part)
+            taken = RowSink(self._sink, 0, last - first, is_logged=True) if recorded else None
+            return motion.play(rows[first:last], last - first, reference=part, recording=taken)
 
+        if recorded:
+            self._sink.begin(experiment, motion.stated_holds(), share)
         opening = play(0, fade)
-        motion.watching.standing.excited = excited if moves else set()
+        motion.must_move = motion.watching.standing.excited = excited if moves else set()
         body = play(fade, cycles - fade)
-        motion.watching.standing.excited = set()
+        motion.must_move = motion.watching.standing.excited = set()
         if moves:
             motion.watching.standing.learn(excited)
         words = f"{share:.0%} of the planned amplitude"
         motion.watching.words.require_no_limit(range(motion.count), words)
         ending = play(cycles - fade, cycles)
+        if recorded:
+            self._sink.end()
         rest = motion.rest(excited)
         kept = joined([opening, body, ending, rest])
         motion.learn(experiment, kept)
@@ -261,7 +269,7 @@ class Rehearsal:
         travel, velocity = np.zeros(motion.count), np.zeros(motion.count)
         early = np.zeros((2, motion.count))
         step = max(1, round(0.004 / cycle))
-        common = round(FIRST_S / cycle) - fade
+        common = first.cycles - fade
         for i in range(motion.count):
             came = np.flatnonzero(kept.fresh[:, i])
             away = np.abs(kept.position[came, i] - led[came, i] - before[i])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from invid.errors import InputError
 from invid.model.document import load_model, units
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model, guess
+from invid.planning.detection import DetectionLimit, detection_limits
 from invid.planning.expected_covariance import Expected, Noise, expected, recorded_noise
 from invid.recording import read_recording
 from invid_drivers.foretelling import sensor_noise
@@ -46,9 +48,32 @@ def noise_of(config: CellConfig, recording: Path | None) -> Noise:
 
 def expectation(config: CellConfig, plan: Plan, belief: Belief | None, noise: Noise) -> Expected | None:
     """Expected covariance of a plan; ``None`` where there is no belief or nothing to identify from."""
-    if belief is None or not any(e.role == "identify" and e.frequencies_hz.size for e in plan.experiments):
+    if belief is None or not any(e.role == "identify" and e.frequencies_hz.size for e in plan.recorded):
         return None
     return expected(config, plan, belief, noise)
+
+
+def limits_of(
+    config: CellConfig, plan: Plan, belief: Belief | None, noise: Noise
+) -> tuple[DetectionLimit, ...]:
+    """Sizes of causes that a plan is expected to show; empty where there is nothing to foretell by."""
+    periodic = [e for e in plan.recorded if e.frequencies_hz.size]
+    return detection_limits(config, periodic, belief, noise) if belief is not None and periodic else ()
+
+
+def limits_text(limits: Sequence[DetectionLimit]) -> str:
+    """Detection limits as text for a person."""
+    lines = ["  the smallest that it would show, with 95 % probability (of interest):"]
+    for cause in dict.fromkeys(limit.cause for limit in limits):
+        own = [limit for limit in limits if limit.cause == cause]
+        sizes = [
+            f"{limit.axis} {limit.size:.2g} ({limit.interest:.2g})"
+            if np.isfinite(limit.size)
+            else f"{limit.axis} not seen"
+            for limit in own
+        ]
+        lines.append(f"    {cause.replace('_', ' '):<18}{', '.join(sizes)} {own[0].unit}")
+    return "\n".join(lines)
 
 
 def expected_text(found: Expected, *, linear: bool) -> str:

@@ -24,7 +24,15 @@ from invid.planning.separating_experiments import to_separate
 from invid.planning.stopping_distance import StoppingBudget
 from invid.sweep import Progress
 from invid_drivers.cli.confirmation import confirm
-from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
+from invid_drivers.cli.expectation import (
+    NOTHING,
+    belief_of,
+    expectation,
+    expected_text,
+    limits_of,
+    limits_text,
+    noise_of,
+)
 from invid_drivers.goal import Reached, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 from invid_drivers.readiness import ask_drives
@@ -93,11 +101,11 @@ class ProgressLine:
 def plan_text(plan: Plan, robot: str) -> str:
     """The plan as text for a person: experiments, torque, travel, velocity, power."""
     lines = [
-        f"{robot}: {len(plan.experiments)} experiments, {plan.duration_s:.0f} s of robot time; "
+        f"{robot}: {len(plan.recorded)} experiments, {plan.duration_s:.0f} s of robot time; "
         f"bus load {plan.budget.load:.0%} of at most {plan.budget.max_load:.0%}",
         f"  {'experiment':<11}{'kind':<18}{'role':<10}{'axes':<14}{'seconds':>8}  band",
     ]
-    for e in plan.experiments:
+    for e in plan.recorded:
         axes = ",".join(plan.axes[i] for i in e.excited)
         band = (
             f"{e.frequencies_hz.min():.3g}…{e.frequencies_hz.max():.3g} Hz, {e.frequencies_hz.size} lines"
@@ -206,6 +214,7 @@ def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, noise: Noise,
     within = ask_drives(cell, wish)
     plan, cell, budgets = within.plan, within.config, within.budgets
     found, timing = expectation(cell, plan, belief, noise), timing_of(cell)
+    limits = limits_of(cell, plan, belief, noise)
     beyond = [*within.said, *timing.warnings(plan)]
     document = {
         "dry_run": True,
@@ -214,6 +223,7 @@ def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, noise: Noise,
         **plan.to_json(),
         "budgets": [b.to_json() for b in budgets],
         "expected": None if found is None else found.to_json(),
+        "detection_limits": [limit.to_json() for limit in limits],
         "timing": timing.to_json(),
     }
     document["warnings"] = [*document["warnings"], *beyond]
@@ -223,6 +233,7 @@ def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, noise: Noise,
         f"  {timing.text()}",
         *(f"  note: {w}" for w in beyond),
         f"  note: {NOTHING}" if found is None else expected_text(found, linear=cell.linear),
+        *([limits_text(limits)] if limits else []),
     ]
     emit(document, "\n".join(shown), as_json=as_json)
     return EXIT_OK
@@ -260,7 +271,7 @@ def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) 
         result, found = measure_to_goal(cell, design, out, progress=ProgressLine(), stop=stop, tell=tell)
     there = found.meets(design.goal)
     sentence = (
-        f"goal of {design.goal:.2g} reached after {found.blocks} of {len(design.plan.experiments)} blocks: "
+        f"goal of {design.goal:.2g} reached after {found.blocks} of {len(design.plan.recorded)} blocks: "
         f"worst is {found.worst} at {found.relative:.2g}"
         if there
         else f"goal of {design.goal:.2g} not reached: "

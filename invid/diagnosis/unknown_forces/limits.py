@@ -217,8 +217,7 @@ class Screen:
     def _of_knee(self, law: SupposedLaw, spot: Spot, main: str) -> Limit | None:
         """The smallest (or, of a limit of the torque, the largest) knee on the grid that is seen."""
         shapes = law.shapes(self.end.motions.flat(spot))
-        if isinstance(law, TorqueSaturation):
-            shapes = shapes[::-1]
+        shapes = sorted(shapes, reverse=isinstance(law, TorqueSaturation))
         return _crossing(main, [(float(np.exp(s[0])), self._fall_of_knee(law, spot, s)) for s in shapes])
 
     def _fall_of_knee(self, law: SupposedLaw, spot: Spot, shape: Shape) -> float:

@@ -1,0 +1,64 @@
+"""What a plan says that it would show, and runs that are no longer than that asks for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from invid.config import CellConfig
+from invid.planning import make_plan
+from invid.planning.belief import Belief
+from invid.planning.detection import DetectionLimit, detection_limits
+from invid.planning.shortest_runs import shortest_runs
+from invid_drivers.foretelling import sensor_noise
+
+
+@pytest.fixture(scope="module")
+def limits(cell: CellConfig, belief: Belief) -> dict[tuple[str, str], DetectionLimit]:
+    plan = make_plan(cell, model=belief)
+    found = detection_limits(cell, plan.recorded, belief, sensor_noise(cell))
+    return {(limit.cause, limit.axis): limit for limit in found}
+
+
+def test_the_default_plan_shows_the_frictions_of_the_case_study_and_free_play_below_what_is_sold_as_low(
+    limits: dict[tuple[str, str], DetectionLimit], cell: CellConfig
+) -> None:
+    # what `bench_plan.py --case default` then finds in twenty of twenty recordings
+    for axis, dry, viscous in (("A1", 0.1, 0.1), ("A2", 0.2, 0.2), ("A3", 0.4, 0.4)):
+        assert limits["coulomb_friction", axis].size < 0.6 * dry
+        assert limits["viscous_friction", axis].size < viscous
+        assert limits["backlash", axis].size < cell.sizes_of_interest.free_play
+    assert {limit.unit for limit in limits.values()} == {"N·m", "N·m·s/rad", "rad", "kg·m²"}
+
+
+def test_a_limit_falls_with_the_root_of_the_time_and_with_the_torque(
+    cell: CellConfig, belief: Belief, limits: dict[tuple[str, str], DetectionLimit]
+) -> None:
+    noise, runs = sensor_noise(cell), make_plan(cell, model=belief).recorded
+    twice = detection_limits(cell, [*runs, *runs], belief, noise)
+    weak = detection_limits(cell, [replace(e, torque=0.5 * e.torque) for e in runs], belief, noise)
+    viscous = [k for k, limit in enumerate(twice) if limit.cause == "viscous_friction"]
+    for k in viscous:
+        own = limits[twice[k].cause, twice[k].axis].size
+        assert own / twice[k].size == pytest.approx(np.sqrt(2), rel=0.25)
+        assert weak[k].size / own == pytest.approx(2.0, rel=0.4)
+
+
+def test_what_is_not_shaken_is_not_seen(cell: CellConfig, belief: Belief) -> None:
+    plan = make_plan(cell, axes=["A1"], model=belief)
+    found = detection_limits(cell, plan.recorded, belief, sensor_noise(cell))
+    still = [limit for limit in found if limit.axis != "A1" and limit.cause == "viscous_friction"]
+    assert len(still) == 2
+    assert not any(limit.is_met for limit in still)
+
+
+def test_runs_are_no_longer_than_what_is_of_interest_asks_for(cell: CellConfig, belief: Belief) -> None:
+    def seconds(**sizes: float) -> float:
+        interest = cell.sizes_of_interest.model_copy(update=sizes)
+        wanted = cell.model_copy(update={"sizes_of_interest": interest})
+        return shortest_runs(wanted, belief, sensor_noise(cell)).period_s
+
+    coarse = dict.fromkeys(("dry_friction", "viscous_friction", "mode", "free_play"), 1.0)
+    assert seconds(**coarse) == 5.0
+    assert 5.0 < seconds(**(coarse | {"viscous_friction": 0.0065})) < 10.5
+    assert seconds(**(coarse | {"viscous_friction": 0.001})) == 10.5
