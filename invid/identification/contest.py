@@ -48,9 +48,8 @@ MOST_MASSES = 8
 """Masses of an axis beyond which none are sought."""
 PASSES = 2
 """Times that every chain astray is split."""
-STRUCTURES, SEVERAL = 2, 2
-"""Structures whose chains are split at random where no start of any is home, and chains astray from which a
-structure is in doubt."""
+STRUCTURES = 3
+"""Structures whose chains are split at random where no start of any is home."""
 PRICE_OF_MASS = 120.0
 """Fall of −2 ln L on all records for one more mass: Schwarz's price of its three numbers is 25; the rest is
 what the form of friction leaves, up to 83 (empirical, axes without a period of another hand)."""
@@ -107,24 +106,21 @@ def begin_with_modes(
     kept: Bench | None = None,
     known: Known = NOTHING,
 ) -> Supposed:
-    """The same of a structure whose loads may have a mode, where a motor's own stiffness shows one more mass.
+    """The same of a structure whose loads may have a mode, of chains that are astray.
 
-    From chains that lack one no later trial comes home: it is decided before any law is looked at. Where one
-    chain alone is astray a law in it may be missing as well, and the search has both.
+    From chains that lack one no later trial comes home: it is decided before any law is looked at.
     """
     lowest = _lowest(bench, structure, kept, known)
     pool = [lowest]
-    stacks = (*bench.stacks, *(kept.stacks if kept else ()))
-    for axis, load in enumerate(structure.load):
-        if len(_astray(lowest)) < SEVERAL or budget.is_left_out("further starts"):
+    for axis in _astray(lowest):
+        if budget.is_left_out("further starts"):
             break
-        if masses_seen(stacks, axis) > structure.sizes[axis]:
-            with suppress(np.linalg.LinAlgError):
-                pool.append(_lowest(bench, replace(structure, modes=(load,)), kept, NOTHING))
+        with suppress(np.linalg.LinAlgError):
+            pool.append(_lowest(bench, replace(structure, modes=(structure.load[axis],)), kept, NOTHING))
     ends: list[Supposed] = []
     for start in sorted(pool, key=_priced)[:STRUCTURES]:
         ends.append(brought_home(start))
-        if len(_astray(ends[-1])) < SEVERAL:
+        if is_settled(ends[-1]):
             break
     return min(ends, key=_priced)
 
@@ -174,7 +170,7 @@ def brought_home(now: Supposed) -> Supposed:
         for axis in _astray(now):
             if axis in _astray(now) and not budget.is_left_out("further starts"):
                 now = _split_anew(now, axis, rng)
-        if before.total - now.total < PRICE_OF_MASS or len(_astray(now)) < SEVERAL:
+        if before.total - now.total < PRICE_OF_MASS or len(_astray(now)) < 2:
             break
     return now
 

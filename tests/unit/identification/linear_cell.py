@@ -23,12 +23,14 @@ def _chain(values: list[float]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LinearCell:
-    """Chains of masses, springs and dampers; ``couplings`` {(i, j): inertia} between their ends."""
+    """Chains of masses, springs and dampers; ``couplings`` {(i, j): inertia} between their ends, ``modes``
+    {axis: (mass, spring, damper)} on them."""
 
     masses: list[list[float]]
     springs: list[list[float]]
     dampers: list[list[float]]
     couplings: dict[tuple[int, int], float] = field(default_factory=dict)
+    modes: dict[int, tuple[float, float, float]] = field(default_factory=dict)
 
     @property
     def truth(self) -> dict[str, float]:
@@ -52,7 +54,7 @@ class LinearCell:
         time_constant: float = 0.0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Positions and recorded torques (n, M); the command is held over the sample."""
-        mass = np.diag(np.concatenate(self.masses).astype(float))
+        mass = np.diag([*np.concatenate(self.masses), *(m for m, _, _ in self.modes.values())])
         ends = np.cumsum([len(m) for m in self.masses]) - 1
         for (i, j), value in self.couplings.items():
             mass[ends[i], ends[j]] = mass[ends[j], ends[i]] = value
@@ -61,7 +63,13 @@ class LinearCell:
         inputs = np.zeros((n, m))
         inputs[motors, range(m)] = 1.0
         inner = np.linalg.inv(mass)
-        stiff, damp = block_diag(*map(_chain, self.springs)), block_diag(*map(_chain, self.dampers))
+        alone = [np.zeros((1, 1))] * len(self.modes)
+        stiff = block_diag(*map(_chain, self.springs), *alone)
+        damp = block_diag(*map(_chain, self.dampers), *alone)
+        for number, (axis, (_, spring, damper)) in enumerate(self.modes.items()):
+            apart = np.zeros(n)
+            apart[ends[axis]], apart[ends[-1] + 1 + number] = 1.0, -1.0
+            stiff, damp = stiff + spring * np.outer(apart, apart), damp + damper * np.outer(apart, apart)
         if in_drive:
             stiff, damp = stiff + inputs * gain @ inputs.T, damp + inputs * damping @ inputs.T
         # States: positions, velocities, what the torque channel shows of the torque.
