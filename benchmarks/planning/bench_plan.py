@@ -6,8 +6,9 @@ Everything runs through the simulated cell: drives on the virtual CAN bus, the s
 friction, encoder and torque quantisation, noise, hold controllers. Exit status 1 where a bar is missed.
 
 expected  standard deviations foretold before anything moves / scatter of identified parameters (0.7–1.5)
-time      robot time of the default plan (60 s, six of six frictions named), of --goal 1% (25 s) and --screen,
-          none sure and wrong, 1 % on every mass, spring and coupling; beside settled periods and stepped sine
+time      robot time of the default plan (60 s, six of six frictions named), of --goal 1% (25 s) and --screen
+          (12 s), none sure and wrong, 1 % on every mass, spring and coupling; beside settled periods and
+          stepped sine
 """
 
 from __future__ import annotations
@@ -163,7 +164,11 @@ def stepped(config: CellConfig, path: Path) -> Run:
     """Stepped sine at half the peak torque of the default plan, limits of travel and speed lifted; its fit
     starts at the truth."""
     changed = stepped_config(config.simulation["seed"], FREQUENCIES, 0.5 * make_plan(config).peak_torque)
-    seconds = measure_to_file(changed, path).duration_s
+    try:
+        seconds = measure_to_file(changed, path).duration_s
+    except InvidError as error:
+        print(f"    {error}"[:150])
+        return Run(float("inf"), float("inf"), 0, 0)
     return Run(seconds, stepped_error(changed, path), 0, 0)
 
 
@@ -172,7 +177,7 @@ PLANS = {
     "settled periods": (settled, np.inf, 0, 0.1),
     "default": (default, 60.0, 6, 1.0),
     "--goal 1%": (goal, 25.0, 0, 1.0),
-    "--screen": (unchanged, 25.0, 0, 0.25),
+    "--screen": (unchanged, 12.0, 0, 0.25),
     "stepped sine": (stepped, np.inf, 0, 0.05),
 }
 

@@ -38,10 +38,12 @@ class ScreenedCell:
 def screening_plan(
     config: CellConfig, belief: Belief, noise: Noise, *, amplitude_scale: float = 1.0
 ) -> GoalPlan:
-    """The plan of a screening: the blocks that its goal needs, on all axes, without reserve."""
+    """The plan of a screening: the blocks that its goal needs, at least two, on all axes, without reserve."""
     design = plan_for_goal(config, belief, noise, SCREEN_GOAL, amplitude_scale=amplitude_scale)
-    plan = design.plan.first(design.needed - 1)
-    return replace(design, plan=plan, amplitudes=design.amplitudes[: design.needed])
+    # the climb alone is too weak to tell which of two coupled axes changed
+    needed = max(design.needed, 2)
+    plan = design.plan.first(needed - 1)
+    return replace(design, plan=plan, needed=needed, amplitudes=design.amplitudes[:needed])
 
 
 def screen_cell(

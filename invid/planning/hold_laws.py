@@ -20,7 +20,8 @@ CATCHING_RATIO = 0.7
 """Damping ratio of the PD that follows a path or brings an axis back to rest."""
 CENTRING_RATIO = 0.35
 """Damping ratio of the hold that keeps an excited axis in its place. Twice as much takes a third of the
-torque limit and half the motion of the modes; runs begin where an axis drifts least. Empirical (case study)."""
+torque limit and half the motion of the modes; runs begin where an axis drifts least. Empirical (case
+study)."""
 CENTRING_SHARE = 1.0 / 3.0
 """Its natural frequency as a share of the lowest excited line: far enough below to leave the excitation
 nearly alone, fast enough to bring the axis back during a rest of a second or two, and stiff enough for

@@ -69,7 +69,7 @@ def test_an_unchanged_cell_is_said_to_be_unchanged_and_what_would_have_been_seen
 ) -> None:
     config = cell(tmp_path, 2)
     plan = screening_plan(config, from_model(accepted, config), sensor_noise(config)).plan
-    assert plan.shaking_s < 10
+    assert plan.shaking_s < 14  # the climb of its trial and one block
     found = screen_cell(config, accepted, tmp_path / "r.h5", noise=sensor_noise(config)).screening
     assert (found.verdict, found.changed) == ("unchanged", ())
     assert found.sentence.startswith("Nothing changed since the accepted model")
