@@ -51,6 +51,8 @@ class Begun:
     """Other numbers of masses that explain the records as well."""
     tones: tuple[AxisTones, ...] = ()
     """Torque taken out since it repeats with no period: an undamped mode would take it for its own."""
+    stopgap: tuple[str, ...] = ()
+    """What is kept out for want of records for validation, to warn of where there are none."""
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -123,7 +125,7 @@ def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, mode
         raise NotIdentifiableError(
             f"{recording.source}: {error}; check signs, units and the number of masses"
         ) from None
-    return Begun(recording, first, declared, split.warnings, alike)
+    return Begun(recording, first, declared, split.warnings, alike, stopgap=split.stopgap)
 
 
 def on_all_records(now: Supposed, recording: Recording) -> Supposed:

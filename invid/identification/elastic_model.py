@@ -64,6 +64,7 @@ def model_of_chains(begun: Begun) -> Model:
     doubts = [*doubts_of(model.fit), *found]
     said = [
         *begun.warnings,
+        *begun.stopgap,
         *(d.text for d in found),
         *model.warnings,
         *fewer_masses_warnings(begun.declared, end.hypothesis.structure.sizes),

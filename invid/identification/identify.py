@@ -97,7 +97,8 @@ def _begin(recording: Recording, sizes: tuple[int, ...] | None) -> Begun:
     check_shaken(recording)
     # Not even holds are read, or starts, from what is for validation.
     own = tuple(e for e in recording.experiments if e.role is Role.IDENTIFY)
-    return begin_elastic(replace(recording, experiments=own), sizes)
+    begun = begin_elastic(replace(recording, experiments=own), sizes)
+    return begun if len(own) == len(recording.experiments) else replace(begun, stopgap=())
 
 
 def _model_by_paper(recording: Recording, sizes: Sequence[int]) -> Model:

@@ -26,11 +26,12 @@ LEAST_LINES = 12
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Records to fit and records kept out, and what to warn about."""
+    """Records to fit and records kept out, what to warn about, and what is kept out for want of better."""
 
     fitted: tuple[Record, ...]
     kept: tuple[Record, ...]
     warnings: tuple[str, ...]
+    stopgap: tuple[str, ...] = ()
 
 
 def records_of(recording: Recording, *, by_period: bool = False) -> Split:
@@ -61,7 +62,7 @@ def records_of(recording: Recording, *, by_period: bool = False) -> Split:
     said = row.sentence(parts)
     known = _with_holds([*fitted, *kept], parts)  # of one machine: what one record shows holds for all
     fitted, kept = known[: len(fitted)], known[len(fitted) :]
-    return Split(tuple(fitted), tuple(kept), (*warnings, *([said] if said else [])))
+    return Split(tuple(fitted), tuple(kept), tuple(warnings), (said,) if said else ())
 
 
 def all_records(recording: Recording) -> list[Record]:

@@ -85,6 +85,7 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
         warnings=[
             *(d for c in causes for d in c.doubts if d not in (BESIDE_MORE, OF_SHAPES)),
             *begun.warnings,
+            *begun.stopgap,
             *fewer_masses_warnings(begun.declared, masses),
             *model.warnings,
         ],

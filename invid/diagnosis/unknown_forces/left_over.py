@@ -11,6 +11,7 @@ from invid.identification.quantities import axis_and_element
 from invid.identification.worth import Worth
 from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.supposition import Supposed, axis_of
 from invid.model.diagnosis_document import ForceAt
@@ -45,10 +46,12 @@ class PlaceForce:
 
 def is_of_shapes(worth: Worth, end: Supposed, bare: Supposed) -> bool:
     """Whether what a cause takes is no more, on any axis, than what the laws of the others may leave there
-    since they are not quite the machine's.
+    since they are not quite the machine's. Friction is expected on every motor, and never such.
 
     ``bare``: the plant without causes.
     """
+    if isinstance(worth.key, tuple) and isinstance(worth.key[0], Part):
+        return False
     structure = bare.hypothesis.structure
     before, after = ({s: rms for rms, s in found.strength} for found in (bare, end))
     acts, taken = np.zeros(structure.motors), np.zeros(structure.motors)
