@@ -172,25 +172,24 @@ def brought_home(now: Supposed) -> Supposed:
     for _ in range(PASSES):
         before = now
         for axis in _astray(now):
-            if axis in _astray(now) and not budget.is_left_out("further starts"):
-                now = _split_anew(now, axis, rng)
+            masses_before = _astray(now).get(axis)
+            if masses_before is not None and not budget.is_left_out("further starts"):
+                now = _split_anew(now, (axis, masses_before), rng)
         if before.total - now.total < PRICE_OF_MASS or len(_astray(now)) < 2:
             break
     return now
 
 
-def _split_anew(now: Supposed, axis: int, rng: np.random.Generator) -> Supposed:
+def _split_anew(now: Supposed, place: tuple[int, int], rng: np.random.Generator) -> Supposed:
     """The lowest of random splits of one chain: of all of it, and of what is behind the first place at which
-    something acts, its first mass and spring at least."""
+    something acts, its first mass and spring at least.
+
+    ``place``: the axis, and its masses before that place.
+    """
+    (axis, before), stacks, plant = place, now.bench.stacks, now.numbers.plant
     longest = chain_lengths(now.hypothesis.structure)[axis] - 1
-    kept = sorted({0, min(max(1, _astray(now)[axis]), longest)})
-    splits = [
-        plant
-        for count in kept
-        for plant in split_plants(
-            now.bench.stacks, now.numbers.plant, (axis, count), RANDOM // len(kept), rng
-        )
-    ]
+    kept = sorted({0, min(max(1, before), longest)})
+    splits = [s for k in kept for s in split_plants(stacks, plant, (axis, k), RANDOM // len(kept), rng)]
     best = _contest((now.bench, now.kept), now.hypothesis, splits, axis)
     if best is None or best.total >= now.total:
         return now

@@ -71,11 +71,11 @@ class BlockDesigner:
         numbered = [replace(e, key=f"{k:03d}") for k, e in enumerate(blocks)]
         return expected(self.config, numbered, self.belief, self.noise)
 
-    def block(self, length: float, number: int, rung: float) -> PlannedExperiment:
+    def block(self, length: float, number: int) -> PlannedExperiment:
         """One block, within travel and velocity by the belief."""
         if length != self.length:
             self._fit_prices(length)
-        made = self._build_block(length, number, rung)
+        made = self._build_block(length, number)
         # laid out for the first block; the others have other phases
         over = max((ratio for _, _, ratio in self._excess_over_limits(made)), default=1.0) if number else 1.0
         return replace(made, torque=frozen_float(made.torque / over))
@@ -90,7 +90,7 @@ class BlockDesigner:
         self.reduced = np.ones(len(self.config.axes))
         self.touched.clear()
         for attempt in range(MOST_PRICINGS + 4):
-            over = self._excess_over_limits(self._build_block(length, 0, 1.0))
+            over = self._excess_over_limits(self._build_block(length, 0))
             if not over:
                 return
             # Less torque moves less: travel and speed have their price after that.
@@ -112,18 +112,19 @@ class BlockDesigner:
         over = with_margin(motion, block.torque) / usable(self.config)
         return [(int(i), int(k), float(over[k, i])) for i, k in np.argwhere(over.T > 1.0)]
 
-    def peaks(self, rung: float) -> Float64:
+    @property
+    def peaks(self) -> Float64:
         """(M,) peak torque."""
-        return rung * self.share * self.limits * self.reduced
+        return self.share * self.limits * self.reduced
 
-    def _build_block(self, length: float, number: int, rung: float) -> PlannedExperiment:
+    def _build_block(self, length: float, number: int) -> PlannedExperiment:
         config, cycle = self.config, self.config.bus.cycle_s
         period = round(length / cycle)
         spacing = 1.0 / (period * cycle)
         first = max(1, int(np.ceil(self.band[0] / spacing - 1e-9)))
         lines = np.arange(first, int(np.floor(self.band[1] / spacing + 1e-9)) + 1)
         axis = interleaved(lines, self.excited, number)
-        peaks = self.peaks(rung)
+        peaks = self.peaks
         torque = np.zeros((period, len(config.axes)))
         shell = PlannedExperiment(
             kind=Kind.MULTISINE,
@@ -133,7 +134,7 @@ class BlockDesigner:
             frequencies_hz=frozen_float(lines * spacing),
             attributes={
                 "seed": self.seed + number,
-                "amplitude": rung * self.share,
+                "amplitude": self.share,
                 "lines": "interleaved",
                 "from_rest": True,
             },
@@ -196,8 +197,8 @@ class BlockDesigner:
             scale[k] = 1.0 if structure.logarithmic[k] else relative[name]
         return scale
 
-    def warnings(self, rung: float) -> list[str]:
-        low, coulomb = self.peaks(rung), self.belief.coulomb
+    def warnings(self) -> list[str]:
+        low, coulomb = self.peaks, self.belief.coulomb
         way_out = "it creeps while it is shaken" if self.creep > 0 else "allow a creep_velocity in the config"
         near = [
             f"axis {self.config.axes[i].name}: the peak torque of {low[i]:.3g} is only "

@@ -131,7 +131,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
         # Information grows with the length: what is expected of the shortest says which ones cannot do.
         if first * np.sqrt(lengths[0] / length) > HOPELESS_FACTOR * goal and length != lengths[-1]:
             continue
-        blocks = [designer.block(length, 1, 1.0)]
+        blocks = [designer.block(length, 1)]
         reached = designer.expected(blocks)
         best = (blocks, reached)
         first = first or reached.worst[1]
@@ -145,7 +145,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
         room = int(max_duration_s // (length + REST_S)) - len(blocks)
         if min(more, room) <= 0:
             break
-        blocks += [designer.block(length, 1 + len(blocks) + k, 1.0) for k in range(min(more, room))]
+        blocks += [designer.block(length, 1 + len(blocks) + k) for k in range(min(more, room))]
         reached = designer.expected(blocks)
     return _complete_plan(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
 
@@ -169,7 +169,7 @@ def _complete_plan(
     """The plan: the climb of its trial, which may be enough, the blocks, then reserve."""
     blocks, reached, length = layout.blocks, layout.expected, layout.length
     reachable = reached.worst[1] <= goal
-    climb = designer.block(max(length, RECORDED_CLIMB_S), 0, 1.0)
+    climb = designer.block(max(length, RECORDED_CLIMB_S), 0)
     share = trial_shares(designer.config, climb)[1]
     first = designer.expected([replace(climb, torque=frozen_float(share * climb.torque))])
     needed = 1 + len(blocks)
@@ -177,7 +177,7 @@ def _complete_plan(
         needed, reached, reachable = 1, first, True
     for _ in range(RESERVE):
         if reachable and (len(blocks) + 1) * (length + REST_S) <= max_duration_s:
-            blocks = [*blocks, designer.block(length, 1 + len(blocks), 1.0)]
+            blocks = [*blocks, designer.block(length, 1 + len(blocks))]
     binding = sorted(designer.touched)
     if not reachable and np.isfinite(reached.worst[1]):
         if not binding or designer.reduced.min() > 0.99:
@@ -190,7 +190,7 @@ def _complete_plan(
             plan,
             warnings=(
                 *plan.warnings,
-                *designer.warnings(1.0),
+                *designer.warnings(),
                 *turning_back(designer.config, plan.experiments[0], designer.belief),
             ),
         ),

@@ -112,16 +112,16 @@ class _Sinusoid:
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """The lines about the largest."""
+    """The lines about the largest, whose number is ``peak``."""
 
+    peak: int
     number: Int64
     rest: Complex128
     noise: Float64
 
     def read(self, decay: float) -> _Sinusoid:
         """The sinusoid of this decay that tells most."""
-        peak = self.number[np.argmax(np.abs(self.rest) ** 2 / self.noise)]
-        cycles: Float64 = peak + np.linspace(-APART, APART, FINE)
+        cycles: Float64 = self.peak + np.linspace(-APART, APART, FINE)
         shape = _leakage(cycles[:, None] - self.number, decay)
         told = (shape.conj() / self.noise * self.rest).sum(axis=1)
         known = (np.abs(shape) ** 2 / self.noise).sum(axis=1)
@@ -131,9 +131,9 @@ class _Near:
 
 
 def _near_peak(rest: Complex128, power: Float64, number: Int64) -> _Near:
-    peak = int(np.argmax(np.abs(rest) ** 2 / power))
-    near = np.abs(number - number[peak]) <= NEAR
-    return _Near(number[near], rest[near], power[near])
+    peak = int(number[np.argmax(np.abs(rest) ** 2 / power)])
+    near = np.abs(number - peak) <= NEAR
+    return _Near(peak, number[near], rest[near], power[near])
 
 
 def _leakage(cycles: np.ndarray, decay: float) -> Complex128:
