@@ -262,12 +262,16 @@ class Cia402Cell:
         asked = self._late_share is not None
         late, count = [0] * len(self._drives), 0
         end = self.clock.now() + (max(LOOK_S, LOOK_CYCLES * cycle) if asked else LOOK_S)
-        while self.clock.now() < end and not self.cancelled():
-            sample = self._watched([0.0] * len(self._drives))
-            count += 1
-            late = [n + (not came) for n, came in zip(late, sample.fresh, strict=True)]
-            if self._watch.origin is None and all(sample.fresh):
-                self._watch.start(sample.position)
+        self._cycle.apart = asked
+        try:
+            while self.clock.now() < end and not self.cancelled():
+                sample = self._watched([0.0] * len(self._drives))
+                count += 1
+                late = [n + (not came) for n, came in zip(late, sample.fresh, strict=True)]
+                if self._watch.origin is None and all(sample.fresh):
+                    self._watch.start(sample.position)
+        finally:
+            self._cycle.apart = False  # on the way out no SYNC waits
         if self._late_share is not None and max(late) > self._late_share[0] * count:
             names = ", ".join(name for name, n in zip(self.axes, late, strict=True) if n == max(late))
             raise ConfigError(

@@ -34,6 +34,9 @@ ALONE_CYCLES = 3
 """After a gap, three cycles in a row that bring one TPDO, later than usual, do not say whether what was owed
 is lost or the drive has fallen behind by whole cycles. A slot without SYNC does: nothing comes in it, or the
 answer that is late."""
+APART_S = 0.05
+"""For an answer that is owed is waited so long before the next SYNC where they are kept apart: no adapter
+holds a frame longer (a USB latency timer: 16 ms)."""
 LISTEN_EVERY_S = 1.0
 """Where one TPDO was lost and the next came as fast as ever, that is asked at most so often: one slot in a
 thousand at 1 kHz. A guess at what a record may lose."""
@@ -104,6 +107,9 @@ class Cycle:
         self._alone = [0] * count
         self._behind = [False] * count
         self._doubt = False
+        self.apart = False
+        """A SYNC waits for the answers to those before it: then what comes is its own, however late others
+        are."""
         self._next_listen = -math.inf
         self._answered_s = 0.5 * self._cycle
         self._mode_asked = 0
@@ -179,7 +185,7 @@ class Cycle:
         sample, put = self.sample, link.put
         hold = Mode.HOLD
         sample.listened = 0
-        if self._doubt:
+        if self._doubt or self.apart:
             self._listen()
         for i, cob in enumerate(self._rpdo_ids):
             value = round((self.support[i] if self.modes[i] is hold else torque[i]) * self._per_mille[i])
@@ -277,13 +283,15 @@ class Cycle:
     def _listen(self) -> None:
         """Pass slots without SYNC until one brings no TPDO: a drive whose TPDO comes then has fallen behind.
 
-        Then two have to bring none: of what comes whole cycles late, one may come a moment early.
+        Then two have to bring none: of what comes whole cycles late, one may come a moment early. Where SYNCs
+        are kept apart, silence before an answer that is owed ends nothing.
 
         From there on nothing is owed, and a drive that was behind is believed again when it has answered a
         SYNC in its own cycle. The drives go on with their last targets meanwhile.
         """
         late: set[int] = set()
-        silent = 0
+        silent, owed = 0, list(self._owed)
+        patience = round(APART_S / self._cycle)
         self._doubt = False
         self._next_listen = self._link.clock.now() + LISTEN_EVERY_S
         for _ in range(self._config.safety.missed_tpdos):
@@ -304,9 +312,10 @@ class Cycle:
                     self._sort(message)
                 else:
                     heard.add(axis)
+                    owed[axis] -= 1
             late |= heard
             silent = 0 if heard else silent + 1
-            if silent > bool(late):
+            if silent > (patience if self.apart and max(owed) > 0 else bool(late)):
                 break
         count = len(self._nodes)
         self._owed, self._alone = [0] * count, [0] * count
