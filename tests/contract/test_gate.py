@@ -6,12 +6,8 @@ import struct
 
 import can
 import pytest
-from test_adapter_promises import config, held
 
-from invid.errors import DriveError
-from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.gate import Gate, Known, NotPermitted
-from invid_drivers.simulated import open_virtual_bus
 
 OFF, ENABLED, HELD = 0x0240, 0x0227, 0x0207
 NODE, OTHER = 5, 6
@@ -130,22 +126,3 @@ def test_a_restart_makes_a_node_unread_and_one_that_says_nmt_stopped_may_be_set_
     assert kept_back(found, NMT)
     found.heard(0x700 + NODE, b"\x04")
     assert not kept_back(found, NMT)
-
-
-def test_a_restart_between_protection_and_start_is_not_forgotten() -> None:
-    cfg = config()
-    bus = open_virtual_bus(cfg)
-    cell = Cia402Cell(bus, cfg)
-    cell.check()
-    map_pdos = cell._drives[1].map_pdos
-
-    def then_restarts() -> None:
-        map_pdos()
-        bus.cell.drives[0].node.power_on(bus.cell.now_ns)
-        cell.link.wait(0.05)
-
-    cell._drives[1].map_pdos = then_restarts  # type: ignore[method-assign]
-    with pytest.raises(DriveError, match="A1 has restarted while its protection was written"):
-        cell.energise(held(cell))
-    cell.close()
-    assert not any(d.state.name == "OPERATION_ENABLED" for d in bus.cell.drives)

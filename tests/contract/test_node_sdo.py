@@ -47,35 +47,6 @@ def test_a_wrong_request_is_aborted_with_its_code(master: Master, request_: byte
     assert hex(master.abort_code(1, request_)) == hex(code)
 
 
-def test_a_name_longer_than_four_bytes_comes_in_segments(master: Master) -> None:
-    first = master.answer(1, upload(0x100A))
-    assert first[0] == 0x41
-    length = struct.unpack_from("<I", first, 4)[0]
-    text, toggle = b"", 0
-    while True:
-        part = master.answer(1, bytes([0x60 | toggle]) + bytes(7))
-        assert part[0] & 0x10 == toggle
-        text += part[1 : 8 - (part[0] >> 1 & 7)]
-        if part[0] & 1:
-            break
-        toggle ^= 0x10
-    assert len(text) == length
-    assert text == b"invid simulated drive"
-
-
-def test_a_segment_with_the_wrong_toggle_bit_ends_the_transfer(master: Master) -> None:
-    master.answer(1, upload(0x100A))
-    assert master.abort_code(1, bytes([0x70]) + bytes(7)) == 0x05030000
-    assert master.abort_code(1, bytes([0x60]) + bytes(7)) == 0x05040001
-
-
-def test_a_segmented_download_writes_the_value(master: Master) -> None:
-    assert master.answer(1, struct.pack("<BHBI", 0x21, 0x6084, 0, 4))[0] == 0x60
-    assert master.answer(1, bytes([0x00 | (5 << 1)]) + b"\x11\x22" + bytes(5))[0] == 0x20
-    assert master.answer(1, bytes([0x10 | (5 << 1) | 1]) + b"\x33\x44" + bytes(5))[0] == 0x30
-    assert master.read(1, 0x6084) == 0x44332211
-
-
 def test_a_pdo_is_remapped_only_by_the_procedure(master: Master) -> None:
     valid = master.read(1, 0x1400, 1)
     assert not valid & 0x80000000
@@ -93,26 +64,6 @@ def test_a_pdo_is_remapped_only_by_the_procedure(master: Master) -> None:
     assert master.write(1, 0x1600, 0, "B", 2) == 0
     assert master.write(1, 0x1400, 1, "I", 0x201) == 0
     assert master.read(1, 0x1600, 0, "B") == 2
-
-
-def test_a_dummy_fills_a_receive_pdo(master: Master) -> None:
-    master.map_pdo(1, "r", 1, [0x00060010, 0x60710010, 0x60400010])
-    master.bus.send_raw(0, b"\x01\x01")
-    master.bus.send_raw(0x201, struct.pack("<HhH", 0xFFFF, 77, 6))
-    master.wait(0.001)
-    assert master.read(1, 0x6071, 0, "h") == 0  # synchronous: not before SYNC
-    master.bus.send_raw(0x80, b"")
-    master.wait(0.001)
-    assert master.read(1, 0x6071, 0, "h") == 77
-
-
-def test_a_receive_pdo_that_is_too_short_is_reported_and_changes_nothing(master: Master) -> None:
-    master.prepare()
-    master.bus.send_raw(0x201, b"\x10\x00\x06")
-    frames = master.wait(0.005)
-    emergencies = [data for _, can_id, data in frames if can_id == 0x81]
-    assert [struct.unpack_from("<H", d)[0] for d in emergencies] == [0x8210]
-    assert master.read(1, 0x6040, 0, "H") == 0
 
 
 def test_stored_parameters_survive_a_reset_and_others_do_not(master: Master) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -40,27 +39,6 @@ def test_a_profile_lacks_what_the_vendor_lacks(
     for index, value in values.items():
         assert master.read(1, index, 0, "I" if index == 0x6076 else "H") == value, hex(index)
     assert master.read(1, 0x6064, 0, "i") == 0
-    master.close()
-
-
-@pytest.mark.parametrize(
-    ("profile", "rpdos", "tpdos"), [("pilz", 2, 4), ("nanotec_c5e", 8, 8), ("generic", 4, 4)]
-)
-def test_the_number_of_pdos_is_the_vendors(profile: str, rpdos: int, tpdos: int) -> None:
-    master = with_axis(objects={"profile": profile})
-    for base, count in ((0x1400, rpdos), (0x1800, tpdos)):
-        exists = [
-            master.abort_code(1, struct.pack("<BHB4x", 0x40, base + i, 1)) != 0x06020000 for i in range(10)
-        ]
-        assert exists == [i < count for i in range(10)]
-    master.close()
-
-
-def test_a_drive_without_torque_mode_refuses_it() -> None:
-    master = with_axis(objects={"profile": "faulhaber_3150"})
-    assert not master.read(1, 0x6502) & (1 << 9)
-    assert master.write(1, 0x6060, 0, "b", 10) == 0x06090030
-    assert master.write(1, 0x6060, 0, "b", 8) == 0
     master.close()
 
 
@@ -143,51 +121,4 @@ def test_a_linear_axis_counts_metres_and_newtons() -> None:
         answers = master.cycle([200], 0x0F)
     # 100 N on 10 kg for 0.1 s and the millisecond before: ½·10·t²
     assert (answers[1][0] - start) / 1e6 == pytest.approx(0.5 * 10 * (0.101**2 - 0.001**2), rel=0.03)
-    master.close()
-
-
-def test_profile_torque_ramps_with_its_slope_and_halt_ramps_it_down() -> None:
-    master = Master(cell())
-    assert master.write(1, 0x6087, 0, "I", 2000) == 0  # thousandths a second: 2 a cycle
-    master.prepare(mode=4)
-    master.enable()
-    log = [master.cycle([100], 0x0F)[1] for _ in range(70)]
-    torque = [entry[1] for entry in log]
-    rising = [b - a for a, b in pairwise(torque) if b != a]
-    assert set(rising) == {2}
-    assert torque[-1] == 100
-    assert log[-1][2] & 0x400  # target reached
-    for _ in range(60):
-        last = master.cycle([100], 0x10F)[1]
-    assert last[1] == 0
-    master.close()
-
-
-def test_position_mode_interpolates_between_targets_and_follows_a_ramp() -> None:
-    master = Master(cell())
-    master.prepare(mode=8)
-    master.enable()
-    log = []
-    for k in range(400):
-        target = max(0, k - 100) * 20  # 20 counts a millisecond
-        log.append((target, master.cycle([target], 0x0F)[1][0]))
-    behind = [target - position for target, position in log[250:]]
-    # two cycles from target to motion's end; velocity feed-forward leaves no more than that and ripple
-    assert max(behind) <= 3 * 20
-    assert min(behind) >= 1 * 20
-    speed = (log[-1][1] - log[250][1]) / (len(log) - 251)
-    assert speed == pytest.approx(20, rel=0.01)
-    master.close()
-
-
-def test_a_cycle_slower_than_the_drives_own_tick_works_alike() -> None:
-    master = Master(cell(cycle_s=0.004))
-    master.prepare()
-    for word in (6, 6, 7, 7, 15, 15, 15):
-        master.cycle([0], word, period=0.004)
-    for _ in range(50):
-        answers = master.cycle([100], 0x0F, period=0.004)
-    assert answers[1][2] & 0x6F == 0x27
-    # 10 N·m on 1 kg·m² for 49 cycles and a half
-    assert answers[1][0] * REV / 524288 == pytest.approx(0.5 * 10 * (0.004 * 49) ** 2, rel=0.05)
     master.close()

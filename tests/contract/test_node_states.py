@@ -145,63 +145,6 @@ def test_a_lost_heartbeat_of_the_master_ends_as_the_abort_connection_option_says
         assert abs(first - second) <= 2  # it stands: brake or ramp
 
 
-def test_without_a_first_heartbeat_nothing_is_watched(master: Master) -> None:
-    assert master.write(1, 0x1016, 1, "I", 127 << 16 | 50) == 0
-    assert not [f for f in master.wait(1.0) if f[1] == 0x81]
-
-
-def test_nmt_stop_while_enabled_takes_the_torque_away(master: Master) -> None:
-    master.prepare()
-    master.enable()
-    for _ in range(20):
-        master.cycle([100], 0x0F)
-    master.bus.send_raw(0, b"\x02\x00")
-    master.wait(0.5)
-    drive = master.bus.cell.drives[0]
-    assert drive.state.name == "FAULT"
-    assert abs(float(master.bus.cell.plant.velocities[0])) < 1e-9
-
-
-@pytest.mark.parametrize("length", range(1, 9))
-def test_an_emergency_of_any_length_can_be_sent(length: int) -> None:
-    faults = [{"kind": "emcy", "axis": "A1", "at_s": 0.05, "code": 0x5530, "length": length}]
-    master = Master(cell({"faults": faults}))
-    found = [d for _, i, d in master.wait(0.1) if i == 0x81]
-    assert [len(d) for d in found] == [length]
-    assert found[0] == struct.pack("<HB5x", 0x5530, 1)[:length]
-    assert master.read(1, 0x1003, 1) == 0x5530
-    master.close()
-
-
-def test_an_event_driven_pdo_comes_when_its_content_changes(master: Master) -> None:
-    master.bus.send_raw(0, b"\x01\x01")
-    master.wait(0.01)
-    assert master.write(1, 0x6040, 0, "H", 6) == 0
-    assert [d for _, i, d in master.wait(0.02) if i == 0x181] == [struct.pack("<H", 0x0231)]
-    assert not [d for _, i, d in master.wait(0.05) if i == 0x181]
-
-
-def test_a_pdo_of_type_three_comes_with_every_third_sync(master: Master) -> None:
-    master.map_pdo(1, "t", 1, [0x60640020], kind=3)
-    master.bus.send_raw(0, b"\x01\x01")
-    master.wait(0.001)
-    for _ in range(9):
-        master.bus.send_raw(0x80, b"")
-        master.wait(0.001)
-    assert master.bus.wire.cell.syncs == 9
-    master.other.clear()
-
-
-def test_target_torque_is_clipped_at_the_maximum_and_says_so(master: Master) -> None:
-    assert master.write(1, 0x6072, 0, "H", 150) == 0
-    master.prepare()
-    master.enable()
-    for _ in range(5):
-        answers = master.cycle([400], 0x0F)
-    assert answers[1][1] == 150
-    assert answers[1][2] & 0x0800
-
-
 @pytest.mark.parametrize(
     ("index", "sub", "code", "value", "emergency"),
     [
@@ -224,25 +167,3 @@ def test_the_drives_own_limits_end_in_a_fault_and_a_stop(
     assert master.read(1, 0x603F, 0, "H") == emergency
     codes = [struct.unpack_from("<H", d)[0] for _, i, d in master.other if i == 0x81]
     assert codes == [emergency]
-
-
-def test_position_mode_holds_against_a_push_and_a_following_error_is_a_fault() -> None:
-    faults = [{"kind": "push", "axis": "A1", "at_s": 0.2, "duration_s": 0.3, "torque_Nm": 20}]
-    master = Master(cell({"faults": faults}))
-    master.prepare(mode=8)
-    master.enable()
-    for _ in range(400):
-        answers = master.cycle([0], 0x0F)
-    pushed = answers[1][0] * 6.283185 / 524288
-    # 1 kg·m² and 25 Hz: 20 N·m / (2π25)² = 0.81 mrad
-    assert pushed == pytest.approx(20 / (6.283185 * 25) ** 2, rel=0.02)
-    for _ in range(400):
-        answers = master.cycle([0], 0x0F)
-    assert abs(answers[1][0]) <= 2
-    assert answers[1][2] & 0x6F == OE
-    assert master.write(1, 0x6065, 0, "I", 500) == 0
-    for _ in range(300):
-        answers = master.cycle([20000], 0x0F)
-    assert answers[1][2] & 0x6F == FAULT
-    assert master.read(1, 0x603F, 0, "H") == 0x8611
-    master.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -43,44 +42,6 @@ class Harm:
             self.master.cycle([permille, 0, 0], word, 0.004)
 
 
-def test_torque_above_the_config_or_above_what_was_commissioned_is_seen() -> None:
-    fine = Harm(case())
-    fine.master.enable()
-    fine.shake(490, 20)  # of 50 N·m; 25 are allowed
-    assert fine.judge.torque() == []
-    fine.shake(600, 20)
-    assert any("30 N·m in torque mode, limit 25" in c for c in fine.judge.torque())
-    fine.master.close()
-    tight = Harm(case(objects={"values": {"0x6072": 100}}))
-    tight.master.enable()
-    tight.shake(200, 20)
-    assert any("10 N·m in torque mode, limit 5" in c for c in tight.judge.torque())
-    tight.master.close()
-
-
-def test_a_drives_own_loop_is_judged_by_its_own_limit_where_nobody_can_write_it() -> None:
-    for read_only, complaints in ((["0x6072"], 0), ([], 1)):
-        harm = Harm(case(objects={"values": {"0x6072": 900}, "read_only": read_only}), mode=8)
-        harm.master.enable()
-        for step in range(40):  # 0.5 rad in 0.16 s: more than 25 N·m
-            harm.master.cycle([step * 1000, 0, 0], 0x0F, 0.004)
-        assert len(harm.judge.torque()) == complaints, harm.judge.torque()
-        harm.master.close()
-
-
-def test_travel_beyond_window_and_budget_is_seen_and_a_drives_tighter_window_counts() -> None:
-    edge = round(0.05 * 524288 / (2 * np.pi))
-    values = {"0x607D:1": -edge, "0x607D:2": edge}
-    for drive, cycles in (({}, 500), ({"objects": {"values": values}}, 150)):
-        harm = Harm(case(**drive))
-        harm.master.enable()
-        harm.shake(100, 10)
-        assert harm.judge.travel() == []
-        harm.shake(100, cycles)
-        assert any(c.startswith("A1: ") and "budgets beyond" in c for c in harm.judge.travel())
-        harm.master.close()
-
-
 def test_a_loaded_axis_that_is_let_go_is_seen_and_one_that_is_held_is_not() -> None:
     harm = Harm(case(**LOADED), mode=8)
     harm.master.enable()
@@ -105,21 +66,6 @@ def test_a_drive_that_is_left_energised_is_seen_but_a_loaded_one_may_hold_itself
         harm.master.cycle([0, 0, 0], 0x02, 0.004)
     assert harm.cell.drives[0].state.name == "QUICK_STOP_ACTIVE"
     assert harm.judge.states() == []
-    harm.master.close()
-
-
-def test_a_command_to_every_node_and_a_write_to_a_foreign_one_are_seen() -> None:
-    harm = Harm(case())
-    harm.master.wait(0.01)
-    complaints = harm.judge.foreign()  # Master.prepare starts every node
-    assert "NMT command 1 to every node" in complaints
-    harm.master.bus.send_raw(0, b"\x80\x00")
-    head = struct.pack("<BHB", 0x2B, 0x1017, 0)
-    harm.master.bus.send_raw(0x600 + bench_real_drives.FOREIGN_NODE, head + b"\x64\0\0\0")
-    harm.master.wait(0.01)
-    complaints = harm.judge.foreign()
-    assert "1 writes to foreign node 20" in complaints
-    assert "foreign node 20 was set PRE_OPERATIONAL" in complaints
     harm.master.close()
 
 
@@ -155,20 +101,6 @@ def test_a_product_without_its_way_out_is_convicted_whatever_it_says(
     monkeypatch.setattr("invid_drivers.cia402.axis.Drive.protect", lambda self, *a, **k: None)
     outcome = run_one("emcy", np.random.default_rng(1), tmp_path)
     assert any("ended in OPERATION_ENABLED" in c for c in outcome.complaints)
-
-
-def test_an_exit_status_that_the_kind_does_not_call_for_and_a_lost_recording_are_seen(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(bench_real_drives, "run_measurement", lambda *a, **k: None)
-    outcome = run_one("other sync before", np.random.default_rng(1), tmp_path)
-    assert any(c.startswith("exit 0") for c in outcome.complaints)
-    assert "no recording was left" in outcome.complaints
-    monkeypatch.setattr(
-        bench_real_drives, "run_measurement", lambda *a, **k: a[3].write_bytes(b"no HDF5") and None
-    )
-    outcome = run_one("none", np.random.default_rng(1), tmp_path)
-    assert any("does not open" in c for c in outcome.complaints)
 
 
 @pytest.mark.parametrize("kind", list(bench_real_drives.EXPECTED))

@@ -32,24 +32,6 @@ def place(master: Master) -> float:
     return float(master.bus.cell.plant.positions[0])
 
 
-def test_limits_that_do_not_count_in_torque_mode_count_on_the_quick_stops_ramp() -> None:
-    values = {"0x6072": 100, "0x607F": round(0.5 * COUNTS), "0x607D:1": -1000, "0x607D:2": 1000}
-    master = started(limits_in_torque_mode=False, objects={"values": values})
-    for _ in range(100):
-        answers = master.cycle([300], 0x0F)
-    assert torque(master) == pytest.approx(30.0)
-    assert answers[1][2] & 0x6F == OE
-    for _ in range(10):
-        master.cycle([300], 0x0B)
-    assert abs(torque(master)) == pytest.approx(10.0)
-    master.close()
-    kept = started(objects={"values": {"0x6072": 100}})
-    for _ in range(10):
-        kept.cycle([300], 0x0F)
-    assert torque(kept) == pytest.approx(10.0)
-    kept.close()
-
-
 def test_a_loaded_axis_stands_on_its_prop_until_its_drive_has_held_it_and_falls_without_both() -> None:
     master = started(mode=8, enable=False, brake=False, load={"torque_Nm": 5.0})
     master.bus.clock.sleep_until(0.5)
@@ -71,30 +53,6 @@ def test_a_loaded_axis_stands_on_its_prop_until_its_drive_has_held_it_and_falls_
     master.close()
 
 
-def test_a_late_brake_lets_the_axis_fall_for_as_long_as_it_takes() -> None:
-    master = started(mode=8, brake_delay_s=0.15, load={"torque_Nm": 5.0})
-    for _ in range(100):
-        master.cycle([0], 0x0F)
-    for _ in range(500):
-        master.cycle([0], 0x00)
-    fallen = -place(master)
-    assert 0.5 * 5.0 * 0.15**2 < fallen < 1.2 * 0.5 * 5.0 * 0.15**2
-    here = place(master)
-    master.wait(0.2)
-    assert place(master) == here
-    master.close()
-
-
-def test_a_load_behind_a_spring_is_at_rest_from_the_start() -> None:
-    branches = [{"axis": "A1", "masses": [1.0, 2.0, 3.0], "springs": [1000.0, 2000.0]}]
-    section = {"plant": {"branches": branches}, "axes": {"A1": {"load": {"torque_Nm": 6.0}}}}
-    master = Master(cell(section))
-    assert master.bus.cell.plant.positions.tolist() == pytest.approx([0.0, -0.006, -0.009])
-    master.wait(0.5)
-    assert master.bus.cell.plant.positions.tolist() == pytest.approx([0.0, -0.006, -0.009])
-    master.close()
-
-
 @pytest.mark.parametrize("unit", ["counts_per_s2", "rpm_per_s"])
 def test_a_quick_stop_takes_the_way_of_its_ramp_whatever_counts_it(unit: str) -> None:
     master = started(limits_in_torque_mode=False, quick_stop_deceleration_rad_per_s2=2.0, ramp_unit=unit)
@@ -108,89 +66,6 @@ def test_a_quick_stop_takes_the_way_of_its_ramp_whatever_counts_it(unit: str) ->
         master.cycle([0], 0x0B)
     assert place(master) - before == pytest.approx(speed**2 / (2 * 2.0), rel=0.07)  # and what the loop lags
     master.close()
-
-
-def test_a_drive_without_the_object_of_its_ramp_still_stops_and_holds() -> None:
-    axis = {"brake": False, "load": {"torque_Nm": 5.0}, "objects": {"lacks": ["0x6085"]}}
-    master = started(mode=8, **axis)
-    master.write(1, 0x605A, 0, "h", 6)
-    for _ in range(50):
-        master.cycle([0], 0x0F)
-    for _ in range(300):
-        master.cycle([0], 0x0B)
-    assert master.bus.cell.drives[0].state == QSA
-    assert abs(place(master)) < 0.001
-    master.close()
-
-
-def test_a_slow_drive_shows_and_takes_its_new_mode_late() -> None:
-    master = started(mode_change_s=0.3, enable=False)
-    master.wait(0.4)
-    master.next_sync = 0.6
-    master.enable()
-    master.write(1, 0x6060, 0, "b", 8)
-    asked = master.bus.clock.now()
-    while master.read(1, 0x6061, 0, "b") != 8:
-        assert master.bus.cell.drives[0].mode == 10
-        master.wait(0.005)
-    assert master.bus.clock.now() - asked == pytest.approx(0.3, abs=0.01)
-    master.close()
-
-
-def test_a_drive_that_takes_its_time_to_enable_gives_no_torque_meanwhile() -> None:
-    master = started(enable_s=0.2, enable=False)
-    master.bus.clock.sleep_until(master.next_sync)
-    status = []
-    for k in range(300):
-        status.append(master.cycle([100], (0x06, 0x06, 0x07, 0x07)[k] if k < 4 else 0x0F)[1][2] & 0x6F)
-        assert status[-1] == OE or torque(master) == 0.0
-    assert status.index(OE) == pytest.approx(204, abs=3)
-    master.close()
-
-
-def test_a_drive_that_watches_its_sync_faults_where_there_is_none() -> None:
-    master = started(sync_timeout_s=0.02)
-    master.wait(0.05)
-    assert master.bus.cell.drives[0].state.name.startswith("FAULT")
-    assert (
-        any(f[1] == 0x81 and f[2][:2] == b"\x00\x87" for f in master.other)
-        or master.read(1, 0x603F, 0, "H") == 0x8700
-    )
-    master.close()
-
-
-def test_a_receive_pdo_that_stays_away_longer_than_its_event_timer_ends_operation() -> None:
-    master = Master(cell({"axes": {"A1": {"objects": {"values": {"0x1400:5": 20, "0x6007": 3}}}}}))
-    master.prepare()
-    master.enable()
-    for _ in range(50):
-        master.cycle([0], 0x0F)
-    assert master.bus.cell.drives[0].state == OE
-    for _ in range(40):  # SYNC goes on, targets do not
-        master.bus.send_raw(0x80, b"")
-        master.wait(0.001)
-    assert master.bus.cell.drives[0].state != OE
-    master.close()
-
-
-def test_a_read_only_object_cannot_be_written_and_keeps_its_value() -> None:
-    master = started(enable=False, objects={"read_only": ["0x6072"], "values": {"0x6072": 400}})
-    assert master.write(1, 0x6072, 0, "H", 100) == 0x06010002
-    assert master.read(1, 0x6072, 0, "H") == 400
-    master.close()
-
-
-def test_bit_11_shows_torque_that_the_limit_holds_back_also_under_position_control() -> None:
-    values = {"0x6072": 20}
-    master = started(mode=8, objects={"values": values}, faults=[push(60.0)])
-    bits = [master.cycle([0], 0x0F)[1][2] & 0x800 for _ in range(300)]
-    assert not any(bits[:80])
-    assert any(bits)
-    master.close()
-
-
-def push(newton_metres: float) -> dict[str, Any]:
-    return {"kind": "push", "axis": "A1", "at_s": 0.2, "torque_Nm": newton_metres, "duration_s": 0.1}
 
 
 def test_a_drive_that_ignores_its_target_clears_bit_12_and_one_with_a_dead_display_shows_one_torque() -> None:

@@ -12,7 +12,6 @@ import yaml
 from benchmarks.drivers.bench_stopping import TIMER, Run, cell_config, draw
 from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError, DriveError
-from invid.planning.stopping_distance import FEEDBACK_FACTOR
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.manuals import YES
@@ -67,19 +66,6 @@ def od_of(master: Cia402Cell) -> Any:
     return bus.cell.drives[0].node.od
 
 
-def test_a_gentle_ramp_means_less_speed_and_says_so() -> None:
-    config = cell({"quick_stop_deceleration_rad_per_s2": 1.0})
-    found = ask_drives(config)
-    plan, limited, (budget,), said = found.plan, found.config, found.budgets, found.said
-    # the ramp alone takes 0.5 rad from 1 rad/s, and the torque that is planned for less goes on for 65 ms
-    assert 0.4 < budget.permitted < 0.8
-    assert plan.forecast[0].velocity <= budget.permitted
-    assert budget.case.planned == pytest.approx(FEEDBACK_FACTOR * plan.peak_torque[0])
-    assert budget.dead_master == pytest.approx(0.5)
-    assert limited.axes[0].limits.velocity == budget.permitted
-    assert any("A1: at most" in s and "0x6085" in s for s in said)
-
-
 def test_a_config_that_states_a_steeper_ramp_has_it_written_where_its_unit_is_known_and_restored() -> None:
     axis = {
         "vendor": "epos4",
@@ -117,17 +103,6 @@ def test_a_ramp_in_an_unknown_unit_counts_in_the_slower_one_and_a_stated_one_is_
     master.close()
 
 
-def test_an_acceleration_factor_of_the_drive_tells_its_unit() -> None:
-    config = cell()
-    master = connect(config)
-    od_of(master).add_record(0x6097, ("I", "ro", 1000), ("I", "ro", 1))
-    od_of(master).put(0x6085, 0, round(5.0 * RAD / 1000))
-    (report,) = master.check()
-    assert report.stopping.deceleration == pytest.approx(5.0, rel=0.02)
-    assert "0x6097" in report.stopping.ramp
-    master.close()
-
-
 def test_a_ramp_beyond_the_torque_limit_is_given_what_the_limit_can_do_and_restored() -> None:
     config = cell({"quick_stop_deceleration_rad_per_s2": 100.0})
     master = connect(config)
@@ -138,16 +113,6 @@ def test_a_ramp_beyond_the_torque_limit_is_given_what_the_limit_can_do_and_resto
     assert od.number(0x6085) == pytest.approx(10.0 * RAD, rel=1e-4)
     assert master.close() == []
     assert od.number(0x6085) == before
-
-
-def test_a_drive_without_the_object_of_its_ramp_says_what_to_state() -> None:
-    config = cell({"objects": {"lacks": ["0x6085"]}})
-    said = ask_drives(config).said
-    assert any("0x6085" in s and "quick_stop_deceleration_rad_per_s2" in s for s in said)
-    found = ask_drives(cell({"objects": {"lacks": ["0x6085"]}}, quick_stop_deceleration_rad_per_s2=5))
-    (budget,), said = found.budgets, found.said
-    assert budget.stop is not None
-    assert not any("not known" in s for s in said)
 
 
 def test_the_event_timer_of_the_rpdo_is_written_longer_than_what_is_forgiven_and_restored() -> None:

@@ -14,7 +14,6 @@ from invid.errors import ConfigError, DriveError, SafetyStop
 from invid.identification.identify import identify
 from invid.recording import read_recording
 from invid.sweep import Mode
-from invid_drivers.cia402.vendors import VENDORS, ways
 from invid_drivers.connect import connect
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.readiness import ask_drives
@@ -129,11 +128,3 @@ def test_a_drive_that_takes_no_offset_is_refused_as_before(vendor: str, objects:
     with pytest.raises(DriveError, match=r"A1.*0x6071.*invid import"):
         master.check()
     master.close()
-
-
-def test_the_table_of_the_docs_says_which_drive_is_shaken_how() -> None:
-    docs = (Path(__file__).parents[2] / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
-    assert ways() in docs
-    for name, row in VENDORS.items():
-        offset_alone = row.torque_offset.certain and not row.cyclic_torque.certain
-        assert (f"| `{name}` | the torque offset in cyclic position |" in docs) == offset_alone

@@ -13,7 +13,6 @@ from invid.config import CellConfig, parse_config
 from invid.errors import DriveError, SafetyStop
 from invid.planning import make_plan
 from invid.sweep import Progress
-from invid_drivers.cia402.link import Peer
 from invid_drivers.connect import connect
 from invid_drivers.measurement import run_measurement
 
@@ -84,23 +83,6 @@ def test_a_drive_that_limits_is_named_before_full_amplitude(tmp_path: Path) -> N
     assert not any("experiment" in p for p in phases)
 
 
-def test_a_limit_that_a_drive_reports_at_rest_already_says_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from invid_drivers.simulated.drive import Drive
-
-    show = Drive._show
-
-    def always(self: Any) -> None:
-        show(self)
-        self._e_statusword.value |= 0x800
-
-    monkeypatch.setattr(Drive, "_show", always)
-    _, result = run(cell(), tmp_path / "run.h5")
-    assert not isinstance(result, Exception), result
-    assert not [w for w in result.warnings if "statusword" in w]
-
-
 def test_a_drive_that_limits_at_full_amplitude_alone_is_named_in_the_result(tmp_path: Path) -> None:
     def derate(drive: Any) -> None:
         drive.node.od.put(0x6072, 0, 60)
@@ -160,11 +142,3 @@ def test_a_drive_of_another_kind_is_used_where_the_config_says_why() -> None:
         drive.node.od.put(0x1000, 0, 0x00040192)
     assert any("a stepper drive" in w for w in master.check()[0].warnings)
     master.close()
-
-
-def test_an_error_counts_since_an_instant_and_misses_of_the_master_do_not() -> None:
-    peer = Peer(1, "A1", emcy=[(1.0, 0x2310), (2.0, 0x0000), (3.0, 0x8130), (3.1, 0x8250), (4.0, 0x4310)])
-    assert peer.own_errors(since=0.0) == [0x2310, 0x4310]  # taken back or not
-    assert peer.recovered == 2.0
-    assert peer.own_errors(since=peer.recovered) == [0x4310]
-    assert Peer(1, "A1").recovered == 0.0

@@ -16,7 +16,6 @@ import numpy as np
 
 from machines.mujoco_cells import FRICTION, HIGH, LOW, PERIODS, RATE, Cell, Hidden, Run, mjcf
 
-LOUD = 10.0
 SURE = 0.9
 SAME = {
     **dict.fromkeys(

@@ -40,7 +40,6 @@ PER_RAD = COUNTS / (2 * math.pi)
 RATED = 10.0
 SUBSTEP = 0.00025
 LOOP = 2 * math.pi * 15.0
-BRAKE = 100.0
 
 OBJECTS: dict[int, tuple[DT, str, int]] = {
     0x1000: (DT.UNSIGNED32, "ro", 0x00020192),

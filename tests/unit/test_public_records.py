@@ -115,13 +115,3 @@ def test_without_a_network_the_words_say_what_to_do(
     assert "answers 404" in capsys.readouterr().err
     assert run(["fetch-data", "nope"]) == 2
     assert "there are double_pendulum" in capsys.readouterr().err
-
-
-def test_every_set_says_licence_and_source_and_pins_every_file() -> None:
-    for s in SETS:
-        assert s.files, s.name
-        assert s.licence
-        assert s.cite
-        assert len(s.commit) == 40
-        assert all(len(f.sha256) == 64 for f in s.files)
-        assert ("LICENSE" in s.licence) == any(f.name == "LICENSE" for f in s.files)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 
@@ -13,7 +12,7 @@ from invid.comparison.causes import CHANGED, compare_causes
 from invid.comparison.changes import CauseChange, CauseStatus, Comparison, Status
 from invid.comparison.compare import ALPHA, TOLERANCE, compare
 from invid.model.chains import CoupledChains
-from invid.model.document import ChainStd, EffectTerm, Estimate, Model, model_from_json, model_to_json
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 
 AXES = ("A1", "A2", "A3")
 TORQUE, GAP = 0.4, 3e-4
@@ -130,49 +129,7 @@ def test_a_cause_at_the_edge_of_what_is_named_does_not_appear_and_vanish_from_ru
     assert wrong / 400 <= 0.02
 
 
-RHO = -0.9
 """Correlation of dry and viscous friction at one motor in what a run of the case study tells of them."""
-
-
-def friction_of_run(dry: float, wet: float, rng: np.random.Generator) -> tuple[EffectTerm, ...]:
-    """Friction as a run names it: the viscous part where it is significant, else the dry law alone, which
-    then takes its place."""
-    std = STD["coulomb_friction"], STD["viscous_friction"]
-    noise = rng.multivariate_normal([0.0, 0.0], [[1.0, RHO], [RHO, 1.0]])
-    seen = [x + s * e for x, s, e in zip((dry, wet), std, noise, strict=True)]
-    if seen[1] > 3.3 * std[1]:
-        return friction("A1", seen[0], std[0]), viscous("A1", seen[1])
-    alone = seen[0] - RHO * std[0] / std[1] * seen[1]
-    return (friction("A1", alone, std[0] * math.sqrt(1.0 - RHO**2)),)
-
-
-def test_a_part_of_a_friction_that_one_run_names_and_the_next_does_not_changes_nothing() -> None:
-    """The dry law takes the place of the viscous part where that is left out: no other friction."""
-    rng = np.random.default_rng(11)
-    wrong = lacking = 0
-    for _ in range(400):
-        size = STD["viscous_friction"] * rng.uniform(1.0, 6.0)
-        pair = [model(*friction_of_run(TORQUE, size, rng)) for _ in range(2)]
-        lacking += len(pair[0].effects) != len(pair[1].effects)
-        wrong += any(c.status in CHANGED for c in compare(*pair).causes)
-    assert lacking > 80  # the case that matters did occur
-    assert wrong / 400 <= 0.01, wrong
-
-
-def test_dry_friction_that_doubles_has_grown_though_the_viscous_part_is_no_longer_named() -> None:
-    old, new = model(friction("A1"), viscous("A1", 0.1)), model(friction("A1", 2 * TORQUE))
-    grown = of(compare(old, new), "A1.coulomb_friction.mass 1")
-    assert grown.status is CauseStatus.GREW
-    assert grown.old is not None
-    assert grown.old.std == STD["coulomb_friction"]
-
-
-def test_friction_beside_a_law_of_another_kind_cannot_be_compared() -> None:
-    sizes = {"static": 0.6, "coulomb": 0.4, "velocity": 0.05}
-    slow = EffectTerm("stribeck_friction", "A1", {n: Estimate(v, 0.01) for n, v in sizes.items()}, "mass 1")
-    found = compare(model(friction("A1"), viscous("A1", 0.2)), model(slow, viscous("A1", 0.5)))
-    assert not any(c.status in CHANGED for c in found.causes)
-    assert "by another law" in of(found, "A1.viscous_friction.mass 1").reason
 
 
 @pytest.mark.parametrize("cut", [False, True])
@@ -219,36 +176,3 @@ def test_a_run_that_could_not_have_seen_a_cause_says_nothing_about_it(old: Model
     found = of(compare(old, model(*usual(), play())), "A2.backlash.spring 1")
     assert found.status is CauseStatus.CANNOT_TELL
     assert why in found.reason
-
-
-def test_the_parameter_of_a_cause_and_the_cause_have_one_verdict() -> None:
-    c = compare(model(*usual()), model(friction("A1", 0.6), *usual()[1:]))
-    grown = of(c, "A1.coulomb_friction.mass 1")
-    size = next(e for e in c.effects if e.name == "A1.coulomb_friction.mass 1.torque")
-    assert (grown.status, size.status) == (CauseStatus.GREW, Status.CHANGED)
-    assert of(c, "A2.coulomb_friction.mass 1").status is CauseStatus.UNCHANGED
-    document = json.loads(json.dumps(c.to_json()))
-    assert {x["status"] for x in document["causes"]} == {"grew", "unchanged", "cannot_tell"}
-
-
-def test_the_mark_of_a_search_survives_the_model_file() -> None:
-    again = model_from_json(json.loads(json.dumps(model_to_json(model(*usual())))))
-    assert of(compare(again, model(*usual(), play())), "A2.backlash.spring 1").status is CauseStatus.APPEARED
-
-
-def test_a_torque_scale_that_comes_nearer_to_one_shrank() -> None:
-    def scale(gain: float) -> EffectTerm:
-        return EffectTerm("torque_gain", "A1", {"gain": Estimate(gain, 0.002, "1")})
-
-    c = compare(model(scale(0.9)), model(scale(0.99)))
-    assert of(c, "A1.torque_gain").status is CauseStatus.SHRANK
-    assert of(compare(model(), model(scale(0.9))), "A1.torque_gain").status is CauseStatus.APPEARED
-
-
-def test_a_number_that_was_chosen_and_stays_is_nothing_to_compare() -> None:
-    def drift(spring: float, rate: float) -> EffectTerm:
-        sizes = {"parameter": Estimate(spring, 0.0, "1"), "rate": Estimate(rate, 0.1, "N·m/(rad·s)")}
-        return EffectTerm("parameter_drift", "A1", sizes, "spring 1")
-
-    same = compare(model(drift(1.0, -4.0)), model(drift(1.0, -4.0)))
-    assert [p.name for p in same.effects] == ["A1.parameter_drift.spring 1.rate"]

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from invid.diagnosis.headline import Facts, headline
-from invid.model.diagnosis_document import Alternative, Consequence, Diagnosis, Finding, Grade, Verdict
+from invid.model.diagnosis_document import Alternative, Consequence, Finding, Grade, Verdict
 from invid.model.document import EffectTerm, Estimate
-from invid.model.doubts import Doubt, DoubtCode, by_weight, doubt_facts, doubts_of
+from invid.model.doubts import Doubt, DoubtCode
 from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
 
 UNIT = "kg·m²"
@@ -26,7 +26,6 @@ COUPLED = NamedChange(
 SMALL = replace(LOAD, difference=0.06, std=0.004, share=0.01, matters=False)
 MISSED = Doubt(DoubtCode.MISSED_TORQUE, "The model cannot be trusted: …", {"share": 0.79})
 UNSEEN = Doubt(DoubtCode.UNSEEN, "A1.spring.2: not seen by these data")
-TEST = Doubt(DoubtCode.TEST, "")
 TOOL = "New load on A2: +1.31 ± 0.02 kg·m² (+22 %); looks like a tool change."
 WERKZEUG = "Neue Last an A2: +1,31 ± 0,02 kg·m² (+22 %); sieht nach einem Werkzeugwechsel aus."
 SOFT = "Spring 1 of A1 is softer: −190 ± 3 N·m/rad (−19 %)."
@@ -89,22 +88,6 @@ def finding(cause: str, axis: str, grade: Grade) -> Finding:
     return Finding(term, 0.99, 0.4, 0.05, 0.9, consequence=means)
 
 
-def test_what_to_act_on_stands_beside_a_change_and_is_not_told_twice() -> None:
-    act = finding("backlash", "A1", Grade.ACT)
-    said = headline(facts((LOAD,), verdict=Verdict.EXPLAINED, findings=(act,)))
-    assert said.startswith(TOOL)
-    assert (
-        "Free play in the transmission on A1 at spring 1, 3 mrad (10′) of play: check the gear's wear" in said
-    )
-    came = NamedChange(
-        ChangeKind.APPEARED, "A1", "A1.backlash.spring 1", cause="backlash", element="spring 1",
-        new=Estimate(3e-3, 1e-5, "rad"), unit="rad",
-    )  # fmt: skip
-    said = headline(facts((came,), verdict=Verdict.EXPLAINED, findings=(act,)))
-    assert said.lower().count("free play") == 1
-    assert said.endswith("Before accepting: check the gear's wear, keys and couplings.")
-
-
 @pytest.mark.parametrize(
     ("confidence", "rivals"), [(0.5, ()), (0.89, (Alternative("spring_hysteresis", "A1", "spring 1", 0.1),))]
 )
@@ -125,15 +108,6 @@ def test_a_doubtful_cause_asks_for_the_experiment_that_makes_sure_and_for_no_rep
     assert "check" not in said(doubtful)
 
 
-def test_what_has_no_name_is_the_last_word_after_a_change() -> None:
-    said = headline(facts((LOAD,), verdict=Verdict.UNEXPLAINED, unexplained_axis="A1"))
-    nameless = "Something on A1 is not in the model and no known cause explains it: do not accept it unseen."
-    assert said == f"{TOOL} {nameless}"
-    assert headline(facts((), TEST)) == headline(facts(()))
-    said = headline(facts((LOAD,), TEST))
-    assert said.startswith(f"{TOOL} Accept only for a reason: it was measured with a test's small torques")
-
-
 def test_a_tool_changes_loads_how_they_couple_and_how_they_weigh_and_nothing_else() -> None:
     weight = NamedChange(ChangeKind.GREW, "A2", cause="gravity")
     friction = NamedChange(ChangeKind.GREW, "A2", cause="coulomb_friction")
@@ -143,33 +117,6 @@ def test_a_tool_changes_loads_how_they_couple_and_how_they_weigh_and_nothing_els
     assert not is_tool_change((LOAD, friction))
     assert not is_tool_change((COUPLED,))
     assert not is_tool_change(())
-
-
-def test_doubts_are_chosen_by_weight_and_not_by_their_order() -> None:
-    assert [d.code for d in by_weight([TEST, UNSEEN, MISSED])] == ["missed_torque", "unseen", "test"]
-    assert doubts_of(doubt_facts([UNSEEN, MISSED]))[0] == MISSED
-    old = doubts_of({"trustworthy": False, "doubts": ["the fit did not converge"]})
-    assert [(d.code, d.text) for d in old] == [("other", "the fit did not converge")]
-    assert doubts_of({"trustworthy": False})[0].code is DoubtCode.OTHER
-    assert doubts_of({"trustworthy": True, "doubts": []}) == ()
-
-
-def test_a_change_that_matters_is_to_be_watched(small_diagnosis: Diagnosis) -> None:
-    assert small_diagnosis.grade is Grade.AS_EXPECTED
-    assert replace(small_diagnosis, changes=(SMALL,)).grade is Grade.AS_EXPECTED
-    assert replace(small_diagnosis, changes=(LOAD,)).grade is Grade.WATCH
-    worse = replace(small_diagnosis, changes=(LOAD,), findings=(finding("backlash", "A1", Grade.ACT),))
-    assert worse.grade is Grade.ACT
-
-
-@pytest.fixture
-def small_diagnosis() -> Diagnosis:
-    from invid.model.chains import CoupledChains
-    from invid.model.document import ChainStd, Model
-
-    chains = CoupledChains.build([[1.0, 2.0]], [[1000.0]], [[0.5]], axes=("A1",))
-    model = Model("cell", "refined", chains, ChainStd.unknown(chains))
-    return Diagnosis(Verdict.CONSISTENT, (), None, (), None, model)
 
 
 def test_a_short_check_says_what_is_new_and_not_what_the_accepted_model_left_as_well() -> None:

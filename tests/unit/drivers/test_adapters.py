@@ -15,7 +15,6 @@ from invid_drivers.adapters import NEEDS, open_adapter
 
 ROOT = Path(__file__).parents[3]
 CHANNELS = ("0", "can0", "PCAN_USBBUS1", "/dev/ttyACM9")
-OURS = {"invid-virtual", "invid-unix"}
 OPEN_HERE = {"virtual", "udp_multicast"}
 """Need nothing of the machine."""
 
@@ -46,18 +45,8 @@ def test_kvaser_without_canlib_is_a_bus_that_failed_and_names_the_library() -> N
         open_adapter(BusConfig(interface="kvaser", channel="0"))
 
 
-def test_an_interface_that_python_can_does_not_have_is_bad_input_that_lists_those_it_has() -> None:
-    with pytest.raises(ConfigError, match=r"'acme' is not known.*kvaser.*slcan"):
-        open_adapter(BusConfig(interface="acme", channel="0"))
-
-
 def test_every_extra_that_a_sentence_names_is_one_of_the_package() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     named = {text.split("invid[")[1].split("]")[0] for text in NEEDS.values() if "invid[" in text}
     assert named <= set(extras["optional-dependencies"])
     assert {"slcan", "gs-usb"} <= named
-
-
-def test_what_an_interface_needs_is_said_of_each_that_python_can_has() -> None:
-    own = {"virtual", "udp_multicast", "socketcand"}
-    assert set(NEEDS) == set(can.VALID_INTERFACES) - own - OURS

@@ -51,22 +51,6 @@ def log(path: Path, frames: list[tuple[int, bytes]]) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("entry", "form", "said"),
-    [(0x60770020, "<ii", True), (0x60770010, "<hi", False), (0x60770008, "<bi", True)],
-    ids=["longer than the type", "as the type", "shorter than the type"],
-)
-def test_an_object_is_as_long_as_the_mapping_says(tmp_path, entry, form, said):
-    small = np.clip(TORQUE, -100, 100) if form == "<bi" else TORQUE
-    path = eds(tmp_path / "a.eds", mapped(0, [entry, 0x60640020], "0x181"))
-    frames = [struct.pack(form, t, p) for t, p in zip(small.tolist(), POSITION.tolist(), strict=True)]
-    source = Source(eds=path.name, nodes=[1])
-    table = read_can_log(log(tmp_path / "a.log", [(0x181, frames)]), source, beside=tmp_path)
-    np.testing.assert_array_equal(table.columns["n1_6064"], POSITION)
-    np.testing.assert_array_equal(table.columns["n1_6077"], small)
-    assert any("n1_6077" in r and "mapping" in r for r in table.remarks) == said
-
-
 @pytest.mark.parametrize("number", [4, 17, 511])
 def test_a_pdo_beyond_the_fourth_is_read_by_the_identifier_that_it_has(tmp_path, number):
     path = eds(tmp_path / "a.dcf", mapped(number, [0x20010020, 0x60770010], "$NODEID+0x2C0"))
@@ -82,18 +66,3 @@ def test_a_pdo_beyond_the_fourth_without_an_identifier_is_said_to_be_left_out(tm
     pdos, remarks = pdos_of_eds(path, [1])
     assert [p.id for p in pdos] == [0x181]
     assert any("0x1A05" in r and "identifier" in r for r in remarks)
-
-
-@pytest.mark.parametrize("kind", ["0x8", "0x9"], ids=["array", "record"])
-def test_mappings_in_compact_form_are_read(tmp_path, kind):
-    compact = (
-        f"[1A00]\nParameterName=m\nObjectType={kind}\nDataType=0x0007\nAccessType=rw\nCompactSubObj=8\n"
-        "[1A00Value]\nNrOfEntries=2\n1=0x20020040\n"
-        f"[1800]\nParameterName=c\nObjectType={kind}\nDataType=0x0007\nAccessType=rw\nCompactSubObj=2\n"
-        "[1800Value]\nNrOfEntries=1\n1=$NODEID+0x180\n"
-    ).replace("NrOfEntries=2\n", "NrOfEntries=1\n")
-    path = eds(tmp_path / "a.eds", compact)
-    frames = [struct.pack("<d", p / 3) for p in POSITION.tolist()]
-    source = Source(eds=path.name, nodes=[1])
-    table = read_can_log(log(tmp_path / "a.log", [(0x181, frames)]), source, beside=tmp_path)
-    np.testing.assert_array_equal(table.columns["n1_2002"], POSITION / 3)

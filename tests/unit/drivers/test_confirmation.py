@@ -51,16 +51,6 @@ def measure(folder: Path, *options: str, typed: str | None = None) -> tuple[int,
     return done.returncode, done.stderr
 
 
-@pytest.mark.campaign
-def test_without_a_terminal_and_without_the_option_it_is_said_who_answers_and_the_bus_is_opened(
-    tmp_path: Path,
-) -> None:
-    code, said = measure(tmp_path)
-    assert code == 5
-    assert "whoever started this answers for it that the emergency stop is within reach" in said
-    assert "nobody listens" in said
-
-
 def test_with_the_option_the_bus_is_opened_without_a_question(tmp_path: Path) -> None:
     code, said = measure(tmp_path, "--confirmed")
     assert code == 5
@@ -79,13 +69,6 @@ def test_on_a_terminal_the_answer_decides(tmp_path: Path, typed: str, code: int,
     found, said = measure(tmp_path, typed=typed)
     assert "Type yes" in said
     assert (found, words in said) == (code, True)
-
-
-@pytest.mark.campaign
-def test_a_dry_run_of_hardware_does_not_ask(tmp_path: Path) -> None:
-    code, said = measure(tmp_path, "--dry-run")
-    assert code == 0
-    assert "emergency stop" not in said
 
 
 def test_a_cell_with_a_simulation_is_not_asked_about(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,8 +44,3 @@ def test_a_config_that_cannot_run_is_one_message_and_a_status(
     assert words in shown.err
     assert "Traceback" not in shown.err
     assert not (tmp_path / "cell.sock").exists()
-
-
-def test_a_file_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["simcell", "/nowhere/cell.yaml"]) == 2
-    assert "/nowhere/cell.yaml" in capsys.readouterr().err

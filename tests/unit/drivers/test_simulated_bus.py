@@ -6,13 +6,11 @@ import struct
 from pathlib import Path
 
 import can
-import numpy as np
 import pytest
 import yaml
 
 from invid.config import CellConfig
-from invid_drivers.simulated import CASE_STUDY, VirtualTimeBus, open_virtual_bus, truth
-from invid_drivers.simulated.bus import frame_bits
+from invid_drivers.simulated import CASE_STUDY, VirtualTimeBus, open_virtual_bus
 
 
 def config(**simulation: object) -> CellConfig:
@@ -26,11 +24,6 @@ def message(can_id: int, data: bytes = b"") -> can.Message:
 
 
 READ_TYPE = bytes.fromhex("4000100000000000")
-
-
-@pytest.mark.parametrize(("length", "bits"), [(0, 55), (2, 75), (6, 115), (8, 135)])
-def test_worst_case_frame_lengths_are_those_of_the_bus_budget(length: int, bits: int) -> None:
-    assert frame_bits(length) == bits
 
 
 def test_time_stands_still_but_in_recv_and_sleep() -> None:
@@ -81,16 +74,6 @@ def test_the_lowest_identifier_wins_but_a_masters_queue_keeps_its_order() -> Non
         assert order[-1] == 0x10
 
 
-def test_a_full_send_queue_is_an_error() -> None:
-    with open_virtual_bus(config(tx_queue_frames=3)) as bus:
-        for _ in range(3):
-            bus.send(message(0x80))
-        with pytest.raises(can.CanOperationError, match="send queue full"):
-            bus.send(message(0x80))
-        bus.clock.sleep_until(0.01)
-        bus.send(message(0x80))
-
-
 def test_bus_off_of_the_master_is_seen_in_send_recv_and_state() -> None:
     fault = {"kind": "bus_off", "at_s": 0.05, "duration_s": 0.05}
     with open_virtual_bus(config(faults=[fault])) as bus:
@@ -108,50 +91,6 @@ def test_bus_off_of_the_master_is_seen_in_send_recv_and_state() -> None:
         bus.clock.sleep_until(0.11)
         assert bus.state is can.BusState.ACTIVE
         bus.send(message(0x80))
-
-
-def test_filters_hold() -> None:
-    with open_virtual_bus(config()) as bus:
-        bus.set_filters([{"can_id": 0x702, "can_mask": 0x7FF}])
-        frame = bus.recv(0.1)
-        assert frame is not None
-        assert frame.arbitration_id == 0x702
-        assert bus.recv(0.1) is None
-
-
-def test_a_configs_path_names_a_cell() -> None:
-    with can.Bus(interface="invid-virtual", channel=str(CASE_STUDY)) as bus:
-        frame = bus.recv(0.1)
-        assert frame is not None
-        assert frame.arbitration_id == 0x701
-
-
-@pytest.mark.parametrize("channel", ["nobody", "/nowhere/cell.yaml"])
-def test_an_unknown_channel_says_so(channel: str) -> None:
-    with pytest.raises(can.CanInitializationError, match="neither a running simulated cell nor a config"):
-        can.Bus(interface="invid-virtual", channel=channel)
-
-
-def test_a_broken_config_says_what_is_wrong(tmp_path: Path) -> None:
-    text = CASE_STUDY.read_text(encoding="utf-8").replace("case_study: true", "case_study: maybe")
-    path = tmp_path / "cell.yaml"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(can.CanInitializationError, match="case_study"):
-        can.Bus(interface="invid-virtual", channel=str(path))
-
-
-def test_the_bus_sends_nothing_periodically_by_itself() -> None:
-    with open_virtual_bus(config()) as bus, pytest.raises(NotImplementedError, match="stands still"):
-        bus.send_periodic(message(0x80), 0.01)
-
-
-def test_the_truth_is_the_papers_case_study() -> None:
-    chains = truth(config())
-    assert [m.tolist() for m in chains.masses] == [[0.7, 2, 3], [4, 5, 6], [7, 8, 9]]
-    assert [k.tolist() for k in chains.springs] == [[1000, 2000], [3000, 4000], [5000, 6000]]
-    assert chains.couplings.tolist() == [[0, 1, 2], [1, 0, 3], [2, 3, 0]]
-    # 2ζ√(K·reduced mass) with ζ = 0.01, K = 1000, masses 0.7 and 2
-    assert chains.dampers[0][0] == pytest.approx(0.02 * (1000 * 0.7 * 2 / 2.7) ** 0.5)
 
 
 @pytest.mark.parametrize(
@@ -239,32 +178,6 @@ def test_two_runs_give_bit_identical_logs() -> None:
     assert first == second
 
 
-def test_position_comes_with_encoder_steps_and_torque_with_its_noise() -> None:
-    with open_virtual_bus(config()) as bus:
-        bus.clock.sleep_until(0.01)
-        while bus.recv(0):
-            pass
-        values = []
-        for k in range(400):
-            bus.clock.sleep_until(0.02 + k * 0.002)
-            bus.send_raw(0x602, bytes.fromhex("4077600000000000"))
-            frame = bus.recv_raw(0.001)
-            assert frame is not None
-            values.append(struct.unpack_from("<h", frame[2], 4)[0])
-        mean, std = sum(values) / 400, (sum(v * v for v in values) / 400) ** 0.5
-        # 5 thousandths and the rounding to whole ones; four standard deviations of the estimate
-        assert abs(mean) < 4 * 5 / 20
-        assert std == pytest.approx((25 + 1 / 12) ** 0.5, rel=4 / 800**0.5)
-
-
-def test_waiting_for_ever_on_a_silent_bus_ends_with_an_error() -> None:
-    with open_virtual_bus(config()) as bus:
-        for _ in range(3):
-            assert bus.recv(None) is not None  # boot-up messages
-        with pytest.raises(can.CanOperationError, match="nothing was received"):
-            bus.recv(None)
-
-
 def test_the_section_in_the_docs_is_a_cell_that_runs() -> None:
     text = (Path(__file__).parents[3] / "docs/explanations/simulated-cell.md").read_text(encoding="utf-8")
     section = yaml.safe_load(text.split("```yaml\n")[1].split("```")[0])
@@ -274,25 +187,3 @@ def test_the_section_in_the_docs_is_a_cell_that_runs() -> None:
     with open_virtual_bus(CellConfig.model_validate(data)) as bus:
         bus.clock.sleep_until(7.0)
         assert bus.cell.drive("A2").node.od.find(0x6072) is None  # as the profile says
-
-
-def test_friction_on_a_stiff_light_mass_takes_energy_and_never_gives_any() -> None:
-    branches = [
-        {"axis": "A1", "masses": [1e-3, 1.0], "springs": [1e4]},  # 3165 rad/s: 0.8 rad in 0.25 ms
-        {"axis": "A2", "masses": [1e-4, 1.0], "springs": [3e4]},  # 17321 rad/s: 4.3 rad in 0.25 ms
-        {"axis": "A3", "masses": [1.0]},
-    ]
-    friction = {"coulomb_Nm": 0.5}
-    axes = {"A1": {"friction": friction, "brake": False}, "A2": {"friction": friction, "brake": False}}
-    with open_virtual_bus(config(plant={"branches": branches}, axes=axes)) as bus:
-        plant = bus.cell.plant
-        plant.state[:5] = [0.01, 0.0, 0.01, 0.0, 0.0]
-        mass, _, stiffness = plant.structure.matrices(0.0)
-        energies = []
-        for k in range(200):
-            bus.clock.sleep_until(0.01 + 0.002 * k)
-            q, v = plant.positions, plant.velocities
-            energies.append(0.5 * q @ stiffness @ q + 0.5 * v @ mass @ v)
-        lowest = np.minimum.accumulate(energies)
-        assert np.all(np.array(energies) - lowest <= 1e-6 * energies[0])
-        assert energies[-1] < 0.5 * energies[0]

@@ -17,7 +17,6 @@ from invid_drivers.simulated.plant import Plant
 from invid_drivers.simulated.structure import CAUSES, build_structure
 
 H = 0.00025
-NS = 1_000_000_000
 
 
 def axes(count: int, **keys: Any) -> list[AxisSimulation]:
@@ -84,13 +83,6 @@ def test_the_linear_case_study_agrees_with_solve_ivp_to_ten_digits() -> None:
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-10 * np.abs(theirs).max())
 
 
-def test_a_mode_far_faster_than_the_substep_is_still_exact() -> None:
-    chains = CoupledChains.build([[1.0, 1e-3]], [[1e7]])  # 1e5 rad/s, 25 rad in a sub-step
-    ours = run(plant(chains), push, 0.02)
-    theirs = reference(chains, push, 0.02)
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-7 * np.abs(theirs).max())
-
-
 def smooth(theta: float, x: float, v: float, kind: str) -> tuple[float, float]:
     """Force on motor and load of the effects below, written out again."""
     if kind == "cubic":
@@ -139,23 +131,6 @@ def test_a_smooth_effect_agrees_with_solve_ivp(kind: str, effect: dict[str, Any]
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-3 * change)
 
 
-def test_backlash_agrees_with_solve_ivp() -> None:
-    chains, gap, k, d = one_axis(), 0.02, 1000.0, 0.5
-
-    def force(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        x, speed = q[0] - q[1], v[0] - v[1]
-        free = -(k * x + d * speed)
-        if x > gap / 2:
-            free += max(k * (x - gap / 2) + d * speed, 0.0)
-        elif x < -gap / 2:
-            free += min(k * (x + gap / 2) + d * speed, 0.0)
-        return np.array([-free, free])
-
-    theirs = reference(chains, push, 0.3, force)
-    ours = run(plant(chains, {"cause": "backlash", "axis": "A1", "parameters": {"gap": gap}}), push, 0.3)
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=2e-3 * np.abs(theirs).max())
-
-
 def test_coulomb_friction_stops_a_coasting_mass_where_the_closed_form_says() -> None:
     made = plant(CoupledChains.build([[2.0]], [[]]), friction={"coulomb_Nm": 3.0})
     made.state[1] = 1.5  # rad/s
@@ -164,26 +139,6 @@ def test_coulomb_friction_stops_a_coasting_mass_where_the_closed_form_says() -> 
     assert rows[-1, 0] == pytest.approx(0.75, abs=2 * H * 1.5)
     assert made.velocities[0] == pytest.approx(0.0, abs=1e-12)
     assert rows[1100, 0] == pytest.approx(rows[-1, 0], abs=1e-12)
-
-
-def test_a_mass_below_the_break_away_torque_does_not_creep_and_above_it_moves() -> None:
-    made = plant(CoupledChains.build([[1.0]], [[]]), friction={"coulomb_Nm": 2.0, "static_Nm": 3.0})
-    assert abs(run(made, lambda t: 2.99 * math.cos(50 * t), 3.0)[-1, 0]) < 1e-12
-    made = plant(CoupledChains.build([[1.0]], [[]]), friction={"coulomb_Nm": 2.0, "static_Nm": 3.0})
-    assert run(made, lambda t: 3.2, 0.5)[-1, 0] > 0.05
-
-
-def test_friction_in_motion_agrees_with_a_regularised_reference() -> None:
-    chains = one_axis()
-    viscous = CoupledChains.build([[1.0, 2.0]], [[1000.0]], [[0.5]], ground_dampers=[0.8])
-
-    def force(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return np.array([-2.0 * math.tanh(v[0] / 1e-4) - 0.8 * v[0], -1.0 * math.tanh(v[1] / 1e-4)])
-
-    inner = {"cause": "coulomb_friction", "axis": "A1", "element": "mass 2", "parameters": {"torque": 1.0}}
-    ours = run(plant(viscous, inner, friction={"coulomb_Nm": 2.0}), push, 0.3)
-    theirs = reference(chains, push, 0.3, force)
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=5e-3 * np.abs(theirs).max())
 
 
 def test_friction_never_adds_energy() -> None:
@@ -200,40 +155,6 @@ def test_friction_never_adds_energy() -> None:
     lowest = np.minimum.accumulate(energies)
     assert np.all(np.array(energies) - lowest <= 1e-7 * energies[0])
     assert energies[-1] < 0.5 * energies[0]
-
-
-def test_hysteresis_dissipates_four_times_slip_torque_a_cycle() -> None:
-    # a stiff slider k = 1e5 at 1 N·m slips from 1e-5 rad on; forced between ±0.1 rad by a stiff spring
-    chains = CoupledChains.build([[1.0]], [[]], ground_springs=[1e4])
-    effect = {"cause": "presliding_friction", "axis": "A1", "parameters": {"stiffness": 1e4, "torque": 1.0}}
-    made = plant(chains, effect)
-    work, before = 0.0, 0.0
-    for k in range(8000):
-        tau = 100.0 * math.sin(2 * math.pi * 0.5 * k * 0.001)
-        made.command[0, [kernel.MODE, kernel.TORQUE]] = (kernel.MODE_TORQUE, tau)
-        made.advance_to((k + 1) * 1_000_000)
-        if k >= 4000:  # two cycles of 2 s, settled
-            work += tau * (made.positions[0] - before)
-        before = made.positions[0]
-    amplitude = 0.01
-    expected = 2 * 4 * 1.0 * (amplitude - 1.0 / 1e4)
-    assert work == pytest.approx(expected, rel=0.05)
-
-
-def test_payload_change_changes_the_mass_at_its_time() -> None:
-    chains = CoupledChains.build([[1.0]], [[]])
-    made = plant(chains, {"cause": "payload_change", "axis": "A1", "parameters": {"mass": 1.0, "time": 0.5}})
-    run(made, lambda t: 1.0, 1.0)
-    assert made.velocities[0] == pytest.approx(0.5 + 0.25, rel=1e-9)
-
-
-def test_torque_delay_shifts_the_answer_and_not_the_record() -> None:
-    chains = CoupledChains.build([[1.0]], [[]])
-    made = plant(chains)
-    made.set_delay(0, 0.0031)
-    run(made, lambda t: 1.0, 1.0)
-    assert made.velocities[0] == pytest.approx(1.0 - 0.0031, rel=1e-9)
-    assert made.motor_state[0, kernel.RECORDED] == 1.0
 
 
 def test_every_cause_of_the_contract_can_be_put_into_the_plant() -> None:
@@ -299,40 +220,3 @@ def test_every_cause_of_the_contract_can_be_put_into_the_plant() -> None:
 def test_an_effect_that_cannot_be_is_refused_with_a_reason(effect: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         plant(one_axis(), effect)
-
-
-def test_the_inner_position_loop_holds_every_axis_of_the_undamped_case_study() -> None:
-    chains = case_study()
-    made = plant(chains, friction={"coulomb_Nm": 0.0})
-    for i, motor in enumerate((0.7, 4.0, 7.0)):
-        w = 2 * math.pi * 25
-        made.command[i, [kernel.GAIN_P, kernel.GAIN_D]] = (motor * w**2, 1.4 * motor * w)
-        made.command[i, kernel.COUNTS_PER_UNIT] = 524288 / (2 * math.pi)
-    made.command[:, kernel.MODE] = kernel.MODE_POSITION
-    made.state[2] = 0.05  # the last mass of the first branch lets go
-    _mass, _, _stiffness = made.structure.matrices(0.0)
-    made.advance_to(NS)
-    first = np.abs(made.state[:9]).max()
-    made.advance_to(60 * NS)
-    assert np.abs(made.state[:9]).max() < first
-    assert np.abs(made.state[[0, 3, 6]]).max() < 1e-3
-
-
-def test_extrapolated_instants_of_real_time_agree_with_exact_ones() -> None:
-    random = np.random.default_rng(3)
-    jitter = np.cumsum(random.integers(600_000, 1_400_000, 800))
-    torque = random.uniform(-20, 20, (800, 3))
-    seen = []
-    for exact in (True, False):
-        made = plant(case_study(damping_ratio=0.01))
-        made.exact_instants = exact
-        made.command[:, kernel.MODE] = kernel.MODE_TORQUE
-        made.command[:, kernel.COUNTS_PER_UNIT] = 1e9
-        rows = []
-        for instant, tau in zip(jitter.tolist(), torque, strict=True):
-            rows.append([row[0] for row in made.observe(instant, np.zeros((3, 2)))])
-            made.command[:, kernel.TORQUE] = tau
-        seen.append(np.array(rows) / 1e9)
-    # what is left of blending a command into its sub-step: h²/8 · τ/m = 2e-7 rad for each step of torque
-    assert np.abs(seen[0] - seen[1]).max() < 2e-6
-    assert np.abs(seen[0]).max() > 1e-2

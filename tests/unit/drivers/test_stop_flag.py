@@ -50,11 +50,6 @@ def test_a_handler_within_a_handler_never_waits_for_it() -> None:
     assert set_ == "True"
 
 
-def test_an_ordinary_event_does_so_for_ever() -> None:
-    with pytest.raises(subprocess.TimeoutExpired):
-        interrupted("threading.Event()", 10)
-
-
 def test_whoever_waits_is_woken_at_once_and_a_timeout_ends_the_waiting() -> None:
     stop = StopFlag()
     began = time.monotonic()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
-from invid_drivers.cia402.manuals import NO, QUESTIONS, UNKNOWN, YES, Manual
+from invid_drivers.cia402.manuals import NO, QUESTIONS, UNKNOWN, YES
 from invid_drivers.cia402.vendors import VENDORS, reference, vendor
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
@@ -28,10 +27,6 @@ def test_of_a_generic_drive_nothing_is_assumed() -> None:
 def test_every_fact_names_its_source_and_every_source_a_fact(name: str) -> None:
     row = VENDORS[name]
     assert {f for f in QUESTIONS if row.fact(f) != "unknown"} == set(row.sources)
-
-
-def test_every_question_of_the_table_is_a_field_and_every_field_is_asked() -> None:
-    assert set(QUESTIONS) == {f.name for f in fields(Manual)} - {"sources"}
 
 
 def test_the_reference_shows_the_facts_of_the_code() -> None:

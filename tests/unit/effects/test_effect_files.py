@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import pickle
@@ -10,21 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import Truth, make
-from large_motion import recording as recording_of
-from large_motion import simulate as integrate
 
 import invid
 from invid.cli.app import run
-from invid.effects.registry import effect_of, registered_effects
-from invid.model.document import EffectTerm, Estimate
 from invid.recording import Recording, write_recording
-from invid.report import figure_data, render_report
-from invid.report.dependence import linear_model_of
 
 FILES = Path(__file__).parents[2] / "effects"
 DRAG, CUSHION = FILES / "quadratic_drag.py", FILES / "end_cushion.py"
@@ -64,43 +56,6 @@ def test_drag_that_was_hidden_is_found_named_and_measured(
     assert pickle.loads(pickle.dumps(diagnosis)).findings[0].cause == "quadratic_drag"
 
 
-@pytest.mark.campaign
-def test_without_its_file_the_same_drag_is_not_explained_by_that_name() -> None:
-    assert effect_of("quadratic_drag") is None
-    with registered_effects([DRAG]):
-        assert effect_of("quadratic_drag") is not None
-    assert effect_of("quadratic_drag") is None
-
-
-@pytest.mark.campaign
-def test_another_kind_of_law_with_a_place_of_its_own_is_found_too() -> None:
-    recording, truth = make("end_stop", seed=3, motors=1, target_db=25)
-    diagnosis = invid.diagnose(recording, effects=[CUSHION, DRAG])
-    (finding,) = diagnosis.findings
-    assert finding.cause == "end_cushion"
-    true = truth.effects[0].parameters
-    for name, value in (("stiffness", true["stiffness"]), ("begin", true["position"])):
-        found = finding.parameters[name]
-        assert found.std is not None
-        assert found.value == pytest.approx(value, abs=4 * found.std), name
-    again = invid.diagnose(recording, model=diagnosis.model, effects=[CUSHION])
-    assert (again.verdict, again.findings) == ("consistent", ())
-
-
-@pytest.mark.campaign
-def test_it_is_drawn_as_the_parabola_that_it_is(drag: tuple[Recording, Truth, invid.Diagnosis]) -> None:
-    recording, _, diagnosis = drag
-    linear = linear_model_of(diagnosis)
-    with registered_effects([DRAG]):
-        (picture,) = figure_data(recording, linear, diagnosis)["causes"]
-        assert "square of the speed" in render_report(recording, linear, diagnosis)
-    x, y = (np.array(picture["fit"][k]) for k in "xy")
-    size = diagnosis.findings[0].parameters["coefficient"].value
-    np.testing.assert_allclose(y, size * x * np.abs(x), rtol=1e-9)
-    points = np.array(picture["x"]), np.array(picture["y"])
-    assert np.corrcoef(points[1], points[0] * np.abs(points[0]))[0, 1] > 0.85  # the rest is noise
-
-
 PLAIN = """
 from invid.effects import Experiment, MotionEffect, Parameter, mass_places
 
@@ -120,40 +75,6 @@ class Plain(MotionEffect):
 
 EFFECT = Plain()
 """
-
-
-@pytest.mark.campaign
-def test_the_simulation_reads_a_law_from_a_table_as_exactly_as_it_is_written(tmp_path: Path) -> None:
-    """Viscous friction at the load as a static law, and as the damper that it is: the same motion."""
-    recording, truth = make(None, seed=4, motors=1, moves=False, periods=2)
-    model = invid.identify(recording, masses=truth.chains.masses_per_branch)
-    file = tmp_path / "plain.py"
-    file.write_text(PLAIN)
-    element = f"mass {truth.chains.masses_per_branch[0]}"
-    answers = []
-    for cause in ("viscous_friction", "plain_drag"):
-        term = EffectTerm(cause, model.axes[0], {"coefficient": Estimate(0.5)}, element)
-        extended = dataclasses.replace(model, effects=(term,))
-        answers.append(invid.simulate(extended, recording, effects=[file]).experiments[0].position)
-    plain = invid.simulate(dataclasses.replace(model, effects=()), recording).experiments[0].position
-    late = slice(answers[0].size // 2, None)  # where each started is fitted, and forgotten by then
-    assert np.abs(answers[1] - answers[0])[late].max() < 5e-3 * np.abs(plain - answers[0])[late].max()
-
-
-@pytest.mark.campaign
-def test_a_rigid_machine_in_large_motion_shows_it_as_well() -> None:
-    one, other = (
-        integrate(np.random.default_rng(k), mass=0.5, dry=(1.0, 1.0), extra=lambda q, v, t: 0.3 * v * abs(v))
-        for k in (1, 2)
-    )
-    recording = recording_of(one, dataclasses.replace(other, key="001"))
-    diagnosis = invid.diagnose(recording, effects=[DRAG])
-    found = {f.cause: f for f in diagnosis.findings}
-    assert {"quadratic_drag", "coulomb_friction"} <= set(found)
-    size = found["quadratic_drag"].parameters["coefficient"]
-    assert size.value == pytest.approx(0.3, abs=max(4 * (size.std or 0.0), 0.02))
-    answer = invid.simulate(diagnosis.model, recording, effects=[DRAG])
-    assert np.isfinite(answer.experiments[0].position).all()
 
 
 @pytest.mark.campaign

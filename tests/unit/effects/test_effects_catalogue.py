@@ -50,15 +50,6 @@ def test_every_cause_is_explained_in_the_reference(effect) -> None:
     assert re.search(rf"^### `{effect.cause}`", text, re.MULTILINE)
 
 
-@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.cause)
-def test_values_of_a_parameter_vector_bear_the_names_of_the_contract(effect) -> None:
-    structure = ChainStructure((2, 3), ("A1", "A2"), viscous=False, grounded=())
-    places = effect.places(structure)
-    size = len(effect.coefficients) + len(effect.shapes)
-    for place in places:
-        assert set(effect.values([0.5] * size, place)) == CONTRACT[effect.cause]
-
-
 def test_places_of_springs_and_masses_count_from_the_motor() -> None:
     structure = ChainStructure((2, 3), ("A1", "A2"), viscous=False, grounded=())
     by_cause = {e.cause: e for e in CATALOGUE}
@@ -75,12 +66,6 @@ def test_places_of_springs_and_masses_count_from_the_motor() -> None:
         "mass 1",
         "mass 1",
     ]
-
-
-def test_a_gain_is_no_candidate_on_a_single_axis() -> None:
-    structure = ChainStructure((2,), ("A1",), viscous=False, grounded=())
-    by_cause = {e.cause: e for e in CATALOGUE}
-    assert by_cause["torque_gain"].places(structure) == []
 
 
 def test_a_slider_walks_the_loop_worked_out_by_hand() -> None:

@@ -54,9 +54,7 @@ ELASTIC = [e.of_structure(ChainStructure((2, 3), ("J1", "J2"))) for e in (*CATAL
 ELASTIC.append(EmpiricalLaw().known(EffectTerm("empirical_law", "J1", {}, table=ONE_LAW)))
 EVERY = [*ELASTIC, *LARGE_MOTION]
 """All effects, and those that an elastic machine can have."""
-NOT_FITTED = ("dropped_samples", "spring_damping")
 """Found in the samples; part of the linear model."""
-UNSOUGHT = ("empirical_law",)
 """Tried only on what no other cause explains."""
 NO_LARGE_MOTION = {
     "presliding_friction", "cogging", "torque_lag", "torque_gain", "torque_saturation",

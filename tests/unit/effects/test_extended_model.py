@@ -71,12 +71,6 @@ SIZES = {
 }
 
 
-def term(cause: str) -> EffectTerm:
-    element, values = SIZES[cause]
-    other = "A2" if cause == "coupling_stiffness" else None
-    return EffectTerm(cause, "A1", {k: Estimate(v, 0.1 * abs(v)) for k, v in values.items()}, element, other)
-
-
 def extended(*effects: EffectTerm) -> Model:
     return Model("cell", "refined", CHAINS, ChainStd.unknown(CHAINS), effects=effects)
 

@@ -11,13 +11,10 @@ import pytest
 from invid.effects.effect import PlaceMotion
 from invid.effects.effect_files import load_effects
 from invid.effects.law_file import law_file
-from invid.effects.laws.empirical_law import surface_law
 from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, model_from_json, model_to_json
 from invid.model.law_table import LawTable
-from invid.numerics.smooth_parts import smooth_parts
-from invid.simulation.laws import laws_of
 
 AT, ACROSS = np.linspace(-3.0, 3.0, 7), np.linspace(-1.5, 1.5, 13)
 
@@ -67,17 +64,6 @@ def test_a_table_that_is_none_is_refused(change, said: str) -> None:
         model_from_json(document)
 
 
-def test_two_quantities_that_do_not_go_together_are_refused_in_words() -> None:
-    with pytest.raises(ModelError, match="velocity and position or deflection and deflection rate"):
-        laws_of(model().chains, (law(across="deflection"),))
-
-
-def test_beyond_its_knots_it_stays_as_it_is_at_the_last() -> None:
-    resistance = surface_law(AT, ACROSS, drag(*np.meshgrid(AT, ACROSS, indexing="ij")).reshape(-1, 1))
-    far, edge = (resistance(np.array([v]), np.array([q])) for v, q in ((9.0, 5.0), (3.0, 1.5)))
-    assert far == pytest.approx(edge)
-
-
 @pytest.mark.parametrize(
     ("over", "across", "element"),
     [("velocity", "position", "mass 1"), ("deflection", "deflection rate", "spring 1")],
@@ -99,13 +85,3 @@ def test_a_file_whose_quantities_do_not_go_together_is_refused(tmp_path: Path) -
     file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="across is 'deflection'"):
         load_effects(file)
-
-
-def test_a_surface_goes_on_smoothly_where_no_row_sees_it() -> None:
-    """Rows in one half of the first quantity: what they tell of a plane goes on as the plane."""
-    rng = np.random.default_rng(2)
-    u, w = rng.uniform(-3.0, 0.0, 400), rng.uniform(-1.5, 1.5, 400)
-    columns = surface_law(AT, ACROSS, np.eye(AT.size * ACROSS.size))(u, w)
-    first, second = np.meshgrid(AT, ACROSS, indexing="ij")
-    shapes, x = smooth_parts(columns, u * w + 0.5 * u, 1e-9, 6, ACROSS.size)
-    assert (shapes @ x).reshape(first.shape) == pytest.approx(first * second + 0.5 * first, abs=0.05)

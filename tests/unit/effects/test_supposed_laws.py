@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.diagnosis.unknown_forces.scoring import bounded_fall, spots_of
-from invid.effects.registry import CATALOGUE, registered_effects
-from invid.effects.supposed_laws import SUPPOSED, SpotMotion, SupposedLaw, supposed_laws
-from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.plant import Structure
+from invid.diagnosis.unknown_forces.scoring import bounded_fall
+from invid.effects.registry import registered_effects
+from invid.effects.supposed_laws import SUPPOSED, SpotMotion, supposed_laws
 
 EFFECTS = Path(__file__).parents[2] / "effects"
 FURTHER = [EFFECTS / "quadratic_drag.py", EFFECTS / "end_cushion.py"]
@@ -34,41 +32,6 @@ def motions() -> list[SpotMotion]:
 
 with registered_effects(FURTHER):
     LAWS = supposed_laws(linear=False)
-
-
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: f"{type(law).__name__} {law.cause}")
-def test_a_law_has_waves_bounds_and_parameters_that_fit_each_other(law: SupposedLaw) -> None:
-    moved = motions()
-    bounds = law.bounds(moved)
-    shapes = law.shapes(moved)
-    assert shapes
-    for shape in shapes:
-        waves = law.waves(moved[0], shape)
-        assert waves.shape == (moved[0].time.size, len(law.low))
-        assert np.isfinite(waves).all()
-        assert len(bounds) == len(shape)
-        for value, (low, high) in zip(shape, bounds, strict=True):
-            assert low - 1e-9 <= value <= high + 1e-9
-    assert len(law.limits(moved)) == len(law.low)
-    sizes = np.ones(len(law.low) + len(law.beside))
-    names = {*law.parameters(sizes, shapes[0], 500.0), *([law.counts] if law.counts else [])}
-    assert names == set(law.effect.parameters) - set(law.effect.optional)
-    assert {Part(p) for p in (*law.covers, *law.beside)} <= set(Part)
-
-
-def test_every_law_stands_where_its_cause_may_and_those_of_one_cause_share_its_places() -> None:
-    structure = Structure((1, 3, 2))
-    for cause in {law.cause for law in LAWS}:
-        spots = [s for law in LAWS if law.cause == cause for s in spots_of(law, structure)]
-        assert spots
-        assert len(set(spots)) == len(spots)
-
-
-def test_linear_axes_have_no_law_of_the_angle() -> None:
-    linear = {law.cause for law in supposed_laws(linear=True)}
-    rotary = {e.cause for e in CATALOGUE if e.rotary}
-    assert not linear & rotary
-    assert {law.cause for law in SUPPOSED} - linear == rotary & {law.cause for law in SUPPOSED}
 
 
 def test_friction_by_direction_is_told_from_its_parts() -> None:

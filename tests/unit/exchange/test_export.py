@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import subprocess
 import sys
@@ -179,29 +178,6 @@ def test_mujoco_answers_as_the_model_does(name: str, coupled: bool, linear: bool
     assert_same(response((mass, damp, stiff), motors, omega), response(wanted, motors, omega))
 
 
-def test_a_motor_a_million_times_lighter_than_its_load_is_no_matter(tmp_path: Path) -> None:
-    chains = CoupledChains.build(
-        [[2e-6, 1e-4, 80.0], [3e-6], [5e-5, 9.0]],
-        [[40.0, 5e4], [], [900.0]],
-        [[1e-5, 2.0], [], [0.05]],
-        [[0, -4e-3, 26.0], [-4e-3, 0, -1.3e-3], [26.0, -1.3e-3, 0]],
-    )
-    model = replace(
-        machine("one mass"), chains=chains, std=ChainStd.unknown(chains), covariance=None, parameter_names=()
-    )
-    wanted = truth(model)
-    omega = lines(wanted[0], wanted[2])
-    invid.export(model, "mjcf", tmp_path / "m.xml")
-    m = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
-    found = response(mujoco_matrices(m)[:3], chains.motor_dofs, omega)
-    assert_same(found, response(wanted, chains.motor_dofs, omega))
-    invid.export(model, "statespace", tmp_path / "m.mat")
-    mat = scipy.io.loadmat(tmp_path / "m.mat", simplify_cells=True)
-    system = control.ss(mat["A"], mat["B"], mat["C"], mat["D"])
-    found = np.array([system(1j * w) for w in omega])
-    assert_same(found, response(wanted, chains.motor_dofs, omega))
-
-
 def test_mujocos_own_integrator_follows_the_model_at_the_step_in_the_file(tmp_path: Path) -> None:
     model = machine("unequal")
     invid.export(model, "mjcf", tmp_path / "m.xml")
@@ -331,111 +307,10 @@ def test_fmpy_answers_as_the_model_does(name: str, linear: bool, tmp_path: Path)
         assert np.max(np.abs(g - h) / np.abs(h).max(axis=1, keepdims=True)) < 1e-3
 
 
-def test_model_exchange_gives_the_rates_of_the_model(tmp_path: Path) -> None:
-    model = machine("unequal").extended(
-        effect("viscous_friction", "A1", "mass 1", coefficient=5.0),
-        effect("torque_lag", "A4", time_constant=2e-3),
-    )
-    path = tmp_path / "m.fmu"
-    invid.export(model, "fmu", path)
-    assert validate_fmu(str(path)) == []
-    description = fmpy.read_model_description(str(path))
-    reference = {v.name: v.valueReference for v in description.modelVariables}
-    fmu = fmpy.fmi3.FMU3Model(
-        guid=description.guid,
-        unzipDirectory=fmpy.extract(str(path)),
-        modelIdentifier=description.modelExchange.modelIdentifier,
-        instanceName="one",
-    )
-    fmu.instantiate()
-    fmu.enterInitializationMode()
-    fmu.exitInitializationMode()
-    count = 23  # eleven positions, eleven velocities, the torque that lags
-    states, rates = (ctypes.c_double * count)(), (ctypes.c_double * count)()
-
-    def rates_at(state: int | None, axis: str | None) -> np.ndarray:
-        states[:] = [float(k == state) for k in range(count)]
-        for name in model.axes:
-            fmu.setFloat64([reference[f"{name}.torque"]], [float(name == axis)])
-        fmu.setContinuousStates(states, count)
-        fmu.getContinuousStateDerivatives(rates, count)
-        return np.array(rates[:])
-
-    a = np.array([rates_at(k, None) for k in range(count)]).T
-    b = np.array([rates_at(None, axis) for axis in model.axes]).T
-    motors = model.chains.motor_dofs
-    mass, damp, stiff = truth(model, {0: 5.0})
-    omega = lines(mass, stiff)
-    system = control.ss(a, b, np.eye(count)[motors], np.zeros((4, 4)))
-    wanted = response((mass, damp, stiff), motors, omega)
-    wanted[:, :, 3] /= (1 + 2e-3j * omega)[:, None]
-    assert_same(np.array([system(1j * w) for w in omega]), wanted)
-    outputs = [v.name for v in description.modelVariables if v.causality == "output"]
-    assert set(outputs) == {f"{x}.{what}" for x in model.axes for what in ("position", "velocity")}
-
-
-def test_the_fmus_parameters_make_another_plant(tmp_path: Path) -> None:
-    model = machine("one axis", coupled=False)
-    invid.export(model, "fmu", tmp_path / "m.fmu")
-    heavier = replace(
-        model.chains, masses=(np.array([*model.chains.masses[0][:-1], 2 * model.chains.masses[0][-1]]),)
-    )
-    invid.export(replace(model, chains=heavier), "fmu", tmp_path / "h.fmu")
-    given = {"A1.mass.4": float(heavier.masses[0][-1])}
-    outputs = ["A1.position"]
-    changed = pulse_answer(tmp_path / "m.fmu", "A1.torque", outputs, 1e-3, 200, **given)
-    wanted = pulse_answer(tmp_path / "h.fmu", "A1.torque", outputs, 1e-3, 200)
-    plain = pulse_answer(tmp_path / "m.fmu", "A1.torque", outputs, 1e-3, 200)
-    np.testing.assert_allclose(changed, wanted, rtol=1e-9, atol=1e-15)
-    assert np.abs(plain - wanted).max() > 1e-3 * np.abs(wanted).max()
-
-
 def effect(
     cause: str, axis: str = "A1", element: str | None = None, other: str | None = None, **sizes: float
 ):
     return EffectTerm(cause, axis, {k: Estimate(v, 0.1 * v) for k, v in sizes.items()}, element, other)
-
-
-def test_linear_effects_are_in_the_matrices(tmp_path: Path) -> None:
-    model = machine("unequal").extended(
-        effect("viscous_friction", "A1", "mass 1", coefficient=2.0),
-        effect("viscous_friction", "A3", "mass 2", coefficient=1.5),
-        effect("torque_gain", "A2", gain=1.2),
-        effect("torque_lag", "A4", time_constant=2e-3),
-        effect("extra_mode", "A1", "mass 3", mass=0.2, stiffness=900.0, damping_ratio=0.03),
-        effect("coupling_stiffness", "A1", None, "A4", stiffness=700.0),
-    )
-    mass, damp, stiff = (np.pad(x, (0, 1)) for x in truth(model, {0: 2.0, 5: 1.5}))
-    mass[11, 11] = 0.2
-    for matrix, value in ((stiff, 900.0), (damp, 2 * 0.03 * np.sqrt(900.0 * 0.2))):
-        matrix[np.ix_([2, 11], [2, 11])] += value * np.array([[1, -1], [-1, 1]])
-    stiff[np.ix_([2, 10], [2, 10])] += 700.0 * np.array([[1, -1], [-1, 1]])
-    motors = model.chains.motor_dofs
-    omega = lines(mass, stiff)
-    wanted = response((mass, damp, stiff), motors, omega) * np.array([1, 1.2, 1, 1])
-    wanted[:, :, 3] /= (1 + 2e-3j * omega)[:, None]
-
-    written = invid.export(model, "statespace", tmp_path / "m.mat")
-    assert written.losses == ()
-    mat = scipy.io.loadmat(tmp_path / "m.mat", simplify_cells=True)
-    system = control.ss(mat["A"], mat["B"], mat["C"], mat["D"])
-    assert_same(np.array([system(1j * w) for w in omega]), wanted)
-
-    assert invid.export(model, "mjcf", tmp_path / "m.xml").losses == ()
-    m = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
-    found = response(mujoco_matrices(m)[:3], motors, omega)
-    assert_same(
-        found * np.array([1, 1.2, 1, 1]),
-        wanted * np.where(np.arange(4) == 3, 1 + 2e-3j * omega[:, None, None], 1),
-    )
-    assert m.actuator("A2").gainprm[0] == pytest.approx(1.2)
-    assert m.actuator("A4").dynprm[0] == pytest.approx(2e-3)
-    assert int(m.actuator("A4").dyntype[0]) == int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
-
-    lost = " ".join(invid.export(model, "urdf", tmp_path / "m.urdf").losses)
-    for cause in ("torque_gain", "torque_lag", "coupling_stiffness", "viscous_friction on A3"):
-        assert cause in lost
-    assert "viscous_friction on A1" not in lost
 
 
 @pytest.mark.parametrize("to", ["statespace", "mjcf", "urdf", "fmu"])
@@ -458,45 +333,6 @@ def test_every_effect_that_is_not_in_the_file_is_named(to: str, tmp_path: Path) 
         m = mujoco.MjModel.from_xml_path(str(tmp_path / "f"))
         assert m.dof_frictionloss.tolist() == [0, 0.4, 0, 0]
         assert m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
-
-
-def test_plants_drawn_from_the_mat_file_are_plants_of_the_model(tmp_path: Path) -> None:
-    model = machine("unequal")
-    invid.export(model, "statespace", tmp_path / "m.mat")
-    mat = scipy.io.loadmat(tmp_path / "m.mat", simplify_cells=True)
-    drawn = np.random.default_rng(5).multivariate_normal(mat["values"], mat["covariance"])
-    change = drawn - mat["values"]
-    mass = mat["mass_matrix"] + np.tensordot(change, mat["mass_derivative"], 1)
-    damp = mat["damping_matrix"] + np.tensordot(change, mat["damping_derivative"], 1)
-    stiff = mat["stiffness_matrix"] + np.tensordot(change, mat["stiffness_derivative"], 1)
-    named = dict(zip(mat["parameters"], drawn, strict=True))
-    c = model.chains
-    again = CoupledChains.build(
-        [[named[f"{a}.mass.{q + 1}"] for q in range(m.size)] for a, m in zip(c.axes, c.masses, strict=True)],
-        [
-            [named[f"{a}.spring.{q + 1}"] for q in range(k.size)]
-            for a, k in zip(c.axes, c.springs, strict=True)
-        ],
-        [
-            [named[f"{a}.damper.{q + 1}"] for q in range(k.size)]
-            for a, k in zip(c.axes, c.springs, strict=True)
-        ],
-        [
-            [named.get(f"{a}-{b}.coupling", named.get(f"{b}-{a}.coupling", 0.0)) for b in c.axes]
-            for a in c.axes
-        ],
-    )
-    np.testing.assert_allclose(mass, again.mass_matrix, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(damp, again.damping_matrix, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(stiff, again.stiffness_matrix, rtol=1e-9, atol=1e-9)
-
-
-def test_a_model_without_covariance_gives_its_variances_and_says_so(tmp_path: Path) -> None:
-    model = replace(machine("one mass"), covariance=None, parameter_names=())
-    written = invid.export(model, "statespace", tmp_path / "m.mat")
-    assert "A1.mass.1" in written.warnings[0]
-    assert np.isnan(scipy.io.loadmat(tmp_path / "m.mat")["covariance"]).all()
-    assert json.loads((tmp_path / "m.mat.json").read_text())["parameters"]["covariance"] == [[None]]
 
 
 @pytest.mark.parametrize("name", ["Achse 'ü'", "1"])
@@ -541,19 +377,3 @@ def test_bad_requests_end_with_one_message(arguments: tuple[str, ...], says: str
     assert done.returncode == 2
     assert says in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_the_pages_example_draws_plants(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "how-to" / "export.md").read_text(encoding="utf-8")
-    program = page.split("```python\n")[1].split("```")[0]
-    model = machine("unequal", coupled=False)
-    invid.export(model, "statespace", tmp_path / "robot.mat")
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    mean, spread = (float(x) for x in done.stdout.removeprefix("highest mode ").split(" Hz")[0].split(" ± "))
-    mass, _, stiff = truth(model)
-    highest = np.sqrt(scipy.linalg.eigh(stiff, mass, eigvals_only=True)[-1]) / (2 * np.pi)
-    # Masses and springs known to 0.1 %: the mode to less than that, the mean of a hundred to a tenth of it.
-    assert mean == pytest.approx(highest, rel=1e-3)
-    assert 0 < spread < 1e-3 * highest

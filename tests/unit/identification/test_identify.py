@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from benchmarks.shared import plant_oracle as oracle
-from invid.cli.app import create_app
-from invid.cli.identify import model_text, parse_masses
+from invid.cli.identify import model_text
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify
 from invid.model.document import dump_json, model_from_json, model_to_json
@@ -103,11 +100,6 @@ def test_two_coupled_axes_are_identified_to_a_tenth_of_a_per_cent(together: bool
     assert_true(model_to_json(model), TWO_TRUTH, within=2e-3)
 
 
-def test_a_hold_inside_the_drive_does_not_add_inertia_to_the_motor() -> None:
-    model = identify(record(TWO, 2, in_drive=True), masses=(2, 2))
-    assert_true(model_to_json(model), TWO_TRUTH, within=5e-3)
-
-
 def test_one_axis_in_metres_is_identified_with_the_number_of_masses_found() -> None:
     slide = oracle.OraclePlant([[2.0, 3.0]], [[8000.0]], [[3.0]])
     model = identify(record(slide, 5, linear=True), masses="auto")
@@ -177,18 +169,3 @@ def test_the_model_survives_its_file_and_reads_as_a_table() -> None:
     text = model_text(model)
     assert "A2 spring 1" in text
     assert "N·m/rad" in text
-
-
-def test_masses_on_the_command_line_are_numbers_or_auto() -> None:
-    assert parse_masses("3,3,3") == (3, 3, 3)
-    assert parse_masses("auto") == "auto"
-    assert parse_masses(None) is None
-    with pytest.raises(InputError, match="two"):
-        parse_masses("two")
-
-
-def test_the_command_says_what_is_wrong_with_a_method(tmp_path: Path) -> None:
-    done = CliRunner().invoke(
-        create_app("identify"), ["identify", str(tmp_path / "x.h5"), "--method", "best"]
-    )
-    assert isinstance(done.exception, InputError)

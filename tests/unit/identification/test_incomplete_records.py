@@ -10,7 +10,6 @@ from linear_cell import LinearCell, deviations, record
 
 from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
-from invid.signals.smooth_command import find_smooth_hold
 from invid.signals.spectra import all_spectra
 
 ONE = LinearCell([[1.0, 2.0]], [[1500.0]], [[0.8]])
@@ -67,19 +66,6 @@ def test_a_demand_with_the_hold_in_it_does_not_tell_when_the_hold_acts(in_drive:
     assert told.std.masses[0][0] < 0.3 * model.std.masses[0][0]
 
 
-def test_a_command_that_falls_with_frequency_is_smooth_where_its_lines_are_far_apart() -> None:
-    """Between 0.7 and 2 Hz f^−½ bends; taken for roughness it made P 2.6 times too large."""
-    gain, damping = hold(1.0, 0.7, SUMS)
-    spectra = all_spectra(
-        record(TWO, seed=8, rate=1000.0, gain=gain, damping=damping, said=np.zeros(2), period=1500)
-    )
-    for i in range(2):
-        found = find_smooth_hold(spectra, i)
-        assert found is not None
-        assert found[0] == pytest.approx(gain[i], rel=0.1)
-        assert found[1] == pytest.approx(damping[i], rel=0.02)
-
-
 @pytest.mark.campaign
 def test_holds_that_no_record_shows_cost_the_motors_of_uncoupled_axes_nothing_unsaid() -> None:
     """A held axis rests while others are shaken; D·h/2 of its hold was in its motor's mass, 45 deviations."""
@@ -103,27 +89,6 @@ def test_holds_that_no_record_shows_cost_the_motors_of_uncoupled_axes_nothing_un
     assert found.findings == ()
     assert worst(deviations(found.model, apart)) < 4.5
     assert found.model.std.masses[0][0] < 0.03 * apart.masses[0][0]
-
-
-def test_the_gains_of_a_hold_are_read_off_the_lines_of_the_other_axes() -> None:
-    gain, damping = hold(1.0, 0.3, SUMS)
-    recording = record(
-        TWO, seed=14, rate=500.0, gain=gain, damping=damping, said=gain, interleaved=True, period=8000
-    )
-    spectra = all_spectra(recording)
-    for i in range(2):
-        found = find_smooth_hold(spectra, i)
-        assert found is not None
-        assert found[0] == pytest.approx(gain[i], rel=0.05)
-        assert found[1] == pytest.approx(damping[i], rel=0.05)
-    assert worst(deviations(identify(recording), TWO)) < 4.5
-
-
-def test_a_hold_damped_far_more_than_usual_is_known_from_the_command() -> None:
-    gain, damping = np.array([3.0]), np.array([30.0])
-    model = identify(record(ONE, seed=10, rate=1000.0, gain=gain, damping=damping, said=gain))
-    # Half a sample of its damping is 1.5 % of the motor's mass; 2·√(P·S) would say 0.3 %.
-    assert worst(deviations(model, ONE)) < 4.5
 
 
 @pytest.mark.parametrize("rate", [1000.0])

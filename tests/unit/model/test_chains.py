@@ -37,14 +37,6 @@ def test_branches_may_have_different_numbers_of_masses() -> None:
     assert chains.end_dofs.tolist() == [0, 2, 6]
 
 
-def test_a_rigid_motion_of_a_free_branch_meets_no_force() -> None:
-    chains = case_study(damping_ratio=0.02)
-    rigid = np.zeros(9)
-    rigid[3:6] = 1.0
-    np.testing.assert_allclose(chains.stiffness_matrix @ rigid, 0, atol=1e-12)
-    np.testing.assert_allclose(chains.damping_matrix @ rigid, 0, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -63,11 +55,6 @@ def test_a_rigid_motion_of_a_free_branch_meets_no_force() -> None:
 def test_what_is_no_model_is_refused_in_plain_words(arguments: tuple[object, ...], words: str) -> None:
     with pytest.raises(ModelError, match=words):
         CoupledChains.build(*arguments)  # type: ignore[arg-type]
-
-
-def test_axis_names_must_differ() -> None:
-    with pytest.raises(ModelError, match="differ"):
-        CoupledChains.build([[1.0], [1.0]], [[], []], axes=("A1", "A1"))
 
 
 def test_json_goes_out_and_comes_back_unchanged() -> None:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from invid.errors import NotIdentifiableError
 from invid.inverse import identify_paper
 from invid.model.chains import CoupledChains, case_study
-from invid.modes import fit_modes
 
 
 def measured(
@@ -54,40 +51,3 @@ def test_the_case_study_is_identified_within_one_per_cent_at_half_a_per_cent_noi
     assert result.warnings == ()
     dampers = np.concatenate(result.chains.dampers) / np.concatenate(truth.dampers)
     assert np.all((dampers > 0.7) & (dampers < 1.4))
-
-
-@pytest.mark.campaign
-def test_deviations_of_the_paper_method_hold() -> None:
-    truth = case_study(damping_ratio=0.002)
-    upper = np.triu_indices(3, 1)
-    wanted = np.concatenate(
-        [np.concatenate((m, k)) for m, k in zip(truth.masses, truth.springs, strict=True)]
-        + [truth.couplings[upper]]
-    )
-    scores = []
-    for seed in range(4):
-        result = identify_paper(*measured(truth, seed=seed), (3, 3, 3))
-        chains = result.chains
-        found = np.concatenate(
-            [np.concatenate((m, k)) for m, k in zip(chains.masses, chains.springs, strict=True)]
-            + [chains.couplings[upper]]
-        )
-        scores.append((found - wanted) / np.sqrt(np.diag(result.covariance)))
-    assert 0.6 < float(np.sqrt(np.mean(np.square(scores)))) < 1.6
-
-
-def test_branches_of_one_two_and_three_masses_are_identified_together() -> None:
-    truth = CoupledChains.build(
-        [[2.0], [1.0, 2.0], [1.0, 1.5, 3.0]],
-        [[], [900.0], [1200.0, 2000.0]],
-        [[], [0.6], [0.5, 0.7]],
-        [[0, 0.5, 0.4], [0.5, 0, 0.6], [0.4, 0.6, 0]],
-    )
-    result = identify_paper(*measured(truth, top=12.0), (1, 2, 3))
-    assert largest_error(result.chains, truth) < 0.02
-
-
-def test_too_few_lines_are_refused_with_the_number_needed() -> None:
-    frequency, g, variance = measured(case_study(damping_ratio=0.01), lines=8)
-    with pytest.raises(NotIdentifiableError, match="8 usable lines for 6 modes"):
-        fit_modes(frequency, g, variance, (3, 3, 3))

@@ -83,9 +83,3 @@ def test_the_frf_of_records_from_rest_is_that_of_the_plant_once_settled() -> Non
     ):
         np.testing.assert_allclose(mine, theirs, rtol=0.03)
     np.testing.assert_allclose(result.chains.couplings[0, 1], 0.6, rtol=0.05)
-
-
-def test_a_frf_in_which_no_modes_are_found_comes_back_as_it_was() -> None:
-    spectra = [from_rest(plant(), number, 1e-5) for number in range(2)]
-    few = FrfMatrix(np.array([1.0, 2.0]), np.ones((2, 2, 2), dtype=complex), np.ones((2, 2, 2)))
-    assert settled_frf(spectra, (2, 2), few) is few

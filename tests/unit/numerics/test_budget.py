@@ -7,10 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 
@@ -19,15 +16,11 @@ from hidden.generator import make
 
 import invid
 from invid.cli.app import INTERRUPTED, run
-from invid.cli.display import shown_progress
 from invid.diagnosis.diagnose import diagnose
-from invid.identification import machine_kind
 from invid.identification.identify import identify
 from invid.numerics import budget
 from invid.numerics.budget import Budget, Progress, use_budget
 from invid.numerics.run_clock import RunClock
-from invid.recording import Kind
-from invid.rigid_motion.selection import Selection
 
 
 class Ticks:
@@ -61,53 +54,6 @@ def whole(recording: invid.Recording) -> tuple[invid.Model, invid.Diagnosis, flo
 def _one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Helpers have clocks of their own."""
     monkeypatch.setattr("invid.numerics.parallel._cores", lambda: 1)
-
-
-def test_a_part_ends_before_the_whole_and_what_is_left_out_is_told_once() -> None:
-    now = [0.0]
-    with use_budget(Budget(10.0, lambda: now[0])):
-        now[0] = 4.0
-        with budget.use_share(0.5):
-            now[0] = 6.9
-            assert not budget.is_spent()
-            now[0] = 7.0
-            assert budget.is_spent()
-            assert budget.or_else("the rest", lambda: 1, 2) == 2
-            assert budget.or_else("the rest", lambda: 1, 2) == 2
-        assert not budget.is_spent()
-        assert budget.left_out() == ("the rest",)
-        assert "10 s of the processor" in str(budget.warning())
-        assert "at their shares of it, after 7 s in all" in str(budget.warning())
-        now[0] = 10.0
-        assert "was spent" in str(budget.warning())
-    assert not budget.is_spent()
-    assert budget.warning() is None
-
-
-@pytest.mark.parametrize(("moved", "least"), [(True, 80.0), (False, 45.0)])
-def test_what_a_rigid_machine_s_diagnosis_does_not_need_goes_to_the_doubt_about_its_kind(
-    moved: bool, least: float, monkeypatch: pytest.MonkeyPatch, recording: invid.Recording
-) -> None:
-    """Where rigid axes miss a lot chains are tried; a search for their causes may follow or not."""
-    monkeypatch.setattr(machine_kind, "is_trajectory", lambda _: moved)
-    monkeypatch.setattr(
-        machine_kind, "analyse", lambda _: SimpleNamespace(selection=Selection(cast("Any", None)))
-    )
-    monkeypatch.setattr(machine_kind, "rigid_missed_share", lambda _: 0.5)
-    monkeypatch.setattr(machine_kind, "identify_trajectory", lambda *_, **__: None)
-    given = list[bool]()
-    now = [0.0]
-
-    def chains() -> invid.Model:
-        for now[0] in (least, 99.0):
-            given.append(not budget.is_spent())
-        raise invid.InvidError("no chains fit")
-
-    other = tuple(replace(e, kind=Kind.OTHER, period_samples=0) for e in recording.experiments)
-    record = replace(recording, experiments=other, masses_per_axis=None)
-    with use_budget(Budget(100.0, lambda: now[0])):
-        assert machine_kind.machine_kind(record, None, chains, 0.5).rigid
-    assert given == [True, False]
 
 
 def test_progress_never_goes_back_and_says_how_long_at_most() -> None:
@@ -148,27 +94,6 @@ def test_a_search_that_is_cut_calls_nothing_consistent_and_no_finding_sure(
         assert found.verdict != "consistent"
         assert all(f.confidence <= 0.89 for f in found.findings)
         assert found.findings or found.model.fit["trustworthy"] is False
-
-
-def test_nothing_is_called_consistent_before_a_cause_was_looked_for() -> None:
-    recording = make(None, (0, 1), seed=5, motors=1, masses=(2,), moves=False)[0]
-    model = identify(recording)
-    assert diagnose(recording, model=model).verdict == "consistent"
-    with use_budget(Budget(5.0, Ticks())):
-        found = diagnose(recording, model=model)
-    assert found.verdict == "unexplained"
-    assert found.unexplained is not None
-    assert "cut short" in found.unexplained.sentence
-    assert found.model.fit["trustworthy"] is False
-
-
-def test_a_budget_that_is_not_used_up_changes_nothing(
-    recording: invid.Recording, whole: tuple[invid.Model, invid.Diagnosis, float]
-) -> None:
-    model, complete, _ = whole
-    plain = diagnose(recording, model=model)
-    assert plain.warnings == complete.warnings
-    assert [f.effect for f in plain.findings] == [f.effect for f in complete.findings]
 
 
 def test_the_interface_takes_seconds_and_a_callback(recording: invid.Recording) -> None:
@@ -234,14 +159,6 @@ def test_a_budget_counts_processor_time_and_that_of_helpers_and_waits_no_longer_
     assert clock() == pytest.approx(10.0)
 
 
-def test_json_stays_alone_on_stdout_and_the_budget_ends_the_command(
-    recording: invid.Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    invid.write_recording(recording, tmp_path / "rec.h5")
-    assert run(["diagnose", str(tmp_path / "rec.h5"), "--json", "--budget", "1"]) in (0, 3)
-    assert json.loads(capsys.readouterr().out)["format"] == "invid-diagnosis"
-
-
 @pytest.mark.campaign
 @pytest.mark.parametrize("fresh", [True, False])
 def test_the_first_run_after_an_installation_says_that_it_compiles(tmp_path: Path, fresh: bool) -> None:
@@ -257,18 +174,3 @@ def test_the_first_run_after_an_installation_says_that_it_compiles(tmp_path: Pat
             [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
         ).stdout
     assert ("compiling" in said) == fresh
-
-
-def test_plain_lines_say_at_once_that_it_compiles_and_then_now_and_again(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    now = [0.0]
-    monkeypatch.setattr("invid.cli.display.time.monotonic", lambda: now[0])
-    with shown_progress("diagnosing") as show:
-        show(Progress("compiling, once after an installation"))
-        for second in range(12):
-            now[0] = float(second)
-            show(Progress("weighing", "A2", "backlash", 0.5, 20.0, "spring 1"))
-    lines = capsys.readouterr().err.splitlines()
-    assert "compiling" in lines[0]
-    assert lines[1:] == ["diagnosing:  50% weighing backlash, A2 spring 1 (about 20 s left)"] * 2

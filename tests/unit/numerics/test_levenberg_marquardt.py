@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from invid.numerics.arrays import Float64
-from invid.numerics.levenberg_marquardt import LARGEST_STEP, Minimum, Parabola, minimise
+from invid.numerics.levenberg_marquardt import Minimum, Parabola, minimise
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,29 +52,6 @@ def test_a_bent_valley_is_followed_to_its_end() -> None:
     found, _ = searched()
     assert found.result == "converged"
     assert found.point.x == pytest.approx([1.0, 1.0], abs=1e-6)
-
-
-def test_no_step_of_a_logarithm_is_longer_than_the_limit() -> None:
-    found, steps = searched(limited=True)
-    assert max(abs(step[0]) for step in steps) <= LARGEST_STEP * (1 + 1e-12)
-    assert found.point.x == pytest.approx([1.0, 1.0], abs=1e-6)
-
-
-def test_an_undamped_step_of_a_linear_problem_is_the_least_squares_solution() -> None:
-    rng = np.random.default_rng(3)
-    jacobian, residual = rng.standard_normal((20, 4)) * [1.0, 1e6, 1e-6, 3.0], rng.standard_normal(20)
-    around = Parabola.of_rows(jacobian, residual)
-    least, rest, *_ = np.linalg.lstsq(jacobian, -residual, rcond=None)
-    assert around.step(0.0) == pytest.approx(least, rel=1e-9)
-    assert around.predicted == pytest.approx(residual @ residual - rest[0])
-
-
-def test_parameters_that_do_not_move_have_no_step() -> None:
-    rng = np.random.default_rng(4)
-    move = np.array([True, False, True])
-    around = Parabola.of_rows(rng.standard_normal((9, 3)), rng.standard_normal(9), move)
-    assert around.step(1e-3)[1] == 0.0
-    assert around.gradient[1] == 0.0
 
 
 def test_a_search_that_finds_no_plant_says_that_it_stalled() -> None:

@@ -34,34 +34,6 @@ def ran(text: str, *, cores: int | None = 2) -> str:
     return done.stdout
 
 
-def test_two_processes_share_the_calls_and_the_answers_stand_in_order():
-    assert "shared" in ran("""
-        def run(k):
-            time.sleep(0.02)
-            return k * k, os.getpid()
-        answers = parallel_map(run, range(20))
-        assert [a for a, _ in answers] == [k * k for k in range(20)]
-        assert len({pid for _, pid in answers}) == 2 and me in {pid for _, pid in answers}
-        assert not multiprocessing.active_children()
-        print("shared")
-    """)
-
-
-def test_answers_refer_to_the_callers_own_objects():
-    assert "same" in ran("""
-        large = object()
-        class Answer:
-            def __init__(self): self.of, self.pid = large, os.getpid()
-        def run(_):
-            time.sleep(0.02)
-            return Answer()
-        answers = parallel_map(run, range(8), known=[large])
-        assert any(a.pid != me for a in answers)
-        assert all(a.of is large for a in answers)
-        print("same")
-    """)
-
-
 @pytest.mark.parametrize(
     "end", ["os._exit(3)", "os.kill(os.getpid(), 9)", "raise ValueError", "return lambda: 0"]
 )
@@ -122,33 +94,6 @@ def test_helpers_end_with_a_caller_that_was_killed():
         left = [pid for pid in helpers if os.path.exists(f"/proc/{pid}")]
         assert not left, left
         print("gone")
-    """)
-
-
-def test_where_no_more_processes_are_to_be_had_the_caller_does_it_all():
-    assert "all" in ran("""
-        def refused():
-            raise BlockingIOError(11, "Resource temporarily unavailable")
-        os.fork = refused
-        assert parallel_map(lambda k: k, range(6)) == list(range(6))
-        print("all")
-    """)
-
-
-@pytest.mark.parametrize(
-    "begin",
-    [
-        "threading.Thread(target=time.sleep, args=(5,), daemon=True).start()",
-        "multiprocessing.parent_process = lambda: object()",
-        "os.sched_getaffinity = lambda _: {0}",
-    ],
-    ids=["a thread that may hold a lock", "a helper itself", "one core"],
-)
-def test_no_helper_where_forking_is_not_safe_or_not_worth_it(begin: str):
-    assert "alone" in ran(f"""
-        {begin}
-        assert set(parallel_map(lambda _: os.getpid(), range(50))) == {{me}}
-        print("alone")
     """)
 
 

@@ -1,8 +1,5 @@
 """What a plan says that it would show, and runs that are no longer than that asks for."""
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 from invid.config import CellConfig
@@ -29,19 +26,6 @@ def test_the_default_plan_shows_the_frictions_of_the_case_study_and_free_play_be
         assert limits["viscous_friction", axis].size < viscous
         assert limits["backlash", axis].size < cell.sizes_of_interest.free_play
     assert {limit.unit for limit in limits.values()} == {"N·m", "N·m·s/rad", "rad", "kg·m²"}
-
-
-def test_a_limit_falls_with_the_root_of_the_time_and_with_the_torque(
-    cell: CellConfig, belief: Belief, limits: dict[tuple[str, str], DetectionLimit]
-) -> None:
-    noise, runs = sensor_noise(cell), make_plan(cell, model=belief).recorded
-    twice = detection_limits(cell, [*runs, *runs], belief, noise)
-    weak = detection_limits(cell, [replace(e, torque=0.5 * e.torque) for e in runs], belief, noise)
-    viscous = [k for k, limit in enumerate(twice) if limit.cause == "viscous_friction"]
-    for k in viscous:
-        own = limits[twice[k].cause, twice[k].axis].size
-        assert own / twice[k].size == pytest.approx(np.sqrt(2), rel=0.25)
-        assert weak[k].size / own == pytest.approx(2.0, rel=0.4)
 
 
 def test_what_is_not_shaken_is_not_seen(cell: CellConfig, belief: Belief) -> None:

@@ -13,7 +13,7 @@ from invid.identification.identify import identify
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector
 from invid.planning import Plan, make_plan
-from invid.planning.belief import Belief, from_model, guess
+from invid.planning.belief import Belief, from_model
 from invid.planning.expected_covariance import Noise, assumed_noise, expected, recorded_noise
 from invid.planning.goal import plan_for_goal
 from invid.planning.response import foretold_motion, hold_gains
@@ -22,8 +22,6 @@ from invid_drivers.connect import connect
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import truth
-
-CONFIG = Path(__file__).parents[3] / "configs" / "case-study.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -91,27 +89,6 @@ def test_expected_and_actual_scatter_agree_in_the_simulated_cell(
     assert np.all(np.abs(np.log(np.median(stated, axis=0) / foretold.std)) < np.log(1.25))
 
 
-def test_half_the_torque_doubles_the_expected_uncertainty(
-    cell: CellConfig, belief: Belief, one_block: Plan
-) -> None:
-    free, noise = without_friction(belief), sensor_noise(cell)
-    full = expected(cell, one_block, free, noise)
-    weak = [replace(e, torque=0.5 * e.torque) for e in one_block.experiments]
-    half = expected(cell, weak, free, noise)
-    ratio = (half.std / full.std)[full.goal]
-    assert np.median(ratio) == pytest.approx(2.0, rel=0.05)
-
-
-def test_two_records_know_a_root_of_two_better_than_one(
-    cell: CellConfig, belief: Belief, one_block: Plan
-) -> None:
-    noise = sensor_noise(cell)
-    one = expected(cell, one_block, belief, noise)
-    (block,) = one_block.experiments
-    two = expected(cell, [block, replace(block, key="001")], belief, noise)
-    assert np.median((one.std / two.std)[one.goal]) == pytest.approx(np.sqrt(2), rel=0.1)
-
-
 def test_a_mass_that_nothing_reaches_is_said_to_be_unseen(cell: CellConfig, belief: Belief) -> None:
     plan = make_plan(cell, axes=["A1"])
     lonely = replace(belief, chains=replace(belief.chains, couplings=np.zeros((3, 3))))
@@ -121,17 +98,6 @@ def test_a_mass_that_nothing_reaches_is_said_to_be_unseen(cell: CellConfig, beli
     assert by_name["A1.mass.3"] < 0.01
     assert not by_name["A3.mass.3"] < 1.0
     assert found.to_json()["worst"]["name"].startswith(("A2", "A3"))
-
-
-def test_a_guess_says_that_it_is_one_and_needs_every_inertia(cell: CellConfig) -> None:
-    made = guess(cell)
-    assert made is not None
-    assert made.guessed
-    assert "guess" in made.source
-    assert [float(m.sum()) for m in made.chains.masses] == pytest.approx([5.7, 15, 24])
-    document = cell.model_dump(mode="python")
-    document["axes"][1]["inertia"] = None
-    assert guess(CellConfig.model_validate(document)) is None
 
 
 def test_friction_of_an_accepted_model_is_part_of_the_belief(cell: CellConfig) -> None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from invid.config import CellConfig
-from invid.errors import ConfigError, InputError
-from invid.planning.belief import Belief, guess
+from invid.errors import InputError
+from invid.planning.belief import Belief
 from invid.planning.forecast import turning_back
 from invid.planning.goal import GoalPlan, plan_for_goal
 from invid.recording import Recording, read_recording
@@ -102,26 +102,10 @@ def test_creep_is_planned_where_friction_is_near_the_torque_and_the_config_allow
     assert any("creep_velocity" in w for w in plain.plan.warnings)
 
 
-def test_a_guess_plans_too_and_says_what_it_rests_on(cell: CellConfig) -> None:
-    belief = guess(cell)
-    assert belief is not None
-    design = plan_for_goal(cell, belief, sensor_noise(cell), 0.01)
-    assert any("guess" in w for w in design.plan.warnings)
-
-
 @pytest.mark.parametrize("text", ["", "0", "-1%", "100%", "1 per cent", "nan", "inf"])
 def test_a_goal_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="such as 1%"):
         parse_goal(text)
-
-
-def test_a_goal_is_a_percentage_or_a_share() -> None:
-    assert parse_goal("1%") == parse_goal(" 1 % ") == parse_goal("0.01") == pytest.approx(0.01)
-
-
-def test_an_axis_that_is_not_there_is_refused(cell: CellConfig, belief: Belief) -> None:
-    with pytest.raises(ConfigError, match="B7"):
-        plan_for_goal(cell, belief, sensor_noise(cell), 0.01, axes=["B7"])
 
 
 @pytest.mark.campaign

@@ -6,11 +6,10 @@ import pytest
 from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError
 from invid.model.chains import case_study
-from invid.planning import bus_load, frame_bits, make_plan
+from invid.planning import make_plan
 from invid.planning.belief import Belief, rigid
 from invid.planning.forecast import MARGIN, peaks_of
 from invid.planning.response import foretold_motion
-from invid.recording import Kind, Role
 
 
 def cell(experiments: str = "", *, axes: int = 3, bus: str = "", extra: str = "") -> CellConfig:
@@ -25,30 +24,10 @@ def cell(experiments: str = "", *, axes: int = 3, bus: str = "", extra: str = ""
     )
 
 
-@pytest.mark.parametrize(("data_bytes", "bits"), [(0, 55), (2, 75), (6, 115), (8, 135)])
-def test_worst_case_frame_lengths_are_those_of_the_standard(data_bytes: int, bits: int) -> None:
-    assert frame_bits(data_bytes) == bits
-
-
-def test_three_drives_fit_one_megabit_at_one_kilohertz_and_four_do_not() -> None:
-    assert bus_load(3, cycle_s=0.001, bitrate=1_000_000) < 0.8 < bus_load(4, cycle_s=0.001, bitrate=1_000_000)
-
-
 def test_a_bus_over_its_budget_is_refused_with_a_cycle_that_would_do() -> None:
     with pytest.raises(ConfigError, match=r"cycle_s to 0\.002"):
         make_plan(cell(axes=4))
     make_plan(cell(axes=4, bus=", cycle_s: 0.002"))
-
-
-def test_the_default_plan_identifies_with_as_many_runs_as_axes_and_validates_with_the_climb() -> None:
-    plan = make_plan(cell())
-    climb, *runs = plan.recorded
-    assert [e.role for e in plan.recorded] == [Role.VALIDATE, *3 * [Role.IDENTIFY]]
-    assert [e.key for e in plan.recorded] == ["000", "001", "002", "003"]
-    assert np.abs(climb.torque).max() < 0.5 * np.abs(runs[0].torque).max()
-    for e in plan.recorded:  # from rest to its end: nothing is waited for
-        assert (e.record_from, e.record_to) == (0, e.cycles)
-    assert plan.duration_s < 65  # with signs of five seconds an axis
 
 
 def test_a_run_from_rest_leaves_a_free_axis_where_it_was() -> None:
@@ -60,65 +39,10 @@ def test_a_run_from_rest_leaves_a_free_axis_where_it_was() -> None:
             assert abs(velocity.mean()) * e.cycles * 0.001 < 0.1
 
 
-def test_the_excitation_matrix_over_the_runs_is_well_conditioned_at_every_line() -> None:
-    plan = make_plan(cell("[{kind: multisine, lines: odd, periods: 2}]"))
-    runs = plan.experiments
-    n = runs[0].period_samples
-    lines = np.round(runs[0].frequencies_hz * n * plan.cycle_s).astype(int)
-    spectra = np.stack(
-        [np.fft.rfft(e.torque[e.record_from : e.record_from + n], axis=0)[lines] for e in runs], axis=-1
-    )
-    scaled = spectra / np.array([10.0, 20.0, 30.0])[None, :, None]
-    # an axis whose inertia lets it move further is planned with a little less torque
-    assert np.linalg.cond(scaled).max() < 1.05
-
-
 def test_no_plan_asks_for_more_torque_than_the_limit() -> None:
     plan = make_plan(cell("[{kind: multisine, amplitude: 1.0}, {kind: chirp, amplitude: 1.0}]"))
     for e in plan.experiments:
         assert np.all(np.abs(e.torque).max(axis=0) <= np.array([10, 20, 30]) * (1 + 1e-9))
-
-
-def test_the_recorded_part_repeats_with_its_period() -> None:
-    for e in make_plan(
-        cell("[{kind: multisine, periods: 2}, {kind: stepped_sine, frequencies_Hz: [3.3, 0.9]}]")
-    ).experiments:
-        part = e.torque[e.record_from : e.record_to]
-        n = e.period_samples
-        np.testing.assert_allclose(part[n : 2 * n], part[:n], atol=1e-9)
-
-
-def test_a_stepped_sine_puts_each_axis_and_frequency_into_its_own_experiment() -> None:
-    plan = make_plan(cell("[{kind: stepped_sine, frequencies_Hz: [2, 5]}]"))
-    assert [(e.excited_axis, round(float(e.frequencies_hz[0]))) for e in plan.experiments] == [
-        (0, 2),
-        (0, 5),
-        (1, 2),
-        (1, 5),
-        (2, 2),
-        (2, 5),
-    ]
-
-
-def test_interleaved_lines_give_each_axis_its_own() -> None:
-    runs = make_plan(cell("[{kind: multisine, periods: 2}]")).experiments
-    n = runs[0].period_samples
-    power = [np.abs(np.fft.rfft(e.torque[e.record_from : e.record_from + n], axis=0)) > 1e-6 for e in runs]
-    for own in power:
-        assert own.any(axis=0).all()
-        assert own.sum(axis=1).max() == 1
-    # over the runs every axis has every line
-    assert (np.sum(power, axis=0).max(axis=1) <= 1).all()
-    assert len({tuple(line) for line in np.sum(power, axis=0)}) == 2
-
-
-def test_axes_that_are_not_chosen_get_no_torque() -> None:
-    plan = make_plan(cell(), axes=["A2"])
-    for e in plan.experiments:
-        assert e.excited == (1,)
-        assert np.all(e.torque[:, [0, 2]] == 0)
-    with pytest.raises(ConfigError, match="'B9'"):
-        make_plan(cell(), axes=["B9"])
 
 
 def test_travel_of_a_sine_on_a_rigid_mass_is_foretold_with_its_start() -> None:
@@ -169,21 +93,6 @@ def test_a_band_beyond_what_the_cycle_can_carry_is_refused() -> None:
         make_plan(cell("[{kind: multisine, band_Hz: [1, 150]}]"))
 
 
-def test_a_creep_moves_slowly_under_the_shaking() -> None:
-    plan = make_plan(cell("[{kind: multisine, creep_velocity_rad_per_s: 0.01, experiments: 1}]"))
-    (e,) = plan.experiments
-    assert e.kind is Kind.MULTISINE
-    assert e.reference is not None
-    assert np.abs(np.diff(e.reference[:, 0])).max() == pytest.approx(0.01 * plan.cycle_s)
-
-
-def test_a_plan_is_plain_json() -> None:
-    import json
-
-    document = make_plan(cell()).to_json()
-    assert json.loads(json.dumps(document)) == document
-
-
 def test_where_the_inertia_says_that_an_axis_leaves_its_window_its_torque_is_lowered_and_it_is_said() -> None:
     usual, light = cell(), cell()
     axes = [light.axes[0].model_copy(update={"inertia": 0.05}), *light.axes[1:]]
@@ -231,19 +140,3 @@ def test_no_limit_is_left_by_what_is_announced_from_a_model() -> None:
         told = np.array([[f.travel, f.velocity, f.peak_torque] for f in plan.forecast]).T
         seen = np.abs([motion.position, motion.velocity, motion.torque]).max(axis=1)
         assert np.all(seen <= told)
-
-
-def test_the_plan_lasts_as_long_as_its_phases() -> None:
-    plan = make_plan(cell())
-    assert plan.duration_s == pytest.approx(sum(p.cycles for p in plan.phases) * plan.cycle_s)
-    assert plan.duration_s > plan.shaking_s
-    assert [p.step for p in plan.phases if p.step != "experiment"] == [
-        "settle",
-        "signs",
-        "signs",
-        "signs",
-        "trial",
-        "return",
-    ]
-    short = plan.first(2)
-    assert len(short.experiments) == sum(p.step == "experiment" for p in short.phases) == 2

@@ -66,21 +66,6 @@ def test_every_family_gives_a_plan_that_the_limits_allow(cause: str, rival: str)
         assert (np.abs(e.torque).max(axis=0) <= limits).all()
 
 
-def test_delay_and_lag_get_a_wider_band() -> None:
-    config = load_config(CONFIG)
-    own = max(float(e.frequencies_hz.max()) for e in make_plan(config).experiments)
-    plan = make_plan(to_separate(diagnosis("torque_delay", "torque_lag"), config).config)
-    assert max(float(e.frequencies_hz.max()) for e in plan.experiments) > 2 * own
-
-
-def test_what_changes_with_time_is_measured_again_at_the_end() -> None:
-    config = load_config(CONFIG)
-    found = to_separate(diagnosis("payload_change", "parameter_drift"), config).config.experiments
-    identifying = [e for e in found if e.role == "identify"]
-    assert identifying[0] == identifying[-1]
-    assert len(identifying) > 2
-
-
 @pytest.mark.parametrize(
     ("document", "words"),
     [

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import bz2
 import gzip
 import lzma
 import sqlite3
-import zipfile
 from pathlib import Path
 
 import can
@@ -36,22 +34,6 @@ def test_packed_text_is_read_as_what_is_inside(tmp_path, pack, name):
     path = tmp_path / name.format("gz")
     path.write_bytes(pack(CSV.encode()))
     np.testing.assert_allclose(read_table(path, Source()).columns["torque"], TORQUE)
-
-
-def test_a_packed_file_that_breaks_off_and_a_zip_of_one_and_of_many(tmp_path):
-    cut = tmp_path / "cut.csv.gz"
-    cut.write_bytes(gzip.compress(CSV.encode())[:-200])
-    with pytest.raises(InputError, match="is it whole"):
-        read_table(cut, Source())
-    one, two = tmp_path / "one.zip", tmp_path / "two.zip"
-    with zipfile.ZipFile(one, "w") as archive:
-        archive.writestr("run/log.csv", CSV)
-    np.testing.assert_allclose(read_table(one, Source()).columns["position"], ANGLE)
-    with zipfile.ZipFile(two, "w") as archive:
-        archive.writestr("a.csv", CSV)
-        archive.writestr("b.csv", CSV)
-    with pytest.raises(InputError, match=r"2 files \(a.csv, b.csv\)"):
-        read_table(two, Source())
 
 
 @pytest.mark.parametrize("pack", [np.savez, np.savez_compressed])
@@ -106,22 +88,6 @@ def test_what_is_not_read_is_named_with_the_way_out(tmp_path, capsys, name, cont
     assert "encoding" not in error
 
 
-@pytest.mark.parametrize(
-    ("member", "said"),
-    [
-        ("xl/workbook.xml", "Excel workbook.*CSV"),
-        ("modelDescription.xml", "FMU.*--against"),
-        ("content.xml", "OpenDocument"),
-    ],
-)
-def test_what_else_is_a_zip_is_named(tmp_path, member, said):
-    with zipfile.ZipFile(tmp_path / "a.xlsx", "w") as archive:
-        archive.writestr(member, "x")
-        archive.writestr("other", "x")
-    with pytest.raises(InputError, match=said):
-        read_table(tmp_path / "a.xlsx", Source())
-
-
 FRAMES = [
     can.Message(timestamp=1.7e9 + k * 1e-3 + d, arbitration_id=i, data=data, is_extended_id=False)
     for k in range(N)
@@ -151,43 +117,6 @@ def test_logs_that_python_can_writes_are_recognised(tmp_path, ending, rename):
     )  # python-can's SQLite writer drops what waits at its end
     np.testing.assert_array_equal(table.columns["q"], [int(1e6 * a) for a in ANGLE[:rows]])
     assert any("0x181" in r for r in suggest_map([path], None)[1].reasons)
-
-
-@pytest.mark.parametrize("name", ["EngineData", "SYNC"])
-def test_an_asc_with_names_says_that_identifiers_are_needed(tmp_path, name):
-    lines = ["date Tue Feb 3 12:00:00 2026", "base hex  timestamps absolute"]
-    lines += [f"   {t:.6f} 1  {name}        Rx   d 2 01 02" for t in TIME]
-    (tmp_path / "a.asc").write_text("\n".join(lines))
-    with pytest.raises(InputError, match=f"line 3 names its frame '{name}'.*identifiers"):
-        read_table(tmp_path / "a.asc", PDOS)
-
-
-def lvm(x: str, decimal: str, rows: list[list[float]], names: list[str]) -> str:
-    width = len(names)
-    head = ["LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab", f"Decimal_Separator\t{decimal}"]
-    head += [f"X_Columns\t{x}", "***End_of_Header***\t", "\t"]
-    units = {"position": "deg", "torque": "Nm"}
-    own = [units[n] for n in names if n in units]
-    head += ["Channels\t2", "Y_Unit_Label\t" + "\t".join(own), "X_Dimension\tTime\tTime", "X0\t0\t0"]
-    head += [f"Delta_X\t0{decimal}001\t0{decimal}001", "***End_of_Header***" + "\t" * width]
-    head += ["\t".join([*names, "Comment"])]
-    return "\n".join([*head, *("\t".join(f"{v:.6f}".replace(".", decimal) for v in r) for r in rows)])
-
-
-@pytest.mark.parametrize("decimal", [".", ","])
-@pytest.mark.parametrize("x", ["One", "No", "Multi"])
-def test_lvm_is_read_by_its_names_and_its_own_clock(tmp_path, x, decimal):
-    columns = {"One": [TIME, ANGLE, TORQUE], "No": [ANGLE, TORQUE], "Multi": [TIME, ANGLE, TIME, TORQUE]}[x]
-    clock = {"One": ["X_Value"], "No": [], "Multi": ["X_Value"]}[x]
-    names = [*clock, "position", *(clock if x == "Multi" else []), "torque"]
-    path = tmp_path / "run.lvm"
-    path.write_text(lvm(x, decimal, np.array(columns).T.tolist(), names))
-    proposal = suggest_map([path], None)[1]
-    assert proposal.document["time"] == {"column": "X_Value", "unit": "s"}
-    assert proposal.document["axes"][0]["position"] == {"column": "position", "unit": "deg"}
-    table = read_table(path, Source())
-    np.testing.assert_allclose(table.columns["torque"], TORQUE)
-    np.testing.assert_allclose(table.columns["X_Value"], TIME, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -234,19 +163,3 @@ def test_values_with_their_labels_are_columns(tmp_path, line):
     table = read_table(tmp_path / "a.txt", Source())
     np.testing.assert_allclose(table.columns["torque"], TORQUE)
     np.testing.assert_allclose(table.columns["t_us"], 1000 * np.arange(N))
-
-
-@pytest.mark.parametrize(
-    "head", ["time,position,torque", "=~=~= PuTTY log 2026.02.03 =~=~=\ntime,position,torque"]
-)
-def test_a_table_called_log_is_no_can_log(tmp_path, head):
-    (tmp_path / "a.log").write_text(head + CSV.partition("torque")[2])
-    np.testing.assert_allclose(read_table(tmp_path / "a.log", Source()).columns["torque"], TORQUE)
-
-
-def test_a_base64_of_python_can_is_no_table(tmp_path):
-    head = "timestamp,arbitration_id,extended,remote,error,dlc,data"
-    rows = [f"{1.7e9 + t},0x80,0,0,0,0," for t in TIME]
-    rows += [f"{1.7e9 + t},0x181,0,0,0,4,{base64.b64encode(bytes(4)).decode()}" for t in TIME]
-    (tmp_path / "a.txt").write_text("\n".join([head, *sorted(rows)]))
-    assert set(read_table(tmp_path / "a.txt", PDOS).columns) == {"time", "q"}

@@ -146,12 +146,6 @@ def test_the_log_of_a_measurement_gives_the_plant_behind_it(logged, tmp_path):
     assert chains.springs[0] == pytest.approx([1500.0], rel=0.02)
 
 
-def test_a_sync_identifier_that_never_comes_is_said_with_those_that_do(logged, tmp_path, capsys):
-    path = chart(tmp_path, [0, None], {**PDOS, "sync_id": 0x81}, ("q", "tau", "aim"))
-    assert run(["import", str(logged[0]), "--map", str(path), "-o", str(tmp_path / "x.h5")]) == 2
-    assert "0x80" in capsys.readouterr().err
-
-
 def frames(n: int) -> list[str]:
     lines = []
     for k in range(n):
@@ -160,14 +154,6 @@ def frames(n: int) -> list[str]:
         lines.append(f"({1.7e9 + 0.01 * k + 1e-3:.6f}) can0 185#{data.hex().upper()}")
         lines.append(f"({1.7e9 + 0.01 * k + 2e-3:.6f}) can0 205#0F000A00")
     return lines
-
-
-def shown(line: str) -> str:
-    """A line as candump prints it on the screen."""
-    stamp, channel, frame = line.split()
-    identifier, data = frame.split("#")
-    pairs = [data[i : i + 2] for i in range(0, len(data), 2)]
-    return f" {stamp}  {channel}  {identifier}   [{len(pairs)}]  {' '.join(pairs)}"
 
 
 def log_imported(tmp_path: Path, lines: list[str]) -> tuple[int, Path]:
@@ -181,37 +167,12 @@ def log_imported(tmp_path: Path, lines: list[str]) -> tuple[int, Path]:
     return run(["import", str(tmp_path / "bus.log"), "--map", str(path), "-o", str(out)]), out
 
 
-def test_lines_of_a_log_that_are_cut_are_skipped_with_their_numbers(tmp_path, capsys):
-    lines = frames(400)
-    lines[301] = lines[301][:-3]  # a TPDO: its cycle is lost
-    lines[601] = "\x00\x7fnoise"  # a TPDO again
-    lines.insert(900, "(17000")  # no frame at all: no cycle is lost
-    status, out = log_imported(tmp_path, lines)
-    assert status == 0
-    # The first cycle has no command yet.
-    assert read_recording(out).experiments[0].samples == 397
-    told = capsys.readouterr().err
-    for number in (301, 601, 901):
-        assert f"line {number}" in told
-
-
 def test_a_log_of_which_more_than_one_per_cent_is_cut_is_refused(tmp_path, capsys):
     lines = [line[:-3] if k % 90 == 1 else line for k, line in enumerate(frames(400))]
     status, out = log_imported(tmp_path, lines)
     assert status == 2
     assert not out.exists()
     assert "broken" in capsys.readouterr().err
-
-
-def test_what_candump_shows_on_the_screen_is_read_like_its_log(tmp_path):
-    status, out = log_imported(tmp_path, frames(50))
-    assert status == 0
-    first = read_recording(out).experiments[0]
-    status, out = log_imported(tmp_path, [shown(line) for line in frames(50)])
-    assert status == 0
-    second = read_recording(out).experiments[0]
-    np.testing.assert_array_equal(first.position, second.position)
-    np.testing.assert_array_equal(first.torque, second.torque)
 
 
 @pytest.mark.campaign
@@ -225,21 +186,6 @@ def test_a_log_without_a_map_is_shown_as_pdos_with_the_fields_that_move(logged, 
     assert pdos[0x185]["direction"] == "from_drive"
     assert any("node 5" in r for r in said["reasons"])
     assert any("name position and torque by hand" in u for u in said["unsure"])
-
-
-def test_a_suggested_map_reads_the_log_once_its_columns_are_named(tmp_path, capsys):
-    log = tmp_path / "c.log"
-    log.write_text("\n".join(frames(400)) + "\n", encoding="utf-8")
-    assert run(["import", "--suggest", str(log)]) == 0
-    text = capsys.readouterr().out
-    text = text.replace('"?", "unit": "rad"', '"x185_byte0", "unit": "rad"')
-    text = text.replace('"?", "unit": "N·m"', '"x185_byte4", "unit": "N·m"')
-    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
-    assert run(["import", str(log), "--map", str(tmp_path / "map.yaml"), "-o", str(tmp_path / "r.h5")]) == 0
-    e = read_recording(tmp_path / "r.h5").experiments[0]
-    # The first row waits for the master's first value, which acts from the second SYNC on.
-    np.testing.assert_allclose(e.position[:, 0], 10.0 * np.arange(1, 400))
-    np.testing.assert_allclose(e.torque[:, 0], np.arange(1, 400))
 
 
 def test_a_log_without_sync_or_pdos_is_refused_with_the_identifiers_it_has(tmp_path, capsys):

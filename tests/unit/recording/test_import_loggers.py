@@ -13,8 +13,6 @@ from scipy.io import savemat
 
 from invid.cli.app import run
 from invid.recording import Recording, read_recording
-from invid.recording.import_map import Source, parse_map
-from invid.recording.readers.kinds import read_table
 from invid.recording.readers.mcap_table import read_mcap_table
 
 RATE, COUNT = 500.0, 240
@@ -58,44 +56,6 @@ def holds(recording: Recording, angle=ANGLE, torque=TORQUE) -> None:
     assert found.torque[:, 0] == pytest.approx(torque, abs=1e-6)
 
 
-def chart_of(time: dict, position: str, torque: str, experiments: list[dict]) -> dict:
-    axis = {
-        "name": "A1",
-        "position": {"column": position, "unit": "rad"},
-        "torque": {"column": torque, "unit": "N·m"},
-    }
-    return {"format": "invid-import-map", "time": time, "axes": [axis], "experiments": experiments}
-
-
-def test_two_records_of_one_file_under_different_names_are_two_experiments(tmp_path):
-    path = tmp_path / "bench.mat"
-    savemat(path, {"q_est": ANGLE, "u_est": TORQUE, "q_val": 2 * ANGLE[:100], "u_val": 2 * TORQUE[:100]})
-    renamed = {"q_est": "q_val", "u_est": "u_val"}
-    experiments = [{}, {"role": "validate", "columns": renamed}]
-    recording = imported(path, chart_of({"sample_rate_hz": RATE}, "q_est", "u_est", experiments))
-    holds(recording)
-    second = recording.experiments[1]
-    assert (str(second.role), second.samples) == ("validate", 100)
-    assert second.position[:, 0] == pytest.approx(2 * ANGLE[:100])
-    assert second.torque[:, 0] == pytest.approx(2 * TORQUE[:100])
-
-
-def test_columns_of_one_text_file_serve_two_experiments_and_a_wrong_name_is_told(tmp_path, capsys):
-    path = tmp_path / "bench.csv"
-    rows = [f"{t:.6f},{q:.9f},{u:.9f},{2 * q:.9f}" for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)]
-    path.write_text("\n".join(["t,q,u,q2", *rows]) + "\n", encoding="utf-8")
-    chart = chart_of({"column": "t"}, "q", "u", [{}, {"role": "validate", "columns": {"q": "q2"}}])
-    recording = imported(path, chart)
-    holds(recording)
-    assert recording.experiments[1].position[:, 0] == pytest.approx(2 * ANGLE, abs=1e-6)
-    chart["experiments"][1]["columns"] = {"Q": "q2"}
-    (tmp_path / "wrong.yaml").write_text(yaml.safe_dump(chart, allow_unicode=True), encoding="utf-8")
-    assert run(["import", str(path), "--map", str(tmp_path / "wrong.yaml"), "-o", "x.h5"]) == 2
-    said = capsys.readouterr().err
-    assert "'Q' is no column of the map's time and axes" in said
-    assert "q, t, u" in said
-
-
 def test_a_file_without_time_is_asked_for_its_rate_and_nothing_else(tmp_path, capsys):
     path = tmp_path / "log.csv"
     rows = [f"{q:.9f},{u:.9f}" for q, u in zip(ANGLE, TORQUE, strict=True)]
@@ -107,22 +67,6 @@ def test_a_file_without_time_is_asked_for_its_rate_and_nothing_else(tmp_path, ca
     assert "sample_rate_hz" in capsys.readouterr().err
     chart["time"]["sample_rate_hz"] = RATE
     holds(imported(path, chart))
-
-
-def test_a_suggestion_as_yaml_names_the_line_to_fill_in(tmp_path, capsys):
-    path = tmp_path / "log.csv"
-    rows = [f"{t:.6f},{q * 1e4:.0f},{u:.9f}" for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)]
-    path.write_text("\n".join(["time,position [inc],torque [%]", *rows]) + "\n", encoding="utf-8")
-    assert run(["import", str(path), "--suggest"]) == 0
-    text = capsys.readouterr().out
-    assert "FILL IN axes A1 rated_torque" in text
-    text = text.replace('"per_count": null', '"per_count": 1e-4')
-    text = text.replace("rated_torque: null", "rated_torque: 100.0")
-    assert parse_map(text).motion == "rotary"
-    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
-    out = tmp_path / "x.h5"
-    assert run(["import", str(path), "--map", str(tmp_path / "map.yaml"), "-o", str(out)]) == 0
-    holds(read_recording(out), angle=np.round(ANGLE * 1e4) / 1e4)
 
 
 @pytest.mark.parametrize("separate", [False, True])
@@ -177,19 +121,6 @@ def test_a_tdms_file_is_read_whatever_keeps_its_time(tmp_path, capsys, kind):
     chart, asked = suggested(path, capsys)
     assert not asked
     holds(imported(path, chart))
-
-
-def test_channels_of_one_name_in_two_groups_of_a_tdms_file_are_two_columns(tmp_path):
-    tdms = pytest.importorskip("nptdms", reason="npTDMS is missing: pip install 'invid[tdms]'")
-    path = tmp_path / "log.tdms"
-    with tdms.TdmsWriter(path) as file:
-        for group, scale in (("A1", 1.0), ("A2", 2.0)):
-            file.write_segment(
-                [tdms.ChannelObject(group, n, scale * v) for n, v in (("pos", ANGLE), ("torque", TORQUE))]
-            )
-    columns = read_table(path, Source()).columns
-    assert set(columns) == {"A1/pos", "A1/torque", "A2/pos", "A2/torque"}
-    np.testing.assert_array_equal(columns["A2/pos"], 2.0 * ANGLE)
 
 
 @pytest.mark.parametrize("encoding", ["cdr", "json"])
@@ -297,34 +228,6 @@ def scope(*, comma: bool, shared: bool) -> str:
     return "\n".join([*lines, "", *("\t".join(r) for r in rows), "EOF"]) + "\n"
 
 
-@pytest.mark.parametrize(
-    ("head", "per_count"),
-    [
-        ("Time [s],Position [cnt],Position Error [cnt],Reactive Current [A],Active Current [A]", 1e-6),
-        ("time,axis0.encoder.pos_estimate,a,axis0.motor.foc.Id_measured,axis0.motor.foc.Iq_measured", 0.0),
-    ],
-)  # fmt: skip
-def test_names_of_elmo_and_odrive_are_known(tmp_path, capsys, head, per_count):
-    path = tmp_path / "tool.csv"
-    size = per_count or 2 * np.pi
-    rows = [f"{t:.6f},{q / size:.9f},0.5,0.7,{u:.9f}" for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)]
-    path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
-    chart, asked = suggested(path, capsys)
-    assert list(asked) == (["axes A1 position.per_count"] if per_count else [])
-    if per_count:
-        chart["axes"][0]["position"]["per_count"] = per_count
-    recording = imported(path, chart)
-    holds(recording)
-
-
-def test_a_scope_export_whose_names_hold_the_separator_is_refused(tmp_path, capsys):
-    path = tmp_path / "scope.csv"
-    text = scope(comma=False, shared=True).replace("ActTorque", "Act Torque").replace(" \t", "\t")
-    path.write_text(text.replace("\t", " "), encoding="utf-8")
-    assert run(["import", str(path), "--suggest"]) == 2
-    assert "export it with another separator" in capsys.readouterr().err
-
-
 def test_two_records_of_one_file_under_different_names_are_suggested_as_two_experiments(tmp_path, capsys):
     half = COUNT // 2
     path = tmp_path / "bench.mat"
@@ -338,14 +241,6 @@ def test_two_records_of_one_file_under_different_names_are_suggested_as_two_expe
     told, kept = recording.experiments
     assert (told.role, kept.role) == ("identify", "validate")
     assert kept.position[:, 0] == pytest.approx(ANGLE[:half])
-
-
-def test_axes_that_are_numbered_are_no_records(tmp_path, capsys):
-    path = tmp_path / "two.mat"
-    savemat(path, {"pos1": ANGLE, "tau1": TORQUE, "pos2": ANGLE, "tau2": TORQUE})
-    chart, _ = suggested(path, capsys)
-    assert len(chart["axes"]) == 2
-    assert len(chart["experiments"]) == 1
 
 
 def test_counts_that_a_name_tells_are_asked_for_what_one_is_worth(tmp_path, capsys):

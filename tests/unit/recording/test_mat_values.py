@@ -78,17 +78,6 @@ def test_cells_and_struct_arrays_of_v73_are_read_through_their_references(tmp_pa
     assert table.clocks["scope.signals.tau.values"] == "scope.time"
 
 
-def test_cells_of_structs_with_names_and_clocks_of_their_own(tmp_path):
-    logs = np.empty((1, 2), object)
-    logs[0, 0] = {"Name": "q1", "Time": np.c_[TIME], "Data": np.c_[ANGLE]}
-    logs[0, 1] = {"Name": "tau1", "Time": np.c_[TIME[::2]], "Data": np.c_[TORQUE[::2]]}
-    path = tmp_path / "a.mat"
-    scipy.io.savemat(path, {"logs": logs})
-    table = read_table(path, Source())
-    assert table.clocks == {"logs.q1.Data": "logs.q1.Time", "logs.tau1.Data": "logs.tau1.Time"}
-    assert columns_of(suggest_map([path], None)[1].document["axes"][0]) == ("logs.q1.Data", "logs.tau1.Data")
-
-
 @pytest.mark.parametrize("kind", ["timeseries", "timetable", "Simulink.SimulationData.Dataset"])
 @pytest.mark.parametrize("beside", [False, True])
 def test_an_object_of_v73_is_refused_by_name_and_its_handle_is_no_data(tmp_path, kind, beside):

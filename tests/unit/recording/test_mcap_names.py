@@ -11,7 +11,6 @@ from mcap.writer import Writer
 
 from invid.errors import InputError
 from invid.recording.import_map import Source
-from invid.recording.import_source import suggest_map
 from invid.recording.readers.kinds import read_table
 
 N = 400
@@ -53,41 +52,6 @@ def test_joints_that_change_their_order_are_read_by_name(tmp_path):
         np.testing.assert_allclose(table.columns[f"/js.position[{joint}]"], angle(joint))
     with pytest.raises(InputError, match="elbow"):
         table.column("/js.position[0]")
-
-
-def test_two_arms_on_one_topic_have_their_own_rows_and_axes(tmp_path):
-    messages = []
-    for k in range(N):
-        messages.append(("/js", logged(k), state(k, ["left_arm_joint1", "left_arm_joint2"])))
-        if k % 2:
-            messages.append(("/js", logged(k), state(k, ["right_joint1"])))
-    path = bag(tmp_path / "a.mcap", messages)
-    table = read_table(path, Source())
-    np.testing.assert_allclose(table.columns["/js.position[right_joint1]"], angle("right_joint1")[1::2])
-    np.testing.assert_allclose(table.columns["/js.effort[left_arm_joint2]"], 3 * angle("left_arm_joint2"))
-    axes = suggest_map([path], None)[1].document["axes"]
-    assert [(a["name"], a["position"]["column"]) for a in axes] == [
-        ("left_arm_joint1", "/js.position[left_arm_joint1]"),
-        ("left_arm_joint2", "/js.position[left_arm_joint2]"),
-    ]
-
-
-def test_names_that_stand_above_nested_lists_are_theirs_too(tmp_path):
-    def body(k: int, names: list[str]) -> dict:
-        values = [float(angle(n)[k]) for n in names]
-        return {"joint_names": names, "actual": {"positions": values}}
-
-    path = bag(
-        tmp_path / "a.mcap",
-        [("/s", logged(k), body(k, ["j2", "elbow"][:: 1 - 2 * (k % 2)])) for k in range(N)],
-    )
-    np.testing.assert_allclose(read_table(path, Source()).columns["/s.actual.positions[j2]"], angle("j2"))
-
-
-def test_a_place_still_names_a_joint_whose_place_is_always_the_same(tmp_path):
-    path = bag(tmp_path / "a.mcap", [("/js", logged(k), state(k, ["elbow", "j2"])) for k in range(N)])
-    aliases = read_table(path, Source()).aliases
-    assert aliases["/js.position[1]"] == "/js.position[j2]"
 
 
 @pytest.mark.parametrize(("zeros", "first"), [(1, 1.0 / 1000), (30, 1.7e9)], ids=["simulated", "unset"])

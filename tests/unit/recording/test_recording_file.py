@@ -5,19 +5,17 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import struct
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import can
 import h5py
 import numpy as np
 import pytest
 
 from invid.cli.app import run
-from invid.errors import InvidError, RecordingError
+from invid.errors import RecordingError
 from invid.recording import (
     Kind,
     Outcome,
@@ -26,7 +24,7 @@ from invid.recording import (
     read_recording,
     write_recording,
 )
-from invid.recording.hdf5 import EXPERIMENT_ATTRIBUTES, ROOT_ATTRIBUTES
+from invid.recording.hdf5 import ROOT_ATTRIBUTES
 from invid.recording.spool import Spool
 
 
@@ -148,10 +146,6 @@ NO_KIND = {
 }
 
 
-def test_the_kinds_of_attributes_here_are_those_of_the_whole_format() -> None:
-    assert set(KINDS) == ROOT_ATTRIBUTES | EXPERIMENT_ATTRIBUTES
-
-
 @pytest.mark.parametrize("name", sorted(KINDS))
 def test_an_attribute_of_another_kind_is_told_which_kind_it_must_be(tmp_path, name):
     for value in NO_KIND[KINDS[name]]:
@@ -162,15 +156,6 @@ def test_an_attribute_of_another_kind_is_told_which_kind_it_must_be(tmp_path, na
             read_recording(path)
         assert f"attribute '{name}' is " in str(caught.value)
         assert str(caught.value).endswith(f"; it must be {KINDS[name]}"), value
-
-
-def test_a_wrong_rate_is_not_blamed_on_the_lines(tmp_path):
-    path = foreign(tmp_path / "r.h5")
-    with h5py.File(path, "r+") as f:
-        f["experiments/000"].attrs["frequencies_hz"] = [1.0, 20.0]
-        f["experiments/000"].attrs["sample_rate_hz"] = 7.0
-    with pytest.raises(RecordingError, match="'sample_rate_hz' is 7 but 'time' steps at"):
-        read_recording(path)
 
 
 def test_a_cut_file_is_called_truncated(tmp_path):
@@ -379,105 +364,3 @@ def test_rows_that_an_earlier_cut_left_are_not_overwritten(tmp_path):
     Spool(tmp_path / "r.h5", {}).close()
     assert (tmp_path / "r.h5.rows").read_bytes() == b"earlier"
     assert (tmp_path / "r.h5.2.rows").exists()
-
-
-CAN_MAP = """
-format: invid-import-map
-robot: logged
-motion: rotary
-source:
-  pdos:
-    - {id: 0x181, signals: [{name: q, type: int32}, {name: tau, type: int16}]}
-    - {id: 0x201, direction: to_drive, signals: [{name: cmd, type: int16}]}
-time: {column: time, unit: s}
-axes:
-  - name: A1
-    rated_torque: 2.0
-    position: {column: q, unit: counts, per_count: 0.001}
-    torque: {column: tau, unit: permille}
-    torque_demand: {column: cmd, unit: permille}
-"""
-
-
-@pytest.mark.parametrize("ending", ["log", "asc", "blf"])
-def test_a_can_log_becomes_a_recording_in_si_units(tmp_path, ending):
-    path = tmp_path / f"bus.{ending}"
-    with can.Logger(path) as log:
-        for k in range(60):
-            frames = [
-                (0x80, b""),
-                (0x181, struct.pack("<ih", 10 * k, -k)),
-            ]
-            frames.append((0x201, (k + 1).to_bytes(2, "little")))
-            for j, (identifier, data) in enumerate(frames):
-                log(can.Message(timestamp=1e9 + k * 0.01 + j * 1e-3, arbitration_id=identifier, data=data,
-                                is_extended_id=False, channel="can0"))  # fmt: skip
-    (tmp_path / "m.yaml").write_text(CAN_MAP)
-    out = tmp_path / "r.h5"
-    assert run(["import", str(path), "--map", str(tmp_path / "m.yaml"), "-o", str(out)]) == 0
-    e = read_recording(out).experiments[0]
-    k = np.round(e.position[:, 0] / 0.01).astype(int)
-    assert np.array_equal(k, np.arange(k[0], k[0] + k.size))
-    assert e.samples >= 58
-    assert e.torque[:, 0] == pytest.approx(-0.002 * k)
-    assert e.torque_demand is not None
-    assert e.torque_demand[:, 0] == pytest.approx(0.002 * k)
-    assert np.diff(e.time) == pytest.approx(0.01, abs=2e-4)
-
-
-CSV_MAP = """
-format: invid-import-map
-robot: table
-time: {column: t, unit: ms}
-axes:
-  - name: A1
-    position: {column: winkel, unit: deg, sign: -1}
-    torque: {column: strom, unit: A, torque_constant: 0.5}
-"""
-
-
-def _csv(path: Path, broken: int) -> Path:
-    rows = [f"{10 * k};{k},5;{k},25" for k in range(300)]
-    for k in range(broken):
-        rows[20 + 7 * k] = f"{10 * (20 + 7 * k)};x;1,0"
-    path.write_text("recorder 3\nt;winkel;strom\n" + "\n".join(rows) + "\n")
-    return path
-
-
-def test_decimal_commas_and_units_are_read_and_two_broken_rows_are_skipped_and_named(tmp_path, capsys):
-    (tmp_path / "m.yaml").write_text(CSV_MAP)
-    source, out = _csv(tmp_path / "d.csv", 2), tmp_path / "r.h5"
-    assert run(["import", str(source), "--map", str(tmp_path / "m.yaml"), "-o", str(out)]) == 0
-    assert "line 23" in capsys.readouterr().err
-    e = read_recording(out).experiments[0]
-    assert e.samples == 298
-    assert e.position[0, 0] == pytest.approx(-np.radians(0.5))
-    assert e.torque[1, 0] == pytest.approx(0.625)
-
-
-def test_more_than_one_per_cent_of_broken_rows_stops_and_leaves_an_older_recording_alone(tmp_path):
-    (tmp_path / "m.yaml").write_text(CSV_MAP)
-    out = tmp_path / "r.h5"
-    out.write_bytes(b"older")
-    arguments = [
-        "import",
-        str(_csv(tmp_path / "d.csv", 4)),
-        "--map",
-        str(tmp_path / "m.yaml"),
-        "-o",
-        str(out),
-    ]
-    assert run(arguments) == 2
-    assert out.read_bytes() == b"older"
-
-
-def test_every_map_that_ships_is_valid():
-    from invid.recording.import_map import load_map
-
-    maps = sorted((Path(__file__).parents[3] / "configs" / "import").glob("*.yaml"))
-    assert len(maps) >= 8
-    for path in maps:
-        try:
-            load_map(path)
-        except InvidError as error:
-            pytest.fail(str(error))

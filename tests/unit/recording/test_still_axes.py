@@ -79,22 +79,6 @@ def test_axes_that_move_are_diagnosed_as_if_the_still_one_were_not_there(
     assert "stands still" in render_report(both, found.model, found)
 
 
-def test_masses_are_given_for_every_axis_of_the_recording() -> None:
-    model = invid.identify(beside_a_still_axis(), masses=[3, 2])
-    assert model.chains.masses_per_branch == (2,)
-    assert any("stands still" in w for w in model.warnings)
-
-
-def test_an_axis_that_was_to_move_and_does_not_stays_in_the_recording() -> None:
-    """A stuck encoder, a brake that was not released: that is no axis to be left out quietly."""
-    both = beside_a_still_axis()
-    first, *others = both.experiments
-    meant = replace(both, experiments=(replace(first, excited_axis=0), *others))
-    assert moving_part(meant) == (meant, [])
-    with pytest.raises(invid.InputError, match=r"position of axis still never changes.*its brake is open"):
-        invid.identify(meant)
-
-
 def test_where_nothing_moves_or_a_model_has_the_axis_it_stays() -> None:
     both = beside_a_still_axis()
     assert moving_part(both, both.axes)[0] is both

@@ -38,13 +38,6 @@ def test_a_file_without_names_has_its_time_where_the_clock_is(tmp_path, capsys, 
     assert first["map"]["time"] == {"column": "time", "unit": "s"}
 
 
-def test_a_motion_is_no_time_where_there_is_none(tmp_path, capsys):
-    found = suggested(capsys, written(tmp_path / "a.csv", [], ANGLE, TORQUE))
-    assert found["map"]["time"] == {"sample_rate_hz": None}
-    assert "time.sample_rate_hz" in found["fill_in"]
-    assert not any("'time'" in r for r in found["reasons"])
-
-
 @pytest.mark.parametrize(
     ("stamps", "said"),
     [
@@ -97,48 +90,6 @@ def test_torque_of_one_side_is_paired_with_motion_of_the_other_in_doubt_alone(
     assert not any("side" in u for u in plain["unsure"])
 
 
-def test_a_motor_angle_that_is_the_links_is_doubted(tmp_path, capsys):
-    names = ["t", "torque_nm", "pos_mot_deg", "pos_se_deg"]
-    twist = 1e-3 * np.sin(50 * TIME)
-    link = suggested(capsys, written(tmp_path / "a.csv", names, TIME, TORQUE, ANGLE + twist, ANGLE))
-    assert any("gear ratio" in u for u in link["unsure"])
-    motor = suggested(capsys, written(tmp_path / "b.csv", names, TIME, TORQUE, 120 * ANGLE, ANGLE))
-    assert not any("gear ratio" in u for u in motor["unsure"])
-
-
-@pytest.mark.parametrize("name", ["u", "u_V", "voltage", "Spannung [V]", "current_A"])
-def test_what_drives_the_motor_stands_for_its_torque(tmp_path, capsys, name):
-    supply = 48.0 + 0.1 * np.sin(TIME)
-    source = written(tmp_path / "a.csv", ["t", "bus_V", name, "theta_rad"], TIME, supply, TORQUE, ANGLE)
-    axis = suggested(capsys, source)["map"]["axes"][0]
-    assert axis["torque"]["column"] == name
-    assert axis["position"]["column"] == "theta_rad"
-
-
-def test_a_sensor_beside_numbered_axes_hides_none_of_them(tmp_path, capsys):
-    names = ["time [s]", "sensor torque [Nm]", "a1 q-axis [A]", "a1 position [rad]", "a1 torque [Nm]"]
-    names += ["a2 position [rad]", "a2 torque [Nm]"]
-    columns = [TIME, TORQUE, 9 * TORQUE, ANGLE, TORQUE, 2 * ANGLE, 2 * TORQUE]
-    axes = suggested(capsys, written(tmp_path / "a.csv", names, *columns))["map"]["axes"]
-    assert [(a["name"], a["position"]["column"], a["torque"]["column"]) for a in axes] == [
-        ("A1", "a1 position [rad]", "a1 torque [Nm]"),
-        ("A2", "a2 position [rad]", "a2 torque [Nm]"),
-    ]
-
-
-def test_a_torque_is_taken_before_a_current_and_turns_a_second_are_a_velocity(tmp_path, capsys):
-    names = ["time [s]", "velocity measured [Hz]", "motor current measured [A]", "motor torque measured [Nm]"]
-    found = suggested(capsys, written(tmp_path / "a.csv", names, TIME, 3 * ANGLE, 9 * TORQUE, TORQUE))
-    axis = found["map"]["axes"][0]
-    assert axis["torque"] == {"column": "motor torque measured [Nm]", "unit": "N·m", "meaning": "measured"}
-    assert axis["velocity"] == {"column": "velocity measured [Hz]", "unit": "Hz"}
-    assert not any("stated" in u for u in found["unsure"])
-    odd = suggested(
-        capsys, written(tmp_path / "b.csv", ["t", "position [parsec]", "torque [Nm]"], TIME, ANGLE, TORQUE)
-    )
-    assert any("parsec" in u for u in odd["unsure"])
-
-
 @pytest.mark.parametrize("fast", [False, True])
 def test_the_fields_of_a_pdo_are_cut_where_numbers_end(fast):
     position = np.round((3e5 if fast else 2e4) * np.sin(9 * TIME)).astype("<i4")
@@ -149,30 +100,6 @@ def test_the_fields_of_a_pdo_are_cut_where_numbers_end(fast):
     ]
     guess = guess_pdos({0x80: [b""] * ROW.size, 0x181: payloads}, 0x80)
     assert [s.type for s in guess.pdos[0].signals] == ["int16", "int16", "int32"]
-
-
-@pytest.mark.parametrize(
-    "count", ["Unnamed: 0", "index", "sample", ""], ids=["reset_index", "index", "sample", "unnamed"]
-)
-@pytest.mark.parametrize("stamp", ["timestamp", "stamp [s]", "t_us", "epoch"])
-def test_a_stamp_outranks_a_count_of_the_rows_that_is_more_even(tmp_path, capsys, count, stamp):
-    late = np.random.default_rng(1).uniform(0, 2e-4, ROW.size)
-    stamps = 2e-3 * ROW + late
-    stamps = {"t_us": np.round(1e6 * stamps), "epoch": 1.7e9 + stamps}.get(stamp, stamps)
-    path = tmp_path / "a.csv"
-    rows = [f"{k},{t:.6f},{a},{b}" for k, t, a, b in zip(ROW, stamps, ANGLE, TORQUE, strict=True)]
-    path.write_text("\n".join([f"{count},{stamp},position_rad,torque_Nm", *rows]), encoding="utf-8")
-    found = suggested(capsys, path)
-    assert found["map"]["time"] == {"column": stamp, "unit": "us" if stamp == "t_us" else "s"}
-    assert found["fill_in"] == {}
-
-
-@pytest.mark.parametrize("name", ["", "sample", "Unnamed: 0"])
-def test_a_count_of_the_rows_alone_is_no_time_and_the_rate_is_asked(tmp_path, capsys, name):
-    names = [name, "position_rad", "torque_Nm"]
-    found = suggested(capsys, written(tmp_path / "a.csv", names, ROW, ANGLE, TORQUE))
-    assert found["map"]["time"] == {"sample_rate_hz": None}
-    assert "only counts the rows" in found["fill_in"]["time.sample_rate_hz"]
 
 
 @pytest.mark.parametrize(
@@ -187,47 +114,6 @@ def test_a_unit_of_time_is_asked_where_the_file_does_not_tell_it(tmp_path, capsy
     found = suggested(capsys, path)
     assert found["map"]["time"] == {"column": "time", "unit": unit}
     assert ("time.unit" in found["fill_in"]) == (unit is None)
-
-
-def test_six_axes_are_not_asked_six_times_and_every_quantity_has_its_own_unit(tmp_path, capsys):
-    names, columns = ["timestamp"], [TIME]
-    for k in range(6):
-        names += [f"actual_q_{k}", f"target_q_{k}", f"actual_current_{k}", f"target_moment_{k}"]
-        columns += [ANGLE * (k + 1), ANGLE, TORQUE, 9 * TORQUE]
-    found = suggested(capsys, written(tmp_path / "a.csv", names, *columns))
-    assert len(found["map"]["axes"]) == 6
-    assert len(found["unsure"]) <= 6
-    for axis in found["map"]["axes"]:
-        assert axis["torque"]["unit"] == "A"
-        assert axis["torque_demand"]["unit"] == "N·m"
-        assert "torque_constant" not in axis["torque_demand"]
-
-
-def test_what_was_taken_of_two_is_named(tmp_path, capsys):
-    names = ["t", "current", "torque", "position"]
-    found = suggested(capsys, written(tmp_path / "a.csv", names, TIME, TORQUE, TORQUE, ANGLE))
-    assert found["map"]["axes"][0]["torque"]["column"] == "torque"
-    assert not any("former" in u for u in found["unsure"])
-
-
-@pytest.mark.parametrize(
-    ("measured", "asked"), [("tau_J", "tau_J_d"), ("torque", "torque_sp"), ("effort", "effort_reference")]
-)
-def test_a_reference_is_not_taken_for_the_torque_wherever_it_stands(tmp_path, capsys, measured, asked):
-    names = ["t", "q_d", asked, measured, "q"]
-    found = suggested(capsys, written(tmp_path / "a.csv", names, TIME, ANGLE, TORQUE, TORQUE, ANGLE))
-    axis = found["map"]["axes"][0]
-    assert (axis["torque"]["column"], axis["torque"]["meaning"]) == (measured, "measured")
-    assert axis["torque_demand"]["column"] == asked
-    assert axis["position"]["column"] == "q"
-
-
-@pytest.mark.parametrize(("name", "size"), [("ActPos", 1e5), ("encoder", 4096.0)])
-def test_whole_numbers_are_counts_and_their_size_is_asked(tmp_path, capsys, name, size):
-    counts = np.round(size * ANGLE)
-    found = suggested(capsys, written(tmp_path / "a.csv", ["t", name, "torque_Nm"], TIME, counts, TORQUE))
-    assert found["map"]["axes"][0]["position"] == {"column": name, "unit": "counts", "per_count": None}
-    assert "axes A1 position.per_count" in found["fill_in"]
 
 
 @pytest.mark.parametrize("names", [("position", "velocity"), ("id1.position", "id1.velocity")])
@@ -245,37 +131,6 @@ def test_moteus_counts_turns(tmp_path, capsys, names):
     axis = suggested(capsys, path)["map"]["axes"][0]
     assert axis["position"] == {"column": names[0], "unit": "rev"}
     assert axis["torque"]["unit"] == "N·m"
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        ("elbow_pos", "elbow_tau", "wrist_pos", "wrist_tau"),
-        ("/js/elbow/position", "/js/elbow/effort", "/js/wrist/position", "/js/wrist/effort"),
-        ("left_q1", "left_tau1", "right_q1", "right_tau1"),
-    ],
-    ids=["underscores", "PlotJuggler", "two arms"],
-)
-def test_joints_are_told_by_their_names(tmp_path, capsys, names):
-    columns = [TIME, ANGLE, TORQUE, 2 * ANGLE, 2 * TORQUE]
-    found = suggested(capsys, written(tmp_path / "a.csv", ["__time", *names], *columns))
-    taken = [(a["position"]["column"], a["torque"]["column"]) for a in found["map"]["axes"]]
-    assert taken == [(names[0], names[1]), (names[2], names[3])]
-    assert not any("look like" in u for u in found["unsure"])
-
-
-@pytest.mark.parametrize("header", ["t,field.name0,position,torque", "t,joint,position,torque"])
-def test_rows_of_several_joints_in_one_column_are_said(tmp_path, capsys, header):
-    rows = [
-        f"{t:.4f},{'elbow' if k // 3 % 2 else 'wrist'},{q:.6f},{u:.6f}"
-        for k, (t, q, u) in enumerate(zip(TIME, ANGLE, TORQUE, strict=True))
-    ]
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join([header, *rows]), encoding="utf-8")
-    found = suggested(capsys, path)
-    assert any("several joints in one column" in u for u in found["unsure"])
-    path.write_text("\n".join([header, *rows]).replace("wrist", "elbow"), encoding="utf-8")
-    assert not any("several joints" in u for u in suggested(capsys, path)["unsure"])
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from invid.model.chains import CoupledChains
-from invid.model.diagnosis_document import Consequence, Finding, Grade, Unexplained
+from invid.model.diagnosis_document import Consequence, Finding, Grade
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.report.branch_drawing import branch_drawing
-from invid.report.branch_marks import place_of, places
+from invid.report.branch_marks import place_of
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -66,16 +66,6 @@ def test_every_number_of_the_model_stands_in_the_drawing_and_nothing_leaves_it(s
     assert [t.text for t in axes] == list(model.axes), "one row an axis, in order"
 
 
-def test_no_coupling_is_drawn_over_another() -> None:
-    model = model_of([2] * 6)
-    lanes = places(model, []).lanes
-    assert len(lanes) == 15
-    for lane in lanes:
-        for other in lanes:
-            if lane is not other and lane.x == other.x:
-                assert lane.pair[1] <= other.pair[0] or other.pair[1] <= lane.pair[0]
-
-
 @pytest.mark.parametrize(
     ("cause", "element", "expected"),
     [
@@ -96,15 +86,6 @@ def test_a_finding_is_marked_where_it_acts(
     assert place_of(finding(cause, "A2", element).effect, model.chains) == expected
 
 
-def test_an_elastic_coupling_is_marked_between_its_axes_in_either_order() -> None:
-    model = model_of([2, 2, 2], coupled=False)
-    found = finding("coupling_stiffness", "A3", None, Grade.ACT, other="A1")
-    assert place_of(found.effect, model.chains) == ("coupling", 0, 2)
-    svg = branch_drawing(model, [found])
-    assert "1: coupling A1–A3" in svg
-    assert svg.count("rotate(-90") == 1, "the two are joined though the inertia does not couple them"
-
-
 def test_grades_differ_in_shape_and_not_by_colour_alone() -> None:
     model = model_of([2])
     shapes = set()
@@ -113,32 +94,6 @@ def test_grades_differ_in_shape_and_not_by_colour_alone() -> None:
         path = re.findall(r'<path d="(M[^"]+Z)"', svg)[0]
         shapes.add(re.sub(r"[-\d. ]+", "", path))
     assert len(shapes) == 4
-
-
-def test_what_changed_and_what_is_new_is_said_at_its_place_and_in_the_text() -> None:
-    model = model_of([3, 3])
-    changed = {"A1.spring.2": "−3 %", "A2.mass.3": "+12 %", "A1.damper.1": "+40 %", "A1-A2.coupling": "+2 %"}
-    found = [finding("backlash", "A1", "spring 1", Grade.ACT)]
-    svg = branch_drawing(model, found, changed=changed, news={1: "new"})
-    for text in changed.values():
-        assert any(f"Δ {text}" in t for t in texts(svg))
-    described = ElementTree.fromstring(svg).findtext(f"{SVG}desc") or ""
-    assert described.count("changed by") == 4
-    assert any("free play" in t and t.endswith("new") for t in texts(svg))
-    assert "A1 spring 1" in described
-    assert described.count("act.") == 1
-
-
-def test_another_language_and_what_has_no_name() -> None:
-    words = {"motor": "Motor", "load": "Last", "cause.backlash": "Getriebespiel", "point": ","}
-    lost = Unexplained("A1", (3.0,), ("odd",), "something")
-    svg = branch_drawing(model_of([2]), [finding("backlash", "A1", "spring 1")], lost, words=words)
-    shown = texts(svg)
-    assert "Motor" in shown
-    assert "Last" in shown
-    assert any(t.startswith("Getriebespiel, 0,300 ± 0,010 N·m") for t in shown)
-    assert "?" in shown
-    assert "something without a name" in shown
 
 
 def test_hostile_names_stay_text() -> None:

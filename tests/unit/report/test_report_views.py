@@ -6,7 +6,6 @@ Recordings come from the hidden tests' own integrator and physics, not from the 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import Truth, make
 
-from invid.model.diagnosis_document import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
+from invid.model.diagnosis_document import AxisResidual, Diagnosis, Finding, Verdict
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Recording
 from invid.report.dependence import cause_views
@@ -59,50 +58,6 @@ def test_friction_is_a_step_over_velocity_and_none_over_position(
     assert sides["deflection"]["x_label"] == "deflection [rad]"
 
 
-def test_the_fitted_cause_is_drawn_at_the_instants_of_the_points_whatever_it_is_seen_over(
-    friction: tuple[Recording, Truth, Model],
-) -> None:
-    recording, _, model = friction
-    (view,) = cause_views(recording, model, diagnosed(recording, model, coulomb(recording.axes[1])))
-    for side in view["sides"]:
-        assert side["fit"]["x"] == side["x"]
-        # The truth explains the points: what it leaves is a fraction of what it takes.
-        left = np.array(side["y"]) - np.array(side["fit"]["y"])
-        assert np.std(left) < 0.5 * np.std(side["y"])
-
-
-def test_a_step_is_as_round_in_the_fitted_cause_as_in_the_points_and_stands_beside_as_it_is(
-    friction: tuple[Recording, Truth, Model],
-) -> None:
-    recording, _, model = friction
-    (view,) = cause_views(recording, model, diagnosed(recording, model, coulomb(recording.axes[1])))
-    own, *others = view["sides"]
-    y, fit = np.array(own["y"]), np.array(own["fit"]["y"])
-    step = np.interp(own["x"], own["law"]["x"], own["law"]["y"])
-    assert np.std(y - fit) < 0.6 * np.std(y - step)
-    assert max(own["law"]["y"]) == pytest.approx(TORQUE)
-    assert all(side["law"] is None for side in others)
-    low, high = view["band_hz"]
-    assert 0 < low < high
-
-
-def test_over_frequency_the_right_cause_takes_the_missing_torque_down_and_a_wrong_one_does_not(
-    friction: tuple[Recording, Truth, Model],
-) -> None:
-    recording, _, model = friction
-    axis = recording.axes[1]
-    rms = {}
-    for torque in (TORQUE, -TORQUE):
-        (view,) = cause_views(recording, model, diagnosed(recording, model, coulomb(axis, torque)))
-        s = view["spectrum"]
-        assert len(s["frequency_hz"]) == len(s["missing"]) == len(s["left"]) == len(s["noise_floor"])
-        rms[torque] = [float(np.sqrt(np.mean(np.square(s[k])))) for k in ("missing", "left", "noise_floor")]
-    missing, left, noise = rms[TORQUE]
-    assert left < 0.35 * missing
-    assert noise < missing
-    assert rms[-TORQUE][1] > 1.5 * missing
-
-
 def test_each_of_two_causes_is_shown_with_what_the_other_explains_taken_out(
     friction: tuple[Recording, Truth, Model],
 ) -> None:
@@ -122,24 +77,6 @@ def test_each_of_two_causes_is_shown_with_what_the_other_explains_taken_out(
     assert np.std(over_velocity(wrong)[1]) < 0.5 * np.std(over_velocity(only)[1])
     assert "taken out" in wrong["note"]
     assert "taken out" not in only["note"]
-
-
-def test_what_no_cause_explains_is_shown_without_a_fit(friction: tuple[Recording, Truth, Model]) -> None:
-    recording, _, model = friction
-    lost = Unexplained(axis=recording.axes[1], frequencies_hz=(1.0,), character=("odd",), sentence="there")
-    diagnosis = replace(
-        diagnosed(recording, model), verdict=Verdict.UNEXPLAINED, unexplained=lost, model=model
-    )
-    (view,) = cause_views(recording, model, diagnosis)
-    assert view["cause"] is None
-    assert [s["what"] for s in view["sides"]] == ["velocity", "position", "deflection"]
-    assert all(s["fit"] is None for s in view["sides"])
-    assert view["spectrum"]["left"] is None
-
-
-def test_with_nothing_missing_there_is_nothing_to_show(friction: tuple[Recording, Truth, Model]) -> None:
-    recording, _, model = friction
-    assert cause_views(recording, model, diagnosed(recording, model)) == []
 
 
 def test_beside_an_antiresonance_a_record_from_rest_shows_the_friction_and_not_its_own_ringing() -> None:

@@ -13,16 +13,12 @@ from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.errors import InputError, InvidError
 from invid.identification.identify import identify
-from invid.model.diagnosis_document import Diagnosis, Verdict, diagnosis_to_json
+from invid.model.diagnosis_document import Verdict, diagnosis_to_json
 from invid.model.document import dump_json, load_model
 from invid.recording import Kind, write_recording
 from invid.rigid_motion.model import identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
 from invid.simulation.run import simulate as simulated
-
-
-def causes(diagnosis: Diagnosis) -> set[str]:
-    return {f.effect.cause for f in diagnosis.findings}
 
 
 def test_a_plain_mass_with_noise_is_consistent_and_nothing_is_named():

@@ -94,26 +94,6 @@ def test_a_check_asks_the_drives_and_says_what_they_said(wire: Wire, tmp_path: P
         assert '"check"' in log
 
 
-def test_a_simulated_cell_is_checked_too_and_says_so(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        found = client.post(f"{CELLS}/cell/check").json()
-        assert found["can_start"] is True
-        assert found["simulated"] is True
-        assert isinstance(found["warnings"], list)
-
-
-def test_a_cell_in_which_a_run_goes_on_is_not_asked(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        started = client.post(f"{CELLS}/cell/identifications", json={"mode": "full", "arm": True})
-        wait_for(client, started.headers["Location"], "running")
-        refused = client.post(f"{CELLS}/cell/check")
-        assert refused.status_code == 409
-        assert refused.json()["type"] == "urn:invid:problem:run-in-progress"
-        assert refused.json()["identification"] in started.headers["Location"]
-
-
 def test_a_runner_that_dies_in_motion_leaves_what_is_known_of_each_axis(wire: Wire, tmp_path: Path) -> None:
     wire.memory.keep("a drive", Seen(2, loaded=True, holds=True, resumes=True, left_held=True))
     wire.memory.keep("another", Seen(1, in_run=True))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from pathlib import Path
 from typing import Any
@@ -81,16 +80,6 @@ def test_what_was_known_of_the_last_run_is_known_after_a_restart(tmp_path: Path)
         assert after["run"] == location.rsplit("/", 1)[1]
 
 
-def test_the_same_state_is_sent_once(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        known(client)
-        first = client.get(STATE)
-        again = client.get(STATE, headers={"If-None-Match": first.headers["ETag"]})
-        assert (again.status_code, again.content) == (304, b"")
-        wait_for(client, start(client), "awaiting_accept")
-        assert client.get(STATE, headers={"If-None-Match": first.headers["ETag"]}).status_code == 200
-
-
 def test_a_store_that_hangs_keeps_no_state_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     director = Director()
     director.go.clear()
@@ -102,25 +91,6 @@ def test_a_store_that_hangs_keeps_no_state_back(tmp_path: Path, monkeypatch: pyt
         began = time.monotonic()
         assert of(client)["moves"]
         assert time.monotonic() - began < 1.0
-
-
-def test_the_first_state_is_told_at_once_while_the_drives_are_still_asked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with running(tmp_path) as (client, _):
-        service = client.app.state.service  # type: ignore[attr-defined]
-        judged = service.readiness
-
-        async def slow(*given: Any, **named: Any) -> Any:
-            await asyncio.sleep(1.0)
-            return await judged(*given, **named)
-
-        monkeypatch.setattr(service, "readiness", slow)
-        began = time.monotonic()
-        assert of(client)["status"] == "unknown"
-        assert time.monotonic() - began < 0.3
-        known(client)
-        assert of(client)["status"] == "ready"
 
 
 def test_a_stop_of_all_says_for_each_cell_whether_something_moved_until_nothing_does(tmp_path: Path) -> None:
@@ -139,16 +109,3 @@ def test_a_stop_of_all_says_for_each_cell_whether_something_moved_until_nothing_
             assert time.monotonic() < deadline
         assert client.get(location).json()["state"] == "stopped"
         assert of(client, "two")["moves"] is False
-
-
-def test_events_are_told_without_a_line_that_stays_open(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        location = start(client)
-        wait_for(client, location, "running")
-        text = client.get(f"{location}/events?follow=false").text
-        assert '"state":"running"' in text
-        last = [line for line in text.splitlines() if line.startswith("id: ")][-1].removeprefix("id: ")
-        rest = client.get(f"{location}/events?follow=false", headers={"Last-Event-ID": last}).text
-        assert f"id: {last}\n" not in rest  # what came after it, if anything

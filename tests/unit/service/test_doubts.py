@@ -7,8 +7,6 @@ from pathlib import Path
 import pytest
 from service_doubles import Director, running, wait_for
 
-from invid_service.jobs.doubts import why_untrusted
-
 START = "/api/v1/cells/cell/identifications"
 PLANNED = "A1: velocity could be 2.63 rad/s without its model; limits.velocity ends the run"
 UNSEEN = {"code": "unseen", "text": "A1.damper.1: not seen by these data", "values": {}}
@@ -42,9 +40,3 @@ def test_a_run_of_an_earlier_release_without_codes_still_needs_a_reason(tmp_path
         location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
         body = wait_for(client, location, "awaiting_accept")
         assert body["untrusted"] == "the data do not carry the model"
-
-
-def test_a_short_check_is_not_warned_of_as_nobody_accepts_it() -> None:
-    summary = {"verdict": "unexplained", "trustworthy": True}
-    assert why_untrusted("full", summary) is not None
-    assert why_untrusted("screen", summary) is None

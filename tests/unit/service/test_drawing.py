@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 import pytest
 from service_doubles import Director, model_document, running, wait_for
 
-from invid_service.jobs.drawing import changed_parameters
-
 API = "/api/v1/cells/cell"
 
 
@@ -36,16 +34,6 @@ def test_the_drawing_shows_the_model_and_what_changed_since_the_one_in_force(tmp
         assert sum(t.startswith("Δ") for t in texts) == 1
 
 
-def test_the_drawing_speaks_german_and_refuses_what_it_does_not_know(tmp_path: Path) -> None:
-    with running(tmp_path, Director()) as (client, director):
-        location = run(client, director, model_document())
-        german = client.get(f"{location}/drawing?lang=de").text
-        assert ">Last</text>" in german
-        assert "0,7" in german
-        assert client.get(f"{location}/drawing?lang=fr").status_code == 422
-        assert client.get(f"{location}/drawing?language=de").status_code == 422
-
-
 def test_a_run_without_a_model_has_no_drawing(tmp_path: Path) -> None:
     director = Director()
     director.failure = {"code": "x", "text": "x", "fix": "x"}
@@ -57,24 +45,3 @@ def test_a_run_without_a_model_has_no_drawing(tmp_path: Path) -> None:
         answer = client.get(f"{location}/drawing")
         assert answer.status_code == 404
         assert answer.json()["type"] == "urn:invid:problem:artefact-not-found"
-
-
-def test_changes_are_shares_of_what_was() -> None:
-    def entry(name: str, status: str, old: float | None, difference: float | None) -> dict:
-        return {"parameter": name, "status": status, "from": {"value": old}, "difference": difference}
-
-    changes = {
-        "parameters": [
-            entry("A1.mass.1", "changed", 2.0, 0.241),
-            entry("A1.spring.1", "changed", 1000.0, -5.0),
-            entry("A1-A2.coupling", "changed", 0.0, 0.3),
-            entry("A1.damper.1", "unchanged", 1.0, 0.5),
-            entry("A2.mass.1", "changed", 1.0, None),
-        ]
-    }
-    assert changed_parameters(changes, ",") == {
-        "A1.mass.1": "+12 %",
-        "A1.spring.1": "−0,5 %",
-        "A1-A2.coupling": "+",
-    }
-    assert changed_parameters(None) == {}

@@ -97,13 +97,6 @@ def test_a_cut_before_the_first_row_says_that_there_is_no_recording(tmp_path: Pa
         assert (answer.status_code, answer.json()["type"]) == (404, "urn:invid:problem:artefact-not-found")
 
 
-def test_an_upload_that_was_never_taken_leaves_nothing(tmp_path: Path) -> None:
-    scratch = cut_off(tmp_path, State.RUNNING).scratch("20261125T142221-ffffffff")
-    (scratch / "recording.h5").write_bytes(b"half")
-    with running(tmp_path):
-        assert not scratch.exists()
-
-
 def test_the_recording_of_a_cut_off_run_is_analysed_as_a_run_of_its_own(tmp_path: Path) -> None:
     written(cut_off(tmp_path, State.RUNNING).scratch(RUN) / "recording.h5", 2500)
     with running(tmp_path) as (client, director):
@@ -117,17 +110,6 @@ def test_the_recording_of_a_cut_off_run_is_analysed_as_a_run_of_its_own(tmp_path
         assert worker.job.kind == "analyse"
         assert client.get(PATH).json()["state"] == "interrupted"
         assert fetched(client, tmp_path).experiments[0].samples == 2500  # it has its recording still
-
-
-def test_a_run_in_progress_is_not_analysed_before_its_end(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        body = {"mode": "full", "arm": True}
-        location = client.post("/api/v1/cells/cell/identifications", json=body).headers["Location"]
-        wait_for(client, location, "running")
-        answer = client.post(f"{location}/analysis")
-        assert (answer.status_code, answer.json()["type"]) == (409, "urn:invid:problem:wrong-state")
 
 
 def test_a_run_whose_end_a_full_disk_does_not_take_is_told_and_stored_when_there_is_room(

@@ -10,17 +10,12 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
-from service_doubles import CELL, Director, model_document, running, settings_in, wait_for
+from service_doubles import CELL, Director, model_document, running, wait_for
 from sqlalchemy.exc import OperationalError
 
 from invid.config import load_config
 from invid.errors import ConfigError
-from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.readiness import ask_drives
-from invid_drivers.relay import STOP_S
-from invid_service.app import create_app
-from invid_service.settings import Settings
-from invid_service.store.blobs import Blobs
 from invid_service.store.database import open_engine
 
 START = "/api/v1/cells/cell/identifications"
@@ -163,20 +158,6 @@ def test_a_second_start_is_refused_and_names_the_run_in_progress(tmp_path: Path)
         assert document["reasons"][0]["code"] == "run_in_progress"
 
 
-def test_readiness_and_the_conflict_of_a_start_give_the_same_reasons(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The disk's own number changes between two requests while other tests write.
-    monkeypatch.setattr(Blobs, "free_bytes", lambda _: 10**9)
-    with running(tmp_path, min_free_bytes=10**18) as (client, _):
-        ready = client.get("/api/v1/cells/cell/readiness").json()
-        refused = problem(client.post(START, json={"mode": "full"}), 409, "not-ready")
-        assert ready["can_start"] is False
-        assert [r["code"] for r in ready["reasons"]] == ["disk_full"]
-        assert refused["reasons"] == ready["reasons"]
-        assert all(r["text"] and r["fix"] for r in ready["reasons"])
-
-
 SLOW = "safety: {heartbeat_s: 2.0}\n"
 INERTIA = {"    rated_torque_Nm: 50\n": "    rated_torque_Nm: 50\n    inertia_kgm2: 0.5\n"}
 
@@ -284,15 +265,6 @@ def test_a_motion_of_which_nothing_is_heard_is_stopped(tmp_path: Path) -> None:
         assert "hung while running" in ended["error"]["text"]
 
 
-def test_the_grace_of_a_stop_is_longer_than_the_way_out_and_hardware_gets_no_shorter_one(
-    tmp_path: Path,
-) -> None:
-    assert Settings().stop_grace_s > STOP_S > STOPPED_S
-    (tmp_path / "cell.yaml").write_text(CELL.replace("invid-virtual", "socketcan"))
-    with pytest.raises(ConfigError, match="stop_grace_s"):
-        create_app(settings_in(tmp_path, stop_grace_s=3.0), launcher=Director().launch)
-
-
 def test_stopping_what_stands_still_is_no_error_and_neither_is_stopping_twice(tmp_path: Path) -> None:
     with running(tmp_path) as (client, _):
         for _ in range(2):
@@ -390,26 +362,6 @@ def test_accepted_models_form_a_history_and_can_be_restored(tmp_path: Path) -> N
         assert client.get("/api/v1/cells/cell/model").json()["id"] == old
 
 
-def test_a_rejected_model_never_comes_into_force(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        location = start(client)
-        wait_for(client, location, "awaiting_accept")
-        rejected = act(client, location, "reject").json()
-        assert rejected["state"] == "cancelled"
-        assert rejected["decision"]["type"] == "rejected"
-        problem(client.get("/api/v1/cells/cell/model"), 404, "model-not-found")
-        identity = location.rsplit("/", 1)[1]
-        problem(client.post(f"/api/v1/cells/cell/models/{identity}/restore"), 404, "model-not-found")
-
-
-def test_a_result_that_waits_for_accept_does_not_block_the_cell(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        first = start(client)
-        wait_for(client, first, "awaiting_accept")
-        wait_for(client, start(client), "awaiting_accept")
-        assert act(client, first, "accept").json()["state"] == "succeeded"
-
-
 @pytest.mark.parametrize(("scale", "state"), [(1.001, "succeeded"), (1.2, "awaiting_accept")])
 def test_results_within_the_stated_bounds_are_accepted_automatically(
     tmp_path: Path, scale: float, state: str
@@ -470,42 +422,6 @@ def test_the_default_changes_average_accepted_runs_and_two_named_models_only_whe
         assert both["averaged"] == {"from": ids[:3], "to": ids[3:]}
         # Behind the change lies another state: it is not averaged with what came before.
         assert client.get("/api/v1/cells/cell/changes").json()["averaged"]["from"] == [ids[3]]
-
-
-def test_a_file_that_the_caller_has_already_is_not_sent_again(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        location = start(client)
-        wait_for(client, location, "awaiting_accept")
-        first = client.get(f"{location}/model")
-        tag = first.headers["ETag"]
-        again = client.get(f"{location}/model", headers={"If-None-Match": f'"other", W/{tag}'})
-        assert (again.status_code, again.content) == (304, b"")
-        assert again.headers["ETag"] == tag
-        assert client.get(f"{location}/model", headers={"If-None-Match": '"other"'}).content == first.content
-
-
-def test_a_body_that_is_no_json_by_its_type_is_told_what_to_send(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        form = {"Content-Type": "application/x-www-form-urlencoded"}
-        answer = client.post(
-            "/api/v1/cells/cell/identifications", content='{"mode": "full", "arm": true}', headers=form
-        )
-        detail = problem(answer, 415, "unsupported-media-type")["detail"]
-        assert "Content-Type: application/json" in detail
-        assert client.get("/api/v1/identifications").json()["identifications"] == []
-
-
-def test_events_resume_after_the_last_one_seen(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        location = start(client)
-        wait_for(client, location, "awaiting_accept")
-        act(client, location, "accept")
-        text = client.get(f"{location}/events").text
-        ids = [int(line[4:]) for line in text.splitlines() if line.startswith("id: ")]
-        assert ids == sorted(set(ids))
-        rest = client.get(f"{location}/events", headers={"Last-Event-ID": str(ids[2])}).text
-        assert [int(x[4:]) for x in rest.splitlines() if x.startswith("id: ")] == ids[3:]
-        problem(client.get(f"{location}/events", headers={"Last-Event-ID": "x"}), 422, "invalid-request")
 
 
 def test_results_that_do_not_exist_yet_are_a_problem_that_says_the_state(tmp_path: Path) -> None:
@@ -580,34 +496,3 @@ def test_a_store_whose_disk_is_full_says_so_and_not_that_it_is_slow(
         problem(answer, 503, "store-unavailable")
         assert "its disk is full" in answer.json()["detail"]
         assert "make room on the disk" in answer.json()["detail"]
-
-
-def test_a_simulated_cell_gets_another_tool_and_its_old_one_back(tmp_path: Path) -> None:
-    path = "/api/v1/cells/cell/simulation"
-    with running(tmp_path) as (client, director):
-        before = client.get(path).json()["truth"]["masses"]
-        changed = client.patch(path, json={"payload": {"axis": "A2", "mass": 1.31}}).json()["truth"]["masses"]
-        assert changed[1][2] == pytest.approx(6.0 + 1.31)
-        assert [changed[0], changed[1][:2], changed[2]] == [before[0], before[1][:2], before[2]]
-        wait_for(client, start(client), "awaiting_accept")
-        config = director.workers[0].job.config
-        assert config is not None
-        assert config["simulation"]["plant"]["branches"][1]["masses"][2] == pytest.approx(7.31)
-        problem(client.patch(path, json={"payload": {"axis": "A9", "mass": 1.0}}), 422, "invalid-request")
-        problem(client.patch(path, json={"payload": {"axis": "A2", "mass": -100.0}}), 422, "invalid-request")
-    with running(tmp_path) as (client, _):  # it outlives a restart
-        assert client.get(path).json()["truth"]["masses"][1][2] == pytest.approx(7.31)
-        assert client.patch(path, json={"reset": True}).json()["truth"]["masses"] == before
-
-
-def test_metrics_health_and_version_answer_for_the_supervision(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        location = start(client)
-        wait_for(client, location, "awaiting_accept")
-        act(client, location, "accept")
-        for prefix in ("", "/api/v1"):
-            assert client.get(f"{prefix}/health/live").json() == {"status": "live"}
-            assert client.get(f"{prefix}/health/ready").status_code == 200
-            assert client.get(f"{prefix}/version").json()["name"] == "invid"
-            metrics = client.get(f"{prefix}/metrics").text
-            assert 'invid_identifications_ended_total{mode="full",state="succeeded"} 1.0' in metrics

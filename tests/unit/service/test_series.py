@@ -53,16 +53,6 @@ def test_a_cause_that_appears_is_in_the_headline_and_in_the_changes(tmp_path: Pa
 
 
 @pytest.mark.campaign
-def test_a_cause_that_the_run_before_had_no_name_for_cannot_be_called_new(tmp_path: Path) -> None:
-    director = Director()
-    with running(tmp_path, director) as (client, _):
-        accept(client, director, document(None, "partly_explained"))
-        run = accept(client, director, document(3e-4))
-        assert "ew: free play" not in run["summary"]["headline"]
-        assert run["summary"]["changes"]["causes"][0]["status"] == "cannot_tell"
-
-
-@pytest.mark.campaign
 def test_a_cause_that_came_is_never_accepted_without_a_person(tmp_path: Path) -> None:
     director = Director()
     with running(
@@ -98,15 +88,3 @@ def test_the_history_of_a_parameter_and_of_a_cause_is_a_series_in_json_and_csv(t
         assert abs(float(rows[1][4]) - 6.0) < 0.01
         asked = client.get(f"{API}/series", params={"parameter": "A2.mass.3"}, headers={"Accept": "text/csv"})
         assert asked.text == mass.text
-
-
-def test_an_unknown_parameter_is_a_problem_that_names_the_known_ones(tmp_path: Path) -> None:
-    director = Director()
-    with running(tmp_path, director) as (client, _):
-        accept(client, director, document(None))
-        answer = client.get(f"{API}/series", params={"parameter": "A9.mass.1"})
-        assert answer.status_code == 404
-        assert answer.json()["type"] == "urn:invid:problem:parameter-not-found"
-        assert "A1.mass.1" in answer.json()["detail"]
-        assert client.get(f"{API}/series").status_code == 422
-        assert client.get(f"{API}/series?parameter=A1.mass.1&unit=mm").status_code == 422

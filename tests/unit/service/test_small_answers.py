@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from invid_service.jobs.live import LiveRun
 from invid_service.jobs.protocol import Progress
 from invid_service.jobs.states import State
 
-SECOND = timedelta(seconds=1)
 START = {"mode": "full", "arm": True}
 
 
@@ -47,20 +45,6 @@ def test_a_poll_carries_what_changed_and_the_link_carries_every_parameter(tmp_pa
         assert listed["summary"] == body["summary"]
 
 
-def test_the_plan_is_in_the_body_until_it_has_moved_and_at_its_link_for_good(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        start = {**START, "arm": False}
-        location = client.post("/api/v1/cells/cell/identifications", json=start).headers["Location"]
-        assert client.get(f"{location}/measurement").status_code == 404
-        plan = wait_for(client, location, "awaiting_arm")["plan"]
-        client.post(f"{location}/actions", json={"type": "arm"})
-        body = wait_for(client, location, "awaiting_accept")
-        assert body["plan"] is None
-        assert client.get(body["links"]["plan"]).json() == {**plan, "simulated": True}
-        answer = client.get(f"{location}/changes")  # nothing was accepted before
-        assert (answer.status_code, answer.json()["type"]) == (404, "urn:invid:problem:artefact-not-found")
-
-
 BUFFER = 1024
 """Bytes that the contract promises to a PLC."""
 
@@ -70,32 +54,6 @@ def state_of(client: Any, cell: str = "cell") -> dict[str, Any]:
     assert answer.status_code == 200, answer.text
     assert len(answer.content) < BUFFER
     return dict(answer.json())
-
-
-def test_the_state_of_a_cell_follows_its_run_and_says_since_when(tmp_path: Path) -> None:
-    director = Director()
-    director.summary = {"grade": "act"}
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        assert state_of(client) == {
-            "cell": "cell", "state": "idle", "run": None, "since": None, "phase": "", "progress": 0.0,
-            "eta_s": None, "motion_left_s": None, "error": None, "grade": None, "simulated": True,
-        }  # fmt: skip
-        before = datetime.now(UTC)
-        location = client.post("/api/v1/cells/cell/identifications", json=START).headers["Location"]
-        wait_for(client, location, "running")
-        moving = state_of(client)
-        assert (moving["state"], moving["run"]) == ("running", location.rsplit("/", 1)[1])
-        assert before <= datetime.fromisoformat(moving["since"]) <= datetime.now(UTC)
-        director.go.set()
-        wait_for(client, location, "awaiting_accept")
-        waiting = state_of(client)
-        assert (waiting["state"], waiting["grade"], waiting["progress"]) == ("awaiting_accept", "act", 1.0)
-        assert datetime.fromisoformat(waiting["since"]) > datetime.fromisoformat(moving["since"])
-    with running(tmp_path) as (client, _):  # and over a restart
-        kept = state_of(client)
-        assert abs(datetime.fromisoformat(kept["since"]) - datetime.fromisoformat(waiting["since"])) < SECOND
-        assert {**kept, "since": None} == {**waiting, "since": None}
 
 
 def test_the_state_fits_a_small_buffer_with_the_longest_names_that_there_are(tmp_path: Path) -> None:

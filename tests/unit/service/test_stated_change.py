@@ -77,28 +77,6 @@ def test_a_tool_change_is_answered_by_what_was_said_of_it(
     assert body["summary"]["headlines"]["de"] != body["summary"]["headline"]
 
 
-def test_a_tool_that_is_not_there_and_a_first_run_are_said_so(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        first = run(client, changed=TOOL)
-        told = client.get(first).json()["summary"]
-        assert told["answer"] == "no_model"
-        assert "no accepted model yet" in told["headline"]
-        accept(client, first)
-        told = client.get(run(client, changed=TOOL)).json()["summary"]
-    assert told["answer"] == "not_visible"
-    assert told["headline"].startswith("What you said (another tool on A2, about +1.3 kg·m²) is not visible")
-
-
-def test_a_result_that_spoils_every_change_answers_neither_yes_nor_no(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, director):
-        accept(client, run(client))
-        director.model = lambda: model_document(scale_mass=1 + HEAVIER)
-        doubt = {"code": "missed_torque", "text": "half of it", "values": {"share": 0.6}}
-        director.summary = {"trustworthy": False, "distrust": [doubt]}
-        told = client.get(run(client, changed=TOOL)).json()["summary"]
-    assert told["answer"] == "cannot_tell"
-
-
 @pytest.mark.parametrize(
     ("said", "why"),
     [
@@ -161,16 +139,3 @@ def test_a_short_check_compares_with_the_accepted_model_and_replaces_none(tmp_pa
         assert answer.status_code == 409
         narrow = client.post(START, json={"mode": "screen", "axes": ["A1"]})
         assert narrow.status_code == 422
-
-
-def test_what_a_short_check_finds_beside_the_accepted_model_is_neither_named_nor_graded(
-    tmp_path: Path,
-) -> None:
-    with running(tmp_path) as (client, director):
-        accept(client, run(client))
-        director.verdict = "explained"
-        director.summary = {"findings": [{"cause": "backlash", "axis": "A1"}]}
-        told = client.get(run(client, "succeeded", mode="screen")).json()["summary"]
-    assert told["headline"].startswith("Nothing changed since the accepted model; something is missing")
-    assert told["findings"] == []
-    assert told["grade"] is None

@@ -12,7 +12,7 @@ import pytest
 from service_doubles import Director, model_document, running, wait_for
 
 from invid.errors import BusError, DriveError, SafetyStop
-from invid.sweep.moment import TRACE_ROWS, Moment
+from invid.sweep.moment import Moment
 from invid_service.jobs.stops import Run, action_for, stopped_by
 
 HDF5 = {"Content-Type": "application/x-hdf5"}
@@ -66,22 +66,6 @@ def test_the_separating_experiment_runs_instead_of_the_cells_own(tmp_path: Path)
         assert max(e["band_Hz"][1] for e in job.config["experiments"]) == 30.0  # of 12
 
 
-def test_a_run_without_alternatives_has_nothing_to_separate(tmp_path: Path) -> None:
-    director = Director()
-    with running(tmp_path, director) as (client, _):
-        first = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
-        assert wait_for(client, first, "awaiting_accept")["separating"] is None
-        identity = first.rsplit("/", 1)[-1]
-        answer = client.post(START, json={"mode": "full", "separate": identity})
-        assert answer.status_code == 409
-        assert answer.json()["type"] == "urn:invid:problem:nothing-to-separate"
-        assert "no finding has alternatives" in answer.json()["detail"]
-        answer = client.post(START, json={"mode": "full", "separate": identity, "axes": ["A1"]})
-        assert answer.status_code == 422
-        answer = client.post(START, json={"mode": "full", "separate": "nobody"})
-        assert answer.status_code == 404
-
-
 def test_a_stopped_run_shows_phase_trace_and_one_action(tmp_path: Path) -> None:
     error = stop(SafetyStop("axis A1: position left its window", code="position_window", axis="A1"))
     director = Director()
@@ -102,14 +86,6 @@ def test_a_stopped_run_shows_phase_trace_and_one_action(tmp_path: Path) -> None:
         assert listed["stopped"]["trace"]["time_s"] == []
 
 
-def test_a_run_that_failed_before_it_moved_shows_no_stop(tmp_path: Path) -> None:
-    director = Director()
-    director.failure = {"code": "config", "text": "no such axis", "fix": "correct it"}
-    with running(tmp_path, director) as (client, _):
-        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
-        assert wait_for(client, location, "failed")["stopped"] is None
-
-
 @pytest.mark.parametrize("mode", ["full", "test"])
 @pytest.mark.parametrize("amplitude", ["planned", "gentler"])
 def test_no_action_asks_for_less_torque_where_friction_holds_the_axis(mode: str, amplitude: str) -> None:
@@ -119,11 +95,6 @@ def test_no_action_asks_for_less_torque_where_friction_holds_the_axis(mode: str,
     assert (action["code"] == "free_axis") == (mode == "full" and amplitude == "planned")
     assert "gentler" not in action["text"]
     assert "lower" not in action["text"]
-
-
-def test_a_run_that_was_gentler_already_is_not_told_to_be_gentler() -> None:
-    for run in (Run("full", "gentler", False, "A1"), Run("test", "planned", False, "A1")):
-        assert action_for("position_window", run)["code"] == "lower_amplitude"
 
 
 def test_every_stop_has_an_action_with_its_place() -> None:
@@ -137,13 +108,6 @@ def test_every_stop_has_an_action_with_its_place() -> None:
         assert found is not None
         assert found["action"]["code"] == code
         assert found["action"]["where"] in ("machine", "drive")
-
-
-def test_a_long_trace_is_thinned_and_keeps_its_end() -> None:
-    trace = moment(5000).to_json()["trace"]
-    assert len(trace["time_s"]) <= TRACE_ROWS
-    assert trace["time_s"][-1] == 0.0
-    assert trace["position"]["A1"][-1] == 0.6
 
 
 @pytest.mark.campaign
@@ -212,27 +176,3 @@ def test_an_upload_joins_the_history_of_a_cell_and_measures_nothing(tmp_path: Pa
         assert cell["last_identification"] is None
         assert cell["overview"]["last_run"] is None
         assert client.post(f"{location}/actions", json={"type": "accept"}).status_code == 409
-
-
-def test_an_upload_that_is_being_analysed_blocks_no_run_of_its_cell(tmp_path: Path) -> None:
-    director = Director()
-    director.analyse.clear()
-    with running(tmp_path, director) as (client, _):
-        answer = client.post("/api/v1/recordings?cell=cell", content=recording(), headers=HDF5)
-        upload = answer.headers["Location"]
-        wait_for(client, upload, "analysing")
-        assert client.get("/api/v1/cells/cell/readiness").json()["can_start"]
-        run = client.post(START, json={"mode": "full"})
-        assert run.status_code == 202
-        wait_for(client, run.headers["Location"], "awaiting_arm")
-        # a stop of the cell ends its motion, not the analysis
-        assert client.post("/api/v1/cells/cell/stop").json()["identification"] in run.headers["Location"]
-        wait_for(client, run.headers["Location"], "stopped")
-        director.analyse.set()
-        wait_for(client, upload, "succeeded")
-
-
-def test_an_upload_to_a_cell_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        answer = client.post("/api/v1/recordings?cell=other", content=recording(), headers=HDF5)
-        assert answer.json()["type"] == "urn:invid:problem:cell-not-found"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import shutil
 import sqlite3
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from service_doubles import Director, running, settings_in, wait_for
@@ -21,9 +19,9 @@ from invid.errors import ConfigError
 from invid.model.document import model_from_json
 from invid.recording import read_recording
 from invid_service.app import create_app
-from invid_service.jobs.states import ENDED, State, may_follow
+from invid_service.jobs.states import State
 from invid_service.store.blobs import Blobs
-from invid_service.store.database import migrations_config, open_engine, upgrade
+from invid_service.store.database import open_engine, upgrade
 from invid_service.store.lock import DataLock
 from invid_service.store.store import RunRecord, Store
 from invid_service.store.tables import Base
@@ -45,13 +43,6 @@ def test_the_migrations_make_exactly_the_tables_of_today(tmp_path: Path) -> None
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, Base.metadata) == []
         assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
-
-
-def test_every_migration_can_be_undone(tmp_path: Path) -> None:
-    engine = open_engine(f"sqlite:///{tmp_path / 'store.sqlite'}")
-    upgrade(engine)
-    command.downgrade(migrations_config(engine), "base")
-    upgrade(engine)
 
 
 def test_a_store_of_an_older_release_still_opens(tmp_path: Path) -> None:
@@ -102,23 +93,6 @@ def rows_of(store: Path) -> dict[str, list[Any]]:
         return {name: connection.execute(f"SELECT * FROM {name}").fetchall() for (name,) in tables.fetchall()}
 
 
-def test_a_store_that_cannot_be_copied_stays_as_it_was_with_the_room_and_the_way_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shutil.copytree(V1, tmp_path, dirs_exist_ok=True)
-    store = tmp_path / "data" / "store.sqlite"
-    before = rows_of(store)
-
-    def full(self: Path, *_: Any) -> Path:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(ConfigError, match=r"schema-0001.*No space left.*MiB are free in .*make room"):
-        create_app(settings_in(tmp_path))
-    assert rows_of(store) == before
-    assert not list(store.parent.glob("*.part"))
-
-
 def test_a_store_of_a_newer_release_is_refused_with_the_way_back(tmp_path: Path) -> None:
     with running(tmp_path):
         pass
@@ -160,29 +134,6 @@ def test_a_clean_shutdown_stops_the_motion_and_interrupts_the_run(tmp_path: Path
         assert client.get(location).json()["state"] == "interrupted"
 
 
-def test_the_last_state_of_a_run_reaches_the_store_however_slowly(
-    tmp_path: Path,
-) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        jobs = client.app.state.service.jobs  # type: ignore[attr-defined]
-        persist = jobs._persist
-
-        async def late(*given: Any) -> None:
-            await asyncio.sleep(0.4)  # as where every thread is busy and the disk slow
-            await persist(*given)
-
-        answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
-        location = answer.headers["Location"]
-        wait_for(client, location, "running")
-        jobs._persist = late
-    with running(tmp_path) as (client, _):
-        ended = client.get(location).json()
-    # Written by the service that ended; one that starts again would say that it was cut off.
-    assert ended["error"]["text"] == "the service was shut down"
-
-
 def test_a_result_that_awaits_accept_outlives_a_restart(tmp_path: Path) -> None:
     with running(tmp_path) as (client, _):
         answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
@@ -192,11 +143,6 @@ def test_a_result_that_awaits_accept_outlives_a_restart(tmp_path: Path) -> None:
         assert client.get(location).json()["state"] == "awaiting_accept"
         done = client.post(f"{location}/actions", json={"type": "accept"})
         assert done.json()["state"] == "succeeded"
-
-
-def test_ended_states_have_no_way_out() -> None:
-    assert not [(a, b) for a in ENDED for b in State if may_follow(a, b)]
-    assert all(any(may_follow(s, e) for e in ENDED) for s in State if s not in ENDED)
 
 
 def test_the_database_itself_refuses_a_second_run_on_a_cell(tmp_path: Path) -> None:
@@ -231,22 +177,6 @@ def test_the_history_keeps_its_order_when_the_clock_is_set_back(tmp_path: Path) 
         assert [m["id"] for m in client.get("/api/v1/cells/cell/models").json()["models"]] == newest_first
         changes = client.get("/api/v1/cells/cell/changes").json()
         assert (changes["to"], changes["from"]) == tuple(newest_first[:2])
-
-
-def test_runs_of_an_older_store_are_numbered_by_their_clock(tmp_path: Path) -> None:
-    engine = open_engine(f"sqlite:///{tmp_path / 'store.sqlite'}")
-    command.upgrade(migrations_config(engine), "0002")
-    with engine.begin() as connection:
-        for identity, hour in (("b", 9), ("c", 10), ("a", 8)):
-            connection.exec_driver_sql(
-                "INSERT INTO runs (id, robot, mode, axes, simulated, state, created, requested_by, facts) "
-                f"VALUES ('{identity}', 'r', 'full', '[]', 0, 'failed', '2026-11-22 {hour:02}:00:00.000000', "
-                "'x', '{}')"
-            )
-    upgrade(engine)
-    store = Store(engine)
-    store.add_run(record("now", State.QUEUED))
-    assert [r.id for r in store.runs()] == ["now", "c", "b", "a"]
 
 
 def test_a_second_service_on_the_same_data_folder_is_refused(tmp_path: Path) -> None:

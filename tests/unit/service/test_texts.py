@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from service_doubles import running
 
 from invid import errors
 from invid.config import load_config
@@ -15,7 +14,6 @@ from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Grade
 from invid.numerics.compiled import COMPILING
 from invid.planning import make_plan
-from invid.report.branch_drawing import WORDS
 from invid_service.cells.readiness import Note, Reason
 from invid_service.jobs.analysis_progress import STAGES
 from invid_service.jobs.states import State
@@ -115,13 +113,6 @@ def test_every_phase_of_a_sweep_and_of_an_analysis_has_its_words() -> None:
         assert any(p.fullmatch(name) for p in patterns), name
 
 
-def test_the_drawing_says_in_english_what_the_catalogue_says() -> None:
-    words = texts.drawing_words("en")
-    assert {k: words[k] for k in WORDS if k != "unknown"} == {
-        k: v for k, v in WORDS.items() if k != "unknown"
-    }
-
-
 @pytest.mark.parametrize(
     ("header", "language"),
     [
@@ -138,17 +129,3 @@ def test_the_drawing_says_in_english_what_the_catalogue_says() -> None:
 )
 def test_the_browser_chooses_the_language(header: str, language: str) -> None:
     assert preferred(header) == language
-
-
-def test_the_page_speaks_as_the_browser_asks_and_as_was_chosen_on_it(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        german = client.get("/", headers={"Accept-Language": "de-DE,de;q=0.9"})
-        assert '<html lang="de">' in german.text
-        assert german.headers["Content-Language"] == "de"
-        assert "Accept-Language" in german.headers["Vary"]
-        assert "Prüfen und vorbereiten" in german.text
-        assert '<html lang="en">' in client.get("/").text
-        client.cookies.set("invid-language", "de")
-        assert '<html lang="de">' in client.get("/", headers={"Accept-Language": "en"}).text
-        client.cookies.set("invid-language", "../../x")
-        assert '<html lang="en">' in client.get("/", headers={"Accept-Language": "en"}).text

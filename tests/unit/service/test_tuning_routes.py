@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import time
 import zipfile
 from pathlib import Path
@@ -82,20 +81,6 @@ def test_a_finished_run_is_tuned_and_its_files_are_kept(tmp_path: Path) -> None:
             "tuning-picture",
             "tuning-files",
         }
-
-
-def test_what_cannot_be_tuned_says_why(tmp_path: Path) -> None:
-    director = director_of_one_axis()
-    untrusted = {**small_model(), "fit": {"trustworthy": False}}
-    director.diagnosis = lambda: {**small_diagnosis(), "model": untrusted}
-    with running(tmp_path, director) as (client, _):
-        location = finished(client)
-        client.post(f"{location}/tuning")
-        answer = tuned(client, location)
-        assert answer.status_code == 409
-        problem = json.loads(answer.content)
-        assert problem["type"] == "urn:invid:problem:not-tunable"
-        assert "not to be trusted" in problem["detail"]
 
 
 def test_a_run_without_a_model_and_a_wrong_order_are_refused(tmp_path: Path) -> None:

@@ -119,28 +119,6 @@ def test_motion_is_left_alone(name: str) -> None:
     assert remove_glitches(given) == (given, [])
 
 
-def test_noise_is_left_alone_and_so_is_what_is_no_exception() -> None:
-    rng = np.random.default_rng(4)
-    given = recording(1e-3 * rng.standard_t(3, COUNT))
-    assert remove_glitches(given) == (given, [])
-    read = shaken()
-    read[10:-10:20] += 1.0  # every twentieth sample: no exception
-    given = recording(read)
-    assert remove_glitches(given) == (given, [])
-
-
-def test_rows_that_are_missing_or_repeated_are_no_glitches() -> None:
-    motion = shaken() + 3.0 * TIME
-    kept = np.delete(np.arange(COUNT), [500, 501, 900, 2000])
-    given = recording(motion[kept], time=TIME[kept])
-    assert remove_glitches(given) == (given, [])
-    before = np.arange(COUNT)
-    before[[300, 700, 1500]] -= 1
-    torque = np.random.default_rng(5).normal(size=COUNT)
-    given = recording(motion[before], torque=torque[before])
-    assert remove_glitches(given) == (given, [])
-
-
 @pytest.mark.parametrize("speed", [3.0, -2.0])
 @pytest.mark.parametrize("lost", [1, 3])
 def test_rows_that_are_missing_where_the_stamps_jitter_are_no_lost_counts(speed: float, lost: int) -> None:
@@ -154,16 +132,6 @@ def test_rows_that_are_missing_where_the_stamps_jitter_are_no_lost_counts(speed:
     left, said = remove_glitches(given)
     assert np.array_equal(left.experiments[0].position, given.experiments[0].position)
     assert all("stamps jitter" in s and "cable" not in s for s in said)
-
-
-def test_counts_lost_against_the_motion_are_given_back_though_the_stamps_jitter() -> None:
-    motion = shaken() + 3.0 * TIME
-    steps = np.zeros(COUNT)
-    steps[[500, 900, 1400, 2000, 2700, 3300]] = -0.02
-    stamps = TIME + np.random.default_rng(3).uniform(0, 3e-4, COUNT)
-    left, said = remove_glitches(recording(motion + np.cumsum(steps), time=stamps))
-    assert any("cable" in s for s in said)
-    assert np.abs(left.experiments[0].position[:, 0] - motion).max() < 1e-3
 
 
 @pytest.mark.campaign

@@ -49,11 +49,6 @@ def test_an_error_of_one_and_two_cycles_a_line_is_taken_out(lines: float) -> Non
     assert min(float(n) for n in told) == pytest.approx(lines, rel=1e-3)
 
 
-def test_counts_alone_are_left_as_they_are() -> None:
-    plain = recording(motion())
-    assert remove_interpolation_error(plain) == (plain, [])
-
-
 @pytest.mark.parametrize("cause", [None, "cogging", "coulomb_friction", "transmission_error"])
 def test_a_machine_without_such_an_error_is_left_as_it_is(cause: str | None) -> None:
     measured, _ = make(cause, seed=11, target_db=None if cause is None else 20, motors=1)
@@ -83,10 +78,3 @@ def test_fast_motion_is_no_error_of_its_encoder(crest: str) -> None:
     (e,) = measured.experiments
     undeclared = replace(measured, experiments=(replace(e, frequencies_hz=np.zeros(0)),))
     assert remove_interpolation_error(undeclared) == (undeclared, [])
-
-
-def test_a_short_recording_is_left_as_it_is() -> None:
-    measured = recording(motion() + 2.0 * STEP * np.sin(1024.0 * motion()))
-    (e,) = measured.experiments
-    short = replace(e, time=e.time[:40], position=e.position[:40], torque=e.torque[:40])
-    assert remove_interpolation_error(replace(measured, experiments=(short,)))[1] == []

@@ -38,11 +38,3 @@ def test_what_a_loop_makes_of_its_reading_is_taken_off_and_the_sensors_noise_sta
     # Periods are cut where they end, and the loop reads beyond: some samples in two thousand.
     assert _share(late, 0.0) < 3e-3
     assert _share(late, 0.1 * chatter) == pytest.approx(0.01, abs=4e-3)
-
-
-def test_noise_of_its_own_stays_whole() -> None:
-    assert _share(1, 10.0) == pytest.approx(1.0, abs=0.02)
-
-
-def test_a_line_that_carries_a_signal_does_not_lead_the_loop_astray() -> None:
-    assert _share(1, 0.0, signal=1.0) < 3e-3

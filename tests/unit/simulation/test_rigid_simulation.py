@@ -6,12 +6,11 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from large_motion import effect, experiment, model, recording
 from scipy.integrate import solve_ivp
 
 from invid.numerics.arrays import frozen_float
-from invid.simulation.rigid import closed_loop, errors_of
+from invid.simulation.rigid import errors_of
 from invid.simulation.run import simulate
 
 
@@ -36,19 +35,6 @@ def loop_bench(span: int, *, seconds: float = 6.0, friction: tuple[float, float]
     law = json.dumps([{"stiffness": 8000.0, "damping": 90.0, "limit": None}])
     one = experiment(time, np.array(positions)[:, None], np.array(torques)[:, None])
     return replace(one, position_reference=frozen_float(told[:, None]), attributes={"controller": law})
-
-
-@pytest.mark.parametrize("span", [1, 2, 3])
-def test_the_velocity_that_the_controller_used_is_read_from_the_record(span: int):
-    loop = closed_loop(loop_bench(span, seconds=2.0))
-    assert loop is not None
-    assert loop.law[0, 4] == span
-
-
-def test_a_law_that_did_not_run_is_not_simulated_as_if_it_had():
-    bench = loop_bench(1, seconds=2.0)
-    wrong = json.dumps([{"stiffness": 8000.0, "damping": 900.0, "limit": None}])
-    assert closed_loop(replace(bench, attributes={"controller": wrong})) is None
 
 
 def test_a_closed_loop_with_friction_by_direction_comes_out_as_it_went_in():

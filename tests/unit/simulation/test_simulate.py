@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -30,16 +29,6 @@ def plant() -> CoupledChains:
         [[1.0], [1.5]],
         [[0, 0.6], [0.6, 0]],
     )
-
-
-def with_and_without_a_mode(damping_ratio: float) -> tuple[CoupledChains, CoupledChains]:
-    """Two axes, the first with 0.3 kg·m² on 500 N·m/rad behind its load, and without."""
-    longer = CoupledChains.build(
-        [[1.0, 1.5, 0.3], [2.0, 3.0]],
-        [[800.0, 500.0], [1500.0]],
-        [[1.0, 2 * damping_ratio * np.sqrt(500 * 0.3)], [1.5]],
-    )
-    return longer, CoupledChains.build([[1.0, 1.5], [2.0, 3.0]], [[800.0], [1500.0]], [[1.0], [1.5]])
 
 
 def torque_at(t: np.ndarray, amplitude: float = 3.0) -> np.ndarray:
@@ -121,14 +110,6 @@ def test_the_linear_answer_is_that_of_an_independent_integrator() -> None:
     time, truth = reference(plant(), nothing)
     answer = simulate(model(plant()), recording(time, truth, torque_at(time)))
     assert relative(answer.experiments[0].position, truth) < 1e-4
-
-
-@pytest.mark.campaign
-def test_a_record_in_steady_state_starts_without_a_transient() -> None:
-    time, truth = reference(plant(), nothing, duration=12.0)
-    late = time >= 8.0
-    answer = simulate(model(plant()), recording(time[late], truth[late], torque_at(time[late])))
-    assert relative(answer.experiments[0].position, truth[late]) < 1e-3
 
 
 def _on(q: int, value: float) -> np.ndarray:
@@ -272,16 +253,6 @@ def test_every_force_law_agrees_with_an_independent_integrator(name: str) -> Non
     assert without > 10 * with_effect  # the effect matters in this record, so the test can fail
 
 
-def test_a_constant_torque_moves_no_lines_and_is_found_in_the_torque_where_the_model_has_none() -> None:
-    time, truth = reference(plant(), lambda t, q, v, x: _on(0, -0.8))
-    record = recording(time, truth, torque_at(time))
-    for effects, wanted in (((effect("torque_offset", "A1", torque=0.8),), 0.0), ((), -0.8)):
-        answer = simulate(model(plant(), *effects), record).experiments[0]
-        added = (answer.torque - torque_at(time)).mean(axis=0)
-        np.testing.assert_allclose(added, [wanted, 0.0], atol=0.01)
-        assert relative(answer.position, truth) < 1e-3
-
-
 @pytest.mark.campaign
 @pytest.mark.parametrize("where", ["mass", "spring"])
 def test_sliding_springs_agree_with_an_independent_event_free_scheme(where: str) -> None:
@@ -312,14 +283,6 @@ def test_sliding_springs_agree_with_an_independent_event_free_scheme(where: str)
     assert relative(simulate(model(chains), record).experiments[0].position, truth) > 5 * found
 
 
-def test_an_extra_mode_is_the_plant_with_one_more_mass() -> None:
-    longer, short = with_and_without_a_mode(0.01)
-    time, truth = reference(longer, nothing)
-    term = effect("extra_mode", "A1", "mass 2", mass=0.3, stiffness=500.0)
-    answer = simulate(model(short, term), recording(time, truth, torque_at(time)))
-    assert relative(answer.experiments[0].position, truth) < 1e-3
-
-
 ACTUATORS: dict[str, tuple[EffectTerm, Callable[[float], np.ndarray]]] = {
     "gain": (effect("torque_gain", "A1", gain=1.1), lambda t: torque_at(t) * [1.1, 1.0]),
     "delay": (
@@ -344,33 +307,6 @@ def test_actuator_effects_change_the_torque_that_acts(name: str) -> None:
     record = recording(time, truth, torque_at(time))
     assert relative(simulate(model(plant(), term), record).experiments[0].position, truth) < 1e-3
     assert relative(simulate(model(plant()), record).experiments[0].position, truth) > 5e-3
-
-
-def test_a_torque_lag_is_a_first_order_filter() -> None:
-    constant = 0.01
-    phases = np.random.default_rng(3).uniform(0, 2 * np.pi, (2, LINES.size))
-    factor = 1 / (1 + 2j * np.pi * LINES * constant)
-
-    def lagged(t: float) -> np.ndarray:
-        wave = np.exp(1j * (2 * np.pi * LINES * t + phases))
-        wave[0] *= factor
-        return 3.0 * wave.imag.sum(axis=-1)
-
-    time, truth = reference(plant(), nothing, acting=lagged)
-    record = recording(time, truth, torque_at(time))
-    term = effect("torque_lag", "A1", time_constant=constant)
-    assert relative(simulate(model(plant(), term), record).experiments[0].position, truth) < 0.01
-
-
-def test_eccentricity_distorts_the_reading_only() -> None:
-    time, truth = reference(plant(), nothing)
-    reading = truth.copy()
-    reading[:, 0] += 0.003 * np.sin(truth[:, 0] + 0.5)
-    answer = simulate(
-        model(plant(), effect("encoder_eccentricity", "A1", amplitude=0.003, phase=0.5)),
-        recording(time, reading, torque_at(time)),
-    )
-    np.testing.assert_allclose(answer.experiments[0].position, reading, atol=2e-3 * np.ptp(truth))
 
 
 @pytest.mark.campaign
@@ -401,13 +337,6 @@ def test_a_payload_joins_at_its_time() -> None:
     assert relative(simulate(model(chains), record).experiments[0].position, truth) > 0.02
 
 
-def test_a_drifting_spring_follows_its_rate() -> None:
-    time, truth = reference(plant(), lambda t, q, v, x: _pair(0, 60.0 * t * (q[0] - q[1])))
-    record = recording(time, truth, torque_at(time))
-    term = effect("parameter_drift", "A1", "spring 1", rate=-60.0)
-    assert relative(simulate(model(plant(), term), record).experiments[0].position, truth) < 5e-3
-
-
 def shaken(begin: float = 0.0, motion: float = 0.02) -> Recording:
     """Three seconds of torque beside a motion that is no model's: only models are compared on it."""
     time = np.arange(round(3.0 * RATE)) / RATE
@@ -432,50 +361,6 @@ def test_a_drift_goes_on_from_one_experiment_to_the_next(element: str, rate: flo
     assert relative(found, truth.position) < 0.01
     without = simulate(model(chains), both, only=["001"]).experiments[0].position
     assert relative(without, truth.position) > 0.05
-
-
-def test_an_extra_mode_has_the_damping_that_its_effect_says() -> None:
-    longer, short = with_and_without_a_mode(0.1)
-    mode = {"mass": 0.3, "stiffness": 500.0}
-    truth = simulate(model(longer), shaken()).experiments[0]
-    record = recording(truth.time, truth.position, truth.torque)
-    for ratio, least, most in ((0.1, 0.0, 1e-3), (0.01, 0.01, 1.0)):
-        term = effect("extra_mode", "A1", "mass 2", **mode, damping_ratio=ratio)
-        found = simulate(model(short, term), record).experiments[0].position
-        assert least <= relative(found, truth.position) < most
-
-
-def test_the_time_offset_of_an_identification_acts_as_a_delay_of_the_torque() -> None:
-    late = dataclasses.replace(model(plant()), fit={"time_offset_s": {"A1.time_offset": {"value": 0.006}}})
-    by_fit = simulate(late, shaken()).experiments[0].position
-    by_effect = simulate(model(plant(), effect("torque_delay", "A1", delay=0.006)), shaken()).experiments[0]
-    np.testing.assert_array_equal(by_fit, by_effect.position)
-
-
-def test_what_a_simulation_with_a_gain_writes_is_what_it_would_be_given_again() -> None:
-    """Torque that keeps the plant in its place acts through the gain as the record's own does."""
-    scaled = model(plant(), effect("torque_gain", "A1", gain=1.5))
-    once = simulate(scaled, shaken(motion=0.2)).experiments[0]
-    again = simulate(scaled, recording(once.time, once.position, once.torque)).experiments[0]
-    assert relative(again.position, once.position) < 1e-3
-
-
-def test_static_friction_of_the_one_direction_does_not_act_in_the_other() -> None:
-    time = np.arange(round(1.0 * RATE)) / RATE
-    forward = recording(time, np.outer(time, [1.0, 1.0]), 0.1 * torque_at(time))
-    known = {
-        "coulomb_positive": 0.2, "coulomb_negative": 0.1, "viscous_positive": 0.0, "viscous_negative": 0.0,
-        "low_speed_velocity": 2.0,
-    }  # fmt: skip
-
-    def position(up: float, down: float) -> np.ndarray:
-        more = {**known, "low_speed_positive": up, "low_speed_negative": down}
-        found = simulate(model(plant(), effect("asymmetric_friction", "A1", "mass 1", **more)), forward)
-        assert (np.diff(found.experiments[0].position[:, 0]) > 0).all()
-        return found.experiments[0].position
-
-    np.testing.assert_array_equal(position(0.5, 0.0), position(0.5, 1.0))
-    assert np.abs(position(0.5, 0.0) - position(0.0, 0.0)).max() > 1e-6
 
 
 def test_dropped_samples_repeat_rows_at_the_rate_asked_for() -> None:
@@ -524,44 +409,11 @@ def test_a_hold_gain_is_replayed_as_a_closed_loop() -> None:
     assert relative(answer.experiments[0].position, truth) < 5e-3
 
 
-def test_uneven_instants_are_simulated_at_those_instants() -> None:
-    time, truth = reference(plant(), nothing)
-    rng = np.random.default_rng(0)
-    uneven = np.sort(time + rng.uniform(-0.2, 0.2, time.size) / RATE)
-    position = np.stack([np.interp(uneven, time, c) for c in truth.T], axis=1)
-    answer = simulate(model(plant()), recording(uneven, position, torque_at(uneven)))
-    assert answer.experiments[0].position.shape == truth.shape
-    assert relative(answer.experiments[0].position, position) < 0.01
-
-
-def test_axes_in_another_order_give_the_same_answer() -> None:
-    time, truth = reference(plant(), nothing)
-    record = recording(time, truth, torque_at(time))
-    swapped = dataclasses.replace(
-        record,
-        axes=("A2", "A1"),
-        experiments=(
-            dataclasses.replace(
-                record.experiments[0], position=truth[:, ::-1], torque=torque_at(time)[:, ::-1]
-            ),
-        ),
-    )
-    one = simulate(model(plant()), record).experiments[0].position
-    other = simulate(model(plant()), swapped).experiments[0].position
-    np.testing.assert_allclose(other[:, ::-1], one, rtol=0, atol=1e-12)
-
-
 def test_axes_of_another_robot_are_refused() -> None:
     chains = case_study()
     record = recording(np.arange(100) / RATE, np.zeros((100, 2)), np.zeros((100, 2)))
     with pytest.raises(InputError, match="axes"):
         simulate(model(chains), record)
-
-
-def test_metres_and_radians_do_not_mix() -> None:
-    record = recording(np.arange(100) / RATE, np.zeros((100, 2)), np.zeros((100, 2)))
-    with pytest.raises(InputError, match="linear"):
-        simulate(model(plant(), linear=True), record)
 
 
 @pytest.mark.parametrize(
@@ -580,24 +432,6 @@ def test_effects_that_cannot_be_simulated_are_named(term: EffectTerm, words: str
     record = recording(np.arange(100) / RATE, np.zeros((100, 2)), np.zeros((100, 2)))
     with pytest.raises(ModelError, match=words):
         simulate(model(plant(), term), record)
-
-
-@pytest.mark.campaign
-def test_the_uncompiled_kernel_gives_the_same_bits_of_motion() -> None:
-    from invid.simulation import kernel, run
-
-    python = getattr(kernel.march, "py_func", None)
-    if python is None:
-        warnings.warn("numba is missing here: the compiled kernel was not compared", stacklevel=1)
-        return
-    time, truth = reference(plant(), nothing, duration=0.2)
-    record = recording(time, truth, torque_at(time))
-    term = CASES["backlash"][0]
-    fast = simulate(model(plant(), term), record).experiments[0].position
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "march", python)
-        slow = simulate(model(plant(), term), record).experiments[0].position
-    np.testing.assert_allclose(slow, fast, rtol=1e-10, atol=1e-14)
 
 
 def test_a_model_whose_motion_explodes_is_refused_and_writes_nothing() -> None:

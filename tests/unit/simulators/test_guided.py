@@ -10,7 +10,7 @@ from machines.mujoco_cells import Cell, drawn, measured, users, write
 
 import invid
 from invid.model.document import Estimate, Model
-from invid.simulators.guided import Guided, Sampling, Simulator, guided, missed, moved_by_noise
+from invid.simulators.guided import Guided, Sampling, Simulator, guided, missed
 from invid.simulators.open import open_simulator
 
 
@@ -42,40 +42,6 @@ def test_the_xml_that_made_a_recording_misses_what_noise_leaves(
     assert floors(missed(simulator, [record], model), record, model) < 1.2
 
 
-def test_a_wrong_offset_of_the_torque_samples_is_not_held_against_a_simulator(tmp_path: Path) -> None:
-    cell = drawn(5, kinds=("hard dry",), motion="multisine", sizes=(1,))
-    simulator, model, record = given(cell, tmp_path)
-    right = missed(simulator, [record], model)
-    shifted = record.read(Sampling(np.array([0.9e-3]), np.array([0.0])))
-    found = missed(simulator, [shifted], model)
-    assert floors(found, record, model) == pytest.approx(floors(right, record, model), rel=0.1)
-    assert found.records[0].sampling.later == pytest.approx(right.records[0].sampling.later, abs=5e-5)
-    # More than a sample is a delay, and the simulator's.
-    late = replace(record, torque=np.roll(record.torque, 4, axis=0))
-    assert floors(missed(simulator, [late], model), record, model) > 5.0
-
-
-@pytest.mark.parametrize("seed", [5, 6])
-def test_play_by_a_second_joint_is_read_and_set(seed: int, tmp_path: Path) -> None:
-    made = drawn(seed, kinds=("play",), motion="multisine", sizes=(2,))
-    play = replace(made.hidden[0], numbers={"gap": 1e-3, "joint": 1.0})
-    (tmp_path / "robot.xml").write_text(users(replace(made, hidden=(play,))))
-    simulator = open_simulator(tmp_path / "robot.xml", made.axes)
-    model = simulator.claimed()
-    assert model is not None
-    (term,) = model.effects
-    assert (term.cause, term.element) == ("backlash", "spring 1")
-    assert term.value("gap") == pytest.approx(1e-3)
-    assert model.chains.masses[0] == pytest.approx(made.inertia[0], rel=2e-3)
-    less = replace(term, parameters={"gap": replace(term.parameters["gap"], value=4e-4)})
-    for effects, gap in (((less,), 4e-4), ((), 0.0)):
-        copy, lost = simulator.corrected(replace(model, effects=effects), tmp_path / "copy.xml")
-        claimed = copy.claimed()
-        assert claimed is not None
-        assert sum(t.value("gap") for t in claimed.effects) == pytest.approx(gap, abs=1e-8)
-        assert not lost
-
-
 def test_a_mass_on_a_link_that_carries_another_axis_is_an_effect_and_no_mass_of_the_chain(
     tmp_path: Path,
 ) -> None:
@@ -101,14 +67,3 @@ def test_a_mass_on_a_link_that_carries_another_axis_is_an_effect_and_no_mass_of_
     (found,) = again.effects
     assert (found.value("mass"), found.value("stiffness")) == pytest.approx((0.02, 90.0), rel=1e-3)
     assert again.chains.masses[0] == pytest.approx(model.chains.masses[0], rel=1e-3)
-
-
-def test_noise_moves_a_simulator_with_play_in_production_more_than_a_linear_plant(tmp_path: Path) -> None:
-    ratios = []
-    for kinds in ((), ("play",)):
-        cell = drawn(5, kinds=kinds, motion="production", sizes=(2,), size=0.8)
-        simulator, model, record = given(cell, tmp_path)
-        moved = moved_by_noise(simulator, missed(simulator, [record], model), model)[0]
-        ratios.append(float(np.sqrt(moved.sum() / record.floor(model).sum())))
-    assert 0.7 < ratios[0] < 1.3
-    assert ratios[1] > 5.0

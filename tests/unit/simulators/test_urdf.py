@@ -74,13 +74,6 @@ def test_a_right_urdf_is_called_right_and_a_wrong_one_is_mended_behind_any_gear(
     assert set(again.joint_map) == {f"q{i}_{q}" for i in (1, 2) for q in range(1, len(cell.inertia[0]) + 1)}
 
 
-def test_a_urdf_may_be_called_xml(tmp_path: Path) -> None:
-    (tmp_path / "robot.xml").write_text(urdf(ARM, gear=20.0))
-    claimed = open_simulator(tmp_path / "robot.xml", ("R1", "R2")).claimed()
-    assert claimed is not None
-    assert claimed.chains.masses[1][0] == pytest.approx(ARM.inertia[1][0])
-
-
 def test_our_own_export_is_read_back_number_by_number(tmp_path: Path) -> None:
     effects = (
         term("coulomb_friction", "R2", "mass 1", torque=0.3),
@@ -124,35 +117,6 @@ def test_friction_goes_to_dynamics_on_the_joints_side_and_the_rest_is_said_to_ha
     assert float(joints["q1_1"]["damping"]) == pytest.approx(0.02 * 50**2)
     assert float(joints["q2_1"]["friction"]) == pytest.approx(0.2 * 50)
     assert float(joints["q2_2"]["damping"]) == pytest.approx((ELASTIC.dampers[1][0] + 0.5) * 50**2)
-
-
-def test_ros_2_writes_the_reduction_elsewhere_and_a_recording_of_the_joint_counts_none(
-    tmp_path: Path,
-) -> None:
-    text = urdf(ARM, gear=20.0, rotor=False)
-    two = text.replace("<mechanicalReduction>20.0</mechanicalReduction>", "")
-    for i in (1, 2):
-        two = two.replace(
-            f'<joint name="q{i}_1"/><actuator', f'<joint name="q{i}_1"><mechanical_reduction>20.0'
-            "</mechanical_reduction></joint><actuator",
-        )  # fmt: skip
-    joint_side = text.replace("</actuator>", '</actuator><invid recorded="joint"/>')
-    sizes = []
-    for made in (text, two, joint_side):
-        claimed = opened(tmp_path, made).claimed()
-        sizes.append(claimed.chains.masses[1][0])
-    assert sizes == pytest.approx([ARM.inertia[1][0], ARM.inertia[1][0], 400.0 * ARM.inertia[1][0]], rel=1e-6)
-
-
-def test_a_joint_that_nobody_drives_is_locked_and_its_link_counts_with_the_one_before(tmp_path: Path) -> None:
-    gripper = (
-        '<joint name="finger" type="prismatic"><parent link="q2_1"/><child link="finger"/><axis xyz="1 0 0"/>'
-        '<limit lower="0" upper="0.1" effort="1" velocity="1"/></joint><link name="finger"><inertial>'
-        '<mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    )
-    alone = opened(tmp_path, urdf(ARM)).claimed().chains
-    held = opened(tmp_path, urdf(ARM, more=gripper)).claimed().chains
-    assert held.masses[1][0] == pytest.approx(alone.masses[1][0] + 1.0)
 
 
 @pytest.mark.parametrize("kind", ["xml", "urdf"])

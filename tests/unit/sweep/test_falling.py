@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from invid.sweep.falling import Fall, Falling, Kind, table
+from invid.sweep.falling import Fall, Falling, Kind
 from invid.sweep.ports import Sample
 
 CYCLE, COUNT, RATED, WINDOW = 0.002, 2 * math.pi / 2**16, 10.0, 0.5
@@ -73,8 +72,3 @@ def test_a_loop_that_drives_its_axis_away_is_told_from_a_load() -> None:
     x = np.where(t > 0, 1e-4 * np.cosh(w * np.maximum(t, 0.0)), 1e-4)
     found = looked_at(x, -(w**2) * x)
     assert found[min(found)].kind is Kind.DRIVEN
-
-
-def test_the_table_of_the_page_is_what_the_watch_does() -> None:
-    page = Path(__file__).parents[3] / "docs/reference/safety-tests.md"
-    assert table() in page.read_text(encoding="utf-8")

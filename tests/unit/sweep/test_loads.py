@@ -38,12 +38,6 @@ def judged(stated: Any, torque: Any, *, held: bool = True) -> Any:
     return judge_loads(config(stated), rows[:, None], np.ones((n, 1), bool), [held], [RATED])[0]
 
 
-def test_gravity_that_is_not_stated_is_unknown_in_the_config() -> None:
-    assert config("unstated").axes[0].gravity_loaded is None
-    assert config("unknown").axes[0].gravity_loaded is None
-    assert config(False).axes[0].gravity_loaded is False
-
-
 @pytest.mark.parametrize("stated", ["unstated", "unknown", False])
 def test_torque_at_rest_contradicts_a_load_that_is_not_stated(stated: Any) -> None:
     found = judged(stated, -0.8)
@@ -64,13 +58,6 @@ def test_what_swings_behind_a_held_motor_is_no_load(stated: Any) -> None:
 def test_a_stated_load_is_believed_whatever_the_torque() -> None:
     assert judged(True, 0.0).loaded
     assert judged(True, 0.0).said == ""
-
-
-def test_a_display_that_never_changes_says_nothing() -> None:
-    n = round(CONFIRM_S / CYCLE)
-    rows, fresh = np.full((n, 1), 0.9), np.ones((n, 1), bool)
-    assert not judge_loads(config(False), rows, fresh, [True], [RATED])[0].loaded
-    assert judge_loads(config("unknown"), rows, fresh, [True], [RATED])[0].loaded
 
 
 def test_an_axis_that_its_drive_does_not_hold_counts_as_loaded_unless_stated() -> None:

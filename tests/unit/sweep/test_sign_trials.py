@@ -119,29 +119,6 @@ def test_a_repeated_last_value_is_not_believed(sign: float) -> None:
     assert found.mobility == pytest.approx(sign, rel=0.02)
 
 
-def test_edges_without_samples_around_them_are_counted_as_late_not_as_short() -> None:
-    came = np.ones(240, dtype=bool)
-    came[30:230] = False
-    found = seen(came)
-    assert found.edges == 0
-    assert found.late_edges == 4
-    assert found.late
-
-
-def test_a_doublet_too_short_for_its_edges_blames_nobody() -> None:
-    wave = np.concatenate([np.zeros(20), doublet(8), np.zeros(20)])
-    time = np.arange(48, dtype=np.float64) * CYCLE
-    found = response(time, wave, wave, np.zeros(48), count=COUNT, rated=10.0)
-    assert found.edges == found.late_edges == 0
-    assert not found.late
-
-
-def test_the_torque_that_did_not_come_has_no_sign() -> None:
-    found = seen(np.zeros(240, dtype=bool))
-    assert not found.opposed
-    assert np.isnan(found.torque_slope)
-
-
 def test_a_measured_torque_of_the_other_sign_is_named() -> None:
     found = Response(1.0, 1.0, 1.0, 0.1, torque_slope=-0.9, edges=4)
     with pytest.raises(SafetyStop, match="opposite sign"):

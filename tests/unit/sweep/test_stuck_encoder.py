@@ -10,7 +10,7 @@ from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
 from invid.sweep import Sample
 from invid.sweep.bounds import AxisLimits, Bounds
-from invid.sweep.stuck_encoder import HALT_CYCLES, LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Halting, Standing
+from invid.sweep.stuck_encoder import HALT_CYCLES, Halting, Standing
 from invid.sweep.watch import Watch
 
 
@@ -85,49 +85,6 @@ def test_an_axis_may_stand_a_quarter_period_of_its_slowest_line_whatever_it_did_
     slot = show(standing, [0.5] * round(0.249 / lowest_hz / CYCLE), first=slot)
     with pytest.raises(SafetyStop, match="shown one value"):
         show(standing, [0.5] * round(0.02 / lowest_hz / CYCLE), first=slot)
-
-
-def stuck_mass(friction: float, hz: float) -> float:
-    """Longest stand [s] of a mass under a sinusoidal torque of 1 with Coulomb friction, integrated."""
-    dt, x, v, still, longest = 1e-5, 0.0, 0.0, 0.0, 0.0
-    for k in range(round(6 / hz / dt)):
-        torque = np.sin(2 * np.pi * hz * k * dt)
-        if v == 0.0 and abs(torque) <= friction:
-            still += dt
-            longest = max(longest, still if k * dt > 3 / hz else 0.0)
-            continue
-        still = 0.0
-        before = v
-        v += dt * (torque - friction * np.sign(v if v != 0.0 else torque))
-        if before * v < 0.0:
-            v = 0.0
-        x += v * dt
-    return longest
-
-
-def test_friction_of_0_87_of_the_torque_holds_a_mass_for_a_quarter_period() -> None:
-    assert stuck_mass(0.87, 4.0) == pytest.approx(STUCK_PERIODS / 4.0, rel=0.03)
-
-
-def test_samples_that_do_not_come_are_no_stand() -> None:
-    standing = Standing(["A1"], CYCLE)
-    standing.excited = {0}
-    show(standing, [1.0] * 2 * round(STUCK_S / CYCLE), fresh=False)
-
-
-def test_what_lies_beside_a_skipped_slot_is_no_stand() -> None:
-    """A computer that is held up again and again sees one value twice, with a pause in between."""
-    standing, _ = excited_and_learned()
-    for k in range(2 * round(STUCK_S / CYCLE)):
-        standing.check(sample(9.0, slot=1000 + 40 * k))
-
-
-def test_an_encoder_that_changed_too_rarely_is_not_expected_to_go_on() -> None:
-    standing = Standing(["A1"], CYCLE)
-    standing.expect_life({0}, 1000)
-    slot = show(standing, [float(k // 20) for k in range(1000)])  # fifty changes
-    assert LIFE_CHANGES > 50
-    show(standing, [0.5] * 5000, first=slot)
 
 
 def test_a_gap_in_the_samples_is_no_leap_of_the_velocity() -> None:
@@ -205,16 +162,6 @@ def test_a_mass_that_friction_brings_to_rest_is_no_dead_encoder(friction: float,
 def test_a_drive_that_brings_a_new_position_only_now_and_then_is_no_dead_encoder(every: int) -> None:
     watch, path = halting(), swing(50000, 1.0, 3.0)
     feed(watch, path[np.arange(path.size) // every * every])
-
-
-def test_samples_that_do_not_come_make_no_dead_encoder() -> None:
-    watch, path = halting(), swing(50000, 1.0, 3.0)
-    shown = 0.0
-    for k, row in enumerate(rows(path)):
-        if k % 60 > 30:
-            row.fresh[0], row.position[0] = False, shown
-        shown = row.position[0]
-        watch.check(row)
 
 
 def dying(when: Callable[[RigidCell, Sample], bool]) -> tuple[RigidCell, dict[str, float]]:

@@ -9,12 +9,10 @@ import pytest
 from invid.config import AxisConfig, CellConfig, parse_config
 from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
 from invid.planning import make_plan
-from invid.planning.hold_laws import least_damping, master_hold, require_stable_p
 from invid.planning.model import PlannedExperiment
 from invid.signals.excitation import doublet
 from invid.sweep import Event, Mode, Progress, Sample, Severity, Sweep
 from invid.sweep.bounds import AxisLimits, Bounds
-from invid.sweep.recorder import Recorder, fill_gaps
 from invid.sweep.trials import response
 from invid.sweep.watch import Watch
 
@@ -142,27 +140,6 @@ def run(
 
 def after(seconds: float, what: Callable[[RigidCell, Sample], None]) -> Callable[[RigidCell, Sample], None]:
     return lambda cell, sample: what(cell, sample) if sample.time > seconds else None
-
-
-def test_a_quiet_cell_is_measured_completely_and_stopped_once_at_the_end() -> None:
-    cell = RigidCell()
-    rows, error, _ = run(cell)
-    assert error is None
-    assert not cell.energised
-    assert cell.stops == 1
-    (experiment, gains, slots) = rows.kept[0]
-    assert len(slots) == experiment.record_to - experiment.record_from == 2000
-    assert np.all(np.diff(slots) == 1)
-    assert all(g > 0 for g in gains)
-
-
-def test_axes_that_are_not_excited_are_held_inside_the_drive() -> None:
-    cell = RigidCell()
-    rows, error, _ = run(cell, axes=["A2"])
-    assert error is None
-    assert np.isnan(rows.kept[0][1][0])
-    assert rows.kept[0][1][1] > 0
-    assert cell.x[0] == 0
 
 
 def test_no_demand_ever_exceeds_the_torque_limit() -> None:
@@ -305,19 +282,6 @@ def test_where_held_axes_answer_to_an_encoder_that_shows_nothing_the_torque_does
     assert most <= 10.01 * first if passes_on else most > 15 * first
 
 
-def test_a_stuck_encoder_is_noticed_while_shaking() -> None:
-    cell = RigidCell()
-    held: dict[str, float] = {}
-
-    def stuck(c: RigidCell, s: Sample) -> None:
-        s.position[1] = held.setdefault("x", s.position[1])
-
-    cell.disturb = after(18.0, stuck)
-    _, error, _ = run(cell)
-    assert isinstance(error, SafetyStop)
-    assert "A2" in str(error)
-
-
 def test_growing_motion_of_held_axes_is_called_an_unstable_hold() -> None:
     cell = RigidCell()
 
@@ -367,39 +331,8 @@ def test_whatever_goes_wrong_inside_the_cell_is_stopped() -> None:
     assert cell.stops == 1
 
 
-def test_progress_rises_to_one_and_its_remaining_time_falls() -> None:
-    seen: list[Progress] = []
-    run(RigidCell(), progress=seen.append)
-    fractions = [p.fraction for p in seen]
-    assert fractions == sorted(fractions)
-    assert fractions[-1] == 1.0
-    assert seen[-1].eta_s == 0.0
-    assert any(p.phase.startswith("experiment") for p in seen)
-
-
 def axis(hold: str) -> AxisConfig:
     return config(axis=f", hold: {{{hold}}}").axes[0]
-
-
-def test_a_p_hold_is_refused_exactly_where_the_rule_says() -> None:
-    # K·(d+½)·T with d = 1: 1000·1.5·0.001 = 1.5
-    require_stable_p("A1", 1000.0, 1.51, 0.001)
-    with pytest.raises(ConfigError, match=r"unstable.*1\.5"):
-        require_stable_p("A1", 1000.0, 1.5, 0.001)
-    with pytest.raises(ConfigError, match="unstable"):
-        master_hold(axis("mode: master_p, gain: 1000"), 0.001)
-
-
-def test_a_pd_hold_gets_at_least_the_damping_that_keeps_an_undamped_structure_stable() -> None:
-    gains = master_hold(axis("mode: master_pd, gain: 1000"), 0.001)
-    assert gains is not None
-    assert gains.damping == pytest.approx(least_damping(1000, 0.001)) == pytest.approx(3.0)
-
-
-def test_less_damping_than_that_is_raised_to_it_whatever_the_config_says() -> None:
-    gains = master_hold(axis("mode: master_pd, gain: 1000, damping: 0.1"), 0.001)
-    assert gains is not None
-    assert gains.damping == pytest.approx(3.0)
 
 
 def test_a_drive_that_cannot_hold_is_held_by_the_master_and_a_push_dies_away() -> None:
@@ -458,48 +391,6 @@ def test_other_excitations_run_to_the_end(kinds: str) -> None:
     assert len(rows.kept) == 2
 
 
-class Places(Rows):
-    """A sink that keeps where the first axis was."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.seen: list[float] = []
-
-    def row(self, sample: Sample, demand: Sequence[float]) -> None:
-        super().row(sample, demand)
-        self.seen.append(sample.position[0])
-
-
-def test_a_constant_velocity_move_follows_its_path() -> None:
-    cfg, sink = (
-        config("{kind: constant_velocity, velocities: [0.2], travel: 0.4, axes: [A1]}"),
-        Places(),
-    )
-    plan = make_plan(cfg)
-    Sweep(plan, cfg, RigidCell(), sink).run()
-    ((experiment, _, _),) = sink.kept
-    assert experiment.reference is not None
-    path = experiment.reference[experiment.record_from : experiment.record_to, 0]
-    assert path.max() == pytest.approx(0.2, abs=1e-6)
-    assert path.min() == pytest.approx(-0.2, abs=1e-6)
-    assert np.abs(np.array(sink.seen) - path).max() < 0.02  # at 0.2 rad/s a hold alone would lag by 0.045
-
-
-def test_gaps_are_filled_from_their_neighbours() -> None:
-    t = np.arange(400) * 1e-3
-    truth = np.column_stack([np.sin(2 * np.pi * 12 * t), np.cos(2 * np.pi * 5 * t)])
-    holes = truth.copy()
-    rng = np.random.default_rng(0)
-    holes[rng.random(400) < 0.05, 0] = np.nan
-    holes[100:103, 1] = np.nan
-    filled = fill_gaps(t, holes, cubic=True)
-    inner = slice(5, -5)
-    assert np.abs(filled - truth)[inner].max() < 2e-4
-    assert np.isfinite(filled).all()
-    known = ~np.isnan(holes)
-    assert np.array_equal(filled[known], truth[known])
-
-
 @pytest.mark.parametrize("late", [0, 2, 9, 24])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_torque_that_follows_late_is_not_taken_for_one_of_the_wrong_sign(late: int, sign: float) -> None:
@@ -533,52 +424,3 @@ def test_each_limit_stops_just_beyond_what_its_sensor_may_be_wrong_by() -> None:
         watched(0.0, -11.7, 0.0)
     with pytest.raises(SafetyStop, match="velocity"):  # SYNC is known to a fifth of four cycles: 1.05
         watched(0.0, 0.0, 1.06)
-
-
-class Written:
-    """What a recorder hands to its writer."""
-
-    def __init__(self) -> None:
-        self.blocks: list[tuple[np.ndarray, ...]] = []
-
-    def begin(self, **header: object) -> None:
-        pass
-
-    def append(self, *block: np.ndarray) -> None:
-        self.blocks.append(block)
-
-    def end(self) -> None:
-        pass
-
-
-def test_in_a_skipped_slot_the_drive_went_on_with_the_demand_before_it() -> None:
-    written = Written()
-    recorder = Recorder(lambda: written, CYCLE, 1)  # type: ignore[arg-type, return-value]
-    recorder.begin(make_plan(config()).experiments[0], [0.0], 1.0)
-    for slot in (0, 1, 2, 5, 6, 7):
-        recorder.row(Sample(slot, CYCLE * slot, [0.1 * slot], [0.0], [7], [True], []), [float(slot)])
-    recorder.end()
-    time, position, _, demand, _ = (np.concatenate(part) for part in zip(*written.blocks, strict=True))
-    assert time == pytest.approx(CYCLE * np.arange(8))
-    assert position[:, 0] == pytest.approx(0.1 * np.arange(8))
-    assert demand[:, 0].tolist() == [0, 1, 2, 2, 2, 5, 6, 7]
-    assert recorder.skipped == 2
-
-
-def test_samples_that_do_not_come_are_not_a_still_encoder() -> None:
-    limits = AxisLimits("A1", 10.0, 1.0, 1.0, 1e-6, 10.0, "rad", "N·m")
-    bounds = Bounds([limits], cycle_s=0.01, missed_tpdos=1000, overrun_cycles=10)
-    watch = Watch(bounds, cycle_s=0.01)
-    watch.standing.excited = {0}
-    bounds.start([0.0])
-    sample = Sample(0, 0.0, [0.0], [0.0], [0x27], [True], [])
-
-    def play(slots: range, fresh: bool) -> None:
-        for slot in slots:
-            sample.slot, sample.time, sample.fresh[0] = slot, 0.01 * slot, fresh
-            watch.check(sample)
-
-    play(range(5), True)
-    play(range(5, 500), False)
-    with pytest.raises(SafetyStop, match="encoder has shown one value"):
-        play(range(500, 1000), True)

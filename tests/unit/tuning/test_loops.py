@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import control
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -11,8 +10,7 @@ from tuning.tuned import machine
 from invid.exchange.linear_plant import linear_plant
 from invid.model.document import Model
 from invid.tuning.feedforward import NONE
-from invid.tuning.margins import axis_margins, drawn_plants
-from invid.tuning.servo_loop import DriveTiming, Gains, Notch, closed_loop, controller, controller_response
+from invid.tuning.servo_loop import DriveTiming, Gains, Notch, closed_loop
 from invid.tuning.shapers import choose_shaper, residual_vibration
 from invid.tuning.simulated_loops import AxisLoop, reference_move, run_loops
 
@@ -27,29 +25,6 @@ def linear_machine() -> Model:
     return Model("robot", "refined", machine().chains, machine().std)
 
 
-def test_a_controller_answers_as_its_state_space_does():
-    hz = np.geomspace(0.1, 400.0, 50)
-    z = np.exp(2j * np.pi * hz * TIMING.cycle)
-    system = controller(GAINS[1], TIMING)
-    response = controller_response(GAINS[1], TIMING, 2 * np.pi * hz)
-    assert np.allclose([system(x) for x in z], response, rtol=1e-6)
-
-
-def test_margins_are_those_of_python_control():
-    drawn = drawn_plants([linear_plant(linear_machine())], TIMING)
-    for i in range(2):
-        loop = drawn.loops(GAINS)[..., i]
-        gain, phase, peak = axis_margins(loop)
-        omega = drawn.omega[0]
-        found = control.stability_margins(
-            (np.abs(loop[0]), np.degrees(np.unwrap(np.angle(loop[0]))), omega), returnall=True
-        )
-        both = np.concatenate([found[0], 1.0 / found[0]])
-        assert gain[0] == pytest.approx(both[both >= 1.0].min(), rel=0.02)
-        assert phase[0] == pytest.approx(np.abs(found[1]).min(), abs=1.0)
-        assert peak[0] == pytest.approx(1.0 / found[2].min(), rel=0.02)
-
-
 def test_a_loop_is_stable_where_its_simulation_stays_and_unstable_where_it_runs_away():
     model = linear_machine()
     plant = linear_plant(model)
@@ -59,22 +34,6 @@ def test_a_loop_is_stable_where_its_simulation_stays_and_unstable_where_it_runs_
         run = run_loops(model, [AxisLoop(g, NONE) for g in gains], command, TIMING)
         assert closed_loop(plant, gains, TIMING).is_stable is calm
         assert bool(np.isfinite(run.motor).all()) is calm
-
-
-def test_the_simulated_loops_decay_as_the_slowest_pole_says():
-    model = linear_machine()
-    plant = linear_plant(model)
-    command = reference_move(plant, TIMING)
-    run = run_loops(model, [AxisLoop(g, NONE) for g in GAINS], command, TIMING)
-    poles = closed_loop(plant, GAINS, TIMING).poles
-    rest = slice(command.leaves - 400, command.leaves)
-    left = run.motor[rest, 0] - command.position[rest, 0]
-    # an autoregression of the response finds the poles that are left in it
-    order = 8
-    rows = np.lib.stride_tricks.sliding_window_view(left, order + 1)
-    weights = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=1e-13)[0]
-    slowest = max(np.abs(np.roots([1.0, *-weights[::-1]])))
-    assert slowest == pytest.approx(np.abs(poles).max(), abs=2e-3)
 
 
 def test_a_shaped_command_leaves_an_oscillator_at_rest_and_one_a_tenth_off_within_the_tolerance():
@@ -100,7 +59,3 @@ def test_a_shaped_command_leaves_an_oscillator_at_rest_and_one_a_tenth_off_withi
     for off in (0.9, 1.1):
         assert swing(f * off) == pytest.approx(residual_vibration(shaper, f * off, damping), abs=0.08)
         assert residual_vibration(shaper, f * off, damping) <= 0.1
-
-
-def test_a_mode_that_the_loop_damps_needs_no_shaper():
-    assert choose_shaper((4.0, 0.6), []) is None

@@ -14,7 +14,7 @@ from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, Verdict
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector, std_by_name
 from invid.tuning.feedforward import NONE
-from invid.tuning.gains import PROMISE, gains_at
+from invid.tuning.gains import PROMISE
 from invid.tuning.margins import worst_margins
 from invid.tuning.plant_draws import drawn_models
 from invid.tuning.simulated_loops import AxisLoop, move_figures, run_loops
@@ -47,13 +47,6 @@ def test_feedforward_pays():
         assert axis.move_after.following < 0.7 * other.following
 
 
-def test_feedforward_holds_what_is_named():
-    first, second = (a.after.feedforward for a in tuned().axes)
-    assert (first.dry, first.viscous) == pytest.approx((0.3, 0.05))
-    assert (second.weight, second.angle) == pytest.approx((0.4, 0.3))
-    assert second.dry == 0.0
-
-
 def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_the_findings():
     tuning = tuned()
     bought = [r.bought for r in tuning.repairs]
@@ -66,14 +59,6 @@ def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_
     then = move_figures(run, tuning.command)[1]
     assert play.at_load == pytest.approx((tuning.axes[1].move_after.at_load, then.at_load))
     assert play.bought > 0
-
-
-@pytest.mark.campaign
-def test_a_surer_model_is_never_tuned_slower():
-    sure = tune_model(replace(machine(relative=1e-4)), TuneSettings(draws=60))
-    unsure = tune_model(replace(machine(relative=0.12)), TuneSettings(draws=60))
-    for a, b in zip(sure.axes, unsure.axes, strict=True):
-        assert a.after.gains.as_pid()[0] > 0.9 * b.after.gains.as_pid()[0]
 
 
 def sharp_mode() -> Model:
@@ -127,23 +112,3 @@ def test_of_two_candidates_the_worse_one_is_designed_for():
             one, tuple(a.after.gains for a in opened.axes), opened.settings.timing, PROMISE
         )
         assert all(m.unstable == 0 and m.kept == 1.0 for m in margins)
-
-
-def test_a_candidate_of_unknown_size_that_the_loops_feel_is_refused():
-    delay = EffectTerm("torque_delay", "A1", {"delay": Estimate(0.002, 1e-4, "s")})
-    with pytest.raises(NotIdentifiableError, match="tell them apart"):
-        tune_model(_diagnosed(delay, Alternative("extra_mode", "A1", "mass 2", 0.1)), TuneSettings())
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize("cause", ["strange_thing", "torque_saturation"])
-def test_a_torque_limit_and_an_effect_that_nobody_can_simulate_are_no_obstacle(cause: str):
-    sizes = {"limit": Estimate(3.0, 0.1)}
-    tuning = tune_model(sharp_mode().extended(EffectTerm(cause, "A1", sizes)), TuneSettings(draws=50))
-    assert np.isfinite(tuning.axes[0].move_after.following)
-    assert any("strange_thing" in text for text in tuning.remarks) is (cause == "strange_thing")
-
-
-def test_gains_for_a_corner_keep_position_and_integral_below_it():
-    gains = gains_at(2.0, 100.0, 5.0)
-    assert (gains.velocity_gain, gains.position_gain, gains.integral_time) == (200.0, 5.0, 0.2)
