@@ -51,16 +51,6 @@ SECTIONS = (
         ("--case", "time", "--seeds", "1"),
     ),
     Section(
-        "Values for the drives",
-        "Random cells measured, identified and tuned; the move is made on the true plant with friction, "
-        "free play and modes. Errors are relative to tuned on the same axis, median: above one is worse. "
-        "The rule on the bare motor follows its command far better and leaves hardly any margin; its load "
-        "moves no better.",
-        "tuning/bench_tuning.py",
-        ("--cells", "100"),
-        ("--cells", "30"),
-    ),
-    Section(
         "Hidden causes: what was hidden, what was said",
         "The generator hides one cause of the catalogue (or none, a pair, one outside the catalogue, a "
         "wrong number of masses) in a plant of its own; the diagnosis gets the recording alone. Trial n has "

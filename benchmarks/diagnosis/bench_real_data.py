@@ -6,10 +6,6 @@ Records that are not there are named, loudly.
 
     python benchmarks/diagnosis/bench_real_data.py [WORD …]
         records whose title holds a word; all without
-    python benchmarks/diagnosis/bench_real_data.py --record SOURCE MAP.yaml [BELOW_HZ]
-        a further record, with the peers of peer_torque.py
-    python benchmarks/diagnosis/bench_real_data.py --simulated N
-        N machines drawn at random: rates of right names
 """
 
 from __future__ import annotations
@@ -19,7 +15,6 @@ import io
 import json
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,12 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.diagnosis.peer_torque import shares
 from invid.cli.app import run
 from invid.model.chains import CoupledChains
 from invid.model.document import load_model
 from invid.model.forward import natural_frequencies, resonances
-from invid.recording import Role, read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = FETCHED if (FETCHED := ROOT / "records").is_dir() else ROOT.parent / "shared" / "data"
@@ -256,38 +249,8 @@ def chain(source: Path, chart: Path, folder: Path) -> Result:
     return Result(diagnosis, json.loads(imported.getvalue()), found.chains, dict(found.fit), found.effects)
 
 
-def further(source: Path, chart: Path, below_hz: float) -> int:
-    """One record by its own map: share of the held-out torque missed by the product and by plain models."""
-    with tempfile.TemporaryDirectory() as folder:
-        record, out = Path(folder) / "record.h5", Path(folder) / "diagnosis.json"
-        began = time.process_time()
-        with contextlib.redirect_stdout(io.StringIO()):
-            status = run(["import", str(source), "--map", str(chart), "-o", str(record)])
-            status = status or run(["diagnose", str(record), "-o", str(out)])
-        if not out.exists():
-            print(f"{source}: ended with {status}; no figures")
-            return 1
-        spent = time.process_time() - began
-        found, recording = json.loads(out.read_text(encoding="utf-8")), read_recording(record)
-    held = [e for e in recording.experiments if e.role is Role.VALIDATE]
-    power = np.sqrt(np.mean(np.concatenate([e.torque**2 for e in held]), axis=0))
-    peers = shares(recording, below_hz)
-    print(f"{recording.robot}: {found['verdict']}, {spent:.0f} s of CPU; {found['headline']}")
-    print(f"| axis | product | its floor | {' | '.join(peers)} |\n| --- | --- | --- |{' --- |' * len(peers)}")
-    for i, row in enumerate(found["residual"]):
-        own = [row["after"] / power[i], row["noise_floor"] / power[i], *(p[i] for p in peers.values())]
-        print(f"| {row['axis']} | " + " | ".join(f"{100 * x:.1f} %" for x in own) + " |")
-    return 0
-
-
 def main(wanted: list[str]) -> int:
     """Print the table; the exit status is 1 where a figure is not reached."""
-    if wanted[:1] == ["--simulated"]:
-        from benchmarks.diagnosis.simulated_machines import campaign
-
-        return campaign(*(int(w) for w in wanted[1:3] or ["60"]))
-    if wanted[:1] == ["--record"]:
-        return further(Path(wanted[1]), Path(wanted[2]), float(wanted[3]) if wanted[3:] else 10.0)
     missed = 0
     offsets: dict[str, float] = {}
     print("| record | figure | asked | reached | |\n| --- | --- | --- | --- | --- |")
