@@ -1,4 +1,4 @@
-"""Drives of another author (`durand_process`) in virtual time: what runs did, judged on their plant."""
+"""Drives of another author (`durand_drive`) in virtual time: what runs did, judged on their plant."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.measurement import run_measurement
 from invid_drivers.stopping_budgets import plan_within
-from tests.system.durand_process import SUBSTEP, Drive
+from tests.contract.durand_drive import SUBSTEP, Drive
 
 CYCLE = 0.002
 LIMIT, WINDOW, SPEED = 20.0, 0.5, 5.0

@@ -19,7 +19,6 @@ from invid.errors import BusError, DriveError, InvidError
 from invid.sweep import Cell, Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Journal
-from invid_drivers.cia402.link import SdoAbortedError
 from invid_drivers.connect import connect
 from invid_drivers.simulated import open_virtual_bus
 
@@ -350,17 +349,6 @@ def test_a_late_answer_to_the_cycles_question_is_not_taken_for_another_objects()
         assert len(position) == 4
         link.send(0x601, bytes.fromhex("4061600000000000"))
         link.sdo(1).download(0x6071, 0, b"\0\0")
-    finally:
-        cell.close()
-
-
-def test_an_abort_that_names_no_object_is_still_an_abort() -> None:
-    cell = simulated()
-    client: Any = cell._link.sdo(1)
-    try:
-        client._answers.append(bytes.fromhex("8000000000000206"))
-        with pytest.raises(SdoAbortedError):
-            client._answer_for(bytes.fromhex("646000"))
     finally:
         cell.close()
 

@@ -71,7 +71,7 @@ def test_a_drive_without_0x6502_that_refuses_cyclic_torque_is_tried_with_profile
 def test_a_drive_that_keeps_another_mode_is_not_enabled_in_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tests.system.durand_process.Drive.mode", lambda self, mode: None)
+    monkeypatch.setattr("tests.contract.durand_drive.Drive.mode", lambda self, mode: None)
     cell = OtherCell(tmp_path, [{}], [{"gravity_loaded": False}])
     cell.drives[0].od.write(0x6061, 0, 1)
     error = cell.measure()

@@ -15,7 +15,7 @@ from invid.config import load_config, parse_config
 from invid_drivers.cli import init
 from invid_drivers.eds import parse_eds
 from invid_drivers.eds_match import Identity, match
-from invid_drivers.first_config import Adapter, Found, first_config, vendor_row
+from invid_drivers.first_config import vendor_row
 from invid_drivers.simulated import open_virtual_bus
 from invid_drivers.simulated.vendors import PROFILES
 
@@ -118,13 +118,6 @@ def test_the_revision_decides_between_files_of_one_product(
     assert said in found.why
     assert match(Identity(VENDOR, 7, drive), declared).file is None
     assert "is 0" in match(Identity(0, 0x402, drive), declared).why
-
-
-def test_a_name_that_a_drive_sends_stays_on_its_line() -> None:
-    node = Found(3, 402, 1, 2, 0.0, 0, name="a\nrobot: 'x\u2028# ")
-    written = first_config(Adapter("socketcan", "can0", 500_000), [node])
-    assert parse_config(written.text, source="first").robot == "unnamed"
-    assert "A1 modes" in written.asked
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\x00[DeviceInfo", b"[DeviceInfo]\nVendorNumber=x\n"])

@@ -161,18 +161,6 @@ def test_a_drive_that_does_not_change_its_mode_ends_the_measurement_by_name_and_
         cell.close()
 
 
-def test_the_cycle_is_written_where_the_drive_has_the_objects_and_put_back() -> None:
-    cfg = config()
-    bus = open_virtual_bus(cfg)
-    cell = Cia402Cell(bus, cfg)
-    od = bus.cell.drives[0].node.od
-    cell.check()
-    cell.energise(held(cell))
-    assert (od.number(0x1006), od.number(0x60C2, 1), od.number(0x60C2, 2)) == (2000, 2, -3)
-    assert cell.close() == []
-    assert (od.number(0x1006), od.number(0x60C2, 1), od.number(0x60C2, 2)) == (0, 1, -3)
-
-
 @pytest.mark.parametrize(
     ("cycle", "expected"),
     [(0.001, (1, -3)), (0.0005, (5, -4)), (0.00025, (25, -5)), (0.004, (4, -3)), (1 / 3000, None)],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,16 +10,6 @@ from node_master import Master, case_study_cell, cell
 from invid_drivers.simulated.faults import DRIVE_FAULTS, FRAME_FAULTS
 
 OE, FAULT, QSA, SOD = 0x27, 0x08, 0x07, 0x40
-
-
-def run(fault: dict[str, Any], cycles: int, target: int = 100, word: int = 0x0F, mode: int = 10) -> Any:
-    """Enabled, then ``cycles`` with a torque; the fault comes 50 ms after enabling."""
-    when = {} if "at_s" in fault else {"at_state": "operation_enabled", "after_s": 0.05}
-    master = Master(cell({"faults": [{"axis": "A1", **when, **fault}]}))
-    master.prepare(mode=mode)
-    master.enable()
-    log = [master.cycle([target], word).get(1) for _ in range(cycles)]
-    return master, log
 
 
 def test_a_node_whose_cable_is_pulled_stops_by_its_own_heartbeat_watch() -> None:
@@ -44,17 +32,6 @@ def test_a_node_whose_cable_is_pulled_stops_by_its_own_heartbeat_watch() -> None
     assert not answers
     assert master.bus.cell.drives[0].state.name == "FAULT"
     assert abs(float(master.bus.cell.plant.velocities[0])) < 1e-9
-    master.close()
-
-
-def test_a_drive_that_ignores_quick_stop_goes_on_and_obeys_disable_voltage() -> None:
-    master, _ = run({"kind": "ignore_quick_stop"}, 60)
-    for _ in range(50):
-        answers = master.cycle([100], 0x02)
-    assert answers[1][2] & 0x6F == OE
-    for _ in range(5):
-        answers = master.cycle([100], 0x00)
-    assert answers[1][2] & 0x6F == SOD
     master.close()
 
 

@@ -8,8 +8,6 @@ from typing import Any
 import pytest
 from node_master import Master, cell
 
-from invid.config import CellConfig
-
 REV = 6.283185307179586
 
 
@@ -42,25 +40,6 @@ def test_a_profile_lacks_what_the_vendor_lacks(
     master.close()
 
 
-def test_objects_can_be_taken_away_made_unmappable_and_given_values() -> None:
-    objects = {
-        "lacks": ["0x1016"],
-        "not_mappable": ["0x6077"],
-        "values": {"0x6076": 0, "0x608F:1": 4096, "0x1008": "acme"},
-        "dummy_mapping": False,
-    }
-    master = with_axis(objects=objects)
-    assert master.abort_code(1, struct.pack("<BHB4x", 0x40, 0x1016, 1)) == 0x06020000
-    assert master.abort_code(1, struct.pack("<BHB4x", 0x40, 0x0006, 0)) == 0x06020000
-    assert master.read(1, 0x6076) == 0
-    assert master.read(1, 0x608F, 1) == 4096
-    assert master.answer(1, struct.pack("<BHB4x", 0x40, 0x1008, 0))[4:] == b"acme"
-    assert master.write(1, 0x1800, 1, "I", 0x80000181) == 0
-    assert master.write(1, 0x1A00, 0, "B", 0) == 0
-    assert master.write(1, 0x1A00, 1, "I", 0x60770010) == 0x06040041
-    master.close()
-
-
 @pytest.mark.parametrize(("delay", "lag"), [(0, 0), (1, 0), (2, 0), (0, 1), (1, 2)])
 def test_a_step_of_torque_acts_and_shows_after_the_cycles_set(delay: int, lag: int) -> None:
     master = with_axis(command_delay_cycles=delay, actual_torque_lag_cycles=lag)
@@ -87,38 +66,4 @@ def test_a_reversed_motor_turns_the_signs_of_the_drive_and_not_of_the_plant() ->
     assert torque == 100
     assert counts > 0  # in the drive's own sign torque and position agree
     assert float(master.bus.cell.plant.positions[0]) == pytest.approx(-counts * REV / 524288, rel=0.05)
-    master.close()
-
-
-def test_a_linear_axis_counts_metres_and_newtons() -> None:
-    config = CellConfig.model_validate(
-        {
-            "format": "invid-config",
-            "robot": "gantry",
-            "motion": "linear",
-            "bus": {"interface": "invid-virtual", "channel": "gantry"},
-            "axes": [
-                {
-                    "name": "X",
-                    "node_id": 1,
-                    "limits": {"force_N": 500, "position_window_m": 0.1, "velocity_m_per_s": 1},
-                }
-            ],
-            "simulation": {
-                "plant": {"branches": [{"axis": "X", "masses_kg": [10.0]}]},
-                "axes": {"X": {"rated_force_N": 500, "encoder_counts_per_m": 1e6}},
-            },
-        }
-    )
-    master = Master(config)
-    assert master.read(1, 0x6076) == 500_000
-    master.prepare()
-    master.enable()
-    for _ in range(2):
-        master.cycle([200], 0x0F)
-    start = master.cycle([200], 0x0F)[1][0]
-    for _ in range(100):
-        answers = master.cycle([200], 0x0F)
-    # 100 N on 10 kg for 0.1 s and the millisecond before: ½·10·t²
-    assert (answers[1][0] - start) / 1e6 == pytest.approx(0.5 * 10 * (0.101**2 - 0.001**2), rel=0.03)
     master.close()

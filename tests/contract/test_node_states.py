@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import struct
 from collections.abc import Iterator
 
@@ -105,25 +104,6 @@ def test_a_fault_needs_an_edge_of_the_reset_bit_and_a_reset_does_not_enable(mast
     assert emergencies[-1] == (0, 0)
 
 
-def test_boot_up_comes_once_and_nmt_commands_are_obeyed() -> None:
-    config = cell(axes=2)
-    master = Master(config)
-    boots = [f[1] for f in master.wait(0.001) if f[2] == b"\0"]
-    assert boots == [0x701, 0x702]
-    assert master.write(1, 0x1017, 0, "H", 20) == 0
-    for command, state in ((1, 5), (2, 4), (128, 127), (1, 5)):
-        master.bus.send_raw(0, bytes([command, 1]))
-        beats = [(t, d[0]) for t, i, d in master.wait(0.1) if i == 0x701]
-        assert {s for _, s in beats[1:]} == {state}
-        gaps = [round(b[0] - a[0], 4) for a, b in itertools.pairwise(beats)]
-        assert all(abs(g - 0.02) < 0.0005 for g in gaps[1:])
-    master.bus.send_raw(0, b"\x02\x01")
-    with pytest.raises(TimeoutError):
-        master.read(1, 0x1000)  # stopped: no SDO
-    assert master.read(2, 0x1000) == 0x00020192  # the other node was not addressed
-    master.close()
-
-
 @pytest.mark.parametrize(("option", "state"), [(0, OE), (1, FAULT), (2, SOD), (3, SOD)])
 def test_a_lost_heartbeat_of_the_master_ends_as_the_abort_connection_option_says(
     master: Master, option: int, state: int
@@ -143,27 +123,3 @@ def test_a_lost_heartbeat_of_the_master_ends_as_the_abort_connection_option_says
     if option:
         first, second = (master.read(1, 0x6064, 0, "i") for _ in range(2))
         assert abs(first - second) <= 2  # it stands: brake or ramp
-
-
-@pytest.mark.parametrize(
-    ("index", "sub", "code", "value", "emergency"),
-    [
-        (0x607F, 0, "I", 40000, 0x8480),  # counts/s
-        (0x6080, 0, "I", 5, 0x8480),  # rpm
-        (0x607D, 2, "i", 3000, 0x8612),  # software limit
-    ],
-)
-def test_the_drives_own_limits_end_in_a_fault_and_a_stop(
-    master: Master, index: int, sub: int, code: str, value: int, emergency: int
-) -> None:
-    assert master.write(1, index, sub, code, value) == 0
-    if index == 0x607D:
-        assert master.write(1, 0x607D, 1, "i", -3000) == 0
-    master.prepare()
-    master.enable()
-    for _ in range(400):
-        answers = master.cycle([100], 0x0F)
-    assert answers[1][2] & 0x6F == FAULT
-    assert master.read(1, 0x603F, 0, "H") == emergency
-    codes = [struct.unpack_from("<H", d)[0] for _, i, d in master.other if i == 0x81]
-    assert codes == [emergency]

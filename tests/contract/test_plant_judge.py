@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from node_master import Master
 
-from benchmarks.drivers import bench_real_drives
-from benchmarks.drivers.bench_real_drives import Case, cell_config, make_case, run_one
+from benchmarks.drivers.bench_real_drives import Case, cell_config, run_one
 from benchmarks.drivers.plant_judge import Judge, writes
 from invid_drivers.cia402.bus import Cia402Cell
 
@@ -101,12 +100,3 @@ def test_a_product_without_its_way_out_is_convicted_whatever_it_says(
     monkeypatch.setattr("invid_drivers.cia402.axis.Drive.protect", lambda self, *a, **k: None)
     outcome = run_one("emcy", np.random.default_rng(1), tmp_path)
     assert any("ended in OPERATION_ENABLED" in c for c in outcome.complaints)
-
-
-@pytest.mark.parametrize("kind", list(bench_real_drives.EXPECTED))
-def test_every_kind_draws_a_cell_that_has_a_load_and_can_be_built(kind: str) -> None:
-    for seed in range(5):
-        drawn = make_case(kind, np.random.default_rng(seed))
-        config = cell_config(drawn, seed)
-        assert any("load" in d for d in drawn.drives.values())
-        assert config.simulated

@@ -24,10 +24,6 @@ def started(mode: int = 10, enable: bool = True, faults: list[dict[str, Any]] = 
     return master
 
 
-def torque(master: Master) -> float:
-    return float(master.bus.cell.plant.motor_state[0, 2])
-
-
 def place(master: Master) -> float:
     return float(master.bus.cell.plant.positions[0])
 
@@ -66,21 +62,6 @@ def test_a_quick_stop_takes_the_way_of_its_ramp_whatever_counts_it(unit: str) ->
         master.cycle([0], 0x0B)
     assert place(master) - before == pytest.approx(speed**2 / (2 * 2.0), rel=0.07)  # and what the loop lags
     master.close()
-
-
-def test_a_drive_that_ignores_its_target_clears_bit_12_and_one_with_a_dead_display_shows_one_torque() -> None:
-    master = started(faults=[{"kind": "ignore_target", "axis": "A1", "at_s": 0.1}])
-    for _ in range(200):
-        answers = master.cycle([100], 0x0F)
-    assert not answers[1][2] & 0x1000
-    assert torque(master) == 0.0
-    master.close()
-    dead = started(faults=[{"kind": "torque_display", "axis": "A1", "at_s": 0.0, "value": 7}])
-    for _ in range(20):
-        answers = dead.cycle([100], 0x0F)
-    assert answers[1][1] == 7
-    assert torque(dead) == pytest.approx(10.0)
-    dead.close()
 
 
 def test_another_masters_frames_reach_master_and_drives() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError, DriveError
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.manuals import YES
 from invid_drivers.cia402.vendors import VENDORS
 from invid_drivers.connect import connect
 from invid_drivers.readiness import ask_drives
@@ -141,16 +139,6 @@ def test_an_event_timer_that_the_cycle_cannot_keep_is_refused_with_the_way_out()
     with pytest.raises(DriveError, match=r"A1.*0x1400:5.*1 ms.*bus.cycle_s"):
         master.check()
     master.close()
-
-
-def test_the_event_timer_counts_only_where_a_manual_says_that_it_acts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    (unknown,) = ask_drives(cell()).budgets
-    assert unknown.case.facts.watch_s == pytest.approx(0.06)
-    monkeypatch.setitem(VENDORS, "sure", replace(VENDORS["generic"], rpdo_event_timer=YES))
-    (sure,) = ask_drives(cell(vendor="sure")).budgets
-    assert (sure.case.facts.watch_s, sure.case.facts.watch) == (pytest.approx(0.023), "0x1400:5")
 
 
 def test_a_slow_heartbeat_is_refused_before_motion_with_the_way_out() -> None:

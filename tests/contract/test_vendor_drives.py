@@ -17,8 +17,7 @@ from invid_drivers.connect import connect
 from invid_drivers.eds import parse_eds
 from invid_drivers.simulated import open_virtual_bus
 from invid_drivers.simulated.cell import SimulatedCell
-from invid_drivers.simulated.eds import eds_text, table, twice
-from invid_drivers.simulated.vendors import PROFILES
+from invid_drivers.simulated.eds import eds_text, table
 
 ROOT = Path(__file__).parents[2]
 EDS = ROOT / "drivers" / "eds"
@@ -53,19 +52,6 @@ def config(node: Path, named: Path | None, vendor: str = "generic", **axis: Any)
 
 def file(name: str) -> Path:
     return EDS / f"{name}.eds"
-
-
-@pytest.mark.parametrize("name", list(PROFILES))
-def test_the_files_are_those_of_the_table(name: str) -> None:
-    assert file(name).read_text(encoding="utf-8") == eds_text(name), (
-        "run python -m invid_drivers.simulated.eds"
-    )
-
-
-def test_the_file_that_does_not_parse_is_the_generic_one_with_an_option_twice() -> None:
-    assert file("does_not_parse").read_text(encoding="utf-8") == twice(eds_text("generic"))
-    with pytest.raises(ValueError, match="does not parse"):
-        parse_eds(file("does_not_parse"), 1)
 
 
 def test_the_table_in_the_docs_is_that_of_the_files() -> None:
@@ -207,15 +193,6 @@ def test_a_torque_limit_above_what_the_eds_allows_is_the_highest_that_it_allows(
     assert cell.close() == []
 
 
-def test_a_feed_constant_of_the_shaft_behind_a_gear_is_taken_back_to_the_motor(tmp_path: Path) -> None:
-    # 360000 user units a turn of the shaft, for which the motor turns 50 times in 3 turns of the shaft
-    node = changed("generic", tmp_path, o6092sub1=360_000, o6091sub1=50, o6091sub2=3, o608Fsub1=0)
-    cell = connect(config(node, node))
-    (report,) = cell.check()
-    assert report.scaling.position_per_count == pytest.approx(6.283185307 * (50 / 3) / 360_000)
-    cell.close()
-
-
 def test_units_of_the_user_that_are_not_the_encoders_are_to_be_named_in_the_config(tmp_path: Path) -> None:
     node = changed("generic", tmp_path, o6092sub1=360_000)
     cell = connect(config(node, node))
@@ -275,18 +252,6 @@ def test_an_eds_that_does_not_parse_is_a_warning_that_names_it_and_the_drive_is_
     cell.energise([Mode.HOLD])
     assert all(cell.exchange([0.0]).fresh)
     assert cell.close() == []
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"\xff\xfe\0\0", b"[DeviceInfo]\n", b"no file of this kind", b"[1000]\n"]
-)
-def test_any_garbage_for_an_eds_is_a_warning(content: bytes, tmp_path: Path) -> None:
-    garbage = tmp_path / "x.eds"
-    garbage.write_bytes(content)
-    cell = connect(config(file("generic"), garbage))
-    (report,) = cell.check()
-    assert any("does not parse" in w for w in report.warnings)
-    cell.close()
 
 
 def test_an_eds_of_another_product_is_not_believed(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from invid.inverse import (
     coupling,
     first_row_of_eigenvectors,
     lanczos,
-    last_mass,
     motor_mass,
     paper_inverse,
     springs_and_masses,
@@ -134,22 +133,11 @@ def test_resonances_are_the_printed_ones() -> None:
     np.testing.assert_allclose(resonances(case_study())[2:], LAMBDA_ROOT, rtol=0, atol=half(2))
 
 
-def test_resonances_in_full_precision_are_those_of_the_notes() -> None:
-    full = [24.6275, 29.5889, 34.1610, 44.9241, 48.6032, 51.2801]
-    np.testing.assert_allclose(resonances(case_study())[3:], full, rtol=0, atol=half(4))
-
-
 @pytest.mark.parametrize("branch", range(3))
 def test_antiresonances_are_the_printed_ones(branch: int) -> None:
     np.testing.assert_allclose(
         antiresonances(case_study(), branch), LAMBDA0_ROOT[branch], rtol=0, atol=half(2)
     )
-
-
-def test_high_frequency_gains_are_the_printed_ones() -> None:
-    gain = np.diag(acceleration_gain(case_study(), 1e5, []))
-    assert abs(gain[0] - A_H[0]) < 0.003  # read off Figure 2: 3.1 dB is 1.429, "1.430", "1.431"
-    np.testing.assert_allclose(gain[1:], A_H[1:], rtol=0, atol=half(3))
 
 
 def test_low_frequency_gains_are_the_printed_ones() -> None:
@@ -199,16 +187,6 @@ def test_masses_and_springs_of_a_branch_are_the_printed_ones(branch: int) -> Non
     np.testing.assert_allclose(springs, [printed.spring1, printed.spring2], rtol=1e-9)
 
 
-def test_last_masses_are_the_printed_ones() -> None:
-    chains = case_study()
-    low, _ = low_gains(chains)
-    for branch, (printed, tolerance) in enumerate([(3.0, 1e-4), (6.0, 1e-4), (8.9, 0.11)]):
-        # 8.9 is from A_3L read off a plot; full precision gives 9
-        value = last_mass(branch_sum(low[branch]), chains.masses[branch][:2])
-        assert abs(value - printed) < tolerance
-    assert abs(last_mass(branch_sum(low[2]), chains.masses[2][:2]) - 9.0) < 1e-4
-
-
 def test_couplings_are_the_printed_ones() -> None:
     low, cross = low_gains(case_study())
     sums = [branch_sum(a) for a in low]
@@ -242,9 +220,3 @@ def test_printed_lists_and_gains_give_what_the_misprint_notes_say() -> None:
     assert abs(found[0].springs[1] - 1996) <= half(0)
     assert abs(found[1].masses[2] - 5.92) <= half(2)
     assert abs(found[2].masses[2] - 8.81) <= half(2)
-
-
-def test_printed_gains_give_the_couplings_the_misprint_notes_say() -> None:
-    sums = [1 / a for a in A_L]
-    assert abs(coupling(-A_C[0], sums[0], sums[1]) - 1.01) <= half(2)
-    assert abs(coupling(-A_C[2], sums[1], sums[2]) - 3.11) <= half(2)

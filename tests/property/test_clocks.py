@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from functools import cache
 from pathlib import Path
@@ -85,7 +85,6 @@ KINDS = {
 
 
 FACTORS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-ON_A_BUS = ("seconds", "2^32 µs", "a minute", "2^16 ms", "constant", "two a tick", "differences")
 
 
 def stamps(log: Log, count: int) -> tuple[list[str], np.ndarray]:
@@ -274,36 +273,6 @@ def test_the_model_is_the_clean_one_within_three_standard_deviations(tmp_path, c
         value, std = found[name]
         assert abs(value - truth) <= 3 * std, (name, value, std)
         assert std <= 10 * clean[name][1], (name, std, clean[name][1])
-
-
-def gives_the_clean_model(folder: Path, log: Log, capsys) -> None:
-    if log.kind == "constant" and (log.loss or log.gap):
-        return  # nothing in the file tells of rows that are missing
-    # Stamps of two rows a tick do not tell which row is missing: taken as even they may give no model.
-    unsure = log.kind == "two a tick" and log.loss > 0
-    found = model_of(folder, log, capsys, statuses=(0, 3) if unsure else (0,))
-    for name, truth in (("m1", TRUTH["m1"]), ("m2", TRUTH["m2"]), ("k", TRUTH["k"])):
-        if not found:
-            break
-        value, std = found[name]
-        # Of three sizes in forty logs one is off by 3.3 standard deviations with a probability of a tenth.
-        assert abs(value - truth) <= 3.3 * std, (name, value, std)
-        assert std <= 0.1 * truth, (name, std)
-
-
-ANY = st.one_of(LOGS, LOGS.filter(lambda log: log.kind in ON_A_BUS).map(lambda log: replace(log, bus=True)))
-QUIET = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.filter_too_much]
-
-
-@pytest.mark.campaign
-@settings(
-    max_examples=40, deadline=None, derandomize=True, phases=[Phase.generate], suppress_health_check=QUIET
-)
-@given(log=ANY)
-def test_forty_logs_give_the_clean_model_or_the_sentence_that_does(
-    tmp_path_factory, capsys, log: Log
-) -> None:
-    gives_the_clean_model(tmp_path_factory.mktemp("model"), log, capsys)
 
 
 def model_of(

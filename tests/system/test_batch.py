@@ -157,24 +157,6 @@ def test_a_worker_killed_under_way_loses_nothing(folder: Path, local: Path, tmp_
     assert documents(tmp_path) == documents(local)
 
 
-@pytest.mark.campaign
-def test_an_interrupted_batch_goes_on_where_it_was(folder: Path, local: Path, tmp_path: Path) -> None:
-    process = batch(folder, "-o", tmp_path, "--workers", "1")
-    first_done(process)
-    (helper,) = children(process.pid)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode in (4, 130), err  # by the version of Typer
-    assert "the same command goes on" in err
-    assert not Path(f"/proc/{helper}/fd").exists() or "Z" in Path(f"/proc/{helper}/stat").read_text()
-    done = [r for r in rows(tmp_path).values() if r["status"] == "done"]
-    assert 1 <= len(done) < 4
-    status, out, err = run(folder, "-o", tmp_path, "--json")
-    assert status == 0, err
-    assert json.loads(out)["kept"] >= len(done)
-    assert documents(tmp_path) == documents(local)
-
-
 def test_a_recording_whose_process_always_dies_is_listed_and_tried_again_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -278,26 +260,4 @@ def test_a_cluster_gives_the_same_bit_for_bit_and_a_worker_killed_under_way_lose
     os.killpg(processes[0].pid, signal.SIGKILL)
     out, err = process.communicate(timeout=500)
     assert process.returncode == 0, seen + out + err
-    assert documents(results) == documents(local)
-
-
-@pytest.mark.campaign
-def test_a_scheduler_that_is_gone_ends_the_batch_and_what_is_done_is_kept(
-    folder: Path, local: Path, tmp_path: Path, cluster: Cluster
-) -> None:
-    address, processes = cluster
-    results = tmp_path / "results"
-    one_under_way = ("--workers", "1")  # so that three are left whenever the scheduler dies
-    process = batch(folder, "-o", results, "--scheduler", address, *one_under_way)
-    first_done(process)
-    os.killpg(processes[-1].pid, signal.SIGKILL)
-    _, err = process.communicate(timeout=200)
-    assert process.returncode == 5, err
-    assert "the scheduler is gone" in err
-    assert "Traceback" not in err
-    done = [r for r in rows(results).values() if r["status"] == "done"]
-    assert 1 <= len(done) < 4
-    status, out, err = run(folder, "-o", results, "--json")
-    assert status == 0, err
-    assert json.loads(out)["kept"] >= len(done)
     assert documents(results) == documents(local)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from page_browser import Page, browser, needs_browser
-from service_process import SMALL_CELL, STIFF_CELL, Serving, serving
+from service_process import SMALL_CELL, Serving, serving
 
 from invid_service.keys import add_key, revoke_key
 
@@ -177,45 +177,3 @@ def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) ->
             page.press(page.shown("again"))
             page.wait_text("ready-title", "Ready")
         assert up - began < 60
-
-
-@pytest.mark.campaign
-def test_a_run_that_another_one_starts_shows_at_once_over_an_old_result_and_the_history(
-    finished: str, tmp_path: Path
-) -> None:
-    with serving(tmp_path, cell=STIFF_CELL) as service, looking(tmp_path, service) as page:
-        page.shown("accept", 20)
-        page.shown("where")
-        location = service.start(arm=False)
-        page.shown("run-title", 5.0)
-        assert not page.driver.find_element("id", "accept").is_displayed()
-        page.wait_text("run-title", "Ready to move")
-        assert not page.driver.find_element("id", "plan-warnings").find_elements(
-            "xpath", "ancestor::details[not(@open)]"
-        )
-        service.client.post(f"{location}/actions", json={"type": "arm"})
-        view(page, "history")
-        page.wait_text("moving", "small cell: Measuring", 5.0)
-        picture(page, tmp_path, "others-run")
-        service.wait(location, "awaiting_accept")
-        view(page, "work")
-        page.press(page.shown("accept"))
-        page.wait_text("decision", "accepted")
-        # A model is taken into force again only when that was meant.
-        service.run_to_result()
-        page.press(page.shown("accept"))
-        page.wait_text("decision", "accepted")
-        page.driver.execute_script("window.scrollTo(0, 0)")
-        view(page, "history")
-        page.wait_text("accepted", "Restore")
-        page.driver.find_elements("css selector", "#accepted .actions button")[1].click()
-        question = page.driver.find_element("css selector", "form.ask")
-        assert "into force again?" in question.text
-        assert len(service.client.get("/api/v1/cells/small/models").json()["history"]) == 2
-        picture(page, tmp_path, "restore")
-        question.find_element("css selector", "button[type=submit]").click()
-        deadline = time.monotonic() + 10
-        while len(service.client.get("/api/v1/cells/small/models").json()["history"]) < 3:
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-        assert page.mistakes() == []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import time
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,7 @@ from typing import Any
 import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, STIFF_CELL, serving
-from test_service_next_step import progress_of
 
-TEXTS = Path(__file__).parents[2] / "service/invid_service/web/static/texts/en.json"
 pytestmark = [pytest.mark.campaign, pytest.mark.browser, pytest.mark.service, needs_browser]
 # Members that the service gives in other situations than a small healthy cell can be brought into.
 ANSWERS = """const real = window.fetch;
@@ -171,59 +168,6 @@ def test_the_whole_job_is_done_by_keyboard(tmp_path: Path) -> None:
         page.wait_text("in-force", "accepted")
 
 
-def test_a_test_result_does_not_invite_and_is_accepted_for_a_reason(tmp_path: Path) -> None:
-    with serving(tmp_path) as service, browser(tmp_path / "profile") as driver:
-        page = Page(driver)
-        location = service.run_to_result(mode="test")
-        driver.get(service.url + "/")
-        accept = page.shown("accept")
-        assert "primary" not in (accept.get_attribute("class") or "")
-        assert "small torques" in page.shown("untrusted").text
-        page.press(accept)
-        question = driver.find_element("css selector", "form.ask")
-        assert "small torques" in question.text
-        assert page.barriers() == []
-        yes = question.find_element("css selector", "[type=submit]")
-        assert not yes.is_enabled()
-        question.find_element("tag name", "input").send_keys("only to see whether it turns")
-        assert not page.stop_covered()
-        page.press(yes)
-        page.wait_text("decision", "only to see whether it turns")
-        assert service.client.get(location).json()["decision"]["override"] == "only to see whether it turns"
-
-
-def test_the_page_speaks_german_to_a_german_browser_and_english_when_told_to(tmp_path: Path) -> None:
-    from selenium.webdriver.support.ui import Select
-
-    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "p", language="de") as driver:
-        page = Page(driver)
-        page.resize(800, 1280)
-        driver.get(service.url + "/")
-        page.wait_text("ready-title", "Bereit zum Messen")
-        assert driver.execute_script("return document.documentElement.lang") == "de"
-        page.press(page.shown("prepare"))
-        page.shown("arm")
-        page.wait_text("plan-table", "Moment bis")
-        page.press(driver.find_element("id", "arm"))
-        page.wait_text("run-title", "Es wird gemessen")
-        assert not driver.find_element("id", "language").is_enabled(), "the stop button stays while it moves"
-        page.shown("accept", 120)
-        page.wait_text("sentence", "Trockene Reibung an A1, 2 % des Nennmoments: wie erwartet, nichts zu tun")
-        page.wait_text("grade", "Wie erwartet")
-        assert "Last" in page.drawing().text
-        said = re.search(r"trockene Reibung, (\d+,\d+) ± ", page.drawing().text)
-        assert said is not None
-        assert abs(float(said[1].replace(",", ".")) - 1.0) < 0.05
-        assert "des Nennmoments" in page.text("findings")
-        assert on_screen(page, "accept")
-        assert page.barriers() == []
-        Select(driver.find_element("id", "language")).select_by_value("en")
-        page.wait_text("sentence", "Dry friction on A1")
-        assert driver.execute_script("return document.documentElement.lang") == "en"
-        page.shown("accept")
-        assert page.mistakes() == []
-
-
 def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_path: Path) -> None:
     seconds = [-2.0 + 0.01 * k for k in range(201)]
     moved = [0.001 * k if k < 150 else 0.15 + 0.02 * (k - 150) for k in range(201)]
@@ -265,112 +209,3 @@ def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_p
         while not (asked := [a for a in driver.execute_script("return window.asked") if "mode" in a]):
             assert time.monotonic() < deadline
         assert asked[-1] == {"mode": "full", "amplitude": "gentler", "axes": ["A1"]}
-
-
-def test_the_separating_measurement_is_a_button_that_shows_first_what_it_moves(
-    finished: str, tmp_path: Path
-) -> None:
-    separating = {"finding": 0, "text": "slow moves in both directions"}
-    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "profile", 800, 1280) as driver:
-        answering(driver, separating={"is": separating, "states": ["awaiting_accept"]})
-        page = Page(driver)
-        driver.get(service.url + "/")
-        page.drawing()  # one that comes late, on a busy machine, moves the button from under the pointer
-        assert "Slow moves in both directions" in page.shown("separate-card").text
-        page.press(page.shown("separate"))
-        page.wait_text("run-title", "Ready to move")
-        assert "A1" in page.text("plan-table")
-        asked = driver.execute_script("return window.asked")
-        assert asked[-1] == {"mode": "full", "separate": finished.rsplit("/", 1)[1]}
-        page.press(page.shown("cancel"))
-
-
-def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_every_cell(
-    finished: str, tmp_path: Path
-) -> None:
-    other = tmp_path / "other.yaml"
-    # hardware that nobody answers for, and a load of which nobody has seen how it is held
-    bus = f"{{interface: invid-unix, channel: {tmp_path}/nobody.sock, cycle_s: 0.002}}"
-    loaded = SMALL_CELL.replace("gravity_loaded: false", "gravity_loaded: true").split("simulation:")[0]
-    loaded = loaded.replace("{interface: invid-virtual, channel: small, cycle_s: 0.001}", bus)
-    other.write_text(loaded.replace("small cell", "other cell"))
-    with serving(tmp_path, str(other), cell=STIFF_CELL) as service, browser(tmp_path / "profile") as driver:
-        page = Page(driver)
-        page.resize(800, 1280)
-        service.client.post(f"{finished}/actions", json={"type": "accept"})
-        service.run_to_result()  # not accepted
-        driver.get(service.url + "/")
-        page.shown("accept")
-        driver.execute_script("window.scrollTo(0, 0)")
-        driver.find_element("css selector", "[data-view=history]").click()
-        page.shown("charts")
-        page.wait_text("charts", "Causes")
-        for fold in driver.find_elements("css selector", "#charts summary"):
-            page.press(fold)
-        page.wait_text("charts", "A1: dry friction at the motor")
-        expected = {"A1.mass.1", "A1.mass.2", "A1.spring.1", "A1.damper.1", "A1.coulomb_friction.mass 1"}
-        names = "return [...document.querySelectorAll('#charts figure')].map((f) => f.dataset.parameter)"
-        deadline = time.monotonic() + 30
-        chance = {"A1.stribeck_friction.mass 1"}  # one run in a hundred
-        while (drawn := set(driver.execute_script(names))) - chance != expected:  # each is fetched for itself
-            assert time.monotonic() < deadline, drawn
-            time.sleep(0.1)
-        one = driver.find_element("css selector", "[data-parameter='A1.spring.1'] svg")
-        assert "2 models" in one.get_attribute("aria-label")
-        assert one.find_elements("css selector", ".band")
-        assert len(one.find_elements("css selector", ".accepted")) == 1
-        assert len(one.find_elements("css selector", ".other")) == 1
-        link = driver.find_element("css selector", "[data-parameter='A1.spring.1'] a").get_attribute("href")
-        assert service.client.get("/api/v1" + link.split(service.url)[-1]).text.startswith("created,model")
-        driver.execute_script("window.scrollTo(0, 0)")
-        driver.find_element("css selector", "[data-view=overview]").click()
-        page.wait_text("fleet", "never measured")
-        rows = {
-            r.get_attribute("data-cell"): r for r in driver.find_elements("css selector", "#fleet-rows tr")
-        }
-        assert set(rows) == {"small", "other"}
-        assert "unchanged" in rows["small"].text
-        assert "As expected" in rows["small"].text
-        assert "never measured" in rows["other"].text
-        page.press(rows["other"].find_element("tag name", "button"))
-        page.wait_text("ready-title", "Ready")
-        assert driver.find_element("id", "cell").get_attribute("value") == "other"
-        deadline = time.monotonic() + 30
-        while driver.find_element("id", "simulated").is_displayed():  # the cell before is still shown
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-        page.press(page.shown("prepare"))
-        page.wait_text("run-title", "Ready to move")
-        assert "Where A1 carries a load, support it" in page.shown("support").text
-        assert "nobody is within reach" in page.text("plan-facts")
-        page.press(page.shown("cancel"))
-        assert page.mistakes() == []
-
-
-def test_the_analysis_says_what_it_does_and_that_it_still_looks(tmp_path: Path) -> None:
-    with serving(tmp_path, cell=STIFF_CELL) as service, browser(tmp_path / "profile") as driver:
-        page = Page(driver)
-        driver.get(service.url + "/")
-        page.wait_text("ready-title", "Ready")
-        # Some stages last less than a look at them from outside takes.
-        driver.execute_script(
-            "window.said = new Set(); const box = document.getElementById('phase');"
-            " new MutationObserver(() => said.add(box.textContent)).observe("
-            "box, { childList: true, characterData: true, subtree: true })"
-        )
-        location = service.start()
-        page.wait_text("run-title", "Analysing")
-        deadline = time.monotonic() + 90
-        while driver.find_element("id", "progress").is_displayed() and time.monotonic() < deadline:
-            time.sleep(0.1)
-        seen = driver.execute_script("return [...said].filter((text) => text)")
-        said = " ".join(seen)
-        assert "identifying" not in said, "words for a person"
-        # A stage that is over before the page looks is not seen: how long it lasts is the machine's. Each is
-        # told, and has words of its own.
-        told = [event["phase"] for event in progress_of(service, location)]
-        assert any(phase.startswith("identifying") for phase in told), told
-        words = json.loads(TEXTS.read_text(encoding="utf-8"))
-        assert words["phase.identifying"] == "finding masses, springs and dampers"
-        assert "looking for what the model lacks" in said or "weighing" in said
-        assert len(seen) > 2

@@ -12,8 +12,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from alembic.autogenerate import compare_metadata
-from alembic.migration import MigrationContext
 
 from invid_service.jobs.states import State
 from invid_service.store.database import open_engine, upgrade
@@ -25,7 +23,6 @@ from invid_service.store.store import (
     StoredEvent,
     StoredModel,
 )
-from invid_service.store.tables import Base
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "service"))
 from service_doubles import running, wait_for
@@ -86,15 +83,6 @@ def test_a_whole_run_is_stored_accepted_compared_and_survives_a_restart(server: 
         assert "event: state" in client.get(f"{locations[0]}/events").text
 
 
-def test_the_migrations_make_exactly_the_tables_of_today(server: str) -> None:
-    engine = open_engine(server)
-    upgrade(engine)
-    with engine.connect() as connection:
-        context = MigrationContext.configure(connection, opts={"compare_type": True})
-        assert compare_metadata(context, Base.metadata) == []
-    engine.dispose()
-
-
 def test_the_database_keeps_the_promises_of_the_store(server: str) -> None:
     engine = open_engine(server)
     upgrade(engine)
@@ -119,32 +107,3 @@ def test_the_database_keeps_the_promises_of_the_store(server: str) -> None:
     store.approve("pg", "pg-1", by="x", how="accept", now=now)
     assert [a.model for a in store.approvals("pg")] == ["pg-1"]
     store.close()
-
-
-@pytest.mark.campaign
-def test_a_dump_restored_into_another_database_serves_what_was_there(server: str, tmp_path: Path) -> None:
-    programs, address = SERVERS[-1].parent, server.replace("postgresql+psycopg", "postgresql")
-    other = address.replace("/postgres?", "/restored?")
-    with running(tmp_path, database_url=server) as (client, _):
-        location = client.post(
-            "/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True}
-        ).headers["Location"]
-        wait_for(client, location, "awaiting_accept")
-        client.post(f"{location}/actions", json={"type": "accept"})
-        kept = client.get("/api/v1/cells/cell/model").json()
-        dump = tmp_path / "store.dump"
-        # while the service runs: a dump is a snapshot
-        command = [programs / "pg_dump", "--format=custom", f"--file={dump}", f"--dbname={address}"]
-        subprocess.run(command, check=True, timeout=60)
-        files = tmp_path / "backup"
-        shutil.copytree(tmp_path / "data" / "files", files)
-    subprocess.run([programs / "psql", address, "-qc", "CREATE DATABASE restored"], check=True, timeout=60)
-    restore = [programs / "pg_restore", "--clean", "--if-exists", f"--dbname={other}", dump]
-    subprocess.run(restore, check=True, timeout=60)
-    fresh = tmp_path / "fresh"
-    fresh.mkdir()
-    shutil.copytree(files, fresh / "data" / "files")
-    restored = server.replace("/postgres?", "/restored?")
-    with running(fresh, database_url=restored, cells=[tmp_path / "cell.yaml"]) as (client, _):
-        assert client.get("/api/v1/cells/cell/model").json() == kept
-        assert client.get(f"{location}/report").text.startswith("<html")

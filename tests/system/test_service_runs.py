@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import time
@@ -11,7 +10,7 @@ from pathlib import Path
 import h5py
 import httpx
 import pytest
-from service_process import ENDED, SMALL_CELL, serving
+from service_process import SMALL_CELL, serving
 
 from invid.model.diagnosis_document import Verdict
 from invid.model.document import model_from_json
@@ -168,64 +167,6 @@ def test_a_signal_stops_the_motion_before_the_service_ends(tmp_path: Path) -> No
         assert service.client.get(location).json()["state"] == "interrupted"
 
 
-@pytest.mark.campaign
-def test_a_bomb_is_refused_and_the_service_lives_on(tmp_path: Path) -> None:
-    bomb = tmp_path / "bomb.h5"
-    with h5py.File(bomb, "w") as file:
-        file.attrs.update(
-            {
-                "format": "invid-recording",
-                "format_version": 1,
-                "created": "2026-11-01T00:00:00Z",
-                "robot": "bomb",
-                "axes": json.dumps(["A1"]),
-                "position_unit": "rad",
-                "torque_unit": "N·m",
-            }
-        )
-        node = file.create_group("experiments/000")
-        node.attrs.update(
-            {
-                "kind": "other",
-                "excited_axis": 0,
-                "role": "identify",
-                "hold_gain": [0.0],
-                "period_samples": 0,
-                "frequencies_hz": [1.0],
-                "sample_rate_hz": 1000.0,
-            }
-        )
-        rows = 2_000_000_000  # 48 GB of zeros in a few hundred kilobytes
-        for name, shape in (("time", (rows,)), ("position", (rows, 1)), ("torque", (rows, 1))):
-            data = node.create_dataset(
-                name, shape=shape, dtype="f8", chunks=(4_000_000, *shape[1:]), compression="gzip"
-            )
-            data[:1] = 0
-    assert bomb.stat().st_size < 10_000_000
-    with serving(tmp_path) as service:
-        answer = service.client.post(
-            "/api/v1/recordings", content=bomb.read_bytes(), headers={"Content-Type": "application/x-hdf5"}
-        )
-        assert answer.status_code == 413
-        assert answer.json()["type"] == "urn:invid:problem:too-large"
-        assert service.client.get("/health/ready").status_code == 200
-
-
-@pytest.mark.campaign
-def test_a_slow_upload_is_given_up_while_others_are_served(tmp_path: Path) -> None:
-    import socket
-
-    with serving(tmp_path, env={"INVID_UPLOAD_STALL_S": "1"}) as service:
-        host, port = service.url.removeprefix("http://").split(":")
-        with socket.create_connection((host, int(port)), timeout=10) as line:
-            line.sendall(
-                b"POST /api/v1/recordings HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/x-hdf5\r\n"
-                b"Content-Length: 100000\r\n\r\n\x89HDF\r\n\x1a\n"
-            )
-            assert service.client.get("/health/live").status_code == 200
-            assert b"408" in line.recv(4096).split(b"\r\n")[0]
-
-
 def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_path: Path) -> None:
     import contextlib
     import resource
@@ -296,9 +237,3 @@ def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_pat
         assert service.client.get("/api/v1/cells").status_code == 401
         answer = service.client.get("/api/v1/cells", headers={"Authorization": f"Bearer {token}"})
         assert answer.status_code == 200
-
-
-def test_ended_states_in_the_tests_are_those_of_the_service() -> None:
-    from invid_service.jobs.states import ENDED as OURS
-
-    assert {str(s) for s in OURS} == ENDED

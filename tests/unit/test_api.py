@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -124,28 +123,6 @@ def test_recordings_of_different_machines_are_refused_in_words(case: tuple[invid
         invid.diagnose([])
 
 
-def test_a_model_and_masses_together_are_refused(
-    case: tuple[invid.Recording, Truth], diagnosis: invid.Diagnosis
-) -> None:
-    with pytest.raises(invid.InputError, match="give one of the two"):
-        invid.diagnose(case[0], model=diagnosis.model, masses=[2])
-
-
-def test_what_is_no_diagnosis_is_said(tmp_path: Path, diagnosis: invid.Diagnosis) -> None:
-    diagnosis.model.save(tmp_path / "model.json")
-    with pytest.raises(invid.InputError, match=r"model\.json: no diagnosis: format is 'invid-model'"):
-        invid.load_diagnosis(tmp_path / "model.json")
-    diagnosis.save(tmp_path / "d.json")
-    text = (tmp_path / "d.json").read_text(encoding="utf-8")
-    (tmp_path / "d.json").write_text(
-        text.replace('"confidence": ', '"confidence": "no", "x": '), encoding="utf-8"
-    )
-    with pytest.raises(invid.InputError, match=r"d\.json: findings: 0\.confidence.*found 'no'"):
-        invid.load_diagnosis(tmp_path / "d.json")
-    with pytest.raises(invid.InputError, match="no such file"):
-        invid.load_diagnosis(tmp_path / "none.json")
-
-
 def test_a_table_with_plain_names_is_imported_and_what_was_assumed_is_a_warning(tmp_path: Path) -> None:
     time = np.arange(400) / 200.0
     rows = np.column_stack((time, np.sin(time), np.cos(time)))
@@ -158,57 +135,6 @@ def test_a_table_with_plain_names_is_imported_and_what_was_assumed_is_a_warning(
         recording.attributes["x"] = 1
     with pytest.raises(invid.InputError, match=r"none\.yaml: cannot be read: No such file"):
         invid.import_recording(tmp_path / "log.csv", tmp_path / "none.yaml")
-
-
-def test_arguments_of_the_wrong_kind_are_said_with_the_way_out(
-    case: tuple[invid.Recording, Truth], diagnosis: invid.Diagnosis, tmp_path: Path
-) -> None:
-    recording, model, anything = case[0], diagnosis.model, cast("Any", invid)
-    calls: list[tuple[str, Callable[[], object]]] = [
-        (r"path is None; give the path", lambda: anything.read_recording(None)),
-        (r"path is None; give the path", lambda: anything.load_model(None)),
-        (r"path is 3; give the path", lambda: anything.load_diagnosis(3)),
-        (r"recording is 'r\.h5'; give .*read_recording", lambda: anything.write_recording("r.h5", "x.h5")),
-        (r"path is None", lambda: anything.write_recording(recording, None)),
-        (r"source is 5; give the path", lambda: anything.import_recording(5)),
-        (r"source is None", lambda: anything.import_recording([tmp_path, None])),
-        (r"map is of type dict; give the path", lambda: anything.import_recording("log.csv", {})),
-        (r"created is 'today'; give an ISO", lambda: anything.import_recording("log.csv", created="today")),
-        (r"recording is 'r\.h5'; give .*read_recording", lambda: anything.identify("r.h5")),
-        (r"recording is '.*r\.h5'; give .*read_recording", lambda: anything.identify(tmp_path / "r.h5")),
-        (r"recording 2 is 'r\.h5'", lambda: anything.identify([recording, "r.h5"])),
-        (r"method is 'nonsense'; give 'refined' or", lambda: anything.identify(recording, method="nonsense")),
-        *(
-            (r"masses is .*give one whole number ≥ 1", lambda m=m: anything.identify(recording, masses=m))
-            for m in ("three", "2", 2, [0], [-2], [2, 2], [2.5], ["2"], [True], [], np.array([2.0]))
-        ),
-        (r"budget is '5'; give a number", lambda: anything.identify(recording, budget="5")),
-        (r"budget is nan; give a number", lambda: anything.identify(recording, budget=float("nan"))),
-        (r"budget is 0; give a number", lambda: anything.diagnose(recording, budget=0)),
-        (r"progress is 'yes'; give a function", lambda: anything.identify(recording, progress="yes")),
-        (r"effects is 'drag\.py'; give a list", lambda: anything.diagnose(recording, effects="drag.py")),
-        (r"effects is 5; each must be", lambda: anything.diagnose(recording, effects=[5])),
-        (r"recording is None; give", lambda: anything.diagnose(None)),
-        (r"masses is 'three'", lambda: anything.diagnose(recording, masses="three")),
-        (r"model is 'm\.json'; give .*load_model", lambda: anything.diagnose(recording, model="m.json")),
-        (r"model is a diagnosis; .*diagnosis\.model", lambda: anything.diagnose(recording, model=diagnosis)),
-        (r"model is a diagnosis", lambda: anything.simulate(diagnosis, recording)),
-        (r"recording is of type list; give", lambda: anything.simulate(model, [recording])),
-        (r"rng is 5; give a generator", lambda: anything.simulate(model, recording, rng=5)),
-        (r"only is '000'; give a list of keys", lambda: anything.simulate(model, recording, only="000")),
-        (r"only is \['9'\]; give a list of keys", lambda: anything.simulate(model, recording, only=["9"])),
-        (r"old is 'm\.json'; give .*load_model", lambda: anything.compare("m.json", model)),
-        (r"new is a diagnosis", lambda: anything.compare(model, diagnosis)),
-        (r"tolerance is '1'; give a number", lambda: anything.compare(model, model, tolerance="1")),
-        (r"alpha is None; give a number", lambda: anything.compare(model, model, alpha=None)),
-        (r"model is 'm\.json'", lambda: anything.export("m.json", "urdf", tmp_path / "m.urdf")),
-        (r"paper", lambda: anything.export(model, "paper", tmp_path / "m.x")),
-        (r"to is \['urdf'\]", lambda: anything.export(model, ["urdf"], tmp_path / "m.urdf")),
-        (r"path is None", lambda: anything.export(model, "urdf", None)),
-    ]
-    for said, call in calls:
-        with pytest.raises(invid.InvidError, match=said):
-            call()
 
 
 def test_the_import_loads_nothing_heavy() -> None:

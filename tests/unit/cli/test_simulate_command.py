@@ -66,14 +66,3 @@ def test_a_model_that_does_not_describe_the_record_ends_with_status_3(
     save_model(Model("r", "test", chains, ChainStd.unknown(chains)), model)
     assert run(["simulate", str(model), str(recording), "-o", str(output), "--json"]) == 3
     assert "times the measured motion" in json.loads(capsys.readouterr().out)["warnings"][0]
-
-
-def test_a_missing_model_is_one_message_and_status_2(
-    files: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
-    _, recording, output = files
-    assert run(["simulate", "none.json", str(recording), "-o", str(output)]) == 2
-    captured = capsys.readouterr()
-    assert "none.json" in captured.err
-    assert captured.out == ""
-    assert not output.exists()

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import norm
-from test_joint_test import NAMES, SIZE, VALUES, changed, covariance, drawn, model_of
+from test_joint_test import NAMES, VALUES, covariance, drawn, model_of
 
 from invid.comparison.baseline import pool_agreeing, pool_models
 from invid.comparison.compare import compare
@@ -21,30 +20,6 @@ def moved_by(size: float) -> np.ndarray:
     truth = VALUES.copy()
     truth[J] += size
     return truth
-
-
-def found_in(rng: np.random.Generator, shift: float, before: int, after: int, tries: int = 40) -> float:
-    found = 0
-    for _ in range(tries):
-        old = [drawn(rng, ALONE) for _ in range(before)]
-        new = [drawn(rng, ALONE, moved_by(shift * STD[J])) for _ in range(after)]
-        named = changed(old[-1], new[-1], before=old[:-1], after=new[:-1])
-        assert set(named) <= {NAMES[J]} or len(named) <= 2
-        found += NAMES[J] in named
-    return found / tries
-
-
-@pytest.mark.campaign
-def test_the_mean_of_runs_finds_a_change_as_often_as_the_normal_distribution_says() -> None:
-    rng = np.random.default_rng(31)
-    # 80 % of 1 % over all parameters, two-sided; one that is off beside it does not matter here.
-    threshold = norm.isf(0.8 * 0.01 / (2 * SIZE))
-    for before, after in ((1, 1), (6, 1), (6, 4)):
-        shift = 4.5
-        expected = norm.sf(threshold - shift / np.sqrt(1 / before + 1 / after))
-        found = found_in(rng, shift, before, after)
-        # Four standard errors, and one in twenty runs that is not averaged.
-        assert abs(found - expected) < 4 * np.sqrt(max(expected * (1 - expected), 0.01) / 40) + 0.05
 
 
 def test_a_change_of_the_size_called_detectable_is_found_nine_times_in_ten() -> None:

@@ -13,7 +13,6 @@ from invid.diagnosis.headline import Facts, headline
 from invid.model.chains import case_study
 from invid.model.diagnosis_document import Verdict
 from invid.model.document import ChainStd, Model, model_from_json, model_to_json
-from invid.model.doubts import Doubt, DoubtCode
 from invid.model.expectation import Agreement, Answer, Expectation, Subject
 
 TOOL = Expectation(Subject.TOOL, "A2", 1.3)
@@ -88,11 +87,3 @@ def test_the_first_clause_of_the_headline_is_the_answer_in_both_languages() -> N
     # A mass alone is no inertia: the distance at which it would be one is told, for a person to judge.
     mass = said(answer(replace(TOOL, size=None, mass=1.3), A2=1.31))
     assert "what 1.3 kg makes at 1 m from the axis" in mass
-
-
-def test_a_result_that_spoils_every_change_answers_that_it_cannot_be_told() -> None:
-    doubt = Doubt(DoubtCode.MISSED_TORQUE, "…", {"share": 0.79})
-    facts = Facts(("A1",), False, Verdict.CONSISTENT, doubt=doubt, changes=(), answer=answer(TOOL, A2=1.31))
-    text = headline(facts)
-    assert text.startswith("Whether it is as you said (another tool on A2, about +1.3 kg·m²) cannot be told;")
-    assert "not to be trusted" in text

@@ -119,15 +119,6 @@ def test_sizes_are_graded_by_published_figures_and_watched_where_there_are_none(
     assert graded(found) == (grade,)
 
 
-def test_without_a_rated_torque_friction_has_no_figure_and_says_so() -> None:
-    result = grade_consequences(diagnosis(term("coulomb_friction", torque=0.4)), recording(rated=False))
-    consequence = result.findings[0].consequence
-    assert consequence is not None
-    assert consequence.grade is Grade.WATCH
-    assert consequence.share_of_rated_torque is None
-    assert "rated torque is not in the recording" in consequence.reason
-
-
 @pytest.mark.parametrize(
     ("own", "grade"), [("backlash_rad: 1e-3", "as_expected"), ("backlash_rad: 1e-4", "act")]
 )

@@ -16,7 +16,6 @@ from hidden.generator import make
 
 from invid.cli.app import run
 from invid.diagnosis.diagnose import diagnose
-from invid.errors import InputError
 from invid.identification.identify import identify
 from invid.model.diagnosis_document import Verdict
 from invid.recording import Experiment, Recording, Role, write_recording
@@ -89,14 +88,6 @@ def test_a_held_axis_whose_torque_follows_from_its_coarse_position_has_lost_no_r
     assert find_dropped_rows(replace(recording, experiments=(held, *others))) == []
 
 
-def test_a_model_of_another_robot_is_refused_with_both_lists_of_axes() -> None:
-    recording, _ = make(None, **QUICK)
-    d = diagnose(recording)
-    other = replace(recording, axes=("other",))
-    with pytest.raises(InputError, match="other"):
-        diagnose(other, model=d.model)
-
-
 @pytest.mark.campaign
 def test_the_command_writes_the_contract_s_document_and_prints_it_alone(tmp_path, capsys) -> None:
     recording, _ = make("coulomb_friction", target_db=20, **QUICK)
@@ -110,7 +101,3 @@ def test_the_command_writes_the_contract_s_document_and_prints_it_alone(tmp_path
     assert set(shown["findings"][0]["gain"]["held_out"]) == {"before", "after"}
     assert shown["model"]["effects"][0]["cause"] == "coulomb_friction"
     assert np.isfinite(shown["explained_fraction"])
-
-
-def test_a_file_that_is_not_there_is_bad_input(tmp_path) -> None:
-    assert run(["diagnose", str(tmp_path / "no.h5")]) == 2

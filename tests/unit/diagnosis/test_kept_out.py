@@ -6,7 +6,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
@@ -38,12 +37,6 @@ def test_validation_records_are_kept_out_without_a_word(recording: Recording) ->
     assert not (*split.warnings, *split.stopgap)
 
 
-def test_a_spare_record_is_kept_out_whole(recording: Recording) -> None:
-    split = records_of(replace(recording, experiments=recording.with_role(Role.IDENTIFY)))
-    assert not {r.key for r in split.fitted} & {r.key for r in split.kept}
-    assert any("is kept out of every fit instead" in w for w in split.stopgap)
-
-
 def test_of_one_record_its_last_period_is_kept_out(recording: Recording) -> None:
     one = recording.with_role(Role.IDENTIFY)[0]
     split = records_of(replace(recording, experiments=(one,)))
@@ -60,14 +53,6 @@ def test_of_one_period_every_fifth_line_is_kept_out(recording: Recording) -> Non
     assert set(fitted.used) & set(kept.used) <= {0}
     assert 3.0 < fitted.used.size / kept.used.size < 5.0
     assert any("every fifth line" in w for w in split.stopgap)
-
-
-def test_a_period_that_does_not_repeat_is_none(recording: Recording) -> None:
-    one = recording.with_role(Role.IDENTIFY)[0]
-    wrong = replace(one, period_samples=round(0.73 * one.period_samples), frequencies_hz=np.zeros(0))
-    split = records_of(replace(recording, experiments=(wrong,)))
-    assert all(r.periods in (0, one.periods, one.periods - 1, 1) for r in (*split.fitted, *split.kept))
-    assert any("does not repeat" in w for w in split.warnings)
 
 
 def test_records_without_anything_to_fit_are_refused_in_words(recording: Recording) -> None:

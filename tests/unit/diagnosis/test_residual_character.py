@@ -12,12 +12,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import make
-from test_consequence_grades import diagnosis as document_of
-from test_consequence_grades import term
 
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.outcome import limit_unfinished_search
-from invid.model.diagnosis_document import Unexplained, Verdict
 from invid.numerics.arrays import Float64
 
 Torque = Callable[[Float64, Float64, Float64], Float64]
@@ -47,11 +43,3 @@ def test_torque_without_a_name_is_said_to_go_with_what_it_goes_with(torque: Torq
     assert found is not None
     said = {c for c in found.character if c not in ("odd", "even")}
     assert said == {character}
-
-
-def test_a_sentence_that_ends_is_not_gone_on_with() -> None:
-    start = document_of(term("coulomb_friction", torque=0.4))
-    left = Unexplained("A1", (), (), "A1: torque is missing.")
-    cut = limit_unfinished_search(replace(start, findings=(), verdict=Verdict.UNEXPLAINED, unexplained=left))
-    assert cut.unexplained is not None
-    assert cut.unexplained.sentence.startswith("A1: torque is missing; the search for causes was cut short")

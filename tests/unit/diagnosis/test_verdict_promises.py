@@ -23,19 +23,15 @@ from test_consequence_grades import term
 from invid.cli.app import run
 from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, finding_of
-from invid.diagnosis.sentences import finding_sentence
 from invid.model.diagnosis_document import (
     Alternative,
-    AxisResidual,
     Verdict,
     diagnosis_to_json,
 )
-from invid.model.document import EffectTerm, Estimate
+from invid.model.document import Estimate
 from invid.numerics.arrays import frozen_float
 from invid.recording.hdf5 import write_recording
 from invid.recording.model import Experiment, Recording, Role
-from invid.rigid_motion.effect_terms import place_of
-from invid.rigid_motion.regressors import Regressor
 
 
 def broken(document: dict, recording: Recording) -> list[str]:
@@ -157,22 +153,6 @@ def test_a_size_that_the_data_do_not_tell_comes_with_what_would() -> None:
     assert result.model.warnings == result.warnings
 
 
-def test_the_weight_of_a_carried_link_is_no_alternative_of_itself() -> None:
-    both = Regressor("gravity", 1, ("sine", "cosine"), other=0)
-    place = place_of(both, ("shoulder", "elbow"))
-    assert place == ("elbow", "mass 1", "shoulder")
-    alone = EffectTerm("gravity", "elbow", {"torque": Estimate(1.0, 0.1, "N·m")}, "mass 1")
-    axis, element, other = place
-    rival = Alternative("gravity", axis, element, 0.1, other)
-    said = finding_sentence(alone, 0.9, 0.8, (rival,), (1, 1), ("shoulder", "elbow"))
-    assert "cannot tell it from the same of the link that shoulder carries, felt on both:" in said
-    own = Alternative("gravity", axis, element, 0.1)
-    said = finding_sentence(
-        replace(alone, other_axis="shoulder"), 0.9, 0.8, (own,), (1, 1), ("shoulder", "elbow")
-    )
-    assert "cannot tell it from the same on elbow alone:" in said
-
-
 def test_a_document_that_broke_them_would_be_found() -> None:
     start = document_of(term("coulomb_friction", torque=0.4))
     good = diagnosis_to_json(
@@ -283,16 +263,3 @@ def test_nothing_is_called_consistent_on_a_linear_fit_that_cannot_be_trusted() -
     assert not any("nothing is missing" in said for said in found.sentences)
     assert found.unexplained is not None
     assert found.unexplained.frequencies_hz == ()
-
-
-def test_a_document_that_misses_more_than_half_is_not_trusted() -> None:
-    start = document_of(verdict=Verdict.UNEXPLAINED, explained=None)
-    rows = [AxisResidual(a, "N·m", 6.0, 6.0, 0.05) for a in ("A1", "A2", "A3")]
-    recording = plain_recording(rated=False)
-    result = assemble_diagnosis(
-        recording, rows, (), start.model, missing=True, complete=False, explained=None
-    )
-    document = diagnosis_to_json(result)
-    assert document["model"]["fit"]["trustworthy"] is False
-    assert "misses" in document["warnings"][0]
-    assert broken(document, recording) == []

@@ -140,16 +140,3 @@ def test_a_torque_limit_that_no_drive_gives_is_said_beside_ready(
     assert ("; the torque limit of A1 is beyond what its drive gives" in printed.splitlines()[0]) == said
     assert (f"limited to 150 N·m, not to the config's {limit:g}" in printed) == said
     assert ("correct the config's limit, or its unit" in printed) == said
-
-
-def test_readiness_notes_a_torque_limit_far_beyond_the_rated_torque_and_asks_no_drive(
-    cell: CellConfig,
-) -> None:
-    limits = cell.axes[0].limits.model_copy(update={"torque": 500.0})
-    axes = [cell.axes[0].model_copy(update={"limits": limits}), *cell.axes[1:]]
-    found = readiness(replace(situation(cell.model_copy(update={"axes": axes})), drives=()))
-    assert found.can_start
-    (note,) = found.notes
-    assert (note.code, note.values["axis"], note.values["times"]) == ("limit_beyond_drive", "A1", "10")
-    assert "500, 10 times the rated 50 N·m" in note.text
-    assert "its unit" in note.fix

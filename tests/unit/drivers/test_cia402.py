@@ -11,22 +11,11 @@ from hypothesis import strategies as st
 from invid.errors import BusError
 from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import Link
-from invid_drivers.cia402.states import DriveState, state_of, towards_enabled
+from invid_drivers.cia402.states import DriveState, towards_enabled
 from invid_drivers.cia402.units import position_per_count
 
 S = DriveState
 
-# IEC 61800-7-201, table "state coding": mask and value of the statusword in each state.
-STANDARD = {
-    S.NOT_READY_TO_SWITCH_ON: (0x4F, 0x00),
-    S.SWITCH_ON_DISABLED: (0x4F, 0x40),
-    S.READY_TO_SWITCH_ON: (0x6F, 0x21),
-    S.SWITCHED_ON: (0x6F, 0x23),
-    S.OPERATION_ENABLED: (0x6F, 0x27),
-    S.QUICK_STOP_ACTIVE: (0x6F, 0x07),
-    S.FAULT_REACTION_ACTIVE: (0x4F, 0x0F),
-    S.FAULT: (0x4F, 0x08),
-}
 
 # The standard's transitions that a controlword may cause: (state, controlword) -> state.
 STEPS = {
@@ -36,17 +25,6 @@ STEPS = {
     (S.OPERATION_ENABLED, 0x0F): S.OPERATION_ENABLED,
     (S.QUICK_STOP_ACTIVE, 0x00): S.SWITCH_ON_DISABLED,
 }
-
-
-@settings(deadline=None)
-@given(st.integers(0, 0xFFFF))
-def test_every_statusword_of_the_standards_table_is_read_as_its_state(word: int) -> None:
-    matching = [state for state, (mask, value) in STANDARD.items() if word & mask == value]
-    assert len(matching) <= 1
-    if matching:
-        assert state_of(word) is matching[0]
-    else:
-        assert state_of(word) is S.NOT_READY_TO_SWITCH_ON
 
 
 @pytest.mark.parametrize(

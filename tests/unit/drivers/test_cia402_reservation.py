@@ -71,26 +71,6 @@ def test_another_user_is_refused_the_bus_as_well() -> None:
         held.release()
 
 
-def test_a_socket_by_another_name_is_the_same_bus(tmp_path: Path) -> None:
-    (tmp_path / "folder").mkdir()
-    held = Reservation("invid-unix", str(tmp_path / "bus.sock"))
-    with pytest.raises(BusError, match="another invid process"):
-        Reservation("invid-unix", str(tmp_path / "folder" / ".." / "bus.sock"), patience_s=0.0)
-    held.release()
-
-
-def test_a_lock_that_cannot_be_taken_refuses_the_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def forbidden(*_: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Reservation, "_take_name", forbidden)
-    with pytest.raises(BusError, match=r"cannot be reserved \(Permission denied\).*nothing is sent"):
-        Reservation("socketcan", "can0", named=True)
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "no such folder"))
-    with pytest.raises(BusError, match="cannot be reserved"):
-        Reservation("socketcan", "can0", named=False)
-
-
 def test_where_the_kernel_has_no_names_a_locked_file_keeps_others_away(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,12 +54,3 @@ def test_what_the_cycle_process_knows_of_its_axes_is_heard_after_a_second_ctrl_c
     parent.speak_to(ours)
     assert parent.last_words(ours) == ("axis A1 is energised: it is held by its drive",)
     parent.end()
-
-
-def test_a_cycle_process_that_has_gone_says_nothing_more(
-    ends: tuple[Relay, threading.Event, Connection, Connection],
-) -> None:
-    parent, _, ours, theirs = ends
-    theirs.close()
-    assert parent.last_words(ours) == ()
-    parent.end()

@@ -7,8 +7,6 @@ import sys
 import threading
 import time
 
-import pytest
-
 from invid_drivers.stop_flag import StopFlag
 
 INTERRUPTED = """
@@ -62,9 +60,3 @@ def test_whoever_waits_is_woken_at_once_and_a_timeout_ends_the_waiting() -> None
     for _ in range(100_000):  # however often it is set
         stop.set()
     assert stop.is_set()
-
-
-def test_a_stop_is_never_taken_back() -> None:
-    stop = StopFlag()
-    with pytest.raises(NotImplementedError):
-        stop.clear()

@@ -18,7 +18,6 @@ from test_extended_model import SIZES
 from invid.config import load_config
 from invid.diagnosis.consequence import consequence_of
 from invid.diagnosis.sentences import finding_sentence
-from invid.effects.curve import curve
 from invid.effects.effect import PlaceMotion
 from invid.effects.effect_files import check_effect
 from invid.effects.laws.empirical_law import EmpiricalLaw
@@ -63,10 +62,6 @@ NO_LARGE_MOTION = {
     "parameter_drift",
 }  # fmt: skip
 """Causes that a rigid machine in large motion is not asked for."""
-NO_CURVE = {
-    "encoder_eccentricity", "dropped_samples", "extra_mode", "base_compliance", "payload_change",
-    "parameter_drift",
-}  # fmt: skip
 """Causes whose missing torque is a function of no one quantity."""
 
 
@@ -119,19 +114,6 @@ def test_it_is_saved_reloaded_and_simulated(effect, excited, tmp_path: Path) -> 
     answers = [simulate(m, recording, only=(first,)).experiments[0] for m in (model_of(chains), loaded)]
     assert np.isfinite(answers[1].position).all()
     assert np.abs(answers[1].position - answers[0].position).max() > 0.0
-
-
-@pytest.mark.parametrize("effect", EVERY, ids=ids)
-def test_its_curve_resists_as_it_says(effect, excited) -> None:
-    _, chains = excited
-    size = 5.0 if effect.over.startswith("torque") else 0.01
-    x = size * np.sin(np.linspace(0, 4 * np.pi, 400))
-    found = curve(term_of(effect, chains.axes), x, 1000.0)
-    assert (found is None) is (effect.cause in {*NO_CURVE, "load_dependent_friction"})
-    if found is not None:
-        assert found.x.shape == found.y.shape
-        assert np.isfinite(found.y).all()
-        assert np.abs(found.y).max() > 0.0
 
 
 @pytest.mark.parametrize("effect", EVERY, ids=ids)

@@ -10,7 +10,6 @@ import pytest
 from invid.effects.effect import PlaceMotion
 from invid.effects.effect_files import load_effects
 from invid.effects.law_file import law_file
-from invid.errors import InputError
 from invid.model.document import EffectTerm
 from invid.model.law_table import LawTable
 from invid.model.parameters import ChainStructure
@@ -43,10 +42,3 @@ def test_its_places_are_of_the_kind_where_the_law_was_found(
     assert effect.regressors(PlaceMotion(np.array([4.0]), still[:1], still[:1]), ())[0, 0] == pytest.approx(
         shape[3, 0] + slope
     )
-
-
-def test_what_has_a_name_already_becomes_no_file() -> None:
-    with pytest.raises(InputError, match="has a name already"):
-        law_file("bump", EffectTerm("cogging", "A1", {}, "mass 1"))
-    with pytest.raises(InputError, match="a cause of that name"):
-        law_file("cogging", law("position", "mass 1"))

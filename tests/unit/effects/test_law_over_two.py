@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.effects.effect import PlaceMotion
 from invid.effects.effect_files import load_effects
 from invid.effects.law_file import law_file
 from invid.errors import InputError, ModelError
@@ -41,13 +40,6 @@ def model(*effects: EffectTerm) -> Model:
     return Model("cell", "refined", chains, ChainStd.unknown(chains), effects=effects)
 
 
-def test_its_table_comes_back_from_a_document() -> None:
-    term = law()
-    (again,) = model_from_json(json.loads(json.dumps(model_to_json(model(term))))).effects
-    assert again == term
-    assert again.table.quantities == ("velocity", "position")
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -62,21 +54,6 @@ def test_a_table_that_is_none_is_refused(change, said: str) -> None:
     change(document["effects"][0]["parameters"])
     with pytest.raises(ModelError, match=said):
         model_from_json(document)
-
-
-@pytest.mark.parametrize(
-    ("over", "across", "element"),
-    [("velocity", "position", "mass 1"), ("deflection", "deflection rate", "spring 1")],
-)
-def test_its_file_has_its_shape(over: str, across: str, element: str, tmp_path: Path) -> None:
-    term = law(over, across, element)
-    file = tmp_path / "worn.py"
-    file.write_text(law_file("worn", term), encoding="utf-8")
-    (effect,) = load_effects(file)
-    rng = np.random.default_rng(1)
-    q, v = rng.uniform(-1.5, 1.5, 50), rng.uniform(-3.0, 3.0, 50)
-    found = effect.regressors(PlaceMotion(q, v, np.zeros(50)), ())[:, 0] * term.value("torque")
-    assert found == pytest.approx(drag(v, q), abs=0.02 * np.abs(drag(v, q)).max())
 
 
 def test_a_file_whose_quantities_do_not_go_together_is_refused(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,7 +15,7 @@ import scipy.linalg
 import scipy.signal
 
 import invid
-from invid.model.chains import CoupledChains, case_study
+from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, model_from_json, parameter_vector
 
 control = pytest.importorskip("control")
@@ -178,31 +177,6 @@ def test_mujoco_answers_as_the_model_does(name: str, coupled: bool, linear: bool
     assert_same(response((mass, damp, stiff), motors, omega), response(wanted, motors, omega))
 
 
-def test_mujocos_own_integrator_follows_the_model_at_the_step_in_the_file(tmp_path: Path) -> None:
-    model = machine("unequal")
-    invid.export(model, "mjcf", tmp_path / "m.xml")
-    m = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
-    mass, damp, stiff = truth(model)
-    n, motors = mass.shape[0], model.chains.motor_dofs
-    a = np.block(
-        [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiff), -np.linalg.solve(mass, damp)]]
-    )
-    b = np.vstack([np.zeros((n, len(motors))), np.linalg.solve(mass, np.eye(n)[:, motors])])
-    step = float(m.opt.timestep)
-    ad, bd, *_ = scipy.signal.cont2discrete((a, b, np.eye(2 * n), np.zeros((2 * n, len(motors)))), step)
-    rng = np.random.default_rng(3)
-    data, x = mujoco.MjData(m), np.zeros(2 * n)
-    errors, sizes = [], []
-    for _ in range(4000):
-        u = rng.normal(size=len(motors))
-        data.ctrl[:] = u
-        mujoco.mj_step(m, data)
-        x = ad @ x + bd @ u
-        errors.append(data.qpos - x[:n])
-        sizes.append(x[:n])
-    assert np.sqrt(np.mean(np.square(errors))) < 1e-3 * np.sqrt(np.mean(np.square(sizes)))
-
-
 def urdf_matrices(path: Path) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], list[str]]:
     """M, D, K in absolute positions of the links, from what yourdfpy reads and Gazebo's springs."""
     robot = yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
@@ -333,19 +307,6 @@ def test_every_effect_that_is_not_in_the_file_is_named(to: str, tmp_path: Path) 
         m = mujoco.MjModel.from_xml_path(str(tmp_path / "f"))
         assert m.dof_frictionloss.tolist() == [0, 0.4, 0, 0]
         assert m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
-
-
-@pytest.mark.parametrize("name", ["Achse 'ü'", "1"])
-def test_any_axis_name_makes_files_that_their_tools_read(name: str, tmp_path: Path) -> None:
-    chains = replace(case_study(damping_ratio=0.01), axes=(name, "A-2", "C"))
-    model = replace(
-        machine("one mass"), chains=chains, std=ChainStd.unknown(chains), covariance=None, parameter_names=()
-    )
-    for to in ("statespace", "mjcf", "urdf", "fmu"):
-        invid.export(model, to, tmp_path / to)
-    assert mujoco.MjModel.from_xml_path(str(tmp_path / "mjcf")).actuator(0).name == name
-    assert validate_fmu(str(tmp_path / "fmu")) == []
-    assert len(yourdfpy.URDF.load(str(tmp_path / "urdf"), build_scene_graph=False).robot.joints) == 9
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:

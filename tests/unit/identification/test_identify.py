@@ -145,22 +145,6 @@ def test_an_axis_that_is_never_excited_is_refused_by_name() -> None:
         identify(replace(full, experiments=full.experiments[:1]), masses=(2, 2))
 
 
-def test_validation_records_never_enter_the_fit() -> None:
-    full = record(TWO, 10)
-    spoiled = replace(
-        full.experiments[0], key="009", role=Role.VALIDATE, torque=full.experiments[0].torque * 3
-    )
-    one = identify(full, masses=(2, 2))
-    two = identify(replace(full, experiments=(*full.experiments, spoiled)), masses=(2, 2))
-    assert estimates(model_to_json(one)) == estimates(model_to_json(two))
-
-
-@pytest.mark.parametrize("masses", [(2,), (2, 0), (1, 2, 3)])
-def test_masses_that_do_not_match_the_axes_are_refused(masses: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="masses"):
-        identify(record(TWO, 11, periods=2), masses=masses)
-
-
 def test_the_model_survives_its_file_and_reads_as_a_table() -> None:
     model = identify(record(TWO, 12), masses=(2, 2))
     again = model_from_json(json.loads(dump_json(model_to_json(model))))

@@ -111,9 +111,3 @@ def test_of_a_rigid_axis_nobody_can_tell_and_another_machine_says_nothing() -> N
     assert doubted(against_stated(rigid, run, model(np.array([0.4, 0.6]), "before")))
     other = replace(model(np.array([1.0]), "before"), linear=True)
     assert doubted(against_stated(rigid, run, other))
-
-
-@pytest.mark.parametrize("total", [0.92, 1.0, 1.09])
-def test_what_roughly_means_is_left_alone(total: float) -> None:
-    now = model(total * np.array([0.4, 0.6]))
-    assert against_stated(now, recording(1.0)) is now

@@ -12,7 +12,6 @@ from invid.likelihood.unknown_forces.forces import Where
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.slope import slope
-from invid.likelihood.unknown_forces.smoother import smooth
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
 from invid.likelihood.unknown_forces.timing import Timing
@@ -82,14 +81,3 @@ def test_free_play_does_not_bias_the_plant_and_shows_where_it_is():
     assert (place.where, place.number) in {(Where.SPRING, 0), (Where.MASS, 1)}
     values = found.numbers.plant.of_kind(Kind.MASS)
     assert values[2:] == pytest.approx(np.concatenate(plant.masses)[2:], rel=0.01)
-
-
-def test_smoothed_motion_of_a_motor_is_the_measured_one():
-    _, found = fitted(gap=3e-3)
-    problem = found.fit.problem
-    motion = smooth(problem, found.fit.value)[0]
-    where, rate = motion.over_time(np.eye(5)[0])
-    for r, record in enumerate(problem.stacks[0].records):
-        inside = slice(200, -200)
-        assert where[r, inside] == pytest.approx(record.motion.position[inside, 0], abs=2e-5)
-        assert rate[r, inside] == pytest.approx(record.motion.velocity[inside, 0], abs=5e-3)

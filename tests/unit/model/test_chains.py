@@ -30,13 +30,6 @@ def test_the_case_study_has_the_papers_matrices() -> None:
     np.testing.assert_array_equal(chains.rigid_mass_matrix, [[5.7, 1, 2], [1, 15, 3], [2, 3, 24]])
 
 
-def test_branches_may_have_different_numbers_of_masses() -> None:
-    chains = CoupledChains.build([[1.0], [2.0, 3.0], [1.0, 2.0, 3.0, 4.0]], [[], [10.0], [1.0, 2.0, 3.0]])
-    assert chains.dofs == 7
-    assert chains.motor_dofs.tolist() == [0, 1, 3]
-    assert chains.end_dofs.tolist() == [0, 2, 6]
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -71,11 +64,3 @@ def test_json_goes_out_and_comes_back_unchanged() -> None:
     ):
         np.testing.assert_array_equal(mine, theirs)
     np.testing.assert_array_equal(back.couplings, chains.couplings)
-
-
-def test_a_coupling_to_a_branch_that_is_not_there_is_named() -> None:
-    chains = case_study()
-    document = model_to_json(Model("r", "m", chains, ChainStd.unknown(chains)))
-    document["couplings"][0]["between"] = ["A1", "A7"]
-    with pytest.raises(ModelError, match="A7"):
-        model_from_json(document)

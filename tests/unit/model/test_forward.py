@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.linalg
 
-from invid.model.chains import CoupledChains, case_study
-from invid.model.forward import condense, frf, resonances
+from invid.model.chains import CoupledChains
+from invid.model.forward import condense, frf
 
 
 def random_chains(rng: np.random.Generator, counts: list[int], *, damped: bool) -> CoupledChains:
@@ -61,13 +60,3 @@ def test_the_recursion_equals_a_dense_solve_to_1e_10(counts: list[int], damped: 
         assert np.abs(got.stiffness[f] - stiffness).max() <= 1e-10 * np.abs(stiffness).max()
         receptance = np.linalg.inv(full)[np.ix_(motor, motor)]
         assert np.abs(response[f] - receptance).max() <= 1e-10 * np.abs(receptance).max()
-
-
-def test_resonances_of_the_case_study_have_one_zero_per_free_motor() -> None:
-    chains = case_study()
-    values = resonances(chains)
-    direct = np.sqrt(np.abs(scipy.linalg.eigvals(chains.stiffness_matrix, chains.mass_matrix)).real)
-    np.testing.assert_array_equal(values[:3], 0.0)
-    np.testing.assert_allclose(values[3:], np.sort(direct)[3:], rtol=1e-9)
-    held = resonances(replace(chains, ground_springs=np.array([0.0, 50.0, 50.0])))
-    assert (held == 0).sum() == 1

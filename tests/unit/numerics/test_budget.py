@@ -19,7 +19,7 @@ from invid.cli.app import INTERRUPTED, run
 from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
 from invid.numerics import budget
-from invid.numerics.budget import Budget, Progress, use_budget
+from invid.numerics.budget import Budget, use_budget
 from invid.numerics.run_clock import RunClock
 
 
@@ -56,18 +56,6 @@ def _one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("invid.numerics.parallel._cores", lambda: 1)
 
 
-def test_progress_never_goes_back_and_says_how_long_at_most() -> None:
-    now, seen = [0.0], list[Progress]()
-    with use_budget(Budget(100.0, lambda: now[0], seen.append)):
-        now[0] = 10.0
-        with budget.use_share(1.0, 0.2, 0.6):
-            budget.tell("weighing", 0.5, axis="A2", cause="cubic_stiffness", element="spring 1")
-            budget.tell("weighing", 0.1)
-    assert [round(p.fraction, 3) for p in seen] == [0.4, 0.4]
-    assert seen[0].seconds_left == pytest.approx(15.0)
-    assert str(seen[0]) == "weighing cubic stiffness, A2 spring 1"
-
-
 def test_an_identification_that_is_cut_anywhere_gives_a_model_that_says_so(
     recording: invid.Recording,
 ) -> None:
@@ -94,18 +82,6 @@ def test_a_search_that_is_cut_calls_nothing_consistent_and_no_finding_sure(
         assert found.verdict != "consistent"
         assert all(f.confidence <= 0.89 for f in found.findings)
         assert found.findings or found.model.fit["trustworthy"] is False
-
-
-def test_the_interface_takes_seconds_and_a_callback(recording: invid.Recording) -> None:
-    seen: list[Progress] = []
-    invid.diagnose(recording, budget=1000.0, progress=seen.append)
-    assert seen[0].fraction < 0.1
-    assert seen[-1].fraction > 0.9
-    assert [p.fraction for p in seen] == sorted(p.fraction for p in seen)
-    found = [f for p in seen for f in p.found]
-    assert any(f.cause == "coulomb_friction" and f.axis == recording.axes[0] for f in found)
-    with pytest.raises(invid.InputError, match="budget"):
-        invid.identify(recording, budget=0.0)
 
 
 @pytest.mark.parametrize("presses", [1, 2])

@@ -67,16 +67,6 @@ def test_a_goal_beyond_the_limits_is_refused_with_the_figure_that_can_be_reached
     assert any("torque limit" in b or "velocity" in b for b in design.binding)
 
 
-def test_a_parameter_that_no_excited_axis_reaches_is_named_not_planned_for(
-    cell: CellConfig, belief: Belief
-) -> None:
-    lonely = replace(belief, chains=replace(belief.chains, couplings=np.zeros((3, 3))))
-    design = plan_for_goal(cell, lonely, sensor_noise(cell), 0.01, axes=["A1"], max_duration_s=7.0)
-    assert not design.reachable
-    assert design.expected.worst[0].startswith(("A2", "A3"))
-    assert design.expected.worst[0] in design.sentence
-
-
 @pytest.mark.campaign
 def test_creep_is_planned_where_friction_is_near_the_torque_and_the_config_allows_it(
     cell: CellConfig, belief: Belief

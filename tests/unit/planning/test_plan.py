@@ -113,19 +113,6 @@ def test_a_slow_move_at_a_tenth_of_the_amplitude_is_announced_as_far_as_it_goes(
     assert first.velocity >= 0.2
 
 
-def test_half_of_a_plan_that_was_lowered_is_half_of_it() -> None:
-    config = cell()
-    axes = [
-        a.model_copy(update={"limits": a.limits.model_copy(update={"position": 0.02})}) for a in config.axes
-    ]
-    tight = config.model_copy(update={"axes": axes})
-    plant = Belief(case_study(damping_ratio=0.01), np.zeros(3), np.zeros(3), "case study", False)
-    whole, half = make_plan(tight, model=plant), make_plan(tight, model=plant, amplitude_scale=0.5)
-    assert any("planned at" in w for w in whole.warnings)
-    for a, b in zip(whole.experiments, half.experiments, strict=True):
-        assert b.torque == pytest.approx(0.5 * a.torque)
-
-
 def test_no_limit_is_left_by_what_is_announced_from_a_model() -> None:
     config = cell()
     axes = [

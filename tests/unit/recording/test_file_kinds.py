@@ -36,17 +36,6 @@ def test_packed_text_is_read_as_what_is_inside(tmp_path, pack, name):
     np.testing.assert_allclose(read_table(path, Source()).columns["torque"], TORQUE)
 
 
-@pytest.mark.parametrize("pack", [np.savez, np.savez_compressed])
-def test_numpys_arrays_are_columns_by_their_names(tmp_path, pack):
-    pack(tmp_path / "log.npz", time=TIME, q=np.c_[ANGLE, 2 * ANGLE], tau=TORQUE)
-    table = read_table(tmp_path / "log.npz", Source())
-    np.testing.assert_array_equal(table.columns["q[1]"], 2 * ANGLE)
-    rows = np.zeros(N, [("time", float), ("q", float)])
-    rows["time"], rows["q"] = TIME, ANGLE
-    np.save(tmp_path / "log.npy", rows)
-    np.testing.assert_array_equal(read_table(tmp_path / "log.npy", Source()).columns["log.q"], ANGLE)
-
-
 def sqlite(path: Path, *tables: str) -> bytes:
     base = sqlite3.connect(path)
     for table in tables:
@@ -151,15 +140,3 @@ def test_a_document_in_the_folder_stops_no_import(tmp_path, capsys, beside):
     out = tmp_path / "r.h5"
     assert run(["import", str(folder), "--map", str(chart), "-o", str(out)]) == 0
     assert len(read_recording(out).experiments) == 2
-
-
-@pytest.mark.parametrize(
-    "line",
-    ["t_us:{},pos:{},torque:{}", "t_us: {} pos: {} torque: {}", "12:36:19.016 -> t_us={}\tpos={}\ttorque={}"],
-)
-def test_values_with_their_labels_are_columns(tmp_path, line):
-    rows = [line.format(1000 * k, f"{ANGLE[k]:.6f}", f"{TORQUE[k]:.6f}") for k in range(N)]
-    (tmp_path / "a.txt").write_text("\n".join(["ready", *rows]))
-    table = read_table(tmp_path / "a.txt", Source())
-    np.testing.assert_allclose(table.columns["torque"], TORQUE)
-    np.testing.assert_allclose(table.columns["t_us"], 1000 * np.arange(N))

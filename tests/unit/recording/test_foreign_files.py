@@ -5,10 +5,8 @@ Each kind is made here, from a motion that is known, never from the code under t
 
 from __future__ import annotations
 
-import json
 import re
 import struct
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import can
@@ -202,30 +200,6 @@ def test_stamps_that_are_no_instants_are_named_with_the_line_that_reads_the_file
         e, _ = taken(tmp_path, log, with_time(chart, **chart["time"], differences=True), capsys)
         whole(e)
         assert e.time[-1] - e.time[0] == pytest.approx((e.samples - 1) * 1e-3, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    "pattern", ["%m/%d/%Y %I:%M:%S.%f %p", "%I:%M:%S.%f %p", "%d-%b-%Y %H:%M:%S.%f", "%H:%M:%S:%f"]
-)
-def test_wall_clocks_of_half_days_and_of_month_names_are_instants(tmp_path, capsys, pattern):
-    # The hour turns from 12 to 1, and the day over.
-    for start in (datetime(2026, 2, 3, 12, 59, 59, 500_000), datetime(2026, 2, 3, 23, 59, 59, 500_000)):
-        stamps = [f"{start + timedelta(milliseconds=int(k)):{pattern}}" for k in ROW]
-        e, _ = taken(tmp_path, csv(tmp_path, stamps), CSV_MAP, capsys)
-        whole(e)
-        np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)
-
-
-def test_a_wall_clock_set_back_an_hour_goes_on(tmp_path, capsys):
-    start = datetime(2026, 10, 25, 2, 59, 59, 500_000)
-    back = [timedelta(hours=1) if k >= 500 else timedelta() for k in ROW]
-    stamps = [
-        f"{start + timedelta(milliseconds=int(k)) - b:%Y-%m-%d %H:%M:%S.%f}"
-        for k, b in zip(ROW, back, strict=True)
-    ]
-    e, said = taken(tmp_path, csv(tmp_path, stamps), CSV_MAP, capsys)
-    assert "hour" in said
-    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)
 
 
 # --- channels, echoes, bytes
@@ -471,69 +445,5 @@ def test_a_sign_lost_on_the_way_is_told_with_the_key_that_gives_it_back(tmp_path
     whole(e)
 
 
-@pytest.mark.parametrize(
-    ("torque", "motion", "doubted"),
-    [
-        ("motor_torque", "link_position", True),
-        ("tau_m", "q_load", True),
-        ("motor_torque", "motor_position", False),
-        ("torque", "position", False),
-    ],
-)
-def test_torque_of_one_side_with_motion_of_the_other_is_doubted(tmp_path, capsys, torque, motion, doubted):
-    path = csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW])
-    text = path.read_text(encoding="utf-8").replace("position_rad", motion).replace("torque_Nm", torque)
-    path.write_text(text, encoding="utf-8")
-    axis = {**CSV_MAP["axes"][0], "position": {"column": motion, "unit": "rad"}}
-    axis["torque"] = {"column": torque, "unit": "Nm", "meaning": "measured"}
-    _, told = taken(tmp_path, path, {**CSV_MAP, "axes": [axis]}, capsys)
-    assert ("must be of one side" in told) is doubted
-
-
 # --- maps
 # -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"experiments": [{"rows": [0, 99_999]}]}, "1200 rows of data"),
-        ({"skip": {"t.csv": " "}}, "say why 't.csv'"),
-        ({"time": {"colum": 0}}, "time.colum is no key of a map"),
-        ({"axes": []}, "axes"),
-        ({"source": {"kind": "cvs"}}, "source.kind is 'cvs': it must be 'csv', "),
-    ],
-)
-def test_a_map_that_is_wrong_is_told_with_its_line_and_no_words_of_a_library(tmp_path, capsys, change, said):
-    log = csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW])
-    path = tmp_path / "map.yaml"
-    path.write_text(yaml.safe_dump({**CSV_MAP, **change}), encoding="utf-8")
-    assert run(["import", str(log), "--map", str(path), "-o", str(tmp_path / "r.h5")]) == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert "Value error" not in told
-    assert "more)" not in told
-
-
-def test_a_map_names_its_files_and_what_it_leaves_out_and_why(tmp_path, capsys):
-    for number in range(3):
-        csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW], name=f"run{number}.csv")
-    (tmp_path / "run1.csv").write_text("no numbers\n", encoding="utf-8")
-    chart = {**CSV_MAP, "files": ["run*.csv"]}
-    path, out = tmp_path / "map.yaml", tmp_path / "r.h5"
-    path.write_text(yaml.safe_dump(chart), encoding="utf-8")
-    assert run(["import", "--map", str(path), "-o", str(out)]) == 2
-    assert "skip: {'run1.csv'" in capsys.readouterr().err
-    assert run(["import", "--check", str(path), "--json", "--plots", str(tmp_path / "plots")]) == 2
-    document = json.loads(capsys.readouterr().out)
-    assert [f["error"] is None for f in document["files"]] == [True, False, True]
-    shown = document["files"][0]["experiments"][0]
-    assert shown["rows"] == N
-    assert shown["rate_hz"] == pytest.approx(1000.0)
-    assert shown["axes"][0]["torque"][1] == pytest.approx(TORQUE.max() * 0.05)
-    assert len(list((tmp_path / "plots").glob("*.png"))) == 2
-    assert not out.exists()
-    path.write_text(yaml.safe_dump({**chart, "skip": {"run1.csv": "the logger was off"}}), encoding="utf-8")
-    assert run(["import", "--map", str(path), "-o", str(out)]) == 0
-    assert "the logger was off" in capsys.readouterr().err
-    assert len(read_recording(out).experiments) == 2

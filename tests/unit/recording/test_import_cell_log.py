@@ -156,25 +156,6 @@ def frames(n: int) -> list[str]:
     return lines
 
 
-def log_imported(tmp_path: Path, lines: list[str]) -> tuple[int, Path]:
-    (tmp_path / "bus.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    out = tmp_path / "log.h5"
-    path = chart(tmp_path, [0, None], PDOS, ("q", "tau", "aim"))
-    path.write_text(
-        path.read_text(encoding="utf-8").replace("period_samples: 2048", "period_samples: 0"),
-        encoding="utf-8",
-    )
-    return run(["import", str(tmp_path / "bus.log"), "--map", str(path), "-o", str(out)]), out
-
-
-def test_a_log_of_which_more_than_one_per_cent_is_cut_is_refused(tmp_path, capsys):
-    lines = [line[:-3] if k % 90 == 1 else line for k, line in enumerate(frames(400))]
-    status, out = log_imported(tmp_path, lines)
-    assert status == 2
-    assert not out.exists()
-    assert "broken" in capsys.readouterr().err
-
-
 @pytest.mark.campaign
 def test_a_log_without_a_map_is_shown_as_pdos_with_the_fields_that_move(logged, capsys):
     """The position's four bytes are told from the torque's two; what they are is left to a person."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -65,25 +64,6 @@ def test_dates_and_times_of_day_are_time(tmp_path, capsys, pattern):
     # The log runs over midnight: a time of day starts over there.
     start = datetime(2026, 1, 31, 23, 59, 59, 900_000)
     taken(written(tmp_path, [f"{start + timedelta(seconds=t):{pattern}}" for t in TIME.tolist()]), capsys)
-
-
-def test_units_below_the_names_in_brackets_are_read(tmp_path, capsys):
-    path = written(tmp_path, [f"{1e3 * t:.6f}" for t in TIME], sep=";")
-    lines = path.read_text(encoding="utf-8").splitlines()
-    path.write_text("\n".join([lines[0], "[ms];[rad];[Nm]", *lines[1:]]) + "\n", encoding="utf-8")
-    taken(path, capsys)
-
-
-def test_units_stand_in_the_attributes_of_hdf5_datasets(tmp_path, capsys):
-    with h5py.File(tmp_path / "log.h5", "w") as file:
-        for name, values, unit in (
-            ("time", 1e3 * TIME, "ms"),
-            ("run/position", np.rad2deg(POSITION), b"deg"),
-            ("run/torque", 1e3 * TORQUE, "mNm"),
-        ):
-            file[name] = values
-            file[name].attrs["unit"] = unit
-    taken(tmp_path / "log.h5", capsys)
 
 
 @pytest.mark.parametrize("kind", ["timestamp", "duration"])

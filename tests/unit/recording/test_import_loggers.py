@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -174,23 +173,6 @@ def bag(path: Path, encoding: str) -> None:
         writer.finish()
 
 
-@pytest.mark.parametrize(
-    ("name", "module", "line"),
-    [
-        ("a.mf4", "asammdf", "invid[mdf]"),
-        ("a.mcap", "mcap_ros2.decoder", "invid[mcap]"),
-        ("a.tdms", "nptdms", "invid[tdms]"),
-    ],
-)
-def test_a_missing_package_is_told_with_the_line_that_installs_it(
-    tmp_path, capsys, monkeypatch, name, module, line
-):
-    monkeypatch.setitem(sys.modules, module, None)  # as find_spec and import see a package that is not there
-    (tmp_path / name).write_bytes(b"anything")
-    assert run(["import", str(tmp_path / name), "-o", str(tmp_path / "x.h5")]) == 2
-    assert f"pip install '{line}'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("comma", [False, True])
 @pytest.mark.parametrize("shared", [False, True])
 def test_a_scope_export_of_twincat_is_read_whichever_options_it_was_written_with(
@@ -241,12 +223,3 @@ def test_two_records_of_one_file_under_different_names_are_suggested_as_two_expe
     told, kept = recording.experiments
     assert (told.role, kept.role) == ("identify", "validate")
     assert kept.position[:, 0] == pytest.approx(ANGLE[:half])
-
-
-def test_counts_that_a_name_tells_are_asked_for_what_one_is_worth(tmp_path, capsys):
-    path = tmp_path / "log.csv"
-    rows = "\n".join(f"{t},{round(1e4 * a)},{q}" for t, a, q in zip(TIME, ANGLE, TORQUE, strict=True))
-    path.write_text("time_s,enc_counts,torque_Nm\n" + rows, encoding="utf-8")
-    chart, asked = suggested(path, capsys)
-    assert chart["axes"][0]["position"]["unit"] == "counts"
-    assert list(asked) == ["axes A1 position.per_count"]

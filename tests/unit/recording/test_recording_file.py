@@ -24,7 +24,6 @@ from invid.recording import (
     read_recording,
     write_recording,
 )
-from invid.recording.hdf5 import ROOT_ATTRIBUTES
 from invid.recording.spool import Spool
 
 
@@ -115,55 +114,6 @@ def test_a_violation_is_one_sentence_that_says_what_and_where(tmp_path, spoil, s
 
 
 TEXT, ONE, WHOLE = "a text", "one number", "one whole number"
-KINDS = {
-    "format": TEXT,
-    "format_version": WHOLE,
-    "created": TEXT,
-    "robot": TEXT,
-    "axes": 'a list of texts, written as JSON: ["A1", "A2"]',
-    "masses_per_axis": "a list of whole numbers",
-    "position_unit": TEXT,
-    "torque_unit": TEXT,
-    "rated_torque": "a list of numbers",
-    "encoder_resolution": "a list of numbers",
-    "config": TEXT,
-    "outcome": TEXT,
-    "kind": TEXT,
-    "excited_axis": WHOLE,
-    "role": TEXT,
-    "hold_gain": "a list of numbers",
-    "period_samples": WHOLE,
-    "frequencies_hz": "a list of numbers",
-    "sample_rate_hz": ONE,
-}
-NO_KIND = {
-    TEXT: [7, 2.5, True, [1.0, 2.0]],
-    ONE: ["fast", "", '["A"]', True, [1.0, 2.0]],
-    WHOLE: ["fast", "", '["A"]', True, [1.0, 2.0], 2.5, float("nan")],
-    KINDS["masses_per_axis"]: ["fast", "", '["A"]', True, [2.5, 2.0], [float("nan"), 1.0]],
-    KINDS["rated_torque"]: ["fast", "", '["A"]', True],
-    KINDS["axes"]: ["fast", "", 7, True, [1.0, 2.0], "{}", "[1, 2]"],
-}
-
-
-@pytest.mark.parametrize("name", sorted(KINDS))
-def test_an_attribute_of_another_kind_is_told_which_kind_it_must_be(tmp_path, name):
-    for value in NO_KIND[KINDS[name]]:
-        path = foreign(tmp_path / "r.h5")
-        with h5py.File(path, "r+") as f:
-            (f if name in ROOT_ATTRIBUTES else f["experiments/000"]).attrs[name] = value
-        with pytest.raises(RecordingError) as caught:
-            read_recording(path)
-        assert f"attribute '{name}' is " in str(caught.value)
-        assert str(caught.value).endswith(f"; it must be {KINDS[name]}"), value
-
-
-def test_a_cut_file_is_called_truncated(tmp_path):
-    """HDF5 says "… stored_eof … sblock->base_addr": there is no lock in that."""
-    path = foreign(tmp_path / "r.h5")
-    path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(RecordingError, match="is truncated; copy it again"):
-        read_recording(path)
 
 
 def test_flipped_bytes_and_cut_files_raise_nothing_but_recording_errors(tmp_path):
@@ -357,10 +307,3 @@ def test_a_power_cut_costs_six_seconds_of_rows_and_no_experiment_that_has_ended(
         writer.end()
         cut.write_bytes(rows.read_bytes()[: sure[0]])
         assert [e.samples for e in read_recording(cut).experiments] == [1700] * (k + 1)
-
-
-def test_rows_that_an_earlier_cut_left_are_not_overwritten(tmp_path):
-    (tmp_path / "r.h5.rows").write_bytes(b"earlier")
-    Spool(tmp_path / "r.h5", {}).close()
-    assert (tmp_path / "r.h5.rows").read_bytes() == b"earlier"
-    assert (tmp_path / "r.h5.2.rows").exists()

@@ -10,7 +10,6 @@ import pytest
 
 from invid.cli.app import run
 from invid.recording.hdf5 import read_recording
-from invid_drivers.can_log_guess import guess_pdos
 
 ROW = np.arange(1500)
 TIME = ROW * 1e-3
@@ -90,18 +89,6 @@ def test_torque_of_one_side_is_paired_with_motion_of_the_other_in_doubt_alone(
     assert not any("side" in u for u in plain["unsure"])
 
 
-@pytest.mark.parametrize("fast", [False, True])
-def test_the_fields_of_a_pdo_are_cut_where_numbers_end(fast):
-    position = np.round((3e5 if fast else 2e4) * np.sin(9 * TIME)).astype("<i4")
-    torque = np.round(300 * np.sin(9 * TIME + 0.3) + 80 * np.sin(160 * TIME)).astype("<i2")
-    status = np.full(ROW.size, 0x1237, "<u2")
-    payloads = [
-        s.tobytes() + m.tobytes() + p.tobytes() for s, m, p in zip(status, torque, position, strict=True)
-    ]
-    guess = guess_pdos({0x80: [b""] * ROW.size, 0x181: payloads}, 0x80)
-    assert [s.type for s in guess.pdos[0].signals] == ["int16", "int16", "int32"]
-
-
 @pytest.mark.parametrize(
     ("stamps", "unit"),
     [(2.0 * ROW, None), (1.7e12 + 2.0 * ROW, "ms"), (1.7e15 + 2000.0 * ROW, "us"), (2e-3 * ROW, "s")],
@@ -114,23 +101,6 @@ def test_a_unit_of_time_is_asked_where_the_file_does_not_tell_it(tmp_path, capsy
     found = suggested(capsys, path)
     assert found["map"]["time"] == {"column": "time", "unit": unit}
     assert ("time.unit" in found["fill_in"]) == (unit is None)
-
-
-@pytest.mark.parametrize("names", [("position", "velocity"), ("id1.position", "id1.velocity")])
-def test_moteus_counts_turns(tmp_path, capsys, names):
-    header = [
-        "timestamp",
-        *names,
-        names[0].replace("position", "torque"),
-        names[0].replace("position", "q_current"),
-    ]
-    columns = [1.7e9 + TIME, ANGLE, ANGLE, TORQUE, 2 * TORQUE]
-    path = tmp_path / "a.csv"
-    rows = [",".join(f"{v:.17g}" for v in row) for row in zip(*columns, strict=True)]
-    path.write_text("\n".join([",".join(header), *rows]), encoding="utf-8")
-    axis = suggested(capsys, path)["map"]["axes"][0]
-    assert axis["position"] == {"column": names[0], "unit": "rev"}
-    assert axis["torque"]["unit"] == "N·m"
 
 
 @pytest.mark.parametrize(

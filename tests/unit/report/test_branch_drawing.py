@@ -86,16 +86,6 @@ def test_a_finding_is_marked_where_it_acts(
     assert place_of(finding(cause, "A2", element).effect, model.chains) == expected
 
 
-def test_grades_differ_in_shape_and_not_by_colour_alone() -> None:
-    model = model_of([2])
-    shapes = set()
-    for grade in (Grade.ACT, Grade.WATCH, Grade.AS_EXPECTED, None):
-        svg = branch_drawing(model, [finding("backlash", "A1", "spring 1", grade)])
-        path = re.findall(r'<path d="(M[^"]+Z)"', svg)[0]
-        shapes.add(re.sub(r"[-\d. ]+", "", path))
-    assert len(shapes) == 4
-
-
 def test_hostile_names_stay_text() -> None:
     model = model_of([2])
     chains = CoupledChains.build(

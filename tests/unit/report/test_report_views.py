@@ -58,27 +58,6 @@ def test_friction_is_a_step_over_velocity_and_none_over_position(
     assert sides["deflection"]["x_label"] == "deflection [rad]"
 
 
-def test_each_of_two_causes_is_shown_with_what_the_other_explains_taken_out(
-    friction: tuple[Recording, Truth, Model],
-) -> None:
-    recording, _, model = friction
-    both = (coulomb(recording.axes[1]), coulomb(recording.axes[0], 0.0))
-    right, wrong = cause_views(recording, model, diagnosed(recording, model, *both))
-    (only,) = cause_views(recording, model, diagnosed(recording, model, coulomb(recording.axes[0], 0.0)))
-
-    def over_velocity(view: dict) -> tuple[np.ndarray, np.ndarray]:
-        side = next(s for s in view["sides"] if s["what"] == "velocity")
-        return np.array(side["x"]), np.array(side["y"])
-
-    v, y = over_velocity(right)
-    fast = np.abs(v) > 0.3 * np.abs(v).max()
-    assert np.median(np.abs(y[fast])) == pytest.approx(TORQUE, rel=0.15)
-    # The other axis' friction reaches the motor of the axis without any; taken out, little is left there.
-    assert np.std(over_velocity(wrong)[1]) < 0.5 * np.std(over_velocity(only)[1])
-    assert "taken out" in wrong["note"]
-    assert "taken out" not in only["note"]
-
-
 def test_beside_an_antiresonance_a_record_from_rest_shows_the_friction_and_not_its_own_ringing() -> None:
     # Motor position and torque of two masses with friction at the motor, shaken from rest: what the record
     # does not end with as it began is fitted beside the cause, never in its stead.

@@ -7,7 +7,7 @@ twentieth of a sample; the product knows neither.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -16,7 +16,6 @@ from large_motion import experiment, recording
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.recording import Experiment, Kind, Role
-from invid.rigid_motion.analysis import analyse
 
 RATE, SUB, COUNT, NOISE = 250.0, 20, 2 * np.pi / 2**20, 0.01
 
@@ -170,59 +169,3 @@ def test_constant_speeds_show_friction_however_they_are_cut_into_records(turns: 
     assert causes["coulomb_friction"]["torque"][0] == pytest.approx(dry, rel=5e-3)
     assert causes["viscous_friction"]["coefficient"][0] == pytest.approx(wet, rel=5e-3)
     assert diagnosis.explained_fraction > 0.99
-
-
-def arm(rng: np.random.Generator, seconds: float = 15.0) -> list[Experiment]:
-    """Three motions of two drawn links that fall and rub: the torque that each motion asks for.
-
-    Every record moves the joints by amounts of its own.
-    """
-    m1, m2, b = rng.uniform(0.5, 1.0), rng.uniform(0.3, 0.6), rng.uniform(0.1, 0.2)
-    w1, w2 = rng.uniform(3, 6), rng.uniform(1, 2)
-    dry = rng.uniform(0.3, 0.6, 2)
-    records = []
-    for k, spans in enumerate(([0.4, 2.5], [1.5, 0.6], [2.5, 0.4])):
-        t = np.arange(int(seconds * RATE)) / RATE
-        q, v, a = np.zeros((3, t.size, 2))
-        for i in (0, 1):
-            for _ in range(4):
-                w, phase = 2 * np.pi * rng.uniform(0.2, 0.8), rng.uniform(0, 2 * np.pi)
-                size = spans[i] * rng.uniform(0.3, 0.6)
-                q[:, i] += size * np.sin(w * t + phase)
-                v[:, i] += size * w * np.cos(w * t + phase)
-                a[:, i] -= size * w**2 * np.sin(w * t + phase)
-        c, s = b * np.cos(q[:, 1]), b * np.sin(q[:, 1])
-        torque = np.empty_like(q)
-        torque[:, 0] = (m1 + 2 * c) * a[:, 0] + (m2 + c) * a[:, 1] - s * (2 * v[:, 0] + v[:, 1]) * v[:, 1]
-        torque[:, 1] = (m2 + c) * a[:, 0] + m2 * a[:, 1] + s * v[:, 0] ** 2
-        torque[:, 0] += w1 * np.sin(q[:, 0])
-        torque += (w2 * np.sin(q[:, 0] + q[:, 1]))[:, None] + dry * np.sign(v)
-        # As on a real arm something small is left that no cause has: here what depends on time.
-        torque += 0.01 * torque.std(axis=0) * np.sin(2 * np.pi * 0.31 * t + k)[:, None]
-        q = np.round(q / COUNT) * COUNT
-        records.append(experiment(t, q, torque + NOISE * rng.standard_normal(q.shape), key=f"{k:03d}"))
-    return records
-
-
-@pytest.mark.campaign
-def test_which_motion_of_an_arm_validates_changes_no_cause():
-    for seed in range(2):
-        records = arm(np.random.default_rng(7500 + seed))
-        named = []
-        for kept_out in (None, 0, 1, 2):
-            roles = [Role.VALIDATE if k == kept_out else Role.IDENTIFY for k in range(3)]
-            data = recording(*(replace(e, role=r) for e, r in zip(records, roles, strict=True)))
-            diagnosis = diagnose_trajectory(data)
-            assert diagnosis.explained_fraction > 0.99, (seed, kept_out, diagnosis.sentences)
-            named.append({(f.effect.cause, f.effect.axis) for f in diagnosis.findings})
-        causes = {(c, i) for c in ("gravity", "coulomb_friction") for i in ("A1", "A2")}
-        assert all(n == causes for n in named), (seed, named)
-
-
-def test_rows_beside_a_reversal_are_left_out_where_others_remain():
-    rng = np.random.default_rng(7600)
-    axis = Axis(1.0, (1.0, 1.0))
-    axis.record(rng, wander(rng))
-    design = analyse(recording(*axis.seen)).design
-    assert design.far.all()
-    assert design.torque.size < sum(m.keep.sum() for m in design.motions)

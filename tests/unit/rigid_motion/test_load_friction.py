@@ -48,11 +48,6 @@ def test_friction_that_grows_with_the_weight_is_named_with_its_size_beside_gravi
     assert named.after < named.before
 
 
-def test_coulomb_friction_under_a_varying_weight_is_not_called_load_dependent():
-    diagnosis = loaded(np.random.default_rng(3), stroke=1.5, dry=0.6, grows=0.0)
-    assert {f.effect.cause for f in diagnosis.findings} == {"gravity", "coulomb_friction"}
-
-
 def test_under_a_weight_that_hardly_varies_it_is_coulomb_friction_and_the_diagnosis_says_so():
     # Around level (1.07 + 0.5 is a quarter turn) the weight varies by less than a twentieth.
     rng = np.random.default_rng(5)

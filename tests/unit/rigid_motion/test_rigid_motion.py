@@ -9,10 +9,8 @@ import pytest
 from large_motion import RATE, Force, experiment, recording, simulate
 
 from invid.cli.app import run
-from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.rigid import diagnose_trajectory
-from invid.errors import InputError, InvidError
-from invid.identification.identify import identify
+from invid.errors import InvidError
 from invid.model.diagnosis_document import Verdict, diagnosis_to_json
 from invid.model.document import dump_json, load_model
 from invid.recording import Kind, write_recording
@@ -31,16 +29,6 @@ def test_a_plain_mass_with_noise_is_consistent_and_nothing_is_named():
         # The command is held over the sample: half of it is the mean lag.
         offset = diagnosis.model.fit["time_offset_s"]["A1.time_offset"]
         assert offset["value"] == pytest.approx(0.5 / RATE, abs=0.1 / RATE)
-
-
-@pytest.mark.parametrize("noise", [0.02, 0.002])
-def test_the_noise_floor_is_what_noise_leaves_of_torque_and_of_the_encoder_s_counts(noise: float):
-    ratios = []
-    for seed in range(3):
-        (axis,) = diagnose_trajectory(recording(simulate(np.random.default_rng(seed), noise=noise))).residual
-        ratios.append(axis.after / axis.noise_floor)
-    # The smaller noise leaves the encoder's counts: their floor was a quarter too low.
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
 
 def test_coulomb_and_viscous_friction_are_named_with_their_sizes():
@@ -65,16 +53,6 @@ def test_friction_that_differs_by_direction_is_named_asymmetric():
     assert effect.value("coulomb_negative") == pytest.approx(0.8, rel=0.08)
     assert effect.value("viscous_positive") == pytest.approx(0.3, abs=0.08)
     assert effect.value("viscous_negative") == pytest.approx(0.9, abs=0.08)
-
-
-def test_an_offset_with_symmetric_friction_is_not_called_asymmetric():
-    rng = np.random.default_rng(3)
-    diagnosis = diagnose_trajectory(
-        recording(simulate(rng, dry=(1.0, 1.0), wet=(0.5, 0.5), extra=lambda q, v, t: 0.4, stroke=0.09))
-    )
-    found = {f.effect.cause: f.effect for f in diagnosis.findings}
-    assert "asymmetric_friction" not in found
-    assert found["torque_offset"].value("torque") == pytest.approx(0.4, rel=0.1)
 
 
 def test_gravity_is_named_with_its_angle():
@@ -132,31 +110,6 @@ def test_a_drag_at_one_place_of_the_travel_is_a_law_over_velocity_and_position()
         for m in (replace(diagnosis.model, effects=()), diagnosis.model)
     ]
     assert errors[1] < 0.2 * errors[0]
-
-
-def test_a_mass_on_a_spring_to_ground_that_hardens_is_told_from_gravity():
-    rng = np.random.default_rng(6)
-    dt = 1e-4
-    drive = np.zeros(int(40 / dt))
-    for f in np.arange(0.5, 12.0, 0.37):
-        drive += 1.5 * np.sin(2 * np.pi * f * np.arange(drive.size) * dt + rng.uniform(0, 6.28))
-    q = v = 0.0
-    rows = []
-    for k, force in enumerate(drive):
-        if k % 20 == 0:
-            rows.append((k * dt, q, force))
-        v += dt * (force - 900.0 * q - 1.2 * v - 9e4 * q**3) / 0.4
-        q += dt * v
-    time, position, torque = np.array(rows).T
-    position = position + 2e-6 * rng.standard_normal(position.size)
-    data = recording(experiment(time, position[:, None], torque[:, None]))
-    assert is_trajectory(data)
-    diagnosis = diagnose_trajectory(data)
-    found = {f.effect.cause: f.effect for f in diagnosis.findings}
-    assert "cubic_stiffness" in found
-    assert not {"gravity", "coulomb_friction", "quadratic_stiffness"} & set(found)
-    assert found["cubic_stiffness"].value("coefficient") == pytest.approx(9e4, rel=0.05)
-    assert diagnosis.model.chains.ground_springs[0] == pytest.approx(900.0, rel=0.02)
 
 
 def test_constant_speeds_show_stribeck_friction_and_say_that_the_inertia_is_unknown():
@@ -239,20 +192,6 @@ def test_the_commands_take_a_large_motion_to_a_rigid_model_and_back(tmp_path):
     # A model given by the caller does not send the record to the diagnosis of resonances.
     assert run(["diagnose", str(tmp_path / "rec.h5"), "--model", str(model), "-o", str(diagnosis)]) == 0
     assert '"coulomb_friction"' in diagnosis.read_text(encoding="utf-8")
-
-
-@pytest.mark.campaign
-def test_more_masses_than_one_are_a_wish_for_the_chain():
-    data = recording(simulate(np.random.default_rng(12), seconds=10))
-    assert identify(data, masses=[2]).chains.masses_per_branch == (2,)
-    assert identify(data).chains.masses_per_branch == (1,)
-
-
-def test_a_model_of_other_axes_is_refused():
-    data = recording(simulate(np.random.default_rng(13), seconds=5))
-    other = replace(data, axes=("elsewhere",))
-    with pytest.raises(InputError, match="elsewhere"):
-        diagnose(data, model=identify_trajectory(other))
 
 
 def test_a_rigid_model_simulates_the_experiments_asked_for_alone():

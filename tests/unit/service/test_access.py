@@ -119,35 +119,6 @@ def test_a_stop_is_not_refused_for_a_parameter(tmp_path: Path) -> None:
         assert client.post(f"{STOP}?why=fire").status_code == 200
 
 
-def test_the_list_of_identifications_is_paged_and_filtered(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, director):
-        made = []
-        for k in range(5):
-            if k == 3:
-                director.failure = {"code": "drive", "text": "a drive failed", "fix": "look at it"}
-            location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
-            state = wait_for(client, location, "awaiting_accept", "failed")["state"]
-            if state == "awaiting_accept":
-                client.post(f"{location}/actions", json={"type": "reject"})
-            made.append(location.rsplit("/", 1)[1])
-        found, path = [], "/api/v1/identifications?limit=2&cell=cell"
-        while path is not None:
-            answer = client.get(path).json()
-            found += [r["id"] for r in answer["identifications"]]
-            path = answer["next"]
-        assert found == made[::-1]
-        failed = client.get("/api/v1/identifications?state=failed").json()["identifications"]
-        assert [r["id"] for r in failed] == made[:2:-1]
-        third = client.get(f"/api/v1/identifications/{made[2]}").json()["created"]
-        params = {"since": third}
-        later = client.get("/api/v1/identifications", params=params).json()["identifications"]
-        assert [r["id"] for r in later] == made[:1:-1]
-        earlier = client.get("/api/v1/identifications", params={"until": third}).json()["identifications"]
-        assert [r["id"] for r in earlier] == made[1::-1]
-        assert kind(client.get("/api/v1/identifications?cursor=nothing")) == "invalid-request"
-        assert kind(client.get("/api/v1/identifications?state=gone")) == "invalid-request"
-
-
 # --- results that are not to be trusted --------------------------------------------------------------
 @pytest.mark.parametrize(("mode", "verdict"), [("test", "consistent"), ("full", "unexplained")])
 def test_an_untrusted_result_is_accepted_only_with_a_reason_which_is_kept(

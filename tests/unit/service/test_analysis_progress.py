@@ -59,23 +59,6 @@ def test_an_analysis_that_says_nothing_moves_on_by_the_clock(analysis: Analysis)
     assert [t["eta_s"] for t in told] == pytest.approx([40, 35, 35, 20, 10, None])
 
 
-def test_what_is_weighed_is_told_with_cause_and_axis_and_no_time_but_that_of_earlier_runs(
-    analysis: Analysis,
-) -> None:
-    progress, clock, told = analysis
-    progress.begin("diagnosing")
-    clock.now = 10.0
-    progress.weigh(Weighing("weighing", "A2", "backlash", 0.5, 12.0))
-    assert told[-1]["phase"] == "weighing backlash, A2"
-    assert (told[-1]["axis"], told[-1]["cause"]) == ("A2", "backlash")
-    assert told[-1]["eta_s"] == pytest.approx(30.0)
-    clock.now = 14.0
-    progress.say()
-    assert told[-1]["eta_s"] == pytest.approx(26.0)
-    progress.weigh(Weighing("weighing", "A1", "cogging", 0.3))
-    assert told[-1]["fraction"] >= told[-2]["fraction"]
-
-
 def test_what_is_found_is_told_while_the_search_goes_on(analysis: Analysis) -> None:
     progress, _, told = analysis
     progress.begin("diagnosing")

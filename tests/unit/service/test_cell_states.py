@@ -60,26 +60,6 @@ def test_a_cell_is_told_from_ready_through_motion_to_its_end_with_when(tmp_path:
         assert (done["status"], done["state"], done["run"]) == ("ready", "succeeded", run["id"])
 
 
-def test_what_was_known_of_the_last_run_is_known_after_a_restart(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        location = start(client)
-        wait_for(client, location, "awaiting_accept")
-        before = of(client)
-    with running(tmp_path) as (client, _):
-        after = of(client)
-        assert (after["run"], after["state"]) == (before["run"], "awaiting_accept")
-        assert after["since"][:19] == before["since"][:19]
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        location = start(client)
-        wait_for(client, location, "running")
-    with running(tmp_path) as (client, _):
-        after = of(client)
-        assert (after["state"], after["moves"]) == ("interrupted", False)
-        assert after["run"] == location.rsplit("/", 1)[1]
-
-
 def test_a_store_that_hangs_keeps_no_state_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     director = Director()
     director.go.clear()

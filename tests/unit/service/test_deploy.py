@@ -17,8 +17,6 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from invid_service.supervision import tell, watchdog_s
-
 ROOT = Path(__file__).parents[3]
 DEPLOY = ROOT / "deploy"
 UNITS = {"invid.service": "invid.service", "invid-can@.service": "invid-can@can0.service"}
@@ -81,22 +79,6 @@ def listening(folder: Path) -> socket.socket:
     listener.bind(str(folder / "notify"))
     listener.settimeout(60)
     return listener
-
-
-def test_systemd_is_told_where_it_listens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    assert tell("READY=1") is False
-    with listening(tmp_path) as listener:
-        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-        assert tell("READY=1") is True
-        assert listener.recv(100) == b"READY=1"
-    monkeypatch.setenv("WATCHDOG_USEC", "30000000")
-    monkeypatch.delenv("WATCHDOG_PID", raising=False)
-    assert watchdog_s() == pytest.approx(10.0)
-    monkeypatch.setenv("WATCHDOG_PID", "1")
-    assert watchdog_s() is None
-    monkeypatch.setenv("WATCHDOG_USEC", "soon")
-    assert watchdog_s() is None
 
 
 @pytest.mark.service

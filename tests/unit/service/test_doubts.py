@@ -31,12 +31,3 @@ def test_the_weightiest_doubt_is_the_reason_and_stays_it_in_a_test_run(tmp_path:
             refused = client.post(f"{location}/actions", json={"type": "accept"})
             assert refused.status_code == 409
             assert refused.json()["detail"].startswith("the model misses 79 % of the torque.")
-
-
-def test_a_run_of_an_earlier_release_without_codes_still_needs_a_reason(tmp_path: Path) -> None:
-    director = Director()
-    director.summary = {"trustworthy": False, "warnings": [PLANNED]}
-    with running(tmp_path, director) as (client, _):
-        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
-        body = wait_for(client, location, "awaiting_accept")
-        assert body["untrusted"] == "the data do not carry the model"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import io
 import time
 from collections.abc import Iterator
@@ -75,22 +74,6 @@ def test_keys_open_what_their_scopes_say_and_nothing_else(tmp_path: Path, keys: 
         assert accepted.json()["decision"]["by"] == "accept"
         assert kind(client.get("/api/v1/audit", headers=bearer(keys["run"]))) == "scope-missing"
         assert [e["caller"] for e in client.get("/api/v1/audit").json()] == ["run", "accept"]
-
-
-def test_wrong_expired_and_misplaced_keys_are_refused(tmp_path: Path, keys: dict[str, str]) -> None:
-    for host in ("127.0.0.1", "0.0.0.0"):
-        with running(tmp_path, host=host, key_file=tmp_path / "keys.json") as (client, _):
-            path = "/api/v1/cells"
-            for token in ("x", "invid_0_0", keys["read"][:-1], keys["read"] + "x", "invid_" + "é" * 10):
-                headers = [(b"authorization", b"Bearer " + token.encode())]
-                assert kind(client.get(path, headers=headers)) == "key-invalid"  # type: ignore[arg-type]
-            assert kind(client.get(path, headers={"Authorization": f"Basic {keys['read']}"})) == "key-invalid"
-            expired = client.get(path, headers=bearer(keys["old"]))
-            assert kind(expired) == "key-invalid"
-            assert "expired" in expired.json()["detail"]
-            assert expired.headers["WWW-Authenticate"] == "Bearer"
-            if host == "0.0.0.0":
-                assert kind(client.get(path, params={"key": keys["read"]})) == "key-missing"
 
 
 def test_a_stop_asks_for_no_key_and_a_web_site_of_others_cannot_ask_for_it(
@@ -172,27 +155,6 @@ def test_an_upload_that_grows_beyond_the_limit_is_cut_off_and_leaves_nothing(
         assert list((tmp_path / "data" / "work").iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("content", "headers", "expected"),
-    [
-        (b"", {"Content-Type": "application/x-hdf5"}, "invalid-recording"),
-        (b"not hdf5 at all", {"Content-Type": "application/x-hdf5"}, "invalid-recording"),
-        (b"PK\x03\x04zip", {"Content-Type": "application/octet-stream"}, "invalid-recording"),
-        (b"{}", {"Content-Type": "application/json"}, "unsupported-media-type"),
-        (b"{}", {}, "unsupported-media-type"),
-        (b"--x\r\n", {"Content-Type": "multipart/form-data; boundary=x"}, "invalid-request"),
-        (b"--x\r\n", {"Content-Type": "multipart/form-data"}, "invalid-request"),
-    ],
-)
-def test_what_is_no_recording_is_refused(
-    tmp_path: Path, content: bytes, headers: dict[str, str], expected: str
-) -> None:
-    with running(tmp_path) as (client, director):
-        assert kind(client.post("/api/v1/recordings", content=content, headers=headers)) == expected
-        assert director.workers == []
-        assert client.get("/api/v1/identifications").json()["identifications"] == []
-
-
 def hdf5(path: Path, *, rows: int = 100, chunk: int | None = None, links: int = 1) -> Path:
     """A file that claims to be a recording: datasets declared, next to nothing written."""
     with h5py.File(path, "w") as file:
@@ -263,25 +225,6 @@ def test_a_file_that_takes_its_data_from_other_files_of_the_machine_is_refused(
     assert "unpacked" in look(other)
 
 
-@pytest.mark.parametrize("form", [False, True])
-def test_an_upload_is_analysed_and_needs_no_cell(tmp_path: Path, form: bool) -> None:
-    content = hdf5(tmp_path / "good.h5").read_bytes()
-    with running(tmp_path) as (client, director):
-        if form:
-            answer = client.post("/api/v1/recordings", files={"file": ("../../evil.h5", content)})
-        else:
-            headers = {"Content-Type": "application/x-hdf5"}
-            answer = client.post("/api/v1/recordings", content=content, headers=headers)
-        assert answer.status_code == 202
-        location = answer.headers["Location"]
-        done = wait_for(client, location, "succeeded", "failed")
-        assert done["mode"] == "upload"
-        assert done["cell"] is None
-        assert director.workers[0].job.kind == "analyse"
-        assert client.get(f"{location}/recording").content == content
-        assert not list(tmp_path.rglob("*evil*"))
-
-
 def test_an_internal_error_is_a_problem_without_its_secrets(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -295,22 +238,3 @@ def test_an_internal_error_is_a_problem_without_its_secrets(
         answer = client.get("/api/v1/identifications")
         assert kind(answer) == "internal-error"
         assert "secret" not in answer.text
-
-
-@pytest.mark.parametrize(
-    "headers",
-    [
-        {},
-        {"Content-Type": "text/json"},
-        {"Content-Type": "text/json; charset=utf-8"},
-        {"Content-Encoding": "gzip"},
-    ],
-    ids=["no type", "text/json", "text/json in UTF-8", "gzip"],
-)
-def test_json_is_taken_from_programs_that_name_no_type_an_old_one_or_pack_it(
-    tmp_path: Path, headers: dict[str, str]
-) -> None:
-    body = b'{"mode":"full","arm":true}'
-    with running(tmp_path, Director()) as (client, _):
-        content = gzip.compress(body) if "Content-Encoding" in headers else body
-        assert client.post(START, content=content, headers=headers).status_code == 202

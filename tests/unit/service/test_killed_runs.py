@@ -87,16 +87,6 @@ def test_a_cut_between_file_and_store_loses_nothing(tmp_path: Path) -> None:
         assert fetched(client, tmp_path).outcome is Outcome.ABORTED
 
 
-def test_a_cut_before_the_first_row_says_that_there_is_no_recording(tmp_path: Path) -> None:
-    written(cut_off(tmp_path, State.RUNNING).scratch(RUN) / "recording.h5", 0)
-    with running(tmp_path) as (client, _):
-        assert client.get(PATH).json()["state"] == "interrupted"
-        answer = client.get(f"{PATH}/recording")
-        assert (answer.status_code, answer.json()["state"]) == (404, "interrupted")
-        answer = client.post(f"{PATH}/analysis")
-        assert (answer.status_code, answer.json()["type"]) == (404, "urn:invid:problem:artefact-not-found")
-
-
 def test_the_recording_of_a_cut_off_run_is_analysed_as_a_run_of_its_own(tmp_path: Path) -> None:
     written(cut_off(tmp_path, State.RUNNING).scratch(RUN) / "recording.h5", 2500)
     with running(tmp_path) as (client, director):

@@ -65,14 +65,6 @@ def test_a_run_goes_through_every_state_of_the_contract_in_order(tmp_path: Path)
     assert states == ["checking", "awaiting_arm", "running", "analysing", "awaiting_accept", "succeeded"]
 
 
-def test_arm_in_the_start_body_skips_the_waiting(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, director):
-        location = start(client, arm=True)
-        wait_for(client, location, "awaiting_accept")
-        assert "awaiting_arm" not in client.get(location).text
-        assert director.workers[0].job.arm is True
-
-
 def test_nothing_moves_before_it_is_armed(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
         location = start(client, arm=False)
@@ -195,18 +187,6 @@ def test_what_the_check_would_refuse_is_not_ready_on_the_page_nor_for_a_start_an
         assert not director.workers
 
 
-def test_a_start_on_some_axes_only_is_refused_before_anything_moves_and_says_why(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, director):
-        refused = problem(client.post(START, json={"mode": "full", "axes": ["A1"]}), 409, "not-ready")
-        (reason,) = refused["reasons"]
-        assert reason["code"] == "axes_left_out"
-        assert "A2, A3 would be held" in reason["text"]
-        assert reason["fix"] == "choose all axes"
-        assert not director.workers
-        all_of_them = {"mode": "full", "axes": ["A3", "A2", "A1"]}
-        assert client.post(START, json=all_of_them).status_code == 202
-
-
 def test_the_same_idempotency_key_gives_the_same_run_and_another_body_is_refused(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
         headers = {"Idempotency-Key": "plc-7"}
@@ -252,23 +232,6 @@ def test_a_runner_that_does_not_hear_the_stop_is_killed(tmp_path: Path) -> None:
         assert director.workers[0].killed.is_set()
         assert failed["error"]["code"] == "not-stopped"
         assert "make sure that every axis stands" in failed["error"]["fix"]
-
-
-def test_a_motion_of_which_nothing_is_heard_is_stopped(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director, motion_silence_s=0.3) as (client, _):
-        location = start(client)
-        ended = wait_for(client, location, "cancelled", timeout=5.0)
-        assert director.workers[0].said[-1] == "stop"
-        assert not director.workers[0].killed.is_set() or ended["error"]["code"] == "timeout"
-        assert "hung while running" in ended["error"]["text"]
-
-
-def test_stopping_what_stands_still_is_no_error_and_neither_is_stopping_twice(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        for _ in range(2):
-            assert client.post(STOP).json()["stopping"] is False
 
 
 def test_a_stop_reaches_the_runner_while_the_store_is_locked_and_the_disk_is_full(
@@ -326,13 +289,6 @@ def test_a_runner_that_dies_makes_the_run_fail_and_frees_the_cell(tmp_path: Path
         assert failed["error"]["code"] == "runner-died"
         director.die = False
         wait_for(client, start(client), "awaiting_accept")
-
-
-def test_a_failure_carries_code_text_and_fix(tmp_path: Path) -> None:
-    director = Director()
-    director.failure = {"code": "drive", "text": "A2 does not answer", "fix": "look at the cable"}
-    with running(tmp_path, director) as (client, _):
-        assert wait_for(client, start(client), "failed")["error"] == director.failure
 
 
 def test_a_run_nobody_arms_is_cancelled_after_its_time(tmp_path: Path) -> None:
@@ -422,17 +378,6 @@ def test_the_default_changes_average_accepted_runs_and_two_named_models_only_whe
         assert both["averaged"] == {"from": ids[:3], "to": ids[3:]}
         # Behind the change lies another state: it is not averaged with what came before.
         assert client.get("/api/v1/cells/cell/changes").json()["averaged"]["from"] == [ids[3]]
-
-
-def test_results_that_do_not_exist_yet_are_a_problem_that_says_the_state(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        location = start(client)
-        wait_for(client, location, "running")
-        for kind in ("recording", "model", "diagnosis", "report"):
-            document = problem(client.get(f"{location}/{kind}"), 404, "artefact-not-found")
-            assert document["state"] == "running"
 
 
 def test_every_request_that_can_move_the_robot_is_in_the_audit_log(tmp_path: Path) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from service_doubles import Director, model_document, running, wait_for
+from service_doubles import Director, running, wait_for
 
-from invid.errors import BusError, DriveError, SafetyStop
+from invid.errors import SafetyStop
 from invid.sweep.moment import Moment
 from invid_service.jobs.stops import Run, action_for, stopped_by
 
@@ -95,52 +95,6 @@ def test_no_action_asks_for_less_torque_where_friction_holds_the_axis(mode: str,
     assert (action["code"] == "free_axis") == (mode == "full" and amplitude == "planned")
     assert "gentler" not in action["text"]
     assert "lower" not in action["text"]
-
-
-def test_every_stop_has_an_action_with_its_place() -> None:
-    for error, code in (
-        (DriveError("no position", code="no_answer", axis="A2"), "check_cable"),
-        (DriveError("fault"), "read_drive"),
-        (BusError("bus-off"), "check_bus"),
-        (SafetyStop("something new"), "look"),
-    ):
-        found = stopped_by(stop(error), Run("full", "planned", False, None))
-        assert found is not None
-        assert found["action"]["code"] == code
-        assert found["action"]["where"] in ("machine", "drive")
-
-
-@pytest.mark.campaign
-def test_the_overview_says_state_last_run_and_what_changed(tmp_path: Path) -> None:
-    director = Director()
-    director.summary = {"headline": "As expected.", "grade": "as_expected"}
-
-    def seen(client: Any) -> Any:
-        return client.get("/api/v1/cells").json()["cells"][0]["overview"]
-
-    with running(tmp_path, director) as (client, _):
-        assert seen(client) == {"state": "ready", "last_run": None, "changed": None, "news": None}
-        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
-        wait_for(client, location, "awaiting_accept")
-        found = seen(client)
-        assert (found["state"], found["changed"]) == ("awaiting_accept", None)
-        assert found["last_run"]["headline"] == "As expected."
-        assert found["last_run"]["grade"] == "as_expected"
-        client.post(f"{location}/actions", json={"type": "accept"})
-        assert seen(client)["state"] == "ready"
-        director.model = lambda: model_document(scale_mass=1.3)
-        waiting = client.post(START, json={"mode": "full"}).headers["Location"]
-        wait_for(client, waiting, "awaiting_arm")
-        found = seen(client)
-        assert found["state"] == "awaiting_arm"
-        assert found["last_run"]["state"] == "succeeded"
-        client.post(f"{waiting}/actions", json={"type": "arm"})
-        wait_for(client, waiting, "awaiting_accept")
-        found = seen(client)
-        assert "A2" in found["changed"]
-        assert found["changed"].startswith(found["news"]["en"])
-        assert "A2" in found["news"]["de"]
-        assert "Achse" in found["news"]["de"] or "Masse" in found["news"]["de"]
 
 
 def recording() -> bytes:

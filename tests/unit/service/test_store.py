@@ -6,7 +6,7 @@ import hashlib
 import shutil
 import sqlite3
 from contextlib import closing
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -145,40 +145,6 @@ def test_a_result_that_awaits_accept_outlives_a_restart(tmp_path: Path) -> None:
         assert done.json()["state"] == "succeeded"
 
 
-def test_the_database_itself_refuses_a_second_run_on_a_cell(tmp_path: Path) -> None:
-    from invid_service.store.store import CellBusyError
-
-    engine = open_engine(f"sqlite:///{tmp_path / 'store.sqlite'}")
-    upgrade(engine)
-    store = Store(engine)
-    store.add_run(record("a", State.QUEUED))
-    with pytest.raises(CellBusyError):
-        store.add_run(record("b", State.QUEUED))
-    store.add_run(record("c", State.QUEUED, cell=None))
-    store.add_run(record("d", State.QUEUED, cell=None))
-
-
-def test_the_history_keeps_its_order_when_the_clock_is_set_back(tmp_path: Path) -> None:
-    noon = datetime(2026, 11, 22, 12, tzinfo=UTC)
-    with running(tmp_path) as (client, _):
-        service = client.app.state.service  # type: ignore[attr-defined]
-        started = []
-        for hours in (0, -3, -1, -7):
-            service.clock = lambda now=noon + timedelta(hours=hours): now
-            answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
-            started.append(answer.headers["Location"])
-            wait_for(client, started[-1], "awaiting_accept")
-            client.post(f"{started[-1]}/actions", json={"type": "accept"})
-        newest_first = [s.rsplit("/", 1)[1] for s in reversed(started)]
-        runs = client.get("/api/v1/identifications").json()["identifications"]
-        assert [r["id"] for r in runs] == newest_first
-        cell = client.get("/api/v1/cells/cell").json()
-        assert (cell["last_identification"]["id"], cell["model"]["id"]) == (newest_first[0],) * 2
-        assert [m["id"] for m in client.get("/api/v1/cells/cell/models").json()["models"]] == newest_first
-        changes = client.get("/api/v1/cells/cell/changes").json()
-        assert (changes["to"], changes["from"]) == tuple(newest_first[:2])
-
-
 def test_a_second_service_on_the_same_data_folder_is_refused(tmp_path: Path) -> None:
     lock = DataLock(tmp_path / "data")
     with pytest.raises(ConfigError, match="another invid service"):
@@ -199,24 +165,6 @@ def test_stored_files_are_whole_checksummed_and_inside_the_store(tmp_path: Path)
     assert not list(tmp_path.rglob("*.part"))
     with pytest.raises(ValueError, match="outside"):
         blobs.path("../../etc/passwd")
-
-
-def test_files_go_after_their_time_but_accepted_ones_stay(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        locations = []
-        for decision in ("accept", "reject"):
-            answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
-            locations.append(answer.headers["Location"])
-            wait_for(client, locations[-1], "awaiting_accept")
-            client.post(f"{locations[-1]}/actions", json={"type": decision})
-        service = client.app.state.service  # type: ignore[attr-defined]
-        service.clock = lambda: datetime.now(UTC) + timedelta(days=91)
-        assert service.expire() >= 4
-        assert client.get(f"{locations[0]}/recording").status_code == 200
-        gone = client.get(f"{locations[1]}/recording")
-        assert gone.status_code == 410
-        assert gone.json()["type"] == "urn:invid:problem:artefact-expired"
-        assert client.get(locations[1]).json()["state"] == "cancelled"
 
 
 @pytest.mark.parametrize("url", ["nonsense", "sqlite:////nowhere/at/all.sqlite", "nodb://x/y"])

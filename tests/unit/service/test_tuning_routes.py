@@ -81,27 +81,3 @@ def test_a_finished_run_is_tuned_and_its_files_are_kept(tmp_path: Path) -> None:
             "tuning-picture",
             "tuning-files",
         }
-
-
-def test_a_run_without_a_model_and_a_wrong_order_are_refused(tmp_path: Path) -> None:
-    director = director_of_one_axis()
-    with running(tmp_path, director) as (client, _):
-        location = finished(client)
-        for wrong in (
-            {"draws": 3},
-            {"cycle_s": 0},
-            {"gains": 1},
-            {"drive": "../x"},
-            {"motors": {"A1": {"gear": -1}}},
-        ):
-            assert client.post(f"{location}/tuning", json=wrong).status_code == 422, wrong
-    director.failure = {"code": "x", "text": "x", "fix": "x"}
-    with running(_made(tmp_path / "other"), director) as (client, _):
-        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
-        wait_for(client, location, "failed")
-        assert client.post(f"{location}/tuning").status_code == 409
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir()
-    return folder

@@ -119,21 +119,6 @@ def test_motion_is_left_alone(name: str) -> None:
     assert remove_glitches(given) == (given, [])
 
 
-@pytest.mark.parametrize("speed", [3.0, -2.0])
-@pytest.mark.parametrize("lost", [1, 3])
-def test_rows_that_are_missing_where_the_stamps_jitter_are_no_lost_counts(speed: float, lost: int) -> None:
-    """A logger that stamps late keeps no trace of a lost row but the motion of all axes."""
-    motion = shaken() + speed * TIME
-    gone = [k + j for k in (500, 900, 1400, 2000, 2700, 3300) for j in range(lost)]
-    kept = np.delete(np.arange(COUNT), gone)
-    stamps = np.arange(kept.size) / RATE
-    stamps += np.random.default_rng(3).uniform(0, 3e-4, kept.size)
-    given = recording(motion[kept], time=stamps)
-    left, said = remove_glitches(given)
-    assert np.array_equal(left.experiments[0].position, given.experiments[0].position)
-    assert all("stamps jitter" in s and "cable" not in s for s in said)
-
-
 @pytest.mark.campaign
 def test_a_model_and_a_diagnosis_do_not_feel_them() -> None:
     clean, _ = make(None, seed=11, motors=1)

@@ -55,14 +55,6 @@ def test_a_machine_without_such_an_error_is_left_as_it_is(cause: str | None) -> 
     assert remove_interpolation_error(measured)[1] == []
 
 
-def test_motion_that_a_torque_ripple_makes_is_left_as_it_is() -> None:
-    """It falls off with the square of speed, which an encoder's error does not."""
-    true = motion()
-    speed = np.maximum(np.abs(np.gradient(true, 1 / RATE)), 0.25)
-    ripple = 4.0 * STEP * np.sin(600.0 * true) / (speed / 0.5) ** 2
-    assert remove_interpolation_error(recording(true + ripple))[1] == []
-
-
 @pytest.mark.parametrize("crest", ["low", "random"])
 def test_fast_motion_is_no_error_of_its_encoder(crest: str) -> None:
     """Lines up to a third of the sampling rate, none declared: what is fast is the motion itself, and a wave

@@ -30,25 +30,6 @@ def test_a_multisine_has_its_power_on_its_odd_lines_only_and_falls_with_the_root
     )
 
 
-def crest_factor(wave: np.ndarray) -> float:
-    return float(np.abs(wave).max() / np.sqrt(np.mean(wave**2)))
-
-
-def test_the_crest_factor_beats_random_phases_and_the_peak_is_one() -> None:
-    signal = excitation.multisine(lines(), PERIOD, RATE, rng=np.random.default_rng(2))
-    rng = np.random.default_rng(3)
-    shape = signal.lines**-0.5
-    t = np.arange(PERIOD) / PERIOD
-    random = [
-        crest_factor(
-            shape @ np.cos(2 * np.pi * np.outer(signal.lines, t) + rng.uniform(0, 6.3, (shape.size, 1)))
-        )
-        for _ in range(20)
-    ]
-    assert crest_factor(signal.period()) < min(random)
-    assert np.abs(signal.period()).max() == pytest.approx(1.0)
-
-
 def test_a_doublet_brings_a_rigid_mass_back_to_rest_where_it_began() -> None:
     wave = excitation.doublet(400)
     velocity = np.cumsum(wave)

@@ -24,13 +24,3 @@ def test_an_encoders_error_counts_as_far_as_its_lines_pass(seed) -> None:
     assert found.level == pytest.approx(70.0, rel=0.15)
     assert 90.0 < found.high < 140.0
     assert np.median(_power(level, seed)[quiet]) / np.log(2.0) < 3.0  # what a median of all lines says
-
-
-@pytest.mark.parametrize("fall", [4.0, 6.0])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_tail_of_motion_is_no_noise(seed, fall) -> None:
-    """Lumps of harmonics in it neither."""
-    quiet = HZ > 9.0
-    tail = 1e4 * (9.0 / HZ) ** fall * (1.0 + 0.8 * np.sin(2 * np.pi * np.log2(HZ) * 2.0))
-    found = noise_plateau(_power(1.0 + tail, seed)[quiet], HZ[quiet])
-    assert 0.8 < found.level < 2.5

@@ -36,15 +36,6 @@ def test_the_power_within_the_band_is_that_of_the_true_rounding(counts: float, s
     assert found.sum() > 3.0 * 300 * 4 / 12 / PERIOD  # the white share, which was assumed before
 
 
-def test_noise_that_hides_the_lattice_leaves_the_quiet_lines_to_tell() -> None:
-    rng = np.random.default_rng(5)
-    true = slow_motion(3.0, rng)
-    seen = lines_of(np.round(true + rng.standard_normal(true.size)))
-    power = np.abs(seen) ** 2
-    found = rounding_power(power.mean(axis=0), np.abs(seen.mean(axis=0)) ** 2, np.ones(1), 300)
-    assert not found.any()
-
-
 def test_the_rounding_of_a_symmetric_motion_lies_on_odd_lines() -> None:
     rng = np.random.default_rng(6)
     t = np.arange(PERIOD) / PERIOD

@@ -27,10 +27,6 @@ def test_periods_alike_before_others_are_a_machine_that_changed() -> None:
     assert find_settled_periods(_periods(1.0, 1.0, 0.4, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(0, True)
 
 
-def test_one_period_off_may_be_either_and_is_left_out() -> None:
-    assert find_settled_periods(_periods(1.0, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(1, True)
-
-
 def test_what_drifts_between_the_excited_lines_costs_no_period() -> None:
     """Of fourteen periods two were used: the low lines that nothing excites wander."""
     rng = np.random.default_rng(7)

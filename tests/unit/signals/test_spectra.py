@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from invid.recording.model import Experiment, Kind, Role
-from invid.signals.noise import repeating_power
 from invid.signals.spectra import spectra_of
 
 RATE = 1000.0
@@ -90,13 +89,6 @@ def test_a_decaying_transient_is_left_out_of_the_average() -> None:
     assert s.torque[s.excited, 0] == pytest.approx(expected(), rel=3e-3)
 
 
-def test_a_coasting_axis_does_not_leak_onto_the_lines() -> None:
-    t = np.arange(4000) / RATE
-    wave = tones(t)[:, None]
-    s = spectra_of(experiment(wave + 3.0 * t[:, None], wave))
-    assert s.position[s.excited, 0] == pytest.approx(expected(), rel=1e-6)
-
-
 def test_the_covariance_of_the_mean_is_that_of_white_noise() -> None:
     rng = np.random.default_rng(4)
     n, sigma = 5000, 0.2
@@ -119,24 +111,6 @@ def test_a_wrong_declared_period_is_found_out_and_the_right_one_used() -> None:
     s = spectra_of(experiment(wave, wave, period=930))
     assert any("does not repeat" in w and "1000" in w for w in s.warnings)
     assert s.torque[s.excited, 0] == pytest.approx(expected(), rel=0.01)
-
-
-def test_a_torque_that_repeats_the_demand_is_known_to_be_held_over_the_sample() -> None:
-    rng = np.random.default_rng(7)
-    demand = tones(np.arange(3000) / RATE)[:, None]
-    torque = np.vstack((demand[:1], demand[:-1])) + 0.01 * rng.standard_normal(demand.shape)
-    assert spectra_of(experiment(demand, torque, demand=demand)).staircase[0] == 1.0
-    assert np.isnan(spectra_of(experiment(demand, torque)).staircase[0])
-
-
-def test_rounding_that_repeats_on_odd_lines_is_seen_beneath_what_a_transient_leaks() -> None:
-    """Between the lines of the period there is four times less, and noise was read there: records that still
-    settle had theirs up to 4.5 times too small."""
-    rng = np.random.default_rng(3)
-    lines = np.arange(1, 4001)
-    noise = rng.standard_normal((lines.size, 2)) @ np.array([1.0, 1.0j]) * np.where(lines % 2, 1.0, 0.5)
-    leak = 3e4 / (1j * lines) - 2e5 / (lines**2 - 9e4 + 3e2j * lines)  # an end that does not close, a mode
-    assert repeating_power(noise + leak, lines > 500) == pytest.approx(2.0, rel=0.15)
 
 
 def test_few_lines_of_an_odd_multisine_are_told_from_what_a_machine_makes_between_them() -> None:

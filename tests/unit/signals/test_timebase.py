@@ -44,12 +44,3 @@ def test_a_long_gap_in_a_record_that_repeats_is_filled_from_its_other_periods() 
     assert found.lost == 60
     assert np.abs(found.torque - whole.torque).max() < 1e-6
     assert np.abs(found.position - whole.position).max() < 1e-9
-
-
-def test_a_long_gap_that_nothing_fills_is_bridged_by_a_straight_line() -> None:
-    whole = replace(_record(np.random.default_rng(4)), period_samples=0)
-    found = resample_uniformly(_without(whole, 700, 760))
-    ends = whole.torque[[699, 760], 0]
-    inside = found.torque[700:760, 0]
-    assert ends.min() <= inside.min()
-    assert inside.max() <= ends.max()

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from invid.errors import InputError, ModelError
-from invid.model.chains import CoupledChains, case_study
+from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.model.forward import dynamic_stiffness
 from invid.model.law_table import LawTable
@@ -253,36 +253,6 @@ def test_every_force_law_agrees_with_an_independent_integrator(name: str) -> Non
     assert without > 10 * with_effect  # the effect matters in this record, so the test can fail
 
 
-@pytest.mark.campaign
-@pytest.mark.parametrize("where", ["mass", "spring"])
-def test_sliding_springs_agree_with_an_independent_event_free_scheme(where: str) -> None:
-    """Elastoplastic element marched by tiny explicit steps: z is clipped, which no ODE solver likes."""
-    chains, stiffness, torque, fine = plant(), 400.0, 1.5, 20
-    inverse = np.linalg.inv(chains.mass_matrix)
-    q, v, z = np.zeros(4), np.zeros(4), 0.0
-    h = 1 / RATE / fine
-    samples = round(2.0 * RATE)
-    truth = np.zeros((samples, 2))
-    acting = torque_at(np.arange(samples * fine) * h + 0.5 * h)
-    place = (lambda x: x[0]) if where == "mass" else (lambda x: x[0] - x[1])
-    for k in range(samples * fine):
-        if k % fine == 0:
-            truth[k // fine] = q[[0, 2]]
-        before = place(q)
-        force = _on(0, -stiffness * z) if where == "mass" else _pair(0, -stiffness * z)
-        force[[0, 2]] += acting[k]
-        v = v + h * inverse @ (force - chains.stiffness_matrix @ q - chains.damping_matrix @ v)
-        q = q + h * v
-        z = float(np.clip(z + place(q) - before, -torque / stiffness, torque / stiffness))
-    cause = "presliding_friction" if where == "mass" else "spring_hysteresis"
-    term = effect(cause, "A1", f"{where} 1", stiffness=stiffness, torque=torque)
-    time = np.arange(samples) / RATE
-    record = recording(time, truth, torque_at(time))
-    found = relative(simulate(model(chains, term), record).experiments[0].position, truth)
-    assert found < 5e-3
-    assert relative(simulate(model(chains), record).experiments[0].position, truth) > 5 * found
-
-
 ACTUATORS: dict[str, tuple[EffectTerm, Callable[[float], np.ndarray]]] = {
     "gain": (effect("torque_gain", "A1", gain=1.1), lambda t: torque_at(t) * [1.1, 1.0]),
     "delay": (
@@ -309,34 +279,6 @@ def test_actuator_effects_change_the_torque_that_acts(name: str) -> None:
     assert relative(simulate(model(plant()), record).experiments[0].position, truth) > 5e-3
 
 
-@pytest.mark.campaign
-def test_a_payload_joins_at_its_time() -> None:
-    chains = plant()
-    heavy = dataclasses.replace(chains, masses=(np.array([1.0, 2.0]), chains.masses[1]))
-    time = np.arange(round(4.0 * RATE)) / RATE
-    truth = np.zeros((time.size, 2))
-    state = np.zeros(8)
-    for here, part in ((chains, time < 2.0), (heavy, time >= 2.0)):
-        inverse = np.linalg.inv(here.mass_matrix)
-
-        def slope(
-            t: float, x: np.ndarray, here: CoupledChains = here, inverse: np.ndarray = inverse
-        ) -> np.ndarray:
-            force = -here.stiffness_matrix @ x[:4] - here.damping_matrix @ x[4:]
-            force[[0, 2]] += torque_at(t)
-            return np.concatenate((x[4:], inverse @ force))
-
-        begin = time[part][0]
-        ends = (begin, begin + 2.0)
-        out = solve_ivp(slope, ends, state, t_eval=np.append(time[part], ends[1]), rtol=1e-9, atol=1e-11)
-        truth[part] = out.y[[0, 2], :-1].T
-        state = out.y[:, -1]
-    record = recording(time + 100.0, truth, torque_at(time))
-    term = effect("payload_change", "A1", mass=0.5, time=102.0)
-    assert relative(simulate(model(chains, term), record).experiments[0].position, truth) < 5e-3
-    assert relative(simulate(model(chains), record).experiments[0].position, truth) > 0.02
-
-
 def shaken(begin: float = 0.0, motion: float = 0.02) -> Recording:
     """Three seconds of torque beside a motion that is no model's: only models are compared on it."""
     time = np.arange(round(3.0 * RATE)) / RATE
@@ -361,15 +303,6 @@ def test_a_drift_goes_on_from_one_experiment_to_the_next(element: str, rate: flo
     assert relative(found, truth.position) < 0.01
     without = simulate(model(chains), both, only=["001"]).experiments[0].position
     assert relative(without, truth.position) > 0.05
-
-
-def test_dropped_samples_repeat_rows_at_the_rate_asked_for() -> None:
-    time, truth = reference(plant(), nothing)
-    term = effect("dropped_samples", "A1", fraction=0.1)
-    record = recording(time, truth, torque_at(time))
-    answer = simulate(model(plant(), term), record, rng=np.random.default_rng(1)).experiments[0]
-    repeated = np.mean(np.all(np.diff(answer.position, axis=0) == 0, axis=1))
-    assert 0.06 < repeated < 0.14
 
 
 def test_the_simulated_record_obeys_the_model_though_measured_motion_was_another() -> None:
@@ -407,13 +340,6 @@ def test_a_hold_gain_is_replayed_as_a_closed_loop() -> None:
     record = recording(time, truth, seen, hold_gain=np.array([0.0, 400.0]))
     answer = simulate(model(plant()), record)
     assert relative(answer.experiments[0].position, truth) < 5e-3
-
-
-def test_axes_of_another_robot_are_refused() -> None:
-    chains = case_study()
-    record = recording(np.arange(100) / RATE, np.zeros((100, 2)), np.zeros((100, 2)))
-    with pytest.raises(InputError, match="axes"):
-        simulate(model(chains), record)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from machines.mujoco_cells import Cell, drawn, measured, users, write, wrong
 
 import invid
 from invid.cli.app import run
-from invid.model.document import EffectTerm, Estimate
 from invid.simulators.judge import judge
 from invid.simulators.open import open_simulator
 
@@ -92,20 +91,6 @@ def test_a_missing_cause_is_named_and_stands_in_the_copy_as_an_element_of_mujoco
     assert element in (tmp_path / "mended.xml").read_text()
     loaded = invid.load_diagnosis(tmp_path / "d.json").against
     assert json.loads(json.dumps(loaded)) == found
-
-
-def test_a_base_that_gives_way_has_no_place_in_an_xml_and_the_copy_says_what_would(tmp_path: Path) -> None:
-    cell = drawn(3, kinds=(), motion="multisine", sizes=(2, 2))
-    (tmp_path / "robot.xml").write_text(users(cell))
-    simulator = open_simulator(tmp_path / "robot.xml", cell.axes)
-    claimed = simulator.claimed()
-    assert claimed is not None
-    numbers = {"mass": Estimate(5.0, None, "kg·m²"), "stiffness": Estimate(1e4, None, "N·m/rad")}
-    base = EffectTerm("base_compliance", cell.axes[0], numbers)
-    copy, cannot = simulator.corrected(replace(claimed, effects=(base,)), tmp_path / "c.xml")
-    (said,) = cannot
-    assert said.startswith("base_compliance on R1 (mass 5 kg·m², stiffness 1e+04 N·m/rad): all links would")
-    assert copy.claimed() is not None  # the rest is corrected
 
 
 def test_what_is_no_simulator_of_the_machine_is_refused_with_the_way_out(tmp_path: Path, linear: Any) -> None:

@@ -254,20 +254,6 @@ def fmu(
 
 
 @pytest.mark.parametrize(
-    ("name", "scale", "unit"),
-    [
-        pytest.param("degrees", 180 / np.pi, "deg", marks=pytest.mark.campaign),
-        ("turns", 0.5 / np.pi, "Umdrehung 6.283185307179586"),
-    ],
-)
-def test_a_right_fmu_of_other_names_and_units_is_right_and_nothing_is_said_to_lack(
-    bench: Any, tmp_path: Path, name: str, scale: float, unit: str
-) -> None:
-    found = judge(*bench, open_simulator(fmu(tmp_path, name, scale, unit=unit), ("A1",)))
-    assert found["right"], found["sentences"]
-
-
-@pytest.mark.parametrize(
     ("name", "options", "said"),
     [
         ("elsewhere", {"without": "linux"}, "win64"),

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -88,35 +87,6 @@ def test_our_own_export_is_read_back_number_by_number(tmp_path: Path) -> None:
             np.testing.assert_allclose(ours, theirs, rtol=1e-9)
     said = {(t.cause, t.axis): next(iter(t.parameters.values())).value for t in claimed.effects}
     assert said == pytest.approx({("coulomb_friction", "R2"): 0.3, ("viscous_friction", "R1"): 0.2})
-
-
-def test_friction_goes_to_dynamics_on_the_joints_side_and_the_rest_is_said_to_have_no_place(
-    tmp_path: Path,
-) -> None:
-    held = (
-        term("coulomb_friction", "R1", "mass 1", torque=0.3),
-        term("viscous_friction", "R1", "mass 1", coefficient=0.02),
-        term("spring_damping", "R2", "spring 1", coefficient=0.5),
-    )
-    lost = (
-        term("stribeck_friction", "R2", "mass 1", static=0.5, coulomb=0.2, velocity=0.1),
-        term("viscous_friction", "R2", "mass 2", coefficient=0.1),
-        term("cubic_stiffness", "R1", "spring 1", coefficient=10.0),
-        term("torque_delay", "R1", None, delay=0.002),
-        term("base_compliance", "R1", None, mass=5.0, stiffness=1e4),
-    )
-    simulator = opened(tmp_path, urdf(wrong(ELASTIC, 0.3), gear=50.0))
-    _, cannot = simulator.corrected(truth(ELASTIC, 0.2, *held, *lost), tmp_path / "mended.urdf")
-    assert [x.split()[0] for x in cannot] == ["coupling", *(t.cause for t in lost)]
-    assert all(": " in x for x in cannot)
-    joints = {
-        j.get("name"): j.find("dynamics").attrib  # type: ignore[union-attr]
-        for j in ElementTree.parse(tmp_path / "mended.urdf").getroot().findall("joint")
-    }
-    assert float(joints["q1_1"]["friction"]) == pytest.approx(0.3 * 50)
-    assert float(joints["q1_1"]["damping"]) == pytest.approx(0.02 * 50**2)
-    assert float(joints["q2_1"]["friction"]) == pytest.approx(0.2 * 50)
-    assert float(joints["q2_2"]["damping"]) == pytest.approx((ELASTIC.dampers[1][0] + 0.5) * 50**2)
 
 
 @pytest.mark.parametrize("kind", ["xml", "urdf"])

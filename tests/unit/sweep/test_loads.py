@@ -55,11 +55,6 @@ def test_what_swings_behind_a_held_motor_is_no_load(stated: Any) -> None:
         assert found.said == ""
 
 
-def test_a_stated_load_is_believed_whatever_the_torque() -> None:
-    assert judged(True, 0.0).loaded
-    assert judged(True, 0.0).said == ""
-
-
 def test_an_axis_that_its_drive_does_not_hold_counts_as_loaded_unless_stated() -> None:
     assert judged("unstated", 0.0, held=False).loaded
     assert not judged(False, 0.0, held=False).loaded

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
-from test_sweep import CYCLE, RigidCell, after, config, run
+from test_sweep import CYCLE, RigidCell, config, run
 
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
@@ -57,22 +57,6 @@ def show(standing: Standing, places: Iterable[float], *, first: int = 0, fresh: 
     return slot
 
 
-def excited_and_learned() -> tuple[Standing, int]:
-    """An axis that friction held for 0.1 s at each of five places in the trial, then moved; the next slot."""
-    standing = Standing(["A1"], CYCLE)
-    standing.excited = {0}
-    slot = show(standing, [float(k // 51) for k in range(5 * 51)])
-    standing.learn({0})
-    return standing, show(standing, [9.0], first=slot)
-
-
-def test_an_axis_may_stand_three_times_as_long_as_it_stood_in_the_trial() -> None:
-    standing, slot = excited_and_learned()
-    slot = show(standing, [9.0] * 149, first=slot)
-    with pytest.raises(SafetyStop, match="shown one value"):
-        show(standing, [9.0] * 3, first=slot)
-
-
 @pytest.mark.parametrize("lowest_hz", [0.3, 1.0])
 def test_an_axis_may_stand_a_quarter_period_of_its_slowest_line_whatever_it_did_in_the_trial(
     lowest_hz: float,
@@ -99,16 +83,6 @@ def test_a_gap_in_the_samples_is_no_leap_of_the_velocity() -> None:
         watch.check(sample(at, fresh=not lost, slot=slot))
     assert bounds.statistics.peak_velocity is not None
     assert bounds.statistics.peak_velocity[0] == pytest.approx(1.0, abs=0.01)
-
-
-def test_a_stuck_encoder_of_an_excited_axis_is_found_within_three_times_its_longest_stand() -> None:
-    cell = RigidCell()
-    held: dict[str, float] = {}
-    cell.disturb = after(23.0, lambda c, s: s.position.__setitem__(0, held.setdefault("x", s.position[0])))
-    _, error, _ = run(cell)
-    assert isinstance(error, SafetyStop)
-    assert "A1" in str(error)
-    assert cell.clock.time < 23.0 + 0.4
 
 
 def rows(path: Iterable[float]) -> Iterable[Sample]:

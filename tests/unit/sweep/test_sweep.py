@@ -239,16 +239,6 @@ def test_every_fault_at_any_phase_stops_every_axis_and_keeps_the_rows_so_far(
     assert cell.clock.time < moment + 6 * CYCLE + (50 * CYCLE if name == "overrun" else 0) + 0.02
 
 
-def test_a_few_lost_tpdos_are_survived() -> None:
-    cell = RigidCell()
-    cell.disturb = lambda c, s: s.fresh.__setitem__(0, s.slot % 20 != 7)
-    _rows, error, sweep = run(cell)
-    assert error is None
-    assert sweep.statistics.missed_tpdos is not None
-    assert sweep.statistics.missed_tpdos[0] > 100
-    assert sweep.statistics.missed_tpdos[1] == 0
-
-
 def test_a_person_who_pushes_the_arm_is_noticed_by_the_window() -> None:
     cell = RigidCell()
     cell.disturb = after(26.0, lambda c, s: c.push.__setitem__(0, 30.0))
@@ -280,19 +270,6 @@ def test_where_held_axes_answer_to_an_encoder_that_shows_nothing_the_torque_does
     most = max(abs(d[0]) for d in cell.demands)
     first = next(abs(d[0]) for d in cell.demands if d[0])
     assert most <= 10.01 * first if passes_on else most > 15 * first
-
-
-def test_growing_motion_of_held_axes_is_called_an_unstable_hold() -> None:
-    cell = RigidCell()
-
-    def grow(c: RigidCell, s: Sample) -> None:
-        t = s.time - 21.0
-        s.position[0] += 1e-4 * np.exp(2.0 * t) * np.sin(60 * t)
-
-    cell.disturb = after(21.0, grow)
-    _, error, _ = run(cell, axes=["A2"], cfg=config(count=2, limits=""))
-    assert isinstance(error, SafetyStop)
-    assert "unstable" in str(error)  # long before its velocity is beyond any limit
 
 
 def test_a_stop_on_request_fades_out_and_counts_as_a_safety_stop() -> None:
@@ -380,15 +357,6 @@ def test_an_unstable_hold_is_refused_before_anything_is_enabled() -> None:
     _, error, _ = run(cell, config(axis=", hold: {mode: master_p, gain: 100000}"))
     assert isinstance(error, ConfigError)
     assert cell.slot == -1
-
-
-@pytest.mark.parametrize(
-    "kinds", ["{kind: stepped_sine, frequencies_Hz: [4], cycles: 4}", "{kind: chirp, duration_s: 4}"]
-)
-def test_other_excitations_run_to_the_end(kinds: str) -> None:
-    rows, error, _ = run(RigidCell(), config(kinds))
-    assert error is None
-    assert len(rows.kept) == 2
 
 
 @pytest.mark.parametrize("late", [0, 2, 9, 24])

@@ -17,9 +17,9 @@ from test_sweep import RigidCell, config
 from invid.errors import RecordingError
 from invid.planning import make_plan
 from invid.recording import Outcome, Recording, RecordingWriter, read_recording
-from invid.sweep import Progress, Sweep
+from invid.sweep import Sweep
 from invid.sweep.recorder import Recorder
-from invid_drivers.cli.measure import ProgressLine, stop_on_signals
+from invid_drivers.cli.measure import stop_on_signals
 from invid_drivers.realtime import leave_by
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
@@ -69,11 +69,6 @@ class Gone:
 
     def flush(self) -> None:
         raise BrokenPipeError(32, "Broken pipe")
-
-
-def test_progress_that_nobody_reads_does_not_end_the_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stderr", Gone())
-    ProgressLine()(Progress("settling", None, None, 0.1, 10.0))
 
 
 def test_a_disk_that_fills_up_stops_the_axes_and_keeps_what_was_written(

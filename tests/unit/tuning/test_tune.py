@@ -11,13 +11,11 @@ from tuning.tuned import machine, tuned
 from invid.errors import NotIdentifiableError
 from invid.exchange.linear_plant import linear_plant
 from invid.model.chains import CoupledChains
-from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, Verdict
-from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector, std_by_name
-from invid.tuning.feedforward import NONE
+from invid.model.document import Model, parameter_vector, std_by_name
 from invid.tuning.gains import PROMISE
 from invid.tuning.margins import worst_margins
 from invid.tuning.plant_draws import drawn_models
-from invid.tuning.simulated_loops import AxisLoop, move_figures, run_loops
+from invid.tuning.simulated_loops import move_figures, run_loops
 from invid.tuning.tune import TuneSettings, tune_model
 
 
@@ -36,15 +34,6 @@ def test_the_move_is_better_than_with_the_timid_gains():
         assert axis.move_after.following < 0.3 * axis.move_before.following
         assert axis.move_after.at_load < axis.move_before.at_load
         assert np.isfinite(axis.move_after.settling)
-
-
-def test_feedforward_pays():
-    tuning = tuned()
-    bare = [AxisLoop(a.after.gains, NONE, a.after.shaper) for a in tuning.axes]
-    timing = tuning.settings.timing
-    without = move_figures(run_loops(tuning.model, bare, tuning.command, timing), tuning.command)
-    for axis, other in zip(tuning.axes, without, strict=True):
-        assert axis.move_after.following < 0.7 * other.following
 
 
 def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_the_findings():
@@ -82,33 +71,3 @@ def test_a_sharp_mode_gets_a_notch_and_the_loop_becomes_ten_times_as_fast():
 def test_a_model_that_is_not_to_be_trusted_is_refused():
     with pytest.raises(NotIdentifiableError, match="not to be trusted"):
         tune_model(replace(machine(), fit={"trustworthy": False}), TuneSettings())
-
-
-def test_an_unknown_mass_is_refused_by_name():
-    model = machine()
-    std = ChainStd(
-        (np.array([1e-4, np.nan]), *model.std.masses[1:]), model.std.springs, model.std.dampers,
-        model.std.couplings, model.std.ground_springs,
-    )  # fmt: skip
-    with pytest.raises(NotIdentifiableError, match=r"A1\.mass\.2"):
-        tune_model(replace(model, std=std), TuneSettings())
-
-
-def _diagnosed(effect: EffectTerm, *alternatives: Alternative) -> Diagnosis:
-    finding = Finding(effect, 0.6, 1.0, 0.1, 0.9, alternatives)
-    model = machine().extended(effect)
-    return Diagnosis(Verdict.EXPLAINED, (), None, (finding,), None, model)
-
-
-@pytest.mark.campaign
-def test_of_two_candidates_the_worse_one_is_designed_for():
-    delay = EffectTerm("torque_delay", "A1", {"delay": Estimate(0.004, 1e-4, "s")})
-    lag = EffectTerm("torque_lag", "A1", {"time_constant": Estimate(0.004, 1e-4, "s")})
-    opened = tune_model(_diagnosed(delay, Alternative("torque_lag", "A1", None, 0.1)), TuneSettings())
-    assert any("torque_lag" in text and "worse" in text for text in opened.remarks)
-    for effect in (delay, lag):
-        one = [linear_plant(machine().extended(effect))]
-        margins = worst_margins(
-            one, tuple(a.after.gains for a in opened.axes), opened.settings.timing, PROMISE
-        )
-        assert all(m.unstable == 0 and m.kept == 1.0 for m in margins)

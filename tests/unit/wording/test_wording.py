@@ -10,7 +10,7 @@ import pytest
 import invid
 from invid.effects.registry import CATALOGUE
 from invid.model.doubts import DoubtCode
-from invid.wording.statement import LANGUAGES, Statement, catalogue, say
+from invid.wording.statement import LANGUAGES, catalogue
 
 ENGLISH = catalogue("en")
 
@@ -36,7 +36,3 @@ def test_an_effect_says_of_itself_what_the_english_catalogue_says() -> None:
     for effect in CATALOGUE:
         assert ENGLISH[f"cause.{effect.cause}"] == effect.title.split(" (")[0]
         assert ENGLISH[f"check.{effect.cause}"] == effect.check
-
-
-def test_a_cause_that_somebody_added_is_called_by_its_own_title() -> None:
-    assert say(Statement("cause.quadratic_drag", english="drag"), "de") == "drag"

@@ -1,39 +1,24 @@
-"""Drives of another author in a process of their own: `durand` nodes, another plant, another state machine.
+"""Drives of another author: `durand` nodes, another plant, another state machine.
 
-    python durand_process.py CELL.json
+Nothing of the simulated drives is used. The drives do not enforce their limits in torque mode, have no brake
+unless told, lose their torque while it closes, and may carry a load.
 
-Nothing of the simulated drives is used; of the package only the AF_UNIX wire. The drives do not enforce their
-limits in torque mode, have no brake unless told, lose their torque while it closes, and may carry a load.
-What truly happened is printed as one JSON line for every line read: ``mark`` begins the extremes anew.
-
-CELL.json: ``socket``; ``nodes``, each with ``node_id``, ``masses`` (one or two), ``spring``, ``gravity``
-(torque on the last mass), ``brake_delay`` (null: no brake), ``lacks`` (indices), ``values`` (index to value),
-``enable`` (seconds until torque), ``opposed`` (the encoder counts against the motor), ``shows`` (0x6077 per
-torque), ``stops_by`` (0x605A that is carried out, whatever was written), ``power_in_operational`` (torque is
-gone in any other NMT state), ``follows`` (0x6065 counts); ``foreign`` (node ids that are somebody else's,
-operational).
+A drive's spec: ``node_id``, ``masses`` (one or two), ``spring``, ``gravity`` (torque on the last mass),
+``brake_delay`` (null: no brake), ``lacks`` (indices), ``values`` (index to value), ``enable`` (seconds until
+torque), ``opposed`` (the encoder counts against the motor), ``shows`` (0x6077 per torque), ``stops_by``
+(0x605A that is carried out, whatever was written), ``power_in_operational`` (torque is gone in any other NMT
+state), ``follows`` (0x6065 counts).
 """
 
 from __future__ import annotations
 
-import contextlib
-import json
 import math
-import select
-import sys
-import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import can
 from durand import MinimalNode, Record, Variable
 from durand.datatypes import DatatypeEnum as DT
 from durand.network import NetworkABC
-from durand.scheduler import VirtualScheduler, set_scheduler
 from durand.services.nmt import StateEnum
-
-from invid_drivers.simulated.unix_bus import UnixHub
 
 COUNTS = 1 << 20
 PER_RAD = COUNTS / (2 * math.pi)
@@ -73,24 +58,6 @@ BITS = {
     "switch on disabled": 0x40, "ready to switch on": 0x21, "switched on": 0x23, "operation enabled": 0x27,
     "quick stop active": 0x07, "fault reaction": 0x0F, "fault": 0x08,
 }  # fmt: skip
-
-
-class Port(NetworkABC):
-    """One node's end of the wire."""
-
-    def __init__(self, hub: UnixHub) -> None:
-        self.subscriptions: dict[int, Callable[[int, bytes], None]] = {}
-        self._hub = hub
-
-    def add_subscription(self, cob_id: int, callback: Callable[[int, bytes], None]) -> None:
-        self.subscriptions[cob_id] = callback
-
-    def remove_subscription(self, cob_id: int, callback: Any = None) -> None:
-        self.subscriptions.pop(cob_id, None)
-
-    def send(self, cob_id: int, msg: bytes) -> None:
-        with contextlib.suppress(can.CanError):
-            self._hub.send(can.Message(arbitration_id=cob_id, data=bytes(msg), is_extended_id=False))
 
 
 class Axis:
@@ -148,7 +115,7 @@ class Axis:
 class Drive:
     """The device profile on a durand node, typed from the standard's figure."""
 
-    def __init__(self, port: Port, spec: dict[str, Any]) -> None:
+    def __init__(self, port: NetworkABC, spec: dict[str, Any]) -> None:
         self.port, self.axis = port, Axis(spec)
         self.node = MinimalNode(port, spec["node_id"])
         self.enable_s = spec.get("enable", 0.0)
@@ -341,68 +308,3 @@ class Drive:
         od.write(0x6064, 0, round(self.seen * PER_RAD))
         shown = self.shows * self.turned * self.axis.torque / RATED
         od.write(0x6077, 0, max(-32768, min(32767, round(shown * 1000))))
-
-    def truth(self) -> dict[str, Any]:
-        return {
-            "node_id": self.node.node_id, "state": self.state, "position": self.axis.x[0],
-            "travel": self.axis.travel, "speed": self.axis.speed, "commanded": self.axis.commanded,
-            "by_loop": self.axis.by_loop,
-            "max_torque": self.number(0x6072, missing=-1),
-        }  # fmt: skip
-
-
-class Cell:
-    """Hub, nodes and time."""
-
-    def __init__(self, spec: dict[str, Any]) -> None:
-        self.hub = UnixHub(spec["socket"])
-        self.scheduler = VirtualScheduler()
-        set_scheduler(self.scheduler)
-        self.drives = [Drive(Port(self.hub), node) for node in spec["nodes"]]
-        self.foreign: dict[int, list[str]] = {}
-        self.ports = [d.port for d in self.drives]
-        for number in spec.get("foreign", ()):
-            port = Port(self.hub)
-            node = MinimalNode(port, number)
-            node.nmt.set_state(StateEnum.OPERATIONAL)
-            changes = self.foreign[number] = []
-            node.nmt.state_callbacks.add(lambda state, changes=changes: changes.append(state.name))
-            self.ports.append(port)
-        self.time = time.monotonic()
-
-    def advance(self) -> None:
-        now = time.monotonic()
-        self.scheduler.run(now - self.time)
-        while now - self.time > SUBSTEP:
-            self.time += SUBSTEP
-            for drive in self.drives:
-                drive.step(SUBSTEP, self.time)
-
-    def run(self) -> None:
-        print("ready", flush=True)
-        while True:
-            message = self.hub.recv(0.001)
-            self.advance()
-            if message is not None:
-                data = bytes(message.data)
-                for drive in self.drives:
-                    drive.hear(message.arbitration_id, data)
-                for port in self.ports[len(self.drives) :]:
-                    callback = port.subscriptions.get(message.arbitration_id)
-                    if callback is not None:
-                        callback(message.arbitration_id, data)
-            elif select.select([sys.stdin], [], [], 0)[0]:
-                line = sys.stdin.readline()
-                if not line:
-                    return
-                print(json.dumps(self.truth()), flush=True)
-                if line.strip() == "mark":
-                    for drive in self.drives:
-                        drive.axis.mark()
-
-    def truth(self) -> dict[str, Any]:
-        return {"drives": [d.truth() for d in self.drives], "foreign": self.foreign}
-
-
-if __name__ == "__main__":
-    Cell(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))).run()
