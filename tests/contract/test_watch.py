@@ -41,8 +41,8 @@ def broken_at(
     return cell, cell.measure()
 
 
-BEFORE = [(turn, t) for t in (1.7, 2.4, 4.4, 7.4, 9.4)]
-SHAKEN = [(what, t) for what in (turn, turn_encoder, freeze) for t in (11.35, 13.35, 14.05)]
+BEFORE = [(turn, t) for t in (1.7, 4.4, 9.4)]
+SHAKEN = [(turn, 11.35), (turn, 14.05), (turn_encoder, 13.35), (freeze, 11.35), (freeze, 14.05)]
 
 
 @pytest.mark.parametrize(("what", "seconds"), BEFORE)
@@ -81,6 +81,7 @@ def test_an_encoder_that_dies_while_its_axis_is_at_rest_is_found_when_it_is_shak
     assert not cell.drives[0].axis.energised
 
 
+@pytest.mark.campaign
 def test_a_turn_in_the_middle_of_the_shaking_is_told_from_the_motion_alone(tmp_path: Path) -> None:
     _, error = broken_at(tmp_path, 13.35, turn)
     assert isinstance(error, SafetyStop)
@@ -143,12 +144,13 @@ def cycles_until_stopped(obedience: Obedience, pushed: Pushed, most: int) -> int
     return None
 
 
+@pytest.mark.campaign
 def test_a_healthy_axis_is_left_alone_for_a_thousand_seconds() -> None:
     pushed = Pushed(1)
     assert cycles_until_stopped(taught(pushed), pushed, 250_000) is None
 
 
-@pytest.mark.parametrize("reacts", [0.0, 0.5])
+@pytest.mark.parametrize("reacts", [0.5])
 def test_a_sign_that_turns_is_told_within_half_a_second_also_where_others_shake_the_axis_as_much(
     reacts: float,
 ) -> None:
@@ -161,6 +163,7 @@ def test_a_sign_that_turns_is_told_within_half_a_second_also_where_others_shake_
     assert took * CYCLE < 0.52
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("others", [3.0, 30.0])
 def test_other_axes_and_friction_that_grow_with_the_amplitude_are_no_turned_sign(others: float) -> None:
     for seed in range(10):

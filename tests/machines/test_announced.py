@@ -39,7 +39,7 @@ def with_rated_torque(drawn: Drawn, factor: float) -> Drawn:
 BY_NIGHT = pytest.mark.campaign
 
 
-@pytest.mark.parametrize("seed", [302, *(pytest.param(s, marks=BY_NIGHT) for s in (305, 307, 410, 422))])
+@pytest.mark.parametrize("seed", [pytest.param(s, marks=BY_NIGHT) for s in (302, 305, 307, 410, 422)])
 def test_no_axis_does_more_than_was_announced_in_any_phase_and_the_run_lasts_as_planned(seed: int) -> None:
     drawn = draw(seed)
     truth = run(drawn)

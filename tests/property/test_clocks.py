@@ -246,6 +246,7 @@ def test_the_motion_on_the_grid_is_the_one_that_was(tmp_path_factory, capsys, lo
         assert wrong < row * (0.25 if coarse and (log.loss or log.gap) else 0.05), wrong / row
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(("work", "seldom"), [(0.04, 0.0), (0.02, 0.25), (0.3, 0.1)])
 def test_a_loop_that_sleeps_after_its_work_keeps_no_clock_and_misses_no_row(
     work: float, seldom: float

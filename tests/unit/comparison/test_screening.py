@@ -64,6 +64,7 @@ def accepted(tmp_path_factory: pytest.TempPathFactory) -> Model:
     return identify(read_recording(folder / "r.h5"))
 
 
+@pytest.mark.campaign
 def test_an_unchanged_cell_is_said_to_be_unchanged_and_what_would_have_been_seen(
     accepted: Model, tmp_path: Path
 ) -> None:

@@ -39,6 +39,7 @@ def with_play() -> Diagnosis:
     return diagnose_elastic(begin_elastic(plant.recording(41), plant.sizes))
 
 
+@pytest.mark.campaign
 def test_forces_stand_at_every_place_and_play_takes_most_of_those_in_its_spring(with_play: Diagnosis) -> None:
     places = [(f.axis, f.element, f.other_axis) for f in with_play.forces]
     assert (
@@ -50,6 +51,7 @@ def test_forces_stand_at_every_place_and_play_takes_most_of_those_in_its_spring(
     assert max(after[p] for p in inner) < 0.1 * max(before[p] for p in inner)
 
 
+@pytest.mark.campaign
 def test_what_is_found_is_never_ruled_out_and_every_other_cause_has_a_limit_or_a_reason(
     with_play: Diagnosis,
 ) -> None:
@@ -65,6 +67,7 @@ def test_what_is_found_is_never_ruled_out_and_every_other_cause_has_a_limit_or_a
     assert any(limit is not None for limit in other)
 
 
+@pytest.mark.campaign
 def test_the_document_is_read_as_it_was_written(with_play: Diagnosis) -> None:
     written = json.dumps(diagnosis_to_json(with_play))
     assert json.dumps(diagnosis_to_json(diagnosis_from_json(json.loads(written)))) == written

@@ -24,6 +24,7 @@ def linear(tmp_path_factory: pytest.TempPathFactory) -> tuple[Cell, Path, invid.
     return cell, folder, recording, invid.diagnose(recording, budget=60)
 
 
+@pytest.mark.campaign
 def test_the_xml_that_made_the_recording_is_called_right(linear: Any) -> None:
     cell, folder, recording, diagnosis = linear
     (folder / "right.xml").write_text(users(cell))

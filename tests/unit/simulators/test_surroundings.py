@@ -102,7 +102,7 @@ RIGHT = {
         "files are missing",
     ),
 }  # fmt: skip
-QUICK = ("range", "door", "mesh")
+QUICK = ("door", "mesh")
 
 
 @pytest.mark.parametrize(

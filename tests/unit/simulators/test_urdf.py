@@ -42,7 +42,7 @@ ELASTIC = plain(drawn(3, kinds=(), motion="multisine", sizes=(2, 2)))
 ARM = replace(drawn(3, kinds=(), motion="multisine", sizes=(1, 1)), carried=(False, True))
 
 
-@pytest.fixture(scope="module", params=["elastic", "arm"])
+@pytest.fixture(scope="module", params=[pytest.param("elastic", marks=pytest.mark.campaign), "arm"])
 def machine(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Cell, invid.Recording, Any]:
     folder = tmp_path_factory.mktemp(request.param)
     cell = {"elastic": ELASTIC, "arm": ARM}[request.param]
