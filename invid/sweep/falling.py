@@ -197,29 +197,3 @@ class Falling:
                 if fall is not None and judged(sample.status[i]):
                     found[i] = fall
         return found
-
-
-def delay(acceleration: float, resolution: float, cycle_s: float, window: float, rated: float) -> float:
-    """Seconds from the first motion of a free fall with that acceleration until it is seen."""
-    axis = _Axis(resolution, cycle_s, window, rated, math.inf)
-    k = -axis.count
-    while k * cycle_s < 5.0:
-        t = max(0.0, k * cycle_s)
-        x = math.floor(0.5 * acceleration * t * t / resolution + 0.5) * resolution
-        if axis.take(k * cycle_s, x, 0.0) is not None:
-            return t
-        k += 1
-    return math.inf
-
-
-def table() -> str:
-    """The delays of docs/reference/safety-tests.md, as Markdown."""
-    lines = ["| bits | 1 ms | 2 ms | 4 ms |", "| --- | --- | --- | --- |"]
-    for bits in (12, 14, 16, 20):
-        count = 2 * math.pi / 2**bits
-        cells = (
-            ", ".join(f"{1e3 * delay(a, count, cycle, 0.5, 10.0):.0f}" for a in (1.0, 3.0, 10.0))
-            for cycle in (0.001, 0.002, 0.004)
-        )
-        lines.append(f"| {bits} | {' | '.join(cells)} |")
-    return "\n".join(lines)
