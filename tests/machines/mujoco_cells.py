@@ -52,20 +52,19 @@ SIZES = {
     "weight": (0.02, 0.5),
     "base": (1.0, 30.0),  # base's inertia over that of the links
 }
-"""Sizes are drawn evenly in their logarithm; where they stand out is said in decibels."""
+"""Sizes are drawn evenly in their logarithm."""
 
 
 @dataclass(frozen=True)
 class Hidden:
     """One element beyond the linear chain: ``element`` as the product counts masses and springs, ``size`` as
-    ``SIZES`` says, ``numbers`` in SI; ``db`` how far it stands out."""
+    ``SIZES`` says, ``numbers`` in SI."""
 
     kind: str
     axis: int
     element: int
     size: float
     numbers: dict[str, float] = field(default_factory=dict)
-    db: float = -math.inf
 
 
 @dataclass(frozen=True, eq=False)

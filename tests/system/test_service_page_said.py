@@ -7,10 +7,30 @@ from pathlib import Path
 
 import pytest
 from page_browser import Page, browser, needs_browser
-from service_process import serving
-from test_service_page_change import TWO, on_screen
+from service_process import SMALL_CELL, serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.service, pytest.mark.campaign, needs_browser]
+AXIS = """  - name: A2
+    node_id: 2
+    rated_torque_Nm: 80
+    masses: 2
+    inertia_kgm2: 7.0
+    gravity_loaded: false
+    limits: {torque_Nm: 40, position_window_rad: 1.0, velocity_rad_per_s: 5, stopping_room_rad: 3}
+safety:"""
+TWO = SMALL_CELL.replace("safety:", AXIS, 1).replace(
+    "dampers_Nms_per_rad: [1.0]}]",
+    "dampers_Nms_per_rad: [1.0]}, {axis: A2, masses_kgm2: [1.5, 5.97], springs_Nm_per_rad: [4000],"
+    " dampers_Nms_per_rad: [3.0]}]",
+)
+
+
+def on_screen(page: Page, identity: str) -> bool:
+    """Whether all of it lies between the top and the stop bar, without scrolling."""
+    script = """const box = (id) => document.getElementById(id).getBoundingClientRect();
+      const b = box(arguments[0]);
+      return window.scrollY === 0 && b.height > 0 && b.top >= 0 && b.bottom <= box('stopbar').top"""
+    return bool(page.driver.execute_script(script, identity))
 
 
 def test_a_named_person_accepts_says_what_changed_and_a_short_check_answers_it(tmp_path: Path) -> None:
