@@ -298,13 +298,3 @@ def test_who_was_late_is_named_and_it_was_not_the_computer(tmp_path: Path, late:
     expected = {"drive": "the drive takes longer", "adapter": "the adapter or its driver takes longer"}
     assert expected.get(late, "answers to SYNC without power") in words
     assert "the computer was late" not in words
-
-
-@pytest.mark.campaign
-def test_slots_without_sync_that_the_master_listens_in_are_no_lateness(tmp_path: Path) -> None:
-    cell = ForeignCell(tmp_path, [Habits(), Habits()], [NOTHING, NOTHING])
-    cell.wire.late = lambda now: 0.003 if now > 6.0 and now % 0.2 < 0.002 else 0.0
-    ended = cell.measure()
-    assert ended.result is not None, ended.words
-    assert ended.result.skipped_slots == 0
-    assert "late" not in " ".join(w for w in ended.result.warnings if "SYNC" in w)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from node_master import Master, case_study_cell, cell
-
-from invid_drivers.simulated.faults import DRIVE_FAULTS, FRAME_FAULTS
+from node_master import Master, cell
 
 OE, FAULT, QSA, SOD = 0x27, 0x08, 0x07, 0x40
 
@@ -33,24 +31,6 @@ def test_a_node_whose_cable_is_pulled_stops_by_its_own_heartbeat_watch() -> None
     assert master.bus.cell.drives[0].state.name == "FAULT"
     assert abs(float(master.bus.cell.plant.velocities[0])) < 1e-9
     master.close()
-
-
-def test_every_kind_of_fault_can_happen_in_a_run_of_three_axes() -> None:
-    for number, kind in enumerate((*FRAME_FAULTS, *DRIVE_FAULTS)):
-        fault = {
-            "kind": kind,
-            "axis": "A2",
-            "at_s": 0.06,
-            "duration_s": 0.03,
-            "limit_Nm": 1.0,
-            "torque_Nm": 5.0,
-        }
-        master = Master(case_study_cell(seed=number, faults=[fault]))
-        master.prepare()
-        for word in [6, 6, 7, 7, *[0x0F] * 60]:
-            master.cycle([100, 0, 0], word)
-        assert np.isfinite(master.bus.cell.plant.state).all(), kind
-        master.close()
 
 
 @settings(max_examples=60, deadline=None)

@@ -85,22 +85,6 @@ def test_a_config_that_states_a_steeper_ramp_has_it_written_where_its_unit_is_kn
     assert od.number(0x6085) == before
 
 
-def test_a_ramp_in_an_unknown_unit_counts_in_the_slower_one_and_a_stated_one_is_believed() -> None:
-    drive = {"quick_stop_deceleration_rad_per_s2": 3.0, "ramp_unit": "rpm_per_s"}
-    master = connect(cell(drive))
-    (report,) = master.check()
-    assert report.stopping.deceleration is not None
-    assert report.stopping.deceleration < 0.001
-    assert "taken as counts/s²" in report.stopping.ramp
-    master.close()
-    master = connect(cell(drive, quick_stop_deceleration_rad_per_s2=3.0))
-    (report,) = master.check()
-    assert report.stopping.deceleration == 3.0
-    master.energise([Mode.HOLD])
-    assert od_of(master).number(0x6085) == round(3.0 * 60 / (2 * np.pi))  # what is not known is not written
-    master.close()
-
-
 def test_a_ramp_beyond_the_torque_limit_is_given_what_the_limit_can_do_and_restored() -> None:
     config = cell({"quick_stop_deceleration_rad_per_s2": 100.0})
     master = connect(config)

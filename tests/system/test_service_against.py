@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 from machines.mujoco_cells import drawn, measured, urdf, users, write, wrong
-from page_browser import Page, browser, needs_browser
 from service_process import serving
 
 from invid.simulators.open import open_simulator
@@ -41,28 +40,3 @@ def test_a_wrong_simulator_is_judged_and_its_corrected_copy_fetched(tmp_path: Pa
         error = service.wait(answer.headers["Location"], "failed", timeout=120)["error"]
         assert "drives 0 joints" in error["text"]
         assert str(tmp_path) not in error["text"]
-
-
-@pytest.mark.campaign
-@needs_browser
-@pytest.mark.browser
-def test_a_simulator_is_chosen_on_the_page_and_its_corrected_copy_is_offered(tmp_path: Path) -> None:
-    cell = drawn(3, kinds=(), motion="multisine", sizes=(1,))
-    write(cell, measured(cell), tmp_path / "rec.h5")
-    (tmp_path / "mine.xml").write_text(users(wrong(cell, 0.3)))
-    with serving(tmp_path) as service, browser(tmp_path / "profile") as driver:
-        page = Page(driver)
-        driver.get(service.url + "/")
-        page.wait_text("ready-title", "Ready")
-        driver.find_element("css selector", "[data-view=upload]").click()
-        page.shown("simulator").send_keys(str(tmp_path / "mine.xml"))
-        page.shown("file").send_keys(str(tmp_path / "rec.h5"))
-        assert page.barriers() == []
-        page.press(driver.find_element("css selector", "#upload-form button[type=submit]"))
-        page.wait_text("against", "R1 mass 1", 120)
-        offered = page.shown("corrected")
-        assert offered.text == "Save the corrected simulator"
-        copy = service.client.get(offered.get_attribute("href").removeprefix(service.url))
-        assert copy.text.startswith("<mujoco")
-        assert offered.get_attribute("data-download").endswith("-corrected.xml")
-        assert page.mistakes() == []

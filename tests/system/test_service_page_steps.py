@@ -2,42 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from page_browser import Page, browser, needs_browser
-from service_process import SMALL_CELL, STIFF_CELL, serving
+from service_process import STIFF_CELL, serving
 
 pytestmark = [pytest.mark.campaign, pytest.mark.browser, pytest.mark.service, needs_browser]
-# Members that the service gives in other situations than a small healthy cell can be brought into.
-ANSWERS = """const real = window.fetch;
-window.asked = [];
-window.fetch = async (url, options = {}) => {
-  const added = %s, method = options.method ?? "GET", path = new URL(url, location.href).pathname;
-  let body = typeof options.body === "string" ? JSON.parse(options.body) : null;
-  if (body) {
-    window.asked.push(structuredClone(body));
-    if (added.separating) { delete body.separate; delete body.amplitude; }
-    options = { ...options, body: JSON.stringify(body) };
-  }
-  const response = await real(url, options);
-  if (!response.headers.get("content-type")?.includes("application/json")) return response;
-  const document_ = await response.json();
-  if (/identifications\\/[^/]+$/.test(path) && method === "GET") {
-    for (const [name, value] of Object.entries(added)) {
-      if (value.states.includes(document_.state)) document_[name] = value.is;
-    }
-  }
-  return new Response(JSON.stringify(document_), { status: response.status, headers: response.headers });
-};"""
-
-
-def answering(driver: Any, **added: Any) -> None:
-    """Add members to the identifications that the page is told of: ``name={"is": …, "states": […]}``."""
-    driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": ANSWERS % json.dumps(added)})
 
 
 def on_screen(page: Page, identity: str) -> bool:
@@ -166,46 +138,3 @@ def test_the_whole_job_is_done_by_keyboard(tmp_path: Path) -> None:
         press(Keys.ENTER)
         page.wait_text("ready-title", "Ready")
         page.wait_text("in-force", "accepted")
-
-
-def test_a_stopped_run_shows_where_why_the_last_seconds_and_the_one_action(tmp_path: Path) -> None:
-    seconds = [-2.0 + 0.01 * k for k in range(201)]
-    moved = [0.001 * k if k < 150 else 0.15 + 0.02 * (k - 150) for k in range(201)]
-    stopped = {
-        "code": "position_window",
-        "phase": "experiment 1 of 2",
-        "axis": "A1",
-        "reason": "axis A1: position left its window: 1.15 rad from the start, limit 1.0",
-        "action": {"code": "gentler", "text": "Start again with half of the torque.", "where": "page"},
-        "trace": {"time_s": seconds, "position": {"A1": moved}, "torque": {"A1": [5.0] * 201}},
-    }
-    cell = SMALL_CELL.replace("periods: 3}", "periods: 60}")
-    with serving(tmp_path, cell=cell) as service, browser(tmp_path / "profile", 800, 1280) as driver:
-        answering(driver, stopped={"is": stopped, "states": ["stopped"]})
-        page = Page(driver)
-        location = service.start()
-        service.wait(location, "running")
-        driver.get(service.url + "/")
-        page.wait_text("run-title", "Measuring")
-        driver.find_element("id", "stop").click()
-        service.wait(location, "stopped", timeout=10)
-        page.shown("stopped")
-        assert "1.15 rad from the start, limit 1.0" in page.text("run-error")
-        assert "What to do" not in page.text("run-error"), "one action, and it stands below"
-        assert "experiment 1 of 2, axis A1" in page.text("stopped-where")
-        assert page.text("stopped-action") == "Start again with half of the torque."
-        labels = [c.get_attribute("aria-label") for c in page.shown("trace").find_elements("tag name", "svg")]
-        assert "the limit is ±57.3 °" in labels[0], "as in the plan"
-        assert "at the end 65.9 °" in labels[0]
-        assert len(labels) == 2
-        assert page.barriers() == []
-        assert page.nameless_pictures() == []
-        driver.add_cookie({"name": "invid-language", "value": "de", "path": "/"})
-        driver.refresh()
-        page.wait_text("run-error", "weiter, als sie darf")
-        assert "1,15 rad vom Anfang, erlaubt 1,0" in page.text("run-error")
-        page.press(page.shown("stopped-do"))
-        deadline = time.monotonic() + 10
-        while not (asked := [a for a in driver.execute_script("return window.asked") if "mode" in a]):
-            assert time.monotonic() < deadline
-        assert asked[-1] == {"mode": "full", "amplitude": "gentler", "axes": ["A1"]}

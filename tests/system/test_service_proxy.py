@@ -14,7 +14,6 @@ from pathlib import Path
 import httpx
 import pytest
 from service_process import serving
-from test_service_page import Page, browser
 
 from invid_service.keys import add_key
 
@@ -112,28 +111,3 @@ def test_a_run_is_started_and_followed_through_a_proxy_by_who_has_a_key(tmp_path
         assert client.post(f"{location}/actions", json={"type": "cancel"}).status_code == 200
         thread.join(20)
         assert not thread.is_alive()
-
-
-@pytest.mark.browser
-@pytest.mark.skipif(
-    shutil.which("chromedriver") is None, reason="CHROMIUM IS MISSING: apt-get install chromium-driver"
-)
-def test_the_page_asks_for_the_key_and_works_behind_the_proxy(tmp_path: Path) -> None:
-    key = add_key(tmp_path / "keys.json", "technician", ["read", "run", "accept"])
-    given = ("--key-file", str(tmp_path / "keys.json"), "--root-path", "/robots/invid")
-    with (
-        serving(tmp_path, *given, "--trusted-proxy", "127.0.0.1") as served,
-        proxy(tmp_path / "nginx", served.url) as url,
-        browser(tmp_path / "profile") as driver,
-    ):
-        driver.get(f"{url}/")
-        page = Page(driver)
-        page.wait_text("notices", "asks for a key")
-        driver.find_element("css selector", "form.ask input").send_keys(key)
-        driver.find_element("css selector", "form.ask button").click()
-        page.shown("prepare")
-        assert "small cell" in driver.find_element("tag name", "body").text
-        page.shown("prepare").click()
-        page.shown("arm")
-        asked = " 401 "  # the calls before the key was given
-        assert [m for m in page.mistakes() if asked not in m] == []

@@ -123,20 +123,6 @@ def test_recordings_of_different_machines_are_refused_in_words(case: tuple[invid
         invid.diagnose([])
 
 
-def test_a_table_with_plain_names_is_imported_and_what_was_assumed_is_a_warning(tmp_path: Path) -> None:
-    time = np.arange(400) / 200.0
-    rows = np.column_stack((time, np.sin(time), np.cos(time)))
-    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="time,position,torque", comments="")
-    with pytest.warns(UserWarning, match="no map was given"):
-        recording = invid.import_recording(tmp_path / "log.csv", created="2026-11-21T10:00:00Z")
-    assert recording.experiments[0].position.shape == (400, 1)
-    assert recording.created == "2026-11-21T10:00:00Z"
-    with pytest.raises(TypeError, match="immutable"):
-        recording.attributes["x"] = 1
-    with pytest.raises(invid.InputError, match=r"none\.yaml: cannot be read: No such file"):
-        invid.import_recording(tmp_path / "log.csv", tmp_path / "none.yaml")
-
-
 def test_the_import_loads_nothing_heavy() -> None:
     code = "import sys, invid; print(*{m.split('.')[0] for m in sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -88,15 +88,6 @@ def test_a_set_comes_with_licence_and_source_and_is_not_fetched_twice(
     assert (own / "a.csv").read_bytes() == small
 
 
-def test_another_file_than_the_published_one_is_refused_and_not_kept(
-    tmp_path: Path, place: Place, small: bytes, capsys: pytest.CaptureFixture[str]
-) -> None:
-    place.files = dict.fromkeys(place.files, b"something else")
-    assert run(["fetch-data", "double_pendulum", "--to", str(tmp_path), "--source", place.url]) == 2
-    assert "is not the file that was published" in capsys.readouterr().err
-    assert not [p for p in tmp_path.rglob("*") if p.is_file()]
-
-
 def test_without_a_network_the_words_say_what_to_do(
     tmp_path: Path, place: Place, small: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:

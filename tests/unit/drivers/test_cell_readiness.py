@@ -13,7 +13,7 @@ from invid_drivers.cia402.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.holding import energised_reason
 from invid_drivers.cia402.journal import journal_path
 from invid_drivers.cia402.states import DriveState
-from invid_drivers.readiness import loads_to_support, not_ready
+from invid_drivers.readiness import not_ready
 from invid_service.cells.readiness import Situation, readiness
 
 CONFIG = Path(__file__).parents[3] / "configs" / "case-study-unix.yaml"
@@ -81,19 +81,6 @@ def test_only_what_this_program_left_held_is_taken_over(cell: CellConfig, state:
     assert ready.can_start == (state is DriveState.QUICK_STOP_ACTIVE)
 
 
-def test_loads_are_to_be_supported_until_each_hold_was_seen_and_in_no_simulation(cell: CellConfig) -> None:
-    axes = [
-        a.model_copy(update={"gravity_loaded": g})
-        for a, g in zip(cell.axes, (True, False, None), strict=True)
-    ]
-    hardware = cell.model_copy(update={"simulation": None, "axes": axes})
-    assert loads_to_support(hardware) == ("A1", "A3")
-    assert loads_to_support(hardware.model_copy(update={"simulation": cell.simulation})) == ()
-    memory = HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel))
-    memory.keep("drive of A1", Seen(1, loaded=True, holds=True))
-    assert loads_to_support(hardware) == ("A3",)
-
-
 def test_an_axis_at_which_a_run_ended_names_the_command_that_clears_it(cell: CellConfig) -> None:
     memory = HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel))
     memory.keep("drive of A3", Seen(3, loaded=True, suspect="axis A3: the encoder is stuck"))
@@ -116,16 +103,6 @@ def test_with_a_memory_that_cannot_be_read_every_axis_waits_for_a_person(tmp_pat
         again = HoldMemory(path)
         assert again.of("drive", 1).suspect == ""
         assert "cannot be read" in again.of("drive", 2).suspect
-
-
-def test_what_waits_for_a_person_is_remembered_without_a_serial_number_and_of_the_next_drive_too(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "holds.json"
-    HoldMemory(path).keep("", Seen(1, loaded=True, holds=True, suspect="axis A1: the encoder is stuck"))
-    for name in ("", "another drive"):
-        seen = HoldMemory(path).of(name, 1)
-        assert (seen.suspect, seen.loaded, seen.holds) == ("axis A1: the encoder is stuck", True, None)
 
 
 @pytest.mark.parametrize(("limit", "said"), [(200.0, True), (500.0, True), (150.0, False)])

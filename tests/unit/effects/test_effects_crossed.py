@@ -15,7 +15,6 @@ from large_motion import experiment
 from large_motion import recording as recording_of
 from test_extended_model import SIZES
 
-from invid.config import load_config
 from invid.diagnosis.consequence import consequence_of
 from invid.diagnosis.sentences import finding_sentence
 from invid.effects.effect import PlaceMotion
@@ -28,14 +27,12 @@ from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, load_model
 from invid.model.law_table import LawTable
 from invid.model.parameters import ChainStructure
-from invid.planning.separating_experiments import is_measurable, to_separate
 from invid.recording.model import Recording
 from invid.simulation.rigid import simulate_motion
 from invid.simulation.run import simulate
 from invid.wording.clauses import cause_title
 
 FILES = Path(__file__).parents[2] / "effects"
-CONFIG = Path(__file__).parents[3] / "configs" / "case-study.yaml"
 FURTHER = [e for f in sorted(FILES.glob("*.py")) for e in load_effects(f)]
 SIZE = {
     **SIZES,
@@ -140,24 +137,6 @@ def test_what_it_means_is_graded_or_said_to_have_no_figure(effect, excited) -> N
     assert (found.source is not None) is figured
     assert all(np.isfinite(v) for v in found.measures.values())
     assert found.reason
-
-
-@pytest.mark.parametrize("effect", ELASTIC, ids=ids)
-def test_an_experiment_separates_it_or_a_person_has_to(effect) -> None:
-    config = load_config(CONFIG)
-    axis = config.axes[0].name
-    finding = {
-        "cause": effect.cause,
-        "axis": axis,
-        "alternatives": [{"cause": c} for c in effect.looks_like or (effect.cause,)],
-    }
-    document = {"format": "invid-diagnosis", "findings": [finding]}
-    if any(is_measurable(c) for c in (effect.cause, *effect.looks_like)):
-        assert to_separate(document, config).config.experiments
-    else:
-        with pytest.raises(ValueError, match="no measurement of the drives"):
-            to_separate(document, config)
-    assert set(effect.looks_like) <= {e.cause for e in EVERY} - {effect.cause}
 
 
 @pytest.mark.parametrize("effect", EVERY, ids=ids)

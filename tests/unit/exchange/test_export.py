@@ -219,22 +219,6 @@ def test_a_urdf_without_couplings_answers_as_the_model_does(name: str, linear: b
     np.testing.assert_allclose(mass, absolute.T @ wanted[0] @ absolute, rtol=1e-6, atol=1e-9)
 
 
-def test_what_a_urdf_loses_of_couplings_is_said_with_its_size(tmp_path: Path) -> None:
-    model = machine("unequal")
-    written = invid.export(model, "urdf", tmp_path / "m.urdf")
-    assert "A1-A2" in next(x for x in written.losses if "couplings" in x)
-    said = next(x for x in written.losses if "frequencies" in x)
-    (mass, _, stiff), _ = urdf_matrices(tmp_path / "m.urdf")
-    wanted = truth(model)
-    there = np.sqrt(np.maximum(scipy.linalg.eigh(stiff, mass, eigvals_only=True), 0.0))
-    here = np.sqrt(np.maximum(scipy.linalg.eigh(wanted[2], wanted[0], eigvals_only=True), 0.0))
-    elastic = here > 1e-6 * here[-1]
-    shift = 100 * np.abs(there[elastic] / here[elastic] - 1).max()
-    assert float(said.split("up to ")[1].split(" %")[0]) == pytest.approx(shift, rel=0.01)
-    beside = json.loads((tmp_path / "m.urdf.json").read_text())
-    assert beside["losses"] == list(written.losses)
-
-
 def pulse_answer(
     path: Path, inputs: str, outputs: list[str], step: float, count: int, **start: float
 ) -> np.ndarray:

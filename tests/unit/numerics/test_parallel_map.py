@@ -95,35 +95,3 @@ def test_helpers_end_with_a_caller_that_was_killed():
         assert not left, left
         print("gone")
     """)
-
-
-@pytest.mark.campaign
-def test_a_diagnosis_is_the_same_on_one_core_and_on_two():
-    """And every answer of a helper arrives: one that could not be packed would be found twice, unnoticed."""
-    program = """
-        import json, sys
-        sys.path.insert(0, "tests")
-        from hidden.generator import make
-        from invid.model.diagnosis_document import diagnosis_to_json
-        from invid.diagnosis.diagnose import diagnose
-
-        calls, answered = [], []
-        taken, received = processes._taken, processes._received
-        def counted(run, items, numbers, caller=None):
-            done = taken(run, items, numbers, caller)
-            if caller is None:
-                calls.append(len(items) - len(done))
-            return done
-        def read(answer, known):
-            done = received(answer, known)
-            answered.append(len(done))
-            return done
-        processes._taken, processes._received = counted, read
-        recording, _ = make("coulomb_friction", seed=3, target_db=20.0, motors=2)
-        diagnosis = diagnose(recording)
-        assert answered == calls, (answered, calls)
-        print(json.dumps(diagnosis_to_json(diagnosis), default=str, sort_keys=True))
-    """
-    alone = ran(program, cores=1)
-    assert "coulomb_friction" in alone
-    assert alone == ran(program)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from invid.config import CellConfig
 from invid.errors import ModelError
@@ -14,9 +13,8 @@ from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector
 from invid.planning import Plan, make_plan
 from invid.planning.belief import Belief, from_model
-from invid.planning.expected_covariance import Noise, assumed_noise, expected, recorded_noise
+from invid.planning.expected_covariance import expected
 from invid.planning.goal import plan_for_goal
-from invid.planning.response import foretold_motion, hold_gains
 from invid.recording import read_recording
 from invid_drivers.connect import connect
 from invid_drivers.foretelling import sensor_noise
@@ -28,41 +26,6 @@ from invid_drivers.simulated import truth
 def one_block(cell: CellConfig, belief: Belief) -> Plan:
     plan = plan_for_goal(cell, belief, sensor_noise(cell), 0.01).plan
     return plan.first(1)
-
-
-def without_friction(belief: Belief) -> Belief:
-    return replace(belief, coulomb=np.zeros(3), viscous=np.zeros(3))
-
-
-@pytest.mark.campaign
-def test_the_motion_foretold_is_that_of_the_equations_of_motion(
-    cell: CellConfig, belief: Belief, one_block: Plan
-) -> None:
-    free = without_friction(belief)
-    (block,) = one_block.experiments
-    stiffness, damping = hold_gains(cell, block, free)
-    chains = free.chains
-    n, motors = chains.dofs, [0, 3, 6]
-    mass, spring, damper = chains.mass_matrix, chains.stiffness_matrix, chains.damping_matrix
-    a = np.zeros((2 * n, 2 * n))
-    a[:n, n:] = np.eye(n)
-    a[n:, :n], a[n:, n:] = -np.linalg.solve(mass, spring), -np.linalg.solve(mass, damper)
-    b = np.zeros((2 * n, 3))
-    b[n:] = np.linalg.inv(mass)[:, motors]
-    step = 0.001
-    exact = expm(np.block([[a, b], [np.zeros((3, 2 * n + 3))]]) * step)
-    ad, bd = exact[: 2 * n, : 2 * n], exact[: 2 * n, 2 * n :]
-    x, path = np.zeros(2 * n), []
-    # a sample is answered at the next SYNC, with the mean velocity of the cycle before it
-    seen, before = np.zeros(3), np.zeros(3)
-    for torque in block.torque:
-        path.append(x[motors])
-        held = torque - stiffness * seen - damping * (seen - before) / step
-        seen, before = x[motors], seen
-        x = ad @ x + bd @ held
-    found = foretold_motion(cell, block, free).position
-    wanted = np.array(path)
-    assert np.abs(found - wanted).max() < 2e-3 * np.abs(wanted).max()
 
 
 @pytest.mark.campaign
@@ -120,17 +83,3 @@ def test_friction_of_an_accepted_model_is_part_of_the_belief(cell: CellConfig) -
     other = CoupledChains.build([[1.0]], [[]], axes=["X"])
     with pytest.raises(ModelError, match="the model of"):
         from_model(Model("r", "refined", other, ChainStd.unknown(other)), cell)
-
-
-@pytest.mark.campaign
-def test_noise_of_an_earlier_recording_is_what_its_sensors_had(
-    cell: CellConfig, belief: Belief, one_block: Plan, tmp_path: Path
-) -> None:
-    path = tmp_path / "earlier.h5"
-    run_measurement(cell, one_block, connect(cell), path)
-    noise: Noise = recorded_noise(read_recording(path))
-    # 0.5 % of 50, 100, 200 N·m, and a step of a thousandth over the root of twelve
-    wanted = np.hypot([0.25, 0.5, 1.0], np.array([0.05, 0.1, 0.2]) / np.sqrt(12))
-    assert noise.torque == pytest.approx(wanted, rel=0.1)
-    assert np.all(noise.position < 2 * 2 * np.pi / 524288)
-    assert assumed_noise(cell).source.startswith("assumed")

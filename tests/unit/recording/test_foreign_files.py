@@ -240,25 +240,6 @@ def test_two_robots_in_one_log_are_refused_until_the_channel_is_said(tmp_path, c
     np.testing.assert_allclose(e.position[:, 0], 2 * POSITION * COUNT, atol=1e-8)
 
 
-@pytest.mark.parametrize("flagged", [True, False])
-def test_frames_logged_twice_are_asked_for(tmp_path, capsys, flagged):
-    lines = []
-    for k in ROW:
-        t = 5.0 + k * 1e-3
-        for shift, way in ((0.0, " T"), (4e-5, " R")):
-            lines.append(f"({t + shift:.6f}) can0 080#{way if flagged else ''}")
-        for shift in (2e-4, 2.4e-4) if not flagged else (2e-4,):
-            lines.append(f"({t + shift:.6f}) can0 181#{payload(k).hex()}{' R' if flagged else ''}")
-    log = tmp_path / "echo.log"
-    log.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    said = taken(tmp_path, log, CAN_MAP, capsys, 2)
-    value = re.search(r"echo: (\w+)", said)
-    assert value is not None
-    e, _ = taken(tmp_path, log, with_source(CAN_MAP, echo=value[1]), capsys)
-    whole(e)
-    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=2e-6)
-
-
 # --- formats
 # --------------------------------------------------------------------------------------------------
 

@@ -111,18 +111,6 @@ def spreadsheet(path: Path, *, broken: int = 0) -> Path:
 SPREADSHEET_MAP = {"time": "Zeit", "position": "Winkel", "torque": "Moment"}
 
 
-def test_csv_with_decimal_commas_headers_and_units_is_read_without_being_told(tmp_path):
-    m = chart(tmp_path / "m.yaml", **SPREADSHEET_MAP)
-    check_values(imported(tmp_path, spreadsheet(tmp_path / "log.csv"), m))
-
-
-def test_up_to_one_per_cent_of_broken_rows_is_skipped_and_named(tmp_path, capsys):
-    m = chart(tmp_path / "m.yaml", **SPREADSHEET_MAP)
-    e = imported(tmp_path, spreadsheet(tmp_path / "log.csv", broken=3), m)
-    check_values(e, np.r_[0:100, 103:N])
-    assert "line 106" in capsys.readouterr().err  # 5 lines of header, rows from 1
-
-
 def test_more_than_one_per_cent_of_broken_rows_is_refused_and_nothing_written(tmp_path, capsys):
     m = chart(tmp_path / "m.yaml", **SPREADSHEET_MAP)
     source = spreadsheet(tmp_path / "log.csv", broken=5)

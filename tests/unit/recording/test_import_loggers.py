@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from scipy.io import savemat
 
 from invid.cli.app import run
 from invid.recording import Recording, read_recording
@@ -208,18 +207,3 @@ def scope(*, comma: bool, shared: bool) -> str:
     lines = ["Name\tscope", "File\tC:\\a.csv", "Starttime of export\t132959733843760000\tMontag", "", ""]
     lines += ["\t".join(cells) for cells in head.values()]
     return "\n".join([*lines, "", *("\t".join(r) for r in rows), "EOF"]) + "\n"
-
-
-def test_two_records_of_one_file_under_different_names_are_suggested_as_two_experiments(tmp_path, capsys):
-    half = COUNT // 2
-    path = tmp_path / "bench.mat"
-    columns = {"u_est": TORQUE, "y_est": ANGLE, "u_val": TORQUE[:half], "y_val": ANGLE[:half], "note": "x"}
-    savemat(path, columns)
-    chart, asked = suggested(path, capsys)
-    assert list(asked) == ["time.sample_rate_hz"]
-    chart["time"]["sample_rate_hz"] = RATE
-    recording = imported(path, chart)
-    holds(recording)
-    told, kept = recording.experiments
-    assert (told.role, kept.role) == ("identify", "validate")
-    assert kept.position[:, 0] == pytest.approx(ANGLE[:half])

@@ -54,24 +54,6 @@ def test_what_the_stamps_are_is_said(tmp_path, capsys, stamps, said):
     assert said in " ".join([*found["reasons"], *found["fill_in"].values()])
 
 
-def test_all_files_are_described_and_those_of_other_columns_left_out(tmp_path, capsys):
-    names = ["time", "position_rad", "torque_Nm"]
-    for k in (2, 1, 10):
-        written(tmp_path / f"run{k}.csv", names, TIME[: 400 + k], ANGLE[: 400 + k], TORQUE[: 400 + k])
-    written(tmp_path / "temperatures.csv", ["time", "celsius"], TIME, ANGLE)
-    (tmp_path / "broken.csv").write_bytes(b"\0\1\2" * 99)
-    capsys.readouterr()
-    assert run(["import", str(tmp_path), "--suggest"]) == 0
-    text = capsys.readouterr().out
-    assert all(f"run{k}.csv: {400 + k} rows" in text for k in (1, 2, 10))
-    assert 'file: "run*.csv"' in text
-    (tmp_path.parent / "map.yaml").write_text(text, encoding="utf-8")
-    out = tmp_path.parent / "r.h5"
-    assert run(["import", str(tmp_path), "--map", str(tmp_path.parent / "map.yaml"), "-o", str(out)]) == 0
-    assert "cannot be read" in capsys.readouterr().err
-    assert [e.samples for e in read_recording(out).experiments] == [401, 402, 410]
-
-
 @pytest.mark.parametrize(
     ("torque", "motion"),
     [

@@ -39,16 +39,6 @@ def test_a_missing_can_interface_is_a_reason_with_a_fix(cell: Path) -> None:
         assert director.workers == []
 
 
-def test_a_real_cell_has_no_simulation_to_change(cell: Path) -> None:
-    with running(cell) as (client, _):
-        for answer in (
-            client.get("/api/v1/cells/cell/simulation"),
-            client.patch("/api/v1/cells/cell/simulation", json={"reset": True}),
-        ):
-            assert answer.status_code == 409
-            assert answer.json()["type"] == "urn:invid:problem:not-simulated"
-
-
 def test_mode_simulate_moves_no_hardware_and_uses_the_accepted_model(cell: Path) -> None:
     with running(cell) as (client, director):
         refused = client.post(START, json={"mode": "simulate", "arm": True})

@@ -35,20 +35,6 @@ def stop(error: Any, rows: int = 3) -> Any:
     return error
 
 
-def test_gentler_is_half_of_the_torque_and_the_plan_says_so(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, director):
-        for amplitude, mode, scale in (
-            ("planned", "full", 1.0),
-            ("gentler", "full", 0.5),
-            ("gentler", "test", 0.05),
-        ):
-            answer = client.post(START, json={"mode": mode, "amplitude": amplitude, "arm": True})
-            body = wait_for(client, answer.headers["Location"], "awaiting_accept")
-            assert body["amplitude"] == amplitude
-            assert director.workers[-1].job.amplitude_scale == scale
-        assert client.post(START, json={"mode": "full", "amplitude": "wild"}).status_code == 422
-
-
 def test_the_separating_experiment_runs_instead_of_the_cells_own(tmp_path: Path) -> None:
     director = Director()
     director.findings = [{"cause": "backlash", "axis": "A1", "alternatives": []}, OPEN]

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from service_doubles import Director, running, settings_in, wait_for
+from service_doubles import running, settings_in, wait_for
 
 from invid.errors import ConfigError
 from invid.model.document import model_from_json
@@ -120,18 +120,6 @@ def test_a_restart_interrupts_what_it_cut_off_and_never_runs_it_again(tmp_path: 
         assert '"state":"interrupted"' in client.get(f"{location}/events").text
         assert director.workers == []
         assert client.get("/api/v1/cells/cell/readiness").json()["can_start"] is True
-
-
-def test_a_clean_shutdown_stops_the_motion_and_interrupts_the_run(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
-        location = answer.headers["Location"]
-        wait_for(client, location, "running")
-    assert "stop" in director.workers[0].said
-    with running(tmp_path) as (client, _):
-        assert client.get(location).json()["state"] == "interrupted"
 
 
 def test_a_result_that_awaits_accept_outlives_a_restart(tmp_path: Path) -> None:

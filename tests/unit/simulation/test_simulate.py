@@ -12,13 +12,11 @@ from scipy.integrate import solve_ivp
 from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
-from invid.model.forward import dynamic_stiffness
 from invid.model.law_table import LawTable
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.simulation.run import simulate
 
 RATE = 500.0
-PERIOD = 2.0
 LINES = np.array([1.0, 1.5, 2.5, 3.5, 4.5, 6.5, 8.5])
 
 
@@ -303,30 +301,6 @@ def test_a_drift_goes_on_from_one_experiment_to_the_next(element: str, rate: flo
     assert relative(found, truth.position) < 0.01
     without = simulate(model(chains), both, only=["001"]).experiments[0].position
     assert relative(without, truth.position) > 0.05
-
-
-def test_the_simulated_record_obeys_the_model_though_measured_motion_was_another() -> None:
-    """The measured motion is another plant's; ZΘ = T must hold for what the simulator writes."""
-    time = np.arange(round(30.0 * RATE)) / RATE
-    other = CoupledChains.build([[1.2, 1.2], [2.0, 4.0]], [[700.0], [1500.0]], [[3.0], [1.0]])
-    phases = np.random.default_rng(3).uniform(0, 2 * np.pi, (2, LINES.size))
-    motion = np.einsum(
-        "fij,jf->if", np.linalg.inv(dynamic_stiffness(other, 2 * np.pi * LINES)), np.exp(1j * phases)
-    )
-    wave = np.exp(2j * np.pi * LINES * time[:, None])
-    position = 3.0 * np.einsum("tf,if->ti", wave, motion).imag
-    answer = simulate(model(plant()), recording(time, position, torque_at(time))).experiments[0]
-    assert relative(answer.position, position) > 0.05
-    last = slice(-round(PERIOD * 2 * RATE), None)
-    spectrum = np.fft.rfft(np.stack((answer.position[last], answer.torque[last])), axis=1)
-    bins = np.round(LINES * PERIOD * 2).astype(int)
-    stiffness = dynamic_stiffness(plant(), 2 * np.pi * LINES)
-    wanted = np.einsum("fij,fj->fi", stiffness, spectrum[0][bins])
-    assert relative_complex(wanted, spectrum[1][bins]) < 2e-3
-
-
-def relative_complex(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.linalg.norm(a - b) / np.linalg.norm(b))
 
 
 def test_a_hold_gain_is_replayed_as_a_closed_loop() -> None:

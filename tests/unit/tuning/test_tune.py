@@ -10,8 +10,6 @@ from tuning.tuned import machine, tuned
 
 from invid.errors import NotIdentifiableError
 from invid.exchange.linear_plant import linear_plant
-from invid.model.chains import CoupledChains
-from invid.model.document import Model, parameter_vector, std_by_name
 from invid.tuning.gains import PROMISE
 from invid.tuning.margins import worst_margins
 from invid.tuning.plant_draws import drawn_models
@@ -48,24 +46,6 @@ def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_
     then = move_figures(run, tuning.command)[1]
     assert play.at_load == pytest.approx((tuning.axes[1].move_after.at_load, then.at_load))
     assert play.bought > 0
-
-
-def sharp_mode() -> Model:
-    """A light load on a stiff spring, hardly damped, far beyond what the loop needs: 159 and 188 Hz."""
-    chains = CoupledChains.build([[0.05, 0.02]], [[20000.0]], [[0.02]], axes=["A1"])
-    names, values = parameter_vector(chains)
-    std = std_by_name(chains, {n: 0.01 * v for n, v in zip(names, values, strict=True)})
-    return Model("robot", "refined", chains, std)
-
-
-@pytest.mark.campaign
-def test_a_sharp_mode_gets_a_notch_and_the_loop_becomes_ten_times_as_fast():
-    bare, notched = (tune_model(sharp_mode(), TuneSettings(draws=100, notches=n)).axes[0] for n in (0, 2))
-    assert bare.resonance == pytest.approx(188.3, abs=0.1)
-    assert notched.after.gains.notches[0].frequency == pytest.approx(bare.resonance, rel=0.02)
-    assert notched.after.gains.velocity_gain > 10 * bare.after.gains.velocity_gain
-    assert notched.margins_after.kept >= 0.98
-    assert notched.move_after.following < bare.move_after.following
 
 
 def test_a_model_that_is_not_to_be_trusted_is_refused():
