@@ -1,8 +1,7 @@
 """Tuned values in the objects of drives: rows of a table, each with its source; a DCF of them and a list.
 
-Only objects whose number and unit were read in a public source are here; ``NOT_FOUND`` says what was looked
-for in vain. A DCF holds what changes and nothing else; whoever loads it decides, nothing here writes to a
-drive.
+Only objects whose number and unit were read in a public source are here. A DCF holds what changes and
+nothing else; whoever loads it decides, nothing here writes to a drive.
 """
 
 from __future__ import annotations
@@ -127,17 +126,6 @@ DRIVES = {
         ),
     ),
 }  # fmt: skip
-NOT_FOUND = {
-    "elmo_gold": "its gains are two-letter commands; no public page gives their units",
-    "nanotec_c5e": "the reference of the per mille in 0x320E is not published",
-    "nanotec_pd4e": "the reference of the per mille in 0x320E is not published",
-    "zeroerr_erob": "its EDS names gains without units",
-    "somanet_circulo": "the units of 0x2011 and 0x2012 were not found",
-    "schunk": "its DCF names no gains",
-    "pilz": "its DCF names no gains",
-    "faulhaber_3150": "its controller objects were not looked up",
-}
-"""Drives of ``cia402.vendors`` whose values cannot be written, and why."""
 
 
 def epos4_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:

@@ -19,7 +19,6 @@ class DoubtCode(StrEnum):
     """Less of the torque is explained than a model of the right machine explains: ``share``."""
     WRONG_STRUCTURE = "wrong_structure"
     """A force that no part of the model makes acts behind the motors: ``times`` the torque's rms."""
-    NOT_CONVERGED = "not_converged"
     SHORT_RECORD = "short_record"
     """An experiment ends before its first period does."""
     ORDER_OPEN = "order_open"

@@ -57,8 +57,6 @@ class Protection:
         """One lost heartbeat and one late one do not stop the cell."""
         self.quick_stop_option = SWITCH_OFF
         """What 0x605A is to be."""
-        self.torque_lowered: int | None = None
-        """0x6072 as written, where it was lowered."""
         self.notes: tuple[str, ...] = ()
         """What turned out when it was written, in words."""
 
@@ -336,8 +334,6 @@ class Protection:
                 continue  # tight enough, read-only or not
             try:
                 drive.write(what, wanted)
-                if what is od.MAX_TORQUE and wanted < found:
-                    self.torque_lowered = wanted
             except WriteRefused:
                 self.notes += (f"axis {drive.name}: {_only_the_master(what, found, wanted)}",)
 

@@ -217,11 +217,6 @@ class UnixHub(BusABC):
                 return
         raise OSError(errno.EADDRINUSE, "a running cell listens there already")
 
-    @property
-    def ports(self) -> int:
-        """Number of ports connected."""
-        return len(self._ports)
-
     def _drop(self, number: int) -> None:
         port = self._ports.pop(number)
         with contextlib.suppress(KeyError):

@@ -34,6 +34,7 @@ def test_the_xml_that_made_the_recording_is_called_right(linear: Any) -> None:
     assert found["held_out"]["before"] == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("kind", ["xml", pytest.param("json", marks=pytest.mark.campaign)])
 def test_wrong_numbers_are_told_and_the_corrected_copy_reaches_the_noise_in_its_own_engine(
     linear: Any, kind: str

@@ -102,7 +102,7 @@ RIGHT = {
         "files are missing",
     ),
 }  # fmt: skip
-QUICK = ("door", "mesh")
+QUICK = ("mesh",)
 
 
 @pytest.mark.parametrize(
