@@ -57,7 +57,7 @@ def test_the_loss_of_the_hub_is_an_operation_error(hub: UnixHub) -> None:
 def test_a_port_that_leaves_or_stops_reading_does_not_disturb_the_others(hub: UnixHub) -> None:
     gone, deaf, good = (UnixBus(path_of(hub)) for _ in range(3))
     hub.recv(0.05)
-    assert hub.ports == 3
+    assert len(hub._ports) == 3
     gone.shutdown()
     received = 0
     for _ in range(5000):
@@ -65,7 +65,7 @@ def test_a_port_that_leaves_or_stops_reading_does_not_disturb_the_others(hub: Un
         received += good.recv(0.5) is not None
     assert received == 5000
     hub.recv(0.05)
-    assert hub.ports == 1  # the deaf one's queue has overflowed
+    assert len(hub._ports) == 1  # the deaf one's queue has overflowed
     good.shutdown()
     deaf.shutdown()
 
