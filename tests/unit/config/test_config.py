@@ -128,8 +128,3 @@ def test_a_wrong_or_missing_unit_is_told_with_the_key_found_and_the_right_one(
     assert f"write {right}" in said
     assert "the value in that unit" in said
     assert "is missing" not in said
-
-
-def test_a_key_that_is_missing_is_told_with_its_unit() -> None:
-    said = message(GOOD.replace("torque_Nm: 20, ", ""))
-    assert "axes[1].limits.torque_Nm (force_N where motion is linear) is missing; add it" in said

@@ -64,6 +64,7 @@ def test_free_play_is_found_in_its_spring_with_its_gap(seed: int) -> None:
     assert finding.confidence > 0.9
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("seed", [31, pytest.param(32, marks=pytest.mark.campaign)])
 def test_a_hardening_spring_is_found_with_its_coefficient(seed: int) -> None:
     rng = np.random.default_rng(seed)

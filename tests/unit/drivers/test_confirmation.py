@@ -51,6 +51,7 @@ def measure(folder: Path, *options: str, typed: str | None = None) -> tuple[int,
     return done.returncode, done.stderr
 
 
+@pytest.mark.campaign
 def test_with_the_option_the_bus_is_opened_without_a_question(tmp_path: Path) -> None:
     code, said = measure(tmp_path, "--confirmed")
     assert code == 5

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from invid.errors import ConfigError
 from invid.model.chains import CoupledChains, case_study
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.config import AxisSimulation, EffectConfig
@@ -192,21 +191,3 @@ def test_every_cause_of_the_contract_can_be_put_into_the_plant() -> None:
         "dropped_samples",
     }
     assert set(parameters) | at_the_motor == set(CAUSES)
-
-
-@pytest.mark.parametrize(
-    ("effect", "words"),
-    [
-        ({"cause": "magic", "axis": "A1"}, "unknown cause 'magic'"),
-        ({"cause": "backlash", "axis": "A1"}, "'gap' is missing"),
-        ({"cause": "backlash", "axis": "A1", "element": "spring 2", "parameters": {"gap": 1}}, "'spring 1'"),
-        (
-            {"cause": "backlash", "axis": "A1", "parameters": {"gap": 1, "play": 2}},
-            "unknown parameter 'play'",
-        ),
-        ({"cause": "coupling_stiffness", "axis": "A1", "parameters": {"stiffness": 1}}, "other_axis"),
-    ],
-)
-def test_an_effect_that_cannot_be_is_refused_with_a_reason(effect: dict[str, Any], words: str) -> None:
-    with pytest.raises(ConfigError, match=words):
-        plant(one_axis(), effect)

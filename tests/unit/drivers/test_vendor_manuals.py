@@ -6,15 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from invid_drivers.cia402.manuals import NO, QUESTIONS, UNKNOWN, YES
+from invid_drivers.cia402.manuals import QUESTIONS
 from invid_drivers.cia402.vendors import VENDORS, reference, vendor
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
-
-
-def test_an_unknown_protection_is_none_and_an_unknown_danger_is_one() -> None:
-    assert (YES.certain, NO.certain, UNKNOWN.certain) == (True, False, False)
-    assert (YES.possible, NO.possible, UNKNOWN.possible) == (True, False, True)
 
 
 def test_of_a_generic_drive_nothing_is_assumed() -> None:

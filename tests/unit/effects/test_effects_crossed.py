@@ -139,7 +139,10 @@ def test_what_it_means_is_graded_or_said_to_have_no_figure(effect, excited) -> N
     assert found.reason
 
 
-@pytest.mark.parametrize("effect", EVERY, ids=ids)
+# The two frictions are those of test_rigid_motion.py.
+@pytest.mark.parametrize(
+    "effect", [e for e in EVERY if e.cause not in ("coulomb_friction", "viscous_friction")], ids=ids
+)
 def test_a_rigid_machine_fits_and_simulates_it_or_says_that_it_cannot(effect) -> None:
     rng = np.random.default_rng(3)
     n = 400

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 from pathlib import Path
 
@@ -15,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from hidden.generator import make
 
 from invid.diagnosis.diagnose import diagnose
-from invid.errors import InputError, ModelError
+from invid.errors import InputError
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Verdict
 from invid.model.document import (
@@ -23,9 +22,6 @@ from invid.model.document import (
     EffectTerm,
     Estimate,
     Model,
-    dump_json,
-    model_from_json,
-    model_to_json,
 )
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.simulation.run import simulate
@@ -103,25 +99,6 @@ def excited() -> Recording:
         created="2026-01-01T00:00:00Z",
         experiments=(one,),
     )
-
-
-def test_a_drifting_parameter_may_be_called_by_its_name() -> None:
-    document = model_to_json(extended())
-    for given in ("A1.spring.1", {"value": "spring 1"}, {"value": 1, "name": "A1.spring.1"}):
-        document["effects"] = [
-            {
-                "cause": "parameter_drift",
-                "axis": "A1",
-                "parameters": {"parameter": given, "rate": {"value": -20}},
-            }
-        ]
-        loaded = model_from_json(document)
-        assert loaded.effects[0].value("parameter") == 1.0
-        again = model_from_json(json.loads(dump_json(model_to_json(loaded))))
-        assert again.effects == loaded.effects
-    document["effects"][0]["parameters"]["parameter"] = "A2.spring.1"
-    with pytest.raises(ModelError, match=r"A1\.spring\.1"):
-        model_from_json(document)
 
 
 @pytest.mark.campaign

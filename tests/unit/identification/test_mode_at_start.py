@@ -10,6 +10,7 @@ from invid.identification.begun import begin_elastic
 from invid.likelihood.unknown_forces.plant import Kind
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("seed", [5, 6])
 def test_a_load_with_a_mode_comes_home_among_coupled_chains(seed: int) -> None:
     rng = np.random.default_rng(seed)

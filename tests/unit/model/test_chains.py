@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 
 import numpy as np
-import pytest
 
-from invid.errors import ModelError
-from invid.model.chains import CoupledChains, case_study
+from invid.model.chains import case_study
 from invid.model.document import ChainStd, Model, dump_json, model_from_json, model_to_json
 
 
@@ -28,26 +26,6 @@ def test_the_case_study_has_the_papers_matrices() -> None:
     )
     np.testing.assert_array_equal(stiffness[:3, 3:], 0)
     np.testing.assert_array_equal(chains.rigid_mass_matrix, [[5.7, 1, 2], [1, 15, 3], [2, 3, 24]])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (([], []), "no branch"),
-        (([[1.0, -2.0]], [[10.0]]), r"branch A1: mass 2 is .*-2\.0.*> 0"),
-        (([[1.0, 2.0]], [[0.0]]), "branch A1: spring 1"),
-        (([[1.0, 2.0]], [[10.0]], [[-1.0]]), "branch A1: damper 1.*≥ 0"),
-        (([[1.0, 2.0]], [[10.0, 20.0]]), "2 masses have one spring between neighbours, 1 in all; found 2"),
-        (([[1.0, np.nan]], [[10.0]]), "mass 2"),
-        (([[1.0], [1.0]], [[], []], None, [[0, 2.0], [2.0, 0]]), "between A1 and A2 is too large"),
-        (([[1.0], [1.0]], [[], []], None, [[0, 0.2], [0.1, 0]]), "symmetric"),
-        (([[1.0], [1.0]], [[], []], None, [[0.0]]), r"shape \(1, 1\), need \(2, 2\)"),
-        (([[1.0], [1.0]], [[]]), "2 branches of masses but 1 of springs"),
-    ],
-)
-def test_what_is_no_model_is_refused_in_plain_words(arguments: tuple[object, ...], words: str) -> None:
-    with pytest.raises(ModelError, match=words):
-        CoupledChains.build(*arguments)  # type: ignore[arg-type]
 
 
 def test_json_goes_out_and_comes_back_unchanged() -> None:

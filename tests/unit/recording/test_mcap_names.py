@@ -52,15 +52,3 @@ def test_joints_that_change_their_order_are_read_by_name(tmp_path):
         np.testing.assert_allclose(table.columns[f"/js.position[{joint}]"], angle(joint))
     with pytest.raises(InputError, match="elbow"):
         table.column("/js.position[0]")
-
-
-@pytest.mark.parametrize(("zeros", "first"), [(1, 1.0 / 1000), (30, 1.7e9)], ids=["simulated", "unset"])
-def test_a_stamp_of_zero_is_the_start_of_a_simulated_clock_or_was_never_set(tmp_path, zeros, first):
-    stamps = [0.0 if k < zeros else first + (k - zeros) * 1e-3 for k in range(N)]
-    messages = [("/js", logged(k), state(k, ["j2"], stamps[k])) for k in range(N)]
-    time = read_table(bag(tmp_path / "a.mcap", messages), Source()).columns["time of /js"]
-    if first < 1:
-        np.testing.assert_allclose(np.diff(time), 1e-3, atol=1e-6)
-    else:
-        assert np.isnan(time[:zeros]).all()
-        assert np.isfinite(time[zeros:]).all()

@@ -12,7 +12,6 @@ from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Consequence, Finding, Grade
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.report.branch_drawing import branch_drawing
-from invid.report.branch_marks import place_of
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -64,26 +63,6 @@ def test_every_number_of_the_model_stands_in_the_drawing_and_nothing_leaves_it(s
         assert 0 <= float(t.attrib["y"]) <= height
     axes = [t for t in root.iter(f"{SVG}text") if t.text in model.axes]
     assert [t.text for t in axes] == list(model.axes), "one row an axis, in order"
-
-
-@pytest.mark.parametrize(
-    ("cause", "element", "expected"),
-    [
-        ("coulomb_friction", "mass 1", ("mass", 1, 1)),
-        ("viscous_friction", "mass 3", ("mass", 1, 3)),
-        ("backlash", "spring 2", ("spring", 1, 2)),
-        ("torque_delay", None, ("mass", 1, 1)),
-        ("encoder_eccentricity", None, ("mass", 1, 1)),
-        ("gravity", None, ("mass", 1, 3)),
-        ("payload_change", None, ("mass", 1, 3)),
-        ("backlash", "spring 9", ("mass", 1, 1)),
-    ],
-)
-def test_a_finding_is_marked_where_it_acts(
-    cause: str, element: str | None, expected: tuple[str, int, int]
-) -> None:
-    model = model_of([2, 3])
-    assert place_of(finding(cause, "A2", element).effect, model.chains) == expected
 
 
 def test_hostile_names_stay_text() -> None:

@@ -2,50 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
-
 import numpy as np
 from large_motion import effect, experiment, model, recording
 from scipy.integrate import solve_ivp
 
-from invid.numerics.arrays import frozen_float
-from invid.simulation.rigid import errors_of
 from invid.simulation.run import simulate
-
-
-def loop_bench(span: int, *, seconds: float = 6.0, friction: tuple[float, float] = (3.0, 5.0)):
-    """A mass of 2 under a sampled PD whose velocity spans ``span`` samples; Coulomb friction by direction."""
-    rate, sub = 1000, 50
-    dt = 1 / rate / sub
-    time = np.arange(int(seconds * rate)) / rate
-    told = 0.2 * np.sin(2 * np.pi * 0.7 * time) + 0.05 * np.sin(2 * np.pi * 2.3 * time)
-    q = v = 0.0
-    positions, torques = [], []
-    for k, reference in enumerate(told):
-        positions.append(q)
-        old = positions[max(k - span, 0)]
-        command = 8000.0 * (reference - q) - 90.0 * (q - old) / (span / rate)
-        torques.append(command)
-        for _ in range(sub):
-            free = v + dt * command / 2.0
-            grip = dt * (friction[0] if free > 0 else friction[1]) / 2.0
-            v = 0.0 if abs(free) <= grip else free - np.sign(free) * grip
-            q += dt * v
-    law = json.dumps([{"stiffness": 8000.0, "damping": 90.0, "limit": None}])
-    one = experiment(time, np.array(positions)[:, None], np.array(torques)[:, None])
-    return replace(one, position_reference=frozen_float(told[:, None]), attributes={"controller": law})
-
-
-def test_a_closed_loop_with_friction_by_direction_comes_out_as_it_went_in():
-    bench = loop_bench(2)
-    friction = {"coulomb_positive": 3.0, "coulomb_negative": 5.0}
-    right = model([2.0], [effect("asymmetric_friction", **friction, viscous_positive=0, viscous_negative=0)])
-    found = errors_of(right, recording(bench))[0]
-    assert found["loop"] == "closed"
-    assert found["torque"]["A1"]["percent"] < 2.0
-    without = errors_of(model([2.0]), recording(bench))[0]
-    assert without["torque"]["A1"]["percent"] > 10 * found["torque"]["A1"]["percent"]
 
 
 def test_a_hardening_oscillator_follows_an_adaptive_integrator():

@@ -5,35 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from tuning.tuned import machine
 
-from invid.exchange.linear_plant import linear_plant
-from invid.model.document import Model
-from invid.tuning.feedforward import NONE
-from invid.tuning.servo_loop import DriveTiming, Gains, Notch, closed_loop
 from invid.tuning.shapers import choose_shaper, residual_vibration
-from invid.tuning.simulated_loops import AxisLoop, reference_move, run_loops
-
-TIMING = DriveTiming(0.001)
-GAINS = (
-    Gains(1.2, 0.05, 12.0, (Notch(45.0, 0.1, 0.6),)),
-    Gains(1.8, 0.08, 9.0, (Notch(60.0, 0.1, 0.5), Notch(110.0, 0.2, 0.8))),
-)
-
-
-def linear_machine() -> Model:
-    return Model("robot", "refined", machine().chains, machine().std)
-
-
-def test_a_loop_is_stable_where_its_simulation_stays_and_unstable_where_it_runs_away():
-    model = linear_machine()
-    plant = linear_plant(model)
-    command = reference_move(plant, TIMING)
-    for factor, calm in ((1.0, True), (30.0, False)):
-        gains = tuple(Gains(factor * g.velocity_gain, 0.05, 10.0) for g in GAINS)
-        run = run_loops(model, [AxisLoop(g, NONE) for g in gains], command, TIMING)
-        assert closed_loop(plant, gains, TIMING).is_stable is calm
-        assert bool(np.isfinite(run.motor).all()) is calm
 
 
 def test_a_shaped_command_leaves_an_oscillator_at_rest_and_one_a_tenth_off_within_the_tolerance():
