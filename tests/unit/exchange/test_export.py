@@ -20,7 +20,6 @@ from invid.model.document import ChainStd, EffectTerm, Estimate, Model, model_fr
 
 control = pytest.importorskip("control")
 mujoco = pytest.importorskip("mujoco")
-yourdfpy = pytest.importorskip("yourdfpy")
 fmpy = pytest.importorskip("fmpy")
 validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
 
@@ -179,6 +178,7 @@ def test_mujoco_answers_as_the_model_does(name: str, coupled: bool, linear: bool
 
 def urdf_matrices(path: Path) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], list[str]]:
     """M, D, K in absolute positions of the links, from what yourdfpy reads and Gazebo's springs."""
+    yourdfpy = pytest.importorskip("yourdfpy")
     robot = yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
     springs = {
         g.get("reference"): float(g.findtext("springStiffness"))

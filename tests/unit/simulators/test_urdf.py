@@ -7,7 +7,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-import yourdfpy
 from machines.mujoco_cells import Cell, drawn, measured, urdf, users, write, wrong
 
 import invid
@@ -69,6 +68,8 @@ def test_a_right_urdf_is_called_right_and_a_wrong_one_is_mended_behind_any_gear(
     text = (tmp_path / "mended.urdf").read_text()
     assert "<!-- my robot -->" in text
     assert 'mesh filename="package://none/q1_1.stl"' in text
+    import yourdfpy  # half a second that only this test needs
+
     again = yourdfpy.URDF.load(str(tmp_path / "mended.urdf"), load_meshes=False, build_scene_graph=False)
     assert set(again.joint_map) == {f"q{i}_{q}" for i in (1, 2) for q in range(1, len(cell.inertia[0]) + 1)}
 
