@@ -1,0 +1,188 @@
+"""Mutants of what keeps an axis from doing harm: which of them does no contract test notice?
+
+    pip install cosmic-ray                  # development only, in no lock
+    python benchmarks/drivers/bench_mutants.py [--sample 30] [--seed 0] [--module NAME] [--results rows.jsonl]
+
+Cosmic Ray's operators make the mutants; of each module ``--sample`` are drawn. What mutates annotations alone
+is no mutant. Each is tried in a fork of its own, which has what is heavy and not of the link loaded already,
+by the module's contract tests until the first that fails; longer than ``LONGEST_S`` is a failure too.
+``--results`` keeps each and goes on where it was interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import contextlib
+import importlib.abc
+import importlib.util
+import json
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from importlib.machinery import ModuleSpec
+from itertools import islice
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+CIA402 = "drivers/invid_drivers/cia402"
+MODULES = {
+    "falling": ("invid/sweep/falling.py", ("foreign_drives", "holding")),
+    "shortfall": ("invid/sweep/shortfall.py", ("foreign_drives",)),
+    "stop_test": (f"{CIA402}/stop_test.py", ("foreign_drives", "holding")),
+    "watch": ("invid/sweep/bounds.py", ("watch", "link_promises", "holding", "way_out", "sync_spacing")),
+    "demand": ("invid/sweep/obedience.py", ("watch",)),
+    "way_out": (f"{CIA402}/way_out.py", ("way_out", "foreign_drives", "holding", "link_promises")),
+    "gate": (f"{CIA402}/gate.py", ("gate", "link_promises", "others", "holding")),
+    "held_axes": (f"{CIA402}/held_axes.py", ("holding", "link_promises", "way_out")),
+}
+"""File, and the contract tests that are asked, in this order."""
+LONGEST_S = 240.0
+KILLED, SURVIVED, LATE = "killed", "survived", "killed by time"
+
+
+class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """One module from another source."""
+
+    def __init__(self, name: str, source: str, path: Path) -> None:
+        self._name, self._source, self._path = name, source, path
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        return (
+            importlib.util.spec_from_loader(name, self, origin=str(self._path))
+            if name == self._name
+            else None
+        )
+
+    def exec_module(self, module: ModuleType) -> None:
+        exec(compile(self._source, str(self._path), "exec"), module.__dict__)
+
+
+def mutants(path: Path, rng: np.random.Generator) -> tuple[int, Iterator[tuple[str, int, str]]]:
+    """How many places there are, and mutants in random order: operator, line and source of each."""
+    from cosmic_ray import plugins
+    from cosmic_ray.ast import ast_nodes, get_ast_from_path
+    from cosmic_ray.mutating import mutate_code
+
+    source = path.read_text(encoding="utf-8")
+    nodes = list(ast_nodes(get_ast_from_path(path)))
+    places = []
+    for name in sorted(plugins.operator_names()):
+        operator_class = plugins.get_operator(name)
+        if not operator_class.arguments():
+            found = [p for node in nodes for p in operator_class().mutation_positions(node)]
+            places += [(name, k, line) for k, ((line, _), _) in enumerate(found)]
+
+    def drawn() -> Iterator[tuple[str, int, str]]:
+        seen = {None, _meaning(source)}
+        for n in rng.permutation(len(places)):
+            name, k, line = places[n]
+            mutated = mutate_code(source.encode(), plugins.get_operator(name)(), k)
+            text = mutated.decode() if isinstance(mutated, bytes) else str(mutated)
+            meaning = _meaning(text)
+            if meaning not in seen:
+                seen.add(meaning)
+                yield name.removeprefix("core/"), line, text
+
+    return len(places), drawn()
+
+
+def _meaning(source: str) -> str | None:
+    """The code without annotations and docstrings; None where it is none."""
+    try:
+        tree = ast.parse(source)
+    except SyntaxError:
+        return None
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.returns = None
+        elif isinstance(node, ast.arg):
+            node.annotation = None
+        elif isinstance(node, ast.AnnAssign):
+            node.annotation = ast.Constant(0)
+    return ast.dump(tree)
+
+
+def tried(name: str, source: str, path: Path, tests: list[str]) -> str:
+    """What the tests say of a mutant."""
+    child = os.fork()
+    if child == 0:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+            os.dup2(nowhere.fileno(), 2)
+        os.setpgid(0, 0)
+        status = 1
+        with contextlib.suppress(BaseException):
+            import pytest
+
+            sys.meta_path.insert(0, _Mutated(name, source, path))
+            with tempfile.TemporaryDirectory() as folder:
+                options = ["-x", "-q", "-p", "no:cacheprovider", f"--basetemp={folder}/t", *tests]
+                status = int(pytest.main(options))
+        os._exit(status)
+    end = time.monotonic() + LONGEST_S
+    while time.monotonic() < end:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return SURVIVED if os.waitstatus_to_exitcode(status) == 0 else KILLED
+        time.sleep(0.05)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return LATE
+
+
+def main() -> int:
+    """Draw, try, print a line a module and the survivors."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--sample", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--module", choices=MODULES)
+    parser.add_argument("--results", type=Path)
+    options = parser.parse_args()
+    os.chdir(ROOT)
+    sys.path[:0] = [str(ROOT / "tests" / "contract"), str(ROOT / "tests")]
+    for heavy in ("pytest", "scipy.signal", "pydantic", "h5py", "canopen", "durand", "numba", "invid.config"):
+        importlib.import_module(heavy)
+    kept = options.results
+    rows = (
+        [json.loads(x) for x in kept.read_text().splitlines()] if kept is not None and kept.exists() else []
+    )
+    for module in [options.module] if options.module else MODULES:
+        file, names = MODULES[module]
+        path = ROOT / file
+        name = file.removeprefix("drivers/").removesuffix(".py").replace("/", ".")
+        count, found = mutants(path, np.random.default_rng(options.seed))
+        done = sum(r["module"] == module for r in rows)
+        for operator, line, source in islice(found, done, options.sample):
+            began = time.monotonic()
+            said = tried(name, source, path, [f"tests/contract/test_{n}.py" for n in names])
+            was, now = path.read_text().splitlines(), source.splitlines()
+            change = next(
+                (f"{a.strip()} -> {b.strip()}" for a, b in zip(was, now, strict=False) if a != b), ""
+            )
+            rows.append({"module": module, "of": count, "line": line, "operator": operator, "said": said,
+                         "change": change, "seconds": round(time.monotonic() - began, 1)})  # fmt: skip
+            if kept is not None:
+                with kept.open("a", encoding="utf-8") as out:
+                    out.write(json.dumps(rows[-1]) + "\n")
+    print("| module | places | tried | killed |\n| --- | --- | --- | --- |")
+    for module in MODULES:
+        own = [r for r in rows if r["module"] == module]
+        if own:
+            killed = sum(r["said"] != SURVIVED for r in own)
+            print(f"| {module} | {own[0]['of']} | {len(own)} | {killed} ({killed / len(own):.0%}) |")
+    for r in rows:
+        if r["said"] == SURVIVED:
+            print(f"{r['module']}:{r['line']} {r['operator']}: {r['change']}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
