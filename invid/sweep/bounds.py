@@ -20,7 +20,7 @@ from invid.sweep.falling import Fall, Falling, Kind
 from invid.sweep.obedience import Obedience
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.shortfall import HeldTorque, Shortfall, is_energised
-from invid.sweep.stuck_encoder import Yielding
+from invid.sweep.stuck_encoder import Unmoved, Yielding
 from invid.sweep.torque_sign import TorqueSign
 
 VELOCITY_CYCLES = 4
@@ -106,6 +106,8 @@ class Bounds:
             [a.name for a in limits], [a.rated_torque for a in limits], limits[0].torque_unit, cycle_s
         )
         self._held_torque = HeldTorque([a.name for a in limits], [a.rated_torque for a in limits], cycle_s)
+        self.unmoved = Unmoved([a.name for a in limits], [a.resolution for a in limits], cycle_s)
+        """Torque that must have moved axes whose encoders stand."""
         self.obedience = Obedience([a.name for a in limits], cycle_s)
         """Demand against motion."""
         self.led: set[int] = set()
@@ -141,6 +143,7 @@ class Bounds:
         self._falling.forget()
         self._shortfall.forget()
         self._signs.forget()
+        self.unmoved.forget()
         self.obedience.forget()
 
     def permit(self, axis: int, velocity: float) -> None:
@@ -226,13 +229,18 @@ class Bounds:
     def _check_given(self, sample: Sample, asked: Sequence[float]) -> None:
         """What is given and done against what is asked for; who fails is not trusted to hold afterwards."""
         try:
-            kind = Kind.FALLS
+            kind: Kind | None = Kind.FALLS
             self._shortfall.check(sample, asked, self.led & self.weights.keys())
             kind = Kind.DRIVEN
             self._signs.check(sample, asked)
             self.obedience.check(sample, asked)
+            kind = None
+            self.unmoved.check(sample, asked)
         except SafetyStop as error:
             i = next(k for k, limit in enumerate(self.limits) if limit.name == error.axis)
+            if kind is None:
+                self.blind.add(i)
+                raise
             self.falls = {i: Fall(kind, math.nan, sample.torque[i], at_limit=False)}
             raise
 

@@ -108,6 +108,8 @@ class Motion:
         self._modes: list[Mode] = []
         self.inertia: dict[int, float] = {}
         """Rigid inertia of the axes that were tried [kg·m² or kg]."""
+        self.weighed: set[int] = set()
+        """Axes whose trial of the signs measured it."""
         self.phase = "enabling"
         self.experiment: PlannedExperiment | None = None
         """What is being tried or measured."""
@@ -412,6 +414,12 @@ class Motion:
             self.watching.words.resume()
         self.feedback, self._demand = feedback, demand
         self.watching.bounds.led = {f.axis for f in feedback}
+        self.watching.bounds.unmoved.forget()
+        self.watching.bounds.unmoved.masses = {
+            f.axis: (self.inertia[f.axis], f.bias)
+            for f in feedback
+            if f.axis in self.weighed and not self.by_offset(f.axis)
+        }
         self.watching.settle()
 
     def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:

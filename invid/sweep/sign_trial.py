@@ -119,6 +119,7 @@ class SignTrial:
         branch = self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         known = self._stated[0] if self._stated is not None else last.response.inertia
+        motion.weighed.add(axis)
         self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
@@ -262,6 +263,7 @@ class SignTrial:
     def _require_motion(self, found: trials.Response, amplitude: float, length: float) -> None:
         if found.displacement >= LEAST_COUNTS * self._count:
             return
+        self._motion.watching.bounds.blind.add(self._axis)
         raise SafetyStop(
             f"axis {self._settings.name}: {amplitude:.3g} {self._torque_unit} for {length:.2g} s moved the "
             f"encoder by {found.displacement / self._count:.0f} counts: the brake is closed, the encoder is "

@@ -4,7 +4,9 @@ push.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections import deque
+from collections.abc import Collection, Sequence
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
@@ -194,6 +196,94 @@ class Halting:
                 code="halted",
                 axis=self._names[i],
             )
+
+
+LAGS = 12
+"""Cycles by which the torque may act later than it is asked for (`torque_sign.LAGS`)."""
+UNMOVED_COUNTS = 1.5
+"""Counts from its place within which an encoder shows no motion: a last digit that flickers."""
+TURNING = 4 * 2 * UNMOVED_COUNTS
+"""Counts: where the motion of a free mass turns, it stays within a way q for at most 2·√(2q/a), in which its
+torque would have taken it 4·q from rest, whatever a is: the way to and fro between both ends of ``UNMOVED``.
+What stands longer is held by something."""
+UNMOVED = 2 * TURNING
+"""Counts by which a mass that something held as before would have moved: as much again for the inertia and
+the weight, which were measured."""
+HELD_MORE = 1.5
+"""Over what held it so far: friction differs from place to place."""
+
+
+class _Mass:
+    """A rigid mass under the torque that was asked for, held by friction up to ``holds``, from rest."""
+
+    def __init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        self.x = self.v = 0.0
+
+    def go(self, torque: float, holds: float, inertia: float, dt: float) -> None:
+        moving = self.v if self.v != 0.0 else torque
+        force = torque - math.copysign(holds, moving)
+        if self.v == 0.0 and force * torque <= 0.0:
+            return
+        after = self.v + force / inertia * dt
+        self.v = 0.0 if after * moving < 0.0 else after
+        self.x += self.v * dt
+
+
+class Unmoved:
+    """Watch for encoders that stand while the torque that is asked for must have moved their axes.
+
+    Two masses are reckoned from the begin of each stand: a free one, and one that friction holds as far as
+    it held the axis before. A stand in which the free mass would have gone further than at any turn
+    (``TURNING``) is friction's, and tells when it ends how much that holds at least. Where the second mass
+    would have moved, too, the encoder is dead, or something new holds the axis: no chance is in that but
+    friction that was never met, by half more than before.
+    """
+
+    def __init__(self, names: Sequence[str], resolution: Sequence[float], cycle_s: float) -> None:
+        self._names, self._counts, self._cycle = list(names), [abs(r) for r in resolution], cycle_s
+        count = len(self._names)
+        self.masses: dict[int, tuple[float, float]] = {}
+        """Inertia and weight of the axes whose loops the master closes and whose inertia was measured."""
+        self.holds = [0.0] * count
+        """Torque up to which friction was seen to hold each axis."""
+        self._free, self._held = [_Mass() for _ in names], [_Mass() for _ in names]
+        self._peak = [0.0] * count
+        self.forget()
+
+    def forget(self) -> None:
+        """Nobody knows what happened meanwhile; what friction holds stays known."""
+        self._place: list[float | None] = [None] * len(self._names)
+        self._asked: list[deque[float]] = [deque(maxlen=LAGS) for _ in self._names]
+
+    def check(self, sample: Sample, asked: Sequence[float]) -> None:
+        """SafetyStop where an encoder has not moved with its axis."""
+        for i, (inertia, weight) in self.masses.items():
+            past, place, x = self._asked[i], self._place[i], sample.position[i]
+            past.append(asked[i] - weight)
+            if not sample.fresh[i] or len(past) < LAGS:
+                continue
+            free, held, count = self._free[i], self._held[i], self._counts[i]
+            if place is None or abs(x - place) > UNMOVED_COUNTS * count:
+                if place is not None and abs(free.x) > TURNING * count:
+                    self.holds[i] = max(self.holds[i], self._peak[i])
+                self._place[i], self._peak[i] = x, 0.0
+                free.begin()
+                held.begin()
+                continue
+            self._peak[i] = max(self._peak[i], abs(past[0]))
+            free.go(past[0], 0.0, inertia, self._cycle)
+            held.go(past[0], HELD_MORE * self.holds[i], inertia, self._cycle)
+            if abs(held.x) > UNMOVED * count:
+                raise SafetyStop(
+                    f"axis {self._names[i]}: the encoder shows one value while the torque that is played "
+                    f"must have moved the axis by {abs(held.x) / count:.0f} counts",
+                    way_out="the encoder is stuck, the brake is closed, or the drive gives no torque",
+                    code="stands",
+                    axis=self._names[i],
+                )
 
 
 AT_LIMIT = 0.95
