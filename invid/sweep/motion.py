@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -108,8 +109,6 @@ class Motion:
         self._modes: list[Mode] = []
         self.inertia: dict[int, float] = {}
         """Rigid inertia of the axes that were tried [kg·m² or kg]."""
-        self.weighed: set[int] = set()
-        """Axes whose trial of the signs measured it."""
         self.phase = "enabling"
         self.experiment: PlannedExperiment | None = None
         """What is being tried or measured."""
@@ -418,7 +417,7 @@ class Motion:
         self.watching.bounds.unmoved.masses = {
             f.axis: (self.inertia[f.axis], f.bias)
             for f in feedback
-            if f.axis in self.weighed and not self.by_offset(f.axis)
+            if self.inertia.get(f.axis, math.inf) < math.inf and not self.by_offset(f.axis)
         }
         self.watching.settle()
 

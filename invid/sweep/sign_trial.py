@@ -119,7 +119,7 @@ class SignTrial:
         branch = self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         known = self._stated[0] if self._stated is not None else last.response.inertia
-        motion.weighed.add(axis)
+        motion.watching.bounds.unmoved.moved_by(axis, amplitude)
         self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])

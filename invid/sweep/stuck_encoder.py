@@ -198,8 +198,8 @@ class Halting:
             )
 
 
-LAGS = 12
-"""Cycles by which the torque may act later than it is asked for (`torque_sign.LAGS`)."""
+LAGS = (1, 4, 12)
+"""Cycles by which torque may act later than it is asked for: whichever says least is believed."""
 UNMOVED_COUNTS = 1.5
 """Counts from its place within which an encoder shows no motion: a last digit that flickers."""
 TURNING = 4 * 2 * UNMOVED_COUNTS
@@ -214,13 +214,9 @@ HELD_MORE = 1.5
 
 
 class _Mass:
-    """A rigid mass under the torque that was asked for, held by friction up to ``holds``, from rest."""
+    """A rigid mass under torque, held by friction up to ``holds``, from rest."""
 
-    def __init__(self) -> None:
-        self.begin()
-
-    def begin(self) -> None:
-        self.x = self.v = 0.0
+    x = v = 0.0
 
     def go(self, torque: float, holds: float, inertia: float, dt: float) -> None:
         moving = self.v if self.v != 0.0 else torque
@@ -230,6 +226,28 @@ class _Mass:
         after = self.v + force / inertia * dt
         self.v = 0.0 if after * moving < 0.0 else after
         self.x += self.v * dt
+
+
+class _Stand:
+    """What masses would have done since an encoder came to its place."""
+
+    def __init__(self, place: float) -> None:
+        self.place, self.peak = place, 0.0
+        self._free, self._held = [_Mass() for _ in LAGS], [_Mass() for _ in LAGS]
+
+    def go(self, torques: Sequence[float], holds: float, inertia: float, dt: float) -> None:
+        self.peak = max(self.peak, abs(torques[0]))
+        for free, held, torque in zip(self._free, self._held, torques, strict=True):
+            free.go(torque, 0.0, inertia, dt)
+            held.go(torque, holds, inertia, dt)
+
+    @property
+    def free(self) -> float:
+        return min(abs(mass.x) for mass in self._free)
+
+    @property
+    def held(self) -> float:
+        return min(abs(mass.x) for mass in self._held)
 
 
 class Unmoved:
@@ -244,42 +262,43 @@ class Unmoved:
 
     def __init__(self, names: Sequence[str], resolution: Sequence[float], cycle_s: float) -> None:
         self._names, self._counts, self._cycle = list(names), [abs(r) for r in resolution], cycle_s
-        count = len(self._names)
         self.masses: dict[int, tuple[float, float]] = {}
-        """Inertia and weight of the axes whose loops the master closes and whose inertia was measured."""
-        self.holds = [0.0] * count
-        """Torque up to which friction was seen to hold each axis."""
-        self._free, self._held = [_Mass() for _ in names], [_Mass() for _ in names]
-        self._peak = [0.0] * count
+        """Inertia and weight of the axes whose loops the master closes."""
+        self._most: dict[int, float] = {}
+        self._seen = [0.0] * len(self._names)
         self.forget()
 
     def forget(self) -> None:
         """Nobody knows what happened meanwhile; what friction holds stays known."""
-        self._place: list[float | None] = [None] * len(self._names)
-        self._asked: list[deque[float]] = [deque(maxlen=LAGS) for _ in self._names]
+        self._stands: list[_Stand | None] = [None] * len(self._names)
+        self._asked: list[deque[float]] = [deque(maxlen=max(LAGS) + 1) for _ in self._names]
+
+    def moved_by(self, axis: int, torque: float) -> None:
+        """Judge an axis from here on: so much torque moved it from rest, so friction holds no more."""
+        self._most[axis] = torque
+
+    def learn(self, axes: Collection[int]) -> None:
+        """These axes were shaken, and turned so often that their friction was seen."""
+        self._most.update((i, 0.0) for i in axes if i in self._most)
 
     def check(self, sample: Sample, asked: Sequence[float]) -> None:
         """SafetyStop where an encoder has not moved with its axis."""
         for i, (inertia, weight) in self.masses.items():
-            past, place, x = self._asked[i], self._place[i], sample.position[i]
+            past, stand, x = self._asked[i], self._stands[i], sample.position[i]
             past.append(asked[i] - weight)
-            if not sample.fresh[i] or len(past) < LAGS:
+            if not sample.fresh[i] or len(past) <= max(LAGS):
                 continue
-            free, held, count = self._free[i], self._held[i], self._counts[i]
-            if place is None or abs(x - place) > UNMOVED_COUNTS * count:
-                if place is not None and abs(free.x) > TURNING * count:
-                    self.holds[i] = max(self.holds[i], self._peak[i])
-                self._place[i], self._peak[i] = x, 0.0
-                free.begin()
-                held.begin()
+            if stand is None or abs(x - stand.place) > UNMOVED_COUNTS * self._counts[i]:
+                if stand is not None and stand.free > TURNING * self._counts[i]:
+                    self._seen[i] = max(self._seen[i], stand.peak)
+                self._stands[i] = _Stand(x)
                 continue
-            self._peak[i] = max(self._peak[i], abs(past[0]))
-            free.go(past[0], 0.0, inertia, self._cycle)
-            held.go(past[0], HELD_MORE * self.holds[i], inertia, self._cycle)
-            if abs(held.x) > UNMOVED * count:
+            holds = HELD_MORE * max(self._most.get(i, math.inf), self._seen[i])
+            stand.go([past[-1 - lag] for lag in LAGS], holds, inertia, self._cycle)
+            if stand.held > UNMOVED * self._counts[i]:
                 raise SafetyStop(
                     f"axis {self._names[i]}: the encoder shows one value while the torque that is played "
-                    f"must have moved the axis by {abs(held.x) / count:.0f} counts",
+                    f"must have moved the axis by {stand.held / self._counts[i]:.0f} counts",
                     way_out="the encoder is stuck, the brake is closed, or the drive gives no torque",
                     code="stands",
                     axis=self._names[i],
