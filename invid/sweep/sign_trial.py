@@ -227,7 +227,7 @@ class SignTrial:
                 break
             if found.displacement < ONE_COUNT * self._count and self._passed_on(trial.log):
                 break
-            if length * 2 <= SIGN_LAST_S:
+            if length * 2 <= SIGN_LAST_S and self._free_way(amplitude, 2 * length) <= far:
                 length *= 2
                 continue
             if amplitude * TRIAL_CLIMB > self._most or found.displacement >= wanted:
@@ -235,6 +235,13 @@ class SignTrial:
             # What holds it against a small torque is most often friction; a stronger doublet starts short.
             amplitude, length = TRIAL_CLIMB * amplitude, TRIAL_AGAIN_S
         return amplitude, length, trial
+
+    def _free_way(self, amplitude: float, length: float) -> float:
+        """Return how far a doublet takes a free mass of the stated inertia; 0 where nobody stated one.
+
+        An axis that nobody sees move may do so all the same: more torque tells as well as a longer way.
+        """
+        return amplitude * length**2 / (4 * self._stated[0]) if self._stated is not None else 0.0
 
     # --- verdicts ------------------------------------------------------------------------------
     def _require_torque(self, found: trials.Response, amplitude: float) -> None:

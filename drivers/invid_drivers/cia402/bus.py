@@ -466,6 +466,7 @@ class Cia402Cell:
             set() if self.bounds is None else self.bounds.blind,
             {i: h.seen.brake_s for i, h in enumerate(self.holdings) if h.seen.brake_s is not None},
             {i: h.seen.brake_drop for i, h in enumerate(self.holdings) if h.seen.brake_drop is not None},
+            {} if self.bounds is None else self.bounds.weights,
         )
         way = WayOut(self._moving(self.exchange), loads, self._ramp_s, weigh)
         self.not_off = way.take()

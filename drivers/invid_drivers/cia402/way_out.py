@@ -19,6 +19,7 @@ from invid.numerics.arrays import Bool, Float64
 from invid.sweep.falling import Fall, Kind
 from invid.sweep.loads import CONFIRM_S, LOAD_SHARE
 from invid.sweep.ports import Sample
+from invid.sweep.shortfall import HeldTorque
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_STOP
@@ -82,6 +83,8 @@ class Loads:
     brake_s: Mapping[int, float] = field(default_factory=dict)
     brake_drop: Mapping[int, float] = field(default_factory=dict)
     """Seconds that brakes were seen to take, and how far their axes went meanwhile [rad or m]."""
+    weights: Mapping[int, float] = field(default_factory=dict)
+    """Torque that holds each loaded axis [N·m or N]."""
 
 
 class WayOut:
@@ -133,6 +136,8 @@ class WayOut:
         self._doubted, self._weigh = tuple(i for i in loads.doubted if i not in self._cut), weigh
         self._standstill, self._falling = cell.standstill(), cell.falling()
         self._guard = RunawayGuard(cell.config, cell.resolution)
+        self._weights = dict(loads.weights)
+        self._held_torque = HeldTorque(cell.rated, cell.resolution, cell.config.bus.cycle_s)
         self._given_up: set[int] = set()
         self._deaf: set[int] = set()
         self._began: float | None = None
@@ -230,6 +235,7 @@ class WayOut:
             return
         for i in axes:
             self._stays[i] = True
+            self._weights.pop(i, None)  # it may be supported by then
         self._catchable.difference_update(axes)
         held = self._hold(axes)
         self.caught.update(held)
@@ -393,6 +399,12 @@ class WayOut:
         for i in self._guard.faster(sample):
             if self._may_disable(i):
                 self._fell.add(i)
+                self._to_brake(i)
+        held = {i for i in self._weights if sample.fresh[i] and _is_energised(sample.status[i])}
+        for i in {*self._guard.leapt, *self._held_torque.missing(sample, self._weights, held)}:
+            self._blind.add(i)
+            self._catchable.discard(i)
+            if i in self._brakes or self._may_disable(i):
                 self._to_brake(i)
         self._next_means(sample)
         if self._began is None:
