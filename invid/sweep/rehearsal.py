@@ -257,7 +257,6 @@ class Rehearsal:
         motion.must_move = motion.watching.standing.excited = set()
         if moves:
             motion.watching.standing.learn(excited)
-            motion.watching.bounds.unmoved.learn(excited)
         words = f"{share:.0%} of the planned amplitude"
         motion.watching.words.require_no_limit(range(motion.count), words)
         ending = play(cycles - fade, cycles)

@@ -277,10 +277,6 @@ class Unmoved:
         """Judge an axis from here on: so much torque moved it from rest, so friction holds no more."""
         self._most[axis] = torque
 
-    def learn(self, axes: Collection[int]) -> None:
-        """These axes were shaken, and turned so often that their friction was seen."""
-        self._most.update((i, 0.0) for i in axes if i in self._most)
-
     def check(self, sample: Sample, asked: Sequence[float]) -> None:
         """SafetyStop where an encoder has not moved with its axis."""
         for i, (inertia, weight) in self.masses.items():
