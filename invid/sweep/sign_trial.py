@@ -28,6 +28,7 @@ from invid.planning.phases import (
 from invid.signals.excitation import doublet
 from invid.sweep import trials
 from invid.sweep.inertia import ELASTIC, ELASTIC_S, Branch, compare, rigid_branch
+from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.motion import Feedback, Log, Motion
 from invid.sweep.ports import Mode
 
@@ -60,6 +61,8 @@ LEAST_STEPS = 2.0
 """Thousandths of rated torque below which a doublet is not commanded at all: 0x6071 has no smaller steps."""
 SEEN_SHARE = 0.01
 """Share of rated torque from which 0x6077 must show a doublet: ten of its steps."""
+FIT_MOST = 2.0
+"""Friction that may hold an axis, over the one that its doublet showed where it slid."""
 ONE_COUNT = 1.5
 """Counts that an encoder which is stuck shows at most."""
 REACTION = 5.0
@@ -119,7 +122,10 @@ class SignTrial:
         branch = self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         known = self._stated[0] if self._stated is not None else last.response.inertia
-        motion.watching.bounds.unmoved.moved_by(axis, amplitude)
+        friction = amplitude
+        if branch is not None:  # as the fit shows it, but no less than a drive's friction at rest may be
+            friction = min(amplitude, max(FIT_MOST * branch.friction, LOAD_SHARE * self._rated))
+        motion.watching.bounds.unmoved.moved_by(axis, friction)
         self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])

@@ -274,7 +274,7 @@ class Unmoved:
         self._asked: list[deque[float]] = [deque(maxlen=max(LAGS) + 1) for _ in self._names]
 
     def moved_by(self, axis: int, torque: float) -> None:
-        """Judge an axis from here on: so much torque moved it from rest, so friction holds no more."""
+        """Judge an axis from here on: friction holds no more than so much torque, which moved it."""
         self._most[axis] = torque
 
     def check(self, sample: Sample, asked: Sequence[float]) -> None:
