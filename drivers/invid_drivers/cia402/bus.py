@@ -448,11 +448,11 @@ class Cia402Cell:
         self._link.cancelled = never
         if self._stopped:
             return
+        falls = {} if self.bounds is None else self.bounds.falls
         with contextlib.suppress(Exception):
-            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes):
+            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes, falls):
                 self.held.set_options(self._cycle, self.clock, self.exchange, LEAVING_S)
         weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
-        falls = {} if self.bounds is None else self.bounds.falls
         loads = Loads(
             [h.stays for h in self.holdings],
             {

@@ -206,6 +206,8 @@ class WayOut:
             if moved & self._catchable - self._fell:
                 break
             sample = self._exchange(self._cycle.support)
+            self._guard.faster(sample)
+            self._lose_sight(self._guard.leapt)
         self.failed_brakes = {i for i in axes if not self._standstill.stands(i)}
         # a drive that was seen not to hold an axis is not given it again
         self._to_catch = self.failed_brakes & self._catchable - self._fell
@@ -401,11 +403,7 @@ class WayOut:
                 self._fell.add(i)
                 self._to_brake(i)
         held = {i for i in self._weights if sample.fresh[i] and _is_energised(sample.status[i])}
-        for i in {*self._guard.leapt, *self._held_torque.missing(sample, self._weights, held)}:
-            self._blind.add(i)
-            self._catchable.discard(i)
-            if i in self._brakes or self._may_disable(i):
-                self._to_brake(i)
+        self._lose_sight({*self._guard.leapt, *self._held_torque.missing(sample, self._weights, held)})
         self._next_means(sample)
         if self._began is None:
             self._began = sample.time
@@ -423,6 +421,14 @@ class WayOut:
             if i not in self._given_up:
                 self._given_up.add(i)
                 self._link.nmt(NMT_STOP, self._drives[i].node_id)
+
+    def _lose_sight(self, axes: Collection[int]) -> None:
+        """No loop that a dead encoder closes holds: what has a brake or carries nothing is cut off."""
+        self._blind.update(axes)
+        self._catchable.difference_update(axes)
+        for i in axes:
+            if i in self._brakes or self._may_disable(i):
+                self._to_brake(i)
 
     def _drive_to(self, seconds: float, reached: Callable[[Sample], bool]) -> None:
         end = min(self._link.clock.now() + seconds, self._ends)
