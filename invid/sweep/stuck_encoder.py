@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
@@ -202,13 +202,13 @@ LAGS = (1, 4, 12)
 """Cycles by which torque may act later than it is asked for: whichever says least is believed."""
 UNMOVED_COUNTS = 1.5
 """Counts from its place within which an encoder shows no motion: a last digit that flickers."""
-TURNING = 4 * 2 * UNMOVED_COUNTS
+TURNING = 2 * 4 * 2 * UNMOVED_COUNTS
 """Counts: where the motion of a free mass turns, it stays within a way q for at most 2·√(2q/a), in which its
-torque would have taken it 4·q from rest, whatever a is: the way to and fro between both ends of ``UNMOVED``.
-What stands longer is held by something."""
+torque would have taken it 4·q from rest, whatever a is: the way to and fro between both ends of
+``UNMOVED_COUNTS``, and as much again for torque that changes meanwhile. What stands longer is held."""
 UNMOVED = 2 * TURNING
-"""Counts by which a mass that something held as before would have moved: as much again for the inertia and
-the weight, which were measured."""
+"""Counts by which a mass that something held as before would have moved: twice as many again for inertia and
+weight, which were measured. Healthy cells reach MOST_SEEN (empirical: ``tests/machines/ordinary.py``)."""
 HELD_MORE = 1.5
 """Over what held it so far: friction differs from place to place."""
 
@@ -262,10 +262,14 @@ class Unmoved:
 
     def __init__(self, names: Sequence[str], resolution: Sequence[float], cycle_s: float) -> None:
         self._names, self._counts, self._cycle = list(names), [abs(r) for r in resolution], cycle_s
-        self.masses: dict[int, tuple[float, float]] = {}
-        """Inertia and weight of the axes whose loops the master closes."""
+        self._masses: Mapping[int, tuple[float, float]] = {}
         self._most: dict[int, float] = {}
         self._seen = [0.0] * len(self._names)
+        self.forget()
+
+    def begin(self, masses: Mapping[int, tuple[float, float]]) -> None:
+        """Reckon from now on with the inertia and weight of each axis whose loop the master closes."""
+        self._masses = masses
         self.forget()
 
     def forget(self) -> None:
@@ -279,7 +283,7 @@ class Unmoved:
 
     def check(self, sample: Sample, asked: Sequence[float]) -> None:
         """SafetyStop where an encoder has not moved with its axis."""
-        for i, (inertia, weight) in self.masses.items():
+        for i, (inertia, weight) in self._masses.items():
             past, stand, x = self._asked[i], self._stands[i], sample.position[i]
             past.append(asked[i] - weight)
             if not sample.fresh[i] or len(past) <= max(LAGS):
