@@ -48,6 +48,8 @@ HELD, PLAYED, ROOM = 0.02, 0.03, 0.5
 """A loaded axis may be so far from where it was in one event; what is played; beyond the window [rad]."""
 LEAVING_S = 0.6
 """After a stop by a person: on the way out until then."""
+SEEN_S = 0.1
+"""What begins so shortly before the end is not seen (how soon a fall is seen: the same page)."""
 FOREIGN = 3
 """A node on the bus that is not in the config."""
 CARRIES = ("nothing", "load on its drive", "load on a brake")
@@ -198,7 +200,7 @@ class OneRun:
         at_end = self.cell.wire.now
         self.cell.wire.advance(at_end + 2.0)
         wrong = [*self._torque(), *self._foreigners()]
-        if self.drawn.phase == "always" or self.at_s <= at_end:  # else nobody was there any more
+        if self.drawn.phase == "always" or self.at_s <= at_end - SEEN_S:  # else nobody was there any more
             wrong += [*self._travel(at_end), *self._words(ended, at_end)]
         return wrong
 

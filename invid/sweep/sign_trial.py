@@ -233,7 +233,10 @@ class SignTrial:
                 break
             if found.displacement < ONE_COUNT * self._count and self._passed_on(trial.log):
                 break
-            if length * 2 <= SIGN_LAST_S and self._free_way(amplitude, 2 * length) <= SIGN_FAR * limits.position:
+            if (
+                length * 2 <= SIGN_LAST_S
+                and self._free_way(amplitude, 2 * length) <= SIGN_FAR * limits.position
+            ):
                 length *= 2
                 continue
             if amplitude * TRIAL_CLIMB > self._most or found.displacement >= wanted:

@@ -104,6 +104,8 @@ class Cia402Cell:
         them."""
         self.cancelled: Callable[[], bool] = never
         """Asked in every wait until the way out: brakes and drives take their time, a stop must not."""
+        self.tell: Callable[[str], None] = lambda phase: None
+        """Hears what is being done on the way out, while it lasts."""
 
     # --- before motion -------------------------------------------------------------------------
     def check(self) -> tuple[DriveReport, ...]:
@@ -399,6 +401,7 @@ class Cia402Cell:
             self.resolution,
             self.rated_torque,
             [r.torque_mode for r in self.reports],
+            self.tell,
         )
 
     @property

@@ -33,6 +33,8 @@ class MovingCell:
     resolution: Sequence[float]
     rated: Sequence[float]
     torque_modes: Sequence[OperationMode]
+    tell: Callable[[str], None] = lambda phase: None
+    """Hears at once what is being done, while it goes on."""
 
     def standstill(self) -> Standstill:
         """A look at whether axes stand, from now on."""

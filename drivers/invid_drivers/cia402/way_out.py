@@ -61,6 +61,10 @@ WAY_OUT_S = MOVING_S + BY_SDO_S
 STATE_POLL_S = 0.005
 """Between two questions for the statusword by SDO, on the way out."""
 
+STOPPING = "stopping"
+UNSEEN = "support the load of {}: it is not seen to stand"
+"""Phases that are told."""
+
 _RAMPING = (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
 
 
@@ -144,12 +148,14 @@ class WayOut:
         self._off_at: list[float] = []
         self._quick_stop_s = min(max(QUICK_STOP_S, RAMP_MARGIN * ramp_s), LONGEST_RAMP_S)
         self._ends = math.inf
+        self._told: set[int] = set()
 
     def take(self) -> tuple[str, ...]:
         """Quick stop, disable voltage, NMT stop; the axes that were not seen to switch off. Never raises."""
         began = self._link.clock.now()
         self._ends = began + MOVING_S
         self._cycle.leave()
+        self._tell({i for i in self._fell | self._blind if self._is_loaded(i)})
         with contextlib.suppress(Exception):
             self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
             for i in self._cut:
@@ -189,6 +195,13 @@ class WayOut:
                     self._link.nmt(NMT_STOP, drive.node_id)
         return tuple(on)
 
+    def _tell(self, axes: Collection[int] = ()) -> None:
+        """Say at once what is done, and which loads a person must support: it may last two minutes."""
+        self._told.update(axes)
+        names = ", ".join(self._drives[i].name for i in sorted(self._told))
+        with contextlib.suppress(Exception):  # whoever listens may have gone
+            self._cell.tell(UNSEEN.format(names) if names else STOPPING)
+
     # --- loads ---------------------------------------------------------------------------------
     def _see_brakes(self) -> None:
         """See that each axis that is off and loaded stands on its brake; one that does not is caught."""
@@ -209,6 +222,8 @@ class WayOut:
             self._guard.faster(sample)
             self._lose_sight(self._guard.leapt)
         self.failed_brakes = {i for i in axes if not self._standstill.stands(i)}
+        if self.failed_brakes:
+            self._tell(self.failed_brakes)
         # a drive that was seen not to hold an axis is not given it again
         self._to_catch = self.failed_brakes & self._catchable - self._fell
         self.unheld |= self.failed_brakes - self._to_catch
@@ -281,6 +296,7 @@ class WayOut:
         loaded = [i for i in range(len(self._stays)) if self._is_loaded(i) and i not in self._given_up]
         for i, fall in self._falling.check(sample, loaded, _is_energised).items():
             self._fell.add(i)
+            self._tell({i})
             if i in self._brakes or self._is_driven(i, fall):
                 self._to_brake(i)
             elif i in self._catchable and not fall.at_limit:
@@ -424,6 +440,8 @@ class WayOut:
 
     def _lose_sight(self, axes: Collection[int]) -> None:
         """No loop that a dead encoder closes holds: what has a brake or carries nothing is cut off."""
+        if not self._blind.issuperset(axes):
+            self._tell({i for i in axes if self._is_loaded(i)})
         self._blind.update(axes)
         self._catchable.difference_update(axes)
         for i in axes:

@@ -16,6 +16,7 @@ from invid.model.diagnosis_document import Grade
 from invid.numerics.compiled import COMPILING
 from invid.planning import make_plan
 from invid.report.branch_drawing import WORDS
+from invid_drivers.cia402.way_out import STOPPING, UNSEEN
 from invid_service.cells.readiness import Note, Reason
 from invid_service.jobs.analysis_progress import STAGES
 from invid_service.jobs.states import State
@@ -111,6 +112,7 @@ def test_every_phase_of_a_sweep_and_of_an_analysis_has_its_words() -> None:
     }
     assert {"still looking", "fitting the machine alone"} <= told
     names = [p.name for p in make_plan(config).phases] + [COMPILING, *STAGES, *told - {"weighing"}]
+    names += [STOPPING, UNSEEN.format("A1, A2")]
     for name in names:  # "weighing" comes with its cause, which the page names
         assert any(p.fullmatch(name) for p in patterns), name
 
