@@ -110,7 +110,12 @@ class Bounds:
         self._held_torque = HeldTorque(
             [a.rated_torque for a in limits], [a.resolution for a in limits], cycle_s
         )
-        self.unmoved = Unmoved([a.name for a in limits], [a.resolution for a in limits], cycle_s)
+        self.unmoved = Unmoved(
+            [a.name for a in limits],
+            [a.resolution for a in limits],
+            [a.position for a in limits],
+            cycle_s,
+        )
         """Torque that must have moved axes whose encoders stand."""
         self.obedience = Obedience([a.name for a in limits], cycle_s)
         """Demand against motion."""

@@ -206,9 +206,10 @@ TURNING = 2 * 4 * 2 * UNMOVED_COUNTS
 """Counts: where the motion of a free mass turns, it stays within a way q for at most 2·√(2q/a), in which its
 torque would have taken it 4·q from rest, whatever a is: the way to and fro between both ends of
 ``UNMOVED_COUNTS``, and as much again for torque that changes meanwhile. What stands longer is held."""
-UNMOVED = 2 * TURNING
+UNMOVED, UNMOVED_SHARE = 2 * TURNING, 0.01
 """Counts by which a mass that something held as before would have moved: twice as many again for inertia and
-weight, which were measured. Healthy cells reach MOST_SEEN (empirical: ``tests/machines/ordinary.py``)."""
+weight, which were measured. And no less than that share of the window: springs that are wound up hold a fine
+encoder's place for a moment, and so short a way does no harm."""
 HELD_MORE = 1.5
 """Over what held it so far: friction differs from place to place."""
 
@@ -260,8 +261,15 @@ class Unmoved:
     friction that was never met, by half more than before.
     """
 
-    def __init__(self, names: Sequence[str], resolution: Sequence[float], cycle_s: float) -> None:
-        self._names, self._counts, self._cycle = list(names), [abs(r) for r in resolution], cycle_s
+    def __init__(
+        self, names: Sequence[str], resolution: Sequence[float], window: Sequence[float], cycle_s: float
+    ) -> None:
+        """``resolution`` of the encoders and ``window`` of the axes [rad or m]."""
+        self._names, self._cycle = list(names), cycle_s
+        self._flicker = [UNMOVED_COUNTS * abs(r) for r in resolution]
+        self._most_way = [
+            max(UNMOVED * abs(r), UNMOVED_SHARE * w) for r, w in zip(resolution, window, strict=True)
+        ]
         self._masses: Mapping[int, tuple[float, float]] = {}
         self._most: dict[int, float] = {}
         self._seen = [0.0] * len(self._names)
@@ -288,17 +296,17 @@ class Unmoved:
             past.append(asked[i] - weight)
             if not sample.fresh[i] or len(past) <= max(LAGS):
                 continue
-            if stand is None or abs(x - stand.place) > UNMOVED_COUNTS * self._counts[i]:
-                if stand is not None and stand.free > TURNING * self._counts[i]:
+            if stand is None or abs(x - stand.place) > self._flicker[i]:
+                if stand is not None and stand.free > self._most_way[i] * TURNING / UNMOVED:
                     self._seen[i] = max(self._seen[i], stand.peak)
                 self._stands[i] = _Stand(x)
                 continue
             holds = HELD_MORE * max(self._most.get(i, math.inf), self._seen[i])
             stand.go([past[-1 - lag] for lag in LAGS], holds, inertia, self._cycle)
-            if stand.held > UNMOVED * self._counts[i]:
+            if stand.held > self._most_way[i]:
                 raise SafetyStop(
                     f"axis {self._names[i]}: the encoder shows one value while the torque that is played "
-                    f"must have moved the axis by {stand.held / self._counts[i]:.0f} counts",
+                    f"must have moved the axis by {stand.held / self._flicker[i] * UNMOVED_COUNTS:.0f} counts",
                     way_out="the encoder is stuck, the brake is closed, or the drive gives no torque",
                     code="stands",
                     axis=self._names[i],
