@@ -304,9 +304,10 @@ class Unmoved:
             holds = HELD_MORE * max(self._most.get(i, math.inf), self._seen[i])
             stand.go([past[-1 - lag] for lag in LAGS], holds, inertia, self._cycle)
             if stand.held > self._most_way[i]:
+                counts = UNMOVED_COUNTS * stand.held / self._flicker[i]
                 raise SafetyStop(
                     f"axis {self._names[i]}: the encoder shows one value while the torque that is played "
-                    f"must have moved the axis by {stand.held / self._flicker[i] * UNMOVED_COUNTS:.0f} counts",
+                    f"must have moved the axis by {counts:.0f} counts",
                     way_out="the encoder is stuck, the brake is closed, or the drive gives no torque",
                     code="stands",
                     axis=self._names[i],
