@@ -15,6 +15,10 @@ from invid_drivers.cia402.link import Link
 from invid_drivers.cia402.standstill import Standstill, tolerances
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 
+STOPPING = "stopping"
+UNSEEN = "support the load of {}: it is not seen to stand"
+"""Phases that are told."""
+
 
 @dataclass(frozen=True, eq=False)
 class MovingCell:

@@ -23,7 +23,7 @@ from invid.sweep.shortfall import HeldTorque
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_STOP
-from invid_drivers.cia402.moving_cell import MovingCell
+from invid_drivers.cia402.moving_cell import STOPPING, UNSEEN, MovingCell
 from invid_drivers.cia402.runaway import RunawayGuard
 from invid_drivers.cia402.standstill import tolerances
 from invid_drivers.cia402.states import DriveState, state_of
@@ -60,10 +60,6 @@ WAY_OUT_S = MOVING_S + BY_SDO_S
 """Longest way out."""
 STATE_POLL_S = 0.005
 """Between two questions for the statusword by SDO, on the way out."""
-
-STOPPING = "stopping"
-UNSEEN = "support the load of {}: it is not seen to stand"
-"""Phases that are told."""
 
 _RAMPING = (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
 
