@@ -22,8 +22,8 @@ from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode
 from invid_drivers import cia402
 from invid_drivers.cia402.failures import WriteRefused
-from invid_drivers.cia402.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.objects import MAX_TORQUE
+from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
 
 NOTHING, LOADED = {"gravity_loaded": False}, {"gravity_loaded": True}
 LOAD = {"gravity": 3.0}

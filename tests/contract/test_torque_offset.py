@@ -14,7 +14,7 @@ from invid.errors import ConfigError, DriveError, SafetyStop
 from invid.identification.identify import identify
 from invid.recording import read_recording
 from invid.sweep import Mode
-from invid_drivers.cia402.vendors import VENDORS, ways
+from invid_drivers.cia402.stated.vendors import VENDORS, ways
 from invid_drivers.connect import connect
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.readiness import ask_drives

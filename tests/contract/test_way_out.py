@@ -15,7 +15,7 @@ from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode, Sample
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Entry
-from invid_drivers.cia402.runaway import RunawayGuard
+from invid_drivers.cia402.standing.runaway import RunawayGuard
 from invid_drivers.connect import connect
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 

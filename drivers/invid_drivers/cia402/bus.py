@@ -24,20 +24,20 @@ from invid_drivers.cia402.axis import Drive, DriveReport, ModeSet
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_time import tell_cycle
 from invid_drivers.cia402.disk import PATIENCE_S
-from invid_drivers.cia402.held_axes import HeldAxes
-from invid_drivers.cia402.holding import (
-    AxisHolding,
-    Reason,
-)
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, Link, never
 from invid_drivers.cia402.mode_change import CHANGE_S
-from invid_drivers.cia402.moving_cell import MovingCell
+from invid_drivers.cia402.standing.held_axes import HeldAxes
+from invid_drivers.cia402.standing.holding import (
+    AxisHolding,
+    Reason,
+)
+from invid_drivers.cia402.standing.moving_cell import MovingCell
+from invid_drivers.cia402.standing.stop_test import StopTest
+from invid_drivers.cia402.standing.takeover import find_powered, require_mode, require_ours
+from invid_drivers.cia402.standing.way_out import WAY_OUT_S, Loads, WayOut
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
-from invid_drivers.cia402.stop_test import StopTest
-from invid_drivers.cia402.takeover import find_powered, require_mode, require_ours
-from invid_drivers.cia402.way_out import WAY_OUT_S, Loads, WayOut
 
 RESTORE_S = 30.0
 """Longest restoring of all drives together: tenths of a second for each, ten for one that takes 0.2 s for an

@@ -13,8 +13,8 @@ from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import Link
+from invid_drivers.cia402.stated.units import Scaling, position_per_count, wrapped_difference
 from invid_drivers.cia402.states import DriveState, is_energised, state_of, towards_enabled
-from invid_drivers.cia402.units import Scaling, position_per_count, wrapped_difference
 
 S = DriveState
 

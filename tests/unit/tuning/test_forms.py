@@ -30,7 +30,7 @@ from invid.tuning.page import tuning_page, tuning_picture
 from invid.tuning.servo_loop import Notch
 from invid.tuning.shapers import choose_shaper
 from invid.tuning.tune import Tuning
-from invid_drivers.cia402.vendors import VENDORS
+from invid_drivers.cia402.stated.vendors import VENDORS
 from invid_drivers.drive_values import DRIVES, NOT_FOUND, drive_values_form
 
 MOTORS = {

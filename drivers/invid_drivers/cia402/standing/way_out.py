@@ -23,11 +23,11 @@ from invid.sweep.shortfall import HeldTorque
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_STOP
-from invid_drivers.cia402.moving_cell import STOPPING, UNSEEN, MovingCell
-from invid_drivers.cia402.runaway import RunawayGuard
-from invid_drivers.cia402.standstill import tolerances
+from invid_drivers.cia402.standing.moving_cell import STOPPING, UNSEEN, MovingCell
+from invid_drivers.cia402.standing.runaway import RunawayGuard
+from invid_drivers.cia402.standing.standstill import tolerances
+from invid_drivers.cia402.standing.stop_test import BRAKE_S, RESUME_S, SUPPORT_S, await_support
 from invid_drivers.cia402.states import DriveState, state_of
-from invid_drivers.cia402.stop_test import BRAKE_S, RESUME_S, SUPPORT_S, await_support
 
 QUICK_STOP_S = 1.0
 """Longest quick stop before the voltage is taken away regardless, where the drive's ramp is not longer."""

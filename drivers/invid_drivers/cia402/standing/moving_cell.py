@@ -12,7 +12,7 @@ from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.link import Link
-from invid_drivers.cia402.standstill import Standstill, tolerances
+from invid_drivers.cia402.standing.standstill import Standstill, tolerances
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 
 STOPPING = "stopping"

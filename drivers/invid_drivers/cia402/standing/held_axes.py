@@ -14,8 +14,11 @@ from invid.sweep.ports import Clock, Mode, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
-from invid_drivers.cia402.hold_memory import HoldMemory
-from invid_drivers.cia402.holding import (
+from invid_drivers.cia402.journal import Entry, Journal
+from invid_drivers.cia402.mode_change import CHANGE_S
+from invid_drivers.cia402.protection import STAY, SWITCH_OFF
+from invid_drivers.cia402.standing.hold_memory import HoldMemory
+from invid_drivers.cia402.standing.holding import (
     AxisHolding,
     Reason,
     energised_reason,
@@ -24,9 +27,6 @@ from invid_drivers.cia402.holding import (
     settle,
     suspect_reason,
 )
-from invid_drivers.cia402.journal import Entry, Journal
-from invid_drivers.cia402.mode_change import CHANGE_S
-from invid_drivers.cia402.protection import STAY, SWITCH_OFF
 from invid_drivers.cia402.states import DriveState, is_energised, state_of
 
 DEAD_PERMILLE = 5
