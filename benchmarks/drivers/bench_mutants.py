@@ -35,12 +35,13 @@ CIA402 = "drivers/invid_drivers/cia402"
 MODULES = {
     "falling": ("invid/sweep/falling.py", ("foreign_drives", "holding")),
     "shortfall": ("invid/sweep/shortfall.py", ("foreign_drives",)),
-    "stop_test": (f"{CIA402}/stop_test.py", ("foreign_drives", "holding")),
+    "unmoved": ("invid/sweep/stuck_encoder.py", ("foreign_drives", "watch")),
+    "stop_test": (f"{CIA402}/standing/stop_test.py", ("foreign_drives", "holding")),
     "watch": ("invid/sweep/bounds.py", ("watch", "link_promises", "holding", "way_out", "sync_spacing")),
     "demand": ("invid/sweep/obedience.py", ("watch",)),
-    "way_out": (f"{CIA402}/way_out.py", ("way_out", "foreign_drives", "holding", "link_promises")),
+    "way_out": (f"{CIA402}/standing/way_out.py", ("way_out", "foreign_drives", "holding", "link_promises")),
     "gate": (f"{CIA402}/gate.py", ("gate", "link_promises", "others", "holding")),
-    "held_axes": (f"{CIA402}/held_axes.py", ("holding", "link_promises", "way_out")),
+    "held_axes": (f"{CIA402}/standing/held_axes.py", ("holding", "link_promises", "way_out")),
 }
 """File, and the contract tests that are asked, in this order."""
 LONGEST_S = 240.0

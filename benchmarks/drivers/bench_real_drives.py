@@ -36,9 +36,9 @@ from invid.planning import make_plan
 from invid.recording import read_recording
 from invid.sweep import Progress
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.hold_memory import HoldMemory
-from invid_drivers.cia402.holding import to_support
 from invid_drivers.cia402.journal import Journal
+from invid_drivers.cia402.standing.hold_memory import HoldMemory
+from invid_drivers.cia402.standing.holding import to_support
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 from invid_drivers.simulated.cell import SimulatedCell

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from invid.planning import bus_load
 from invid.planning.budget import shortest_cycle
-from invid_drivers.cia402.vendors import VENDORS
+from invid_drivers.cia402.stated.vendors import VENDORS
 from invid_drivers.eds_match import Identity, Match
 
 MAX_LOAD = 0.8

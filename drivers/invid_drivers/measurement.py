@@ -180,6 +180,7 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         sweep = Sweep(
             plan, found.config, cell, recorder, progress=progress, stop=stop, go_on=asked, permit=permit
         )
+        cell.tell = sweep.say
         result = sweep.run()
         outcome = Outcome.COMPLETED
         complaints = cell.close()

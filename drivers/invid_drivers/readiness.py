@@ -11,10 +11,10 @@ from invid.planning import Plan, make_plan
 from invid.planning.budget import RoundTrip, tolerable_share
 from invid.planning.forecast import fit_to_limits
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.hold_memory import HoldMemory
-from invid_drivers.cia402.holding import Reason, remembered, to_support
 from invid_drivers.cia402.journal import journal_path
 from invid_drivers.cia402.reservation import Reservation
+from invid_drivers.cia402.standing.hold_memory import HoldMemory
+from invid_drivers.cia402.standing.holding import Reason, remembered, to_support
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.round_trip import probe, require
 from invid_drivers.stopping_budgets import Budgets, Wish, plan_within

@@ -20,7 +20,7 @@ from invid.sweep.falling import Fall, Falling, Kind
 from invid.sweep.obedience import Obedience
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.shortfall import HeldTorque, Shortfall, is_energised
-from invid.sweep.stuck_encoder import Yielding
+from invid.sweep.stuck_encoder import Unmoved, Yielding
 from invid.sweep.torque_sign import TorqueSign
 
 VELOCITY_CYCLES = 4
@@ -28,6 +28,8 @@ VELOCITY_CYCLES = 4
 LEAP = 4.0
 """Times the permitted speed from one sample to the next: a mass does not get there in a cycle, an encoder
 has leapt."""
+LEAP_COUNTS = 8
+"""And so many counts."""
 STAMP_CYCLES = 0.2
 """When SYNC was on the wire is known to a fifth of a cycle on a busy computer: what is surely too fast is so
 over a way that took that much longer. Five per cent over four cycles."""
@@ -105,7 +107,16 @@ class Bounds:
         self._shortfall = Shortfall(
             [a.name for a in limits], [a.rated_torque for a in limits], limits[0].torque_unit, cycle_s
         )
-        self._held_torque = HeldTorque([a.name for a in limits], [a.rated_torque for a in limits], cycle_s)
+        self._held_torque = HeldTorque(
+            [a.rated_torque for a in limits], [a.resolution for a in limits], cycle_s
+        )
+        self.unmoved = Unmoved(
+            [a.name for a in limits],
+            [a.resolution for a in limits],
+            [a.position for a in limits],
+            cycle_s,
+        )
+        """Torque that must have moved axes whose encoders stand."""
         self.obedience = Obedience([a.name for a in limits], cycle_s)
         """Demand against motion."""
         self.led: set[int] = set()
@@ -141,6 +152,7 @@ class Bounds:
         self._falling.forget()
         self._shortfall.forget()
         self._signs.forget()
+        self.unmoved.forget()
         self.obedience.forget()
 
     def permit(self, axis: int, velocity: float) -> None:
@@ -173,6 +185,7 @@ class Bounds:
                     self._missing(i, sample)
                 continue
             self._missed[i] = 0
+            self._look_for_leap(i, limit, sample)
             self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
             self.speeds[i] = self._check_speed(i, limit, sample.time, sample.position[i])
             self._check_torque(i, limit, abs(sample.torque[i]))
@@ -201,11 +214,16 @@ class Bounds:
     def _check_standing(self, sample: Sample) -> None:
         standing = self._all - self.led
         held = {i for i in standing if sample.fresh[i] and is_energised(sample.status[i])}
-        try:
-            self._held_torque.check(sample, self.weights, held, [a.resolution for a in self.limits])
-        except SafetyStop as error:
-            self.blind |= {i for i, limit in enumerate(self.limits) if limit.name == error.axis}
-            raise
+        for i in self._held_torque.missing(sample, self.weights, held):
+            self.blind.add(i)
+            raise SafetyStop(
+                f"axis {self.limits[i].name}: it took {abs(self.weights[i]):.3g} to hold it, its drive shows "
+                f"{abs(sample.torque[i]):.3g}, and the encoder stands still",
+                way_out="the encoder is dead and its load falls, or somebody supports it: support it, "
+                "then look at the encoder",
+                code="halted",
+                axis=self.limits[i].name,
+            )
         self.falls = self._falling.check(sample, standing, is_energised, quiet=bool(self.resting))
         for i, fall in self.falls.items():
             limit = self.limits[i]
@@ -226,13 +244,18 @@ class Bounds:
     def _check_given(self, sample: Sample, asked: Sequence[float]) -> None:
         """What is given and done against what is asked for; who fails is not trusted to hold afterwards."""
         try:
-            kind = Kind.FALLS
+            kind: Kind | None = Kind.FALLS
             self._shortfall.check(sample, asked, self.led & self.weights.keys())
             kind = Kind.DRIVEN
             self._signs.check(sample, asked)
             self.obedience.check(sample, asked)
+            kind = None
+            self.unmoved.check(sample, asked)
         except SafetyStop as error:
             i = next(k for k, limit in enumerate(self.limits) if limit.name == error.axis)
+            if kind is None:
+                self.blind.add(i)
+                raise
             self.falls = {i: Fall(kind, math.nan, sample.torque[i], at_limit=False)}
             raise
 
@@ -271,6 +294,13 @@ class Bounds:
                 axis=limit.name,
             )
 
+    def _look_for_leap(self, i: int, limit: AxisLimits, sample: Sample) -> None:
+        """Whatever ends the run then: no loop that this encoder closes holds."""
+        if self._history[i]:
+            last, place = self._history[i][-1]
+            if has_leapt(sample.position[i] - place, sample.time - last, limit.velocity, limit.resolution):
+                self.blind.add(i)
+
     def _check_speed(self, i: int, limit: AxisLimits, time: float, position: float) -> float:
         """Check and return the speed over the last cycles less one count of the encoder; 0 with one
         sample only.
@@ -286,9 +316,6 @@ class Bounds:
         if speed > self._speed[i]:
             self._speed[i] = speed
             if speed * dt > limit.velocity * (dt + STAMP_CYCLES * self._cycle):
-                last, place = history[-2]
-                if abs(position - place) > LEAP * limit.velocity * (time - last):
-                    self.blind.add(i)
                 raise SafetyStop(
                     f"axis {limit.name}: velocity {speed:.4g} {limit.unit}/s, limit {limit.velocity:g}",
                     way_out="lower the amplitude, or look at the encoder if the axis did not move so fast",
@@ -339,6 +366,11 @@ class Bounds:
                 raise DriveError(event.text, code="drive_fault", axis=event.axis)
             if event.severity is Severity.BUS:
                 raise BusError(event.text, code="bus")
+
+
+def has_leapt(way: float, seconds: float, velocity: float, resolution: float) -> bool:
+    """Whether an encoder went further between two samples than its axis can, at a permitted ``velocity``."""
+    return abs(way) > max(LEAP * velocity * seconds, LEAP_COUNTS * resolution)
 
 
 def bounds_of(config: CellConfig, resolution: Sequence[float], rated: Sequence[float]) -> Bounds:

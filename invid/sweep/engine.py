@@ -249,6 +249,11 @@ class Sweep:
             self._motion.expect_life(False)
             self.sink.end()
 
+    def say(self, phase: str) -> None:
+        """Report what is being done that no part of the plan is."""
+        self._motion.phase, self._motion.experiment = phase, None
+        self._report()
+
     def _report(self, within: float = 0.0) -> None:
         if self.progress is None:
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -404,6 +405,7 @@ class Motion:
             self._modes = list(modes)
             done = self.done_s
             self.watching.changing = True
+            self.watching.bounds.unmoved.begin({})  # a drive that is not in its mode yet holds its axis
             while self.cell.changing:
                 self.play(None, 1)
             self.watching.changing = False
@@ -412,6 +414,8 @@ class Motion:
             self.watching.words.resume()
         self.feedback, self._demand = feedback, demand
         self.watching.bounds.led = {f.axis for f in feedback}
+        masses = {f.axis: (self.inertia.get(f.axis, math.inf), f.bias) for f in feedback}
+        self.watching.bounds.unmoved.begin({i: m for i, m in masses.items() if not self.by_offset(i)})
         self.watching.settle()
 
     def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:

@@ -116,9 +116,10 @@ class HeldTorque:
     A dead encoder shows a drive no error, so its loop gives no torque, and the load falls unseen.
     """
 
-    def __init__(self, names: Sequence[str], rated_torque: Sequence[float], cycle_s: float) -> None:
-        self._names, self._rated, self._cycle = list(names), list(rated_torque), cycle_s
-        count = len(self._names)
+    def __init__(self, rated_torque: Sequence[float], counts: Sequence[float], cycle_s: float) -> None:
+        """``counts``: position of one count of each axis."""
+        self._rated, self._counts, self._cycle = list(rated_torque), list(counts), cycle_s
+        count = len(self._rated)
         self._place: list[float | None] = [None] * count
         self._missing = [0.0] * count
         self._since: list[float | None] = [None] * count
@@ -127,11 +128,9 @@ class HeldTorque:
         """Time and torque of the first seconds after that, until it is known when its brake opens."""
         self._opens: dict[int, float] = {}
 
-    def check(
-        self, sample: Sample, weights: Mapping[int, float], held: Collection[int], counts: Sequence[float]
-    ) -> None:
-        """Raise SafetyStop where the weight (torque by axis) is not carried; ``counts``: position of one
-        count."""
+    def missing(self, sample: Sample, weights: Mapping[int, float], held: Collection[int]) -> list[int]:
+        """Which ``held`` axes are not carried: axes by whose ``weights`` (torque) they are loaded."""
+        found = []
         for i, status in enumerate(sample.status):
             if not sample.fresh[i]:
                 continue
@@ -154,17 +153,11 @@ class HeldTorque:
             if not sample.fresh[i]:
                 continue
             place = self._place[i]
-            if place is None or abs(sample.position[i] - place) > STILL_COUNTS * abs(counts[i]):
+            if place is None or abs(sample.position[i] - place) > STILL_COUNTS * abs(self._counts[i]):
                 self._place[i], self._missing[i] = sample.position[i], 0.0
             sign = 1.0 if weight > 0 else -1.0
             short = abs(weight) * (1.0 - SCALE) - NOISE * self._rated[i] - sign * sample.torque[i]
             self._missing[i] = max(0.0, self._missing[i] + short * self._cycle)
             if self._missing[i] > HELD_IMPULSE_S * max(abs(weight), LEAST_WEIGHT * self._rated[i]):
-                raise SafetyStop(
-                    f"axis {self._names[i]}: it took {abs(weight):.3g} to hold it, its drive shows "
-                    f"{abs(sample.torque[i]):.3g}, and the encoder stands still",
-                    way_out="the encoder is dead and its load falls, or somebody supports it: support it, "
-                    "then look at the encoder",
-                    code="halted",
-                    axis=self._names[i],
-                )
+                found.append(i)
+        return found

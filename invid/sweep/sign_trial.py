@@ -28,6 +28,7 @@ from invid.planning.phases import (
 from invid.signals.excitation import doublet
 from invid.sweep import trials
 from invid.sweep.inertia import ELASTIC, ELASTIC_S, Branch, compare, rigid_branch
+from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.motion import Feedback, Log, Motion
 from invid.sweep.ports import Mode
 
@@ -60,6 +61,8 @@ LEAST_STEPS = 2.0
 """Thousandths of rated torque below which a doublet is not commanded at all: 0x6071 has no smaller steps."""
 SEEN_SHARE = 0.01
 """Share of rated torque from which 0x6077 must show a doublet: ten of its steps."""
+FIT_MOST = 2.0
+"""Friction that may hold an axis, over the one that its doublet showed where it slid."""
 ONE_COUNT = 1.5
 """Counts that an encoder which is stuck shows at most."""
 REACTION = 5.0
@@ -119,6 +122,10 @@ class SignTrial:
         branch = self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         known = self._stated[0] if self._stated is not None else last.response.inertia
+        friction = amplitude
+        if branch is not None:  # as the fit shows it, but no less than a drive's friction at rest may be
+            friction = min(amplitude, max(FIT_MOST * branch.friction, LOAD_SHARE * self._rated))
+        motion.watching.bounds.unmoved.moved_by(axis, friction)
         self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
@@ -226,7 +233,10 @@ class SignTrial:
                 break
             if found.displacement < ONE_COUNT * self._count and self._passed_on(trial.log):
                 break
-            if length * 2 <= SIGN_LAST_S:
+            if (
+                length * 2 <= SIGN_LAST_S
+                and self._free_way(amplitude, 2 * length) <= SIGN_FAR * limits.position
+            ):
                 length *= 2
                 continue
             if amplitude * TRIAL_CLIMB > self._most or found.displacement >= wanted:
@@ -234,6 +244,13 @@ class SignTrial:
             # What holds it against a small torque is most often friction; a stronger doublet starts short.
             amplitude, length = TRIAL_CLIMB * amplitude, TRIAL_AGAIN_S
         return amplitude, length, trial
+
+    def _free_way(self, amplitude: float, length: float) -> float:
+        """Return how far a doublet takes a free mass of the stated inertia; 0 where nobody stated one.
+
+        An axis that nobody sees move may do so all the same: more torque tells as well as a longer way.
+        """
+        return amplitude * length**2 / (4 * self._stated[0]) if self._stated is not None else 0.0
 
     # --- verdicts ------------------------------------------------------------------------------
     def _require_torque(self, found: trials.Response, amplitude: float) -> None:
@@ -262,6 +279,7 @@ class SignTrial:
     def _require_motion(self, found: trials.Response, amplitude: float, length: float) -> None:
         if found.displacement >= LEAST_COUNTS * self._count:
             return
+        self._motion.watching.bounds.blind.add(self._axis)
         raise SafetyStop(
             f"axis {self._settings.name}: {amplitude:.3g} {self._torque_unit} for {length:.2g} s moved the "
             f"encoder by {found.displacement / self._count:.0f} counts: the brake is closed, the encoder is "

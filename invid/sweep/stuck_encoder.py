@@ -4,7 +4,9 @@ push.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections import deque
+from collections.abc import Collection, Mapping, Sequence
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
@@ -194,6 +196,122 @@ class Halting:
                 code="halted",
                 axis=self._names[i],
             )
+
+
+LAGS = (1, 4, 12)
+"""Cycles by which torque may act later than it is asked for: whichever says least is believed."""
+UNMOVED_COUNTS = 1.5
+"""Counts from its place within which an encoder shows no motion: a last digit that flickers."""
+TURNING = 2 * 4 * 2 * UNMOVED_COUNTS
+"""Counts: where the motion of a free mass turns, it stays within a way q for at most 2·√(2q/a), in which its
+torque would have taken it 4·q from rest, whatever a is: the way to and fro between both ends of
+``UNMOVED_COUNTS``, and as much again for torque that changes meanwhile. What stands longer is held."""
+UNMOVED, UNMOVED_SHARE = 2 * TURNING, 0.01
+"""Counts by which a mass that something held as before would have moved: twice as many again for inertia and
+weight, which were measured. And no less than that share of the window: springs that are wound up hold a fine
+encoder's place for a moment, and so short a way does no harm."""
+HELD_MORE = 1.5
+"""Over what held it so far: friction differs from place to place."""
+
+
+class _Mass:
+    """A rigid mass under torque, held by friction up to ``holds``, from rest."""
+
+    x = v = 0.0
+
+    def go(self, torque: float, holds: float, inertia: float, dt: float) -> None:
+        moving = self.v if self.v != 0.0 else torque
+        force = torque - math.copysign(holds, moving)
+        if self.v == 0.0 and force * torque <= 0.0:
+            return
+        after = self.v + force / inertia * dt
+        self.v = 0.0 if after * moving < 0.0 else after
+        self.x += self.v * dt
+
+
+class _Stand:
+    """What masses would have done since an encoder came to its place."""
+
+    def __init__(self, place: float) -> None:
+        self.place, self.peak = place, 0.0
+        self._free, self._held = [_Mass() for _ in LAGS], [_Mass() for _ in LAGS]
+
+    def go(self, torques: Sequence[float], holds: float, inertia: float, dt: float) -> None:
+        self.peak = max(self.peak, abs(torques[0]))
+        for free, held, torque in zip(self._free, self._held, torques, strict=True):
+            free.go(torque, 0.0, inertia, dt)
+            held.go(torque, holds, inertia, dt)
+
+    @property
+    def free(self) -> float:
+        return min(abs(mass.x) for mass in self._free)
+
+    @property
+    def held(self) -> float:
+        return min(abs(mass.x) for mass in self._held)
+
+
+class Unmoved:
+    """Watch for encoders that stand while the torque that is asked for must have moved their axes.
+
+    Two masses are reckoned from the begin of each stand: a free one, and one that friction holds as far as
+    it held the axis before. A stand in which the free mass would have gone further than at any turn
+    (``TURNING``) is friction's, and tells when it ends how much that holds at least. Where the second mass
+    would have moved, too, the encoder is dead, or something new holds the axis: no chance is in that but
+    friction that was never met, by half more than before.
+    """
+
+    def __init__(
+        self, names: Sequence[str], resolution: Sequence[float], window: Sequence[float], cycle_s: float
+    ) -> None:
+        """``resolution`` of the encoders and ``window`` of the axes [rad or m]."""
+        self._names, self._cycle = list(names), cycle_s
+        self._flicker = [UNMOVED_COUNTS * abs(r) for r in resolution]
+        self._most_way = [
+            max(UNMOVED * abs(r), UNMOVED_SHARE * w) for r, w in zip(resolution, window, strict=True)
+        ]
+        self._masses: Mapping[int, tuple[float, float]] = {}
+        self._most: dict[int, float] = {}
+        self._seen = [0.0] * len(self._names)
+        self.forget()
+
+    def begin(self, masses: Mapping[int, tuple[float, float]]) -> None:
+        """Reckon from now on with the inertia and weight of each axis whose loop the master closes."""
+        self._masses = masses
+        self.forget()
+
+    def forget(self) -> None:
+        """Nobody knows what happened meanwhile; what friction holds stays known."""
+        self._stands: list[_Stand | None] = [None] * len(self._names)
+        self._asked: list[deque[float]] = [deque(maxlen=max(LAGS) + 1) for _ in self._names]
+
+    def moved_by(self, axis: int, torque: float) -> None:
+        """Judge an axis from here on: friction holds no more than so much torque, which moved it."""
+        self._most[axis] = torque
+
+    def check(self, sample: Sample, asked: Sequence[float]) -> None:
+        """SafetyStop where an encoder has not moved with its axis."""
+        for i, (inertia, weight) in self._masses.items():
+            past, stand, x = self._asked[i], self._stands[i], sample.position[i]
+            past.append(asked[i] - weight)
+            if not sample.fresh[i] or len(past) <= max(LAGS):
+                continue
+            if stand is None or abs(x - stand.place) > self._flicker[i]:
+                if stand is not None and stand.free > self._most_way[i] * TURNING / UNMOVED:
+                    self._seen[i] = max(self._seen[i], stand.peak)
+                self._stands[i] = _Stand(x)
+                continue
+            holds = HELD_MORE * max(self._most.get(i, math.inf), self._seen[i])
+            stand.go([past[-1 - lag] for lag in LAGS], holds, inertia, self._cycle)
+            if stand.held > self._most_way[i]:
+                counts = UNMOVED_COUNTS * stand.held / self._flicker[i]
+                raise SafetyStop(
+                    f"axis {self._names[i]}: the encoder shows one value while the torque that is played "
+                    f"must have moved the axis by {counts:.0f} counts",
+                    way_out="the encoder is stuck, the brake is closed, or the drive gives no torque",
+                    code="stands",
+                    axis=self._names[i],
+                )
 
 
 AT_LIMIT = 0.95

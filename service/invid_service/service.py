@@ -17,7 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from invid.config import CellConfig
 from invid.errors import ConfigError, InvidError, ModelError
 from invid.planning.belief import from_model
-from invid_drivers.cia402.holding import Reason as CellReason
+from invid_drivers.cia402.standing.holding import Reason as CellReason
 from invid_drivers.connect import is_virtual
 from invid_drivers.readiness import Asked, ask, foresee, not_ready
 from invid_drivers.relay import STOP_S

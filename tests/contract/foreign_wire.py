@@ -476,9 +476,16 @@ class ForeignCell:
     def connect(self) -> Cia402Cell:
         return Cia402Cell(self.wire, self.config, journal=Journal(self.folder / "bus.journal"))
 
-    def measure(self, stop: Any = None) -> Run:
-        """`invid measure`, in this process: time is virtual."""
+    def measure(self, stop: Any = None, on_phase: Callable[[str], None] = lambda phase: None) -> Run:
+        """`invid measure`, in this process: time is virtual. ``on_phase`` hears where it is, "stop" too."""
         cell = self.connect()
+        leave = cell.stop
+
+        def leaving() -> None:
+            on_phase("stop")
+            leave()
+
+        cell.stop = leaving  # type: ignore[method-assign]
         try:
             cell.check()
             plan = plan_within(self.config, cell.reports).plan
@@ -486,7 +493,11 @@ class ForeignCell:
             cell.close()
             return Run(error, None)
         try:
-            return Run(None, run_measurement(self.config, plan, cell, self.folder / "rec.h5", stop=stop))
+            out = self.folder / "rec.h5"
+            done = run_measurement(
+                self.config, plan, cell, out, stop=stop, progress=lambda now: on_phase(now.phase)
+            )
+            return Run(None, done)
         except InvidError as error:
             return Run(error, None)
 

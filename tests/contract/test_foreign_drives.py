@@ -114,6 +114,19 @@ def test_a_brake_that_fails_when_it_is_tried_leaves_the_axis_to_its_drive(tmp_pa
     assert cell.fallen(since=cell.wire.now - 2.0) < 0.001
 
 
+def test_a_load_that_is_not_seen_to_stand_is_said_at_once_not_after_the_way_out(tmp_path: Path) -> None:
+    cell = loaded(tmp_path)
+    said: list[tuple[float, str]] = []
+    cell.wire.at(SHAKEN_S, lambda: setattr(cell.drives[0].habits, "gives", 5.0))
+    cell.measure(on_phase=lambda phase: said.append((cell.wire.now, phase)))
+    heard = [now for now, phase in said if phase.startswith("support the load of A1")]
+    assert SHAKEN_S < heard[0] < SHAKEN_S + 0.1
+    quiet = loaded(tmp_path / "held")
+    quiet.measure(on_phase=lambda phase: said.append((-1.0, phase)))
+    assert {phase for now, phase in said if now < 0} >= {"stopping"}
+    assert not any(phase.startswith("support") for now, phase in said if now < 0)
+
+
 # --- nothing falls unseen -------------------------------------------------------------------------
 @pytest.mark.parametrize("brake", [0.1, None])
 def test_a_drive_that_gives_less_than_its_load_is_told_by_its_torque(
@@ -156,7 +169,7 @@ def test_motor_and_encoder_opposed_are_cut_off_before_the_axis_is_fast(tmp_path:
 @pytest.mark.parametrize("away", [0.0, -0.05])
 def test_a_dead_encoder_is_left_to_the_brake(tmp_path: Path, away: float) -> None:
     cell = loaded(tmp_path, brake=0.03)
-    instant = 17.0  # where little torque is played; elsewhere see docs/reference/safety-tests.md
+    instant = 17.0  # elsewhere see docs/reference/safety-tests.md
     ended = run(cell, lambda drive: setattr(drive.habits, "frozen", drive.seen + away), instant)
     assert isinstance(ended.error, SafetyStop)
     assert cell.drives[0].state == "off"

@@ -15,9 +15,9 @@ from test_adapter_promises import config, held, zero
 from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.hold_memory import HoldMemory
-from invid_drivers.cia402.holding import remembered, to_support
 from invid_drivers.cia402.journal import Journal
+from invid_drivers.cia402.standing.hold_memory import HoldMemory
+from invid_drivers.cia402.standing.holding import remembered, to_support
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 from invid_drivers.simulated.faults import FaultConfig
 from invid_drivers.simulated.state_machine import State

@@ -18,7 +18,7 @@ from other_cell import LIMIT, WINDOW, OtherCell
 import invid
 from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode
-from invid_drivers.cia402.hold_memory import HoldMemory, Seen
+from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
 
 NOTHING, LOADED = {"gravity_loaded": False}, {"gravity_loaded": True}
 LOAD = {"gravity": 3.0}

@@ -13,7 +13,7 @@ from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError, DriveError
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.vendors import VENDORS
+from invid_drivers.cia402.stated.vendors import VENDORS
 from invid_drivers.connect import connect
 from invid_drivers.readiness import ask_drives
 from invid_drivers.stopping_budgets import plan_within

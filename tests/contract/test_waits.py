@@ -14,10 +14,10 @@ from invid.errors import DriveError, RecordingError, SafetyStop, left_by
 from invid.recording import Outcome
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import ENABLE_S, STOPPED_S, Cia402Cell
-from invid_drivers.cia402.hold_memory import HoldMemory
-from invid_drivers.cia402.holding import remembered
 from invid_drivers.cia402.link import HEARD_S
 from invid_drivers.cia402.mode_change import CHANGE_S
+from invid_drivers.cia402.standing.hold_memory import HoldMemory
+from invid_drivers.cia402.standing.holding import remembered
 from invid_drivers.cli.measure import stop_on_signals
 from invid_drivers.measurement import run_measurement
 

@@ -15,7 +15,7 @@ from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode, Sample
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Entry
-from invid_drivers.cia402.runaway import RunawayGuard
+from invid_drivers.cia402.standing.runaway import RunawayGuard
 from invid_drivers.connect import connect
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 
@@ -243,7 +243,7 @@ def test_a_cell_that_is_refused_leaves_the_bus_to_the_next(monkeypatch: pytest.M
 
 def called_runaways(speeds: list[float]) -> list[int]:
     """Samples, 0.01 s apart, at which A1 (limit 10 rad/s) is called a runaway; A2 stands."""
-    guard, place, called = RunawayGuard(config()), 0.0, []
+    guard, place, called = RunawayGuard(config(), [1e-9, 1e-9]), 0.0, []
     guard.faster(Sample(0, 0.0, [0.0, 0.0], [0.0, 0.0], [7, 7], [True, True], []))
     for k, speed in enumerate(speeds, start=1):
         place += 0.01 * speed
@@ -260,7 +260,7 @@ def test_an_axis_that_a_quick_stop_makes_faster_is_called_a_runaway_at_once() ->
 
 
 def test_an_axis_that_says_nothing_for_three_samples_of_the_quick_stop_is_called_silent() -> None:
-    guard = RunawayGuard(config())
+    guard = RunawayGuard(config(), [1e-9, 1e-9])
     came = [True, False, False, True, False, False, False]
     found = [
         guard.silent(Sample(k, 0.01 * k, [0, 0], [0, 0], [7, 7], [c, True], [])) for k, c in enumerate(came)

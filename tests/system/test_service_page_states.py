@@ -13,8 +13,8 @@ import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, Serving, serving
 
-from invid_drivers.cia402.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.journal import journal_path
+from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
 from invid_drivers.simulated.unix_bus import UnixHub
 
 pytestmark = [

@@ -5,7 +5,6 @@ from __future__ import annotations
 from invid.config import AxisConfig
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402.declared import declared_of
 from invid_drivers.cia402.failures import (
     NoAnswer,
     ObjectError,
@@ -17,7 +16,8 @@ from invid_drivers.cia402.failures import (
 from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoCommunicationError, SdoError
 from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.vendors import VENDORS, vendor
+from invid_drivers.cia402.stated.declared import declared_of
+from invid_drivers.cia402.stated.vendors import VENDORS, vendor
 
 PROTECTION = (
     od.CONSUMER_HEARTBEATS, od.CONSUMER_HEARTBEAT, od.PRODUCER_HEARTBEAT, od.ABORT_CONNECTION,

@@ -14,7 +14,6 @@ from invid.errors import BusError, DriveError
 from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
-from invid_drivers.cia402.declared import refusal
 from invid_drivers.cia402.failures import ReadRefused, WriteRefused, WrongMode
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
@@ -23,10 +22,11 @@ from invid_drivers.cia402.mode_change import BUSY_S, NOT_NOW
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.protection import Protection
 from invid_drivers.cia402.restoration import restore
-from invid_drivers.cia402.scales import read_scaling
+from invid_drivers.cia402.standing.stopping import event_timer
+from invid_drivers.cia402.stated.declared import refusal
+from invid_drivers.cia402.stated.scales import read_scaling
+from invid_drivers.cia402.stated.units import Scaling
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
-from invid_drivers.cia402.stopping import event_timer
-from invid_drivers.cia402.units import Scaling
 
 INVALID = 1 << 31
 """Bit of a COB-ID that switches a PDO off."""

@@ -24,20 +24,20 @@ from invid_drivers.cia402.axis import Drive, DriveReport, ModeSet
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_time import tell_cycle
 from invid_drivers.cia402.disk import PATIENCE_S
-from invid_drivers.cia402.held_axes import HeldAxes
-from invid_drivers.cia402.holding import (
-    AxisHolding,
-    Reason,
-)
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, Link, never
 from invid_drivers.cia402.mode_change import CHANGE_S
-from invid_drivers.cia402.moving_cell import MovingCell
+from invid_drivers.cia402.standing.held_axes import HeldAxes
+from invid_drivers.cia402.standing.holding import (
+    AxisHolding,
+    Reason,
+)
+from invid_drivers.cia402.standing.moving_cell import MovingCell
+from invid_drivers.cia402.standing.stop_test import StopTest
+from invid_drivers.cia402.standing.takeover import find_powered, require_mode, require_ours
+from invid_drivers.cia402.standing.way_out import WAY_OUT_S, Loads, WayOut
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
-from invid_drivers.cia402.stop_test import StopTest
-from invid_drivers.cia402.takeover import find_powered, require_mode, require_ours
-from invid_drivers.cia402.way_out import WAY_OUT_S, Loads, WayOut
 
 RESTORE_S = 30.0
 """Longest restoring of all drives together: tenths of a second for each, ten for one that takes 0.2 s for an
@@ -104,6 +104,8 @@ class Cia402Cell:
         them."""
         self.cancelled: Callable[[], bool] = never
         """Asked in every wait until the way out: brakes and drives take their time, a stop must not."""
+        self.tell: Callable[[str], None] = lambda phase: None
+        """Hears what is being done on the way out, while it lasts."""
 
     # --- before motion -------------------------------------------------------------------------
     def check(self) -> tuple[DriveReport, ...]:
@@ -399,6 +401,7 @@ class Cia402Cell:
             self.resolution,
             self.rated_torque,
             [r.torque_mode for r in self.reports],
+            self.tell,
         )
 
     @property
@@ -448,11 +451,11 @@ class Cia402Cell:
         self._link.cancelled = never
         if self._stopped:
             return
+        falls = {} if self.bounds is None else self.bounds.falls
         with contextlib.suppress(Exception):
-            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes):
+            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes, falls):
                 self.held.set_options(self._cycle, self.clock, self.exchange, LEAVING_S)
         weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
-        falls = {} if self.bounds is None else self.bounds.falls
         loads = Loads(
             [h.stays for h in self.holdings],
             {
@@ -466,6 +469,7 @@ class Cia402Cell:
             set() if self.bounds is None else self.bounds.blind,
             {i: h.seen.brake_s for i, h in enumerate(self.holdings) if h.seen.brake_s is not None},
             {i: h.seen.brake_drop for i, h in enumerate(self.holdings) if h.seen.brake_drop is not None},
+            {} if self.bounds is None else self.bounds.weights,
         )
         way = WayOut(self._moving(self.exchange), loads, self._ramp_s, weigh)
         self.not_off = way.take()

@@ -21,8 +21,8 @@ from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
 from invid_drivers.cia402.mode_change import EVERY_CYCLES, ModeChange, SettingWrite, upload
 from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.stated.units import wrapped_difference
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
-from invid_drivers.cia402.units import wrapped_difference
 
 UNCERTAIN_CYCLES = 0.2
 """Where reading the clock and sending SYNC took longer, the system paused this process in between: nobody

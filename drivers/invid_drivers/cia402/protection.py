@@ -22,9 +22,9 @@ from invid_drivers.cia402.limits import (
 )
 from invid_drivers.cia402.link import MASTER_ID, SdoAbortedError, SdoError
 from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.scales import require_nominal_current
-from invid_drivers.cia402.stopping import SWITCHES_OFF, Stop, stop_of, stopping_facts
-from invid_drivers.cia402.units import Scaling
+from invid_drivers.cia402.standing.stopping import SWITCHES_OFF, Stop, stop_of, stopping_facts
+from invid_drivers.cia402.stated.scales import require_nominal_current
+from invid_drivers.cia402.stated.units import Scaling
 
 DRIVE_MARGIN = 1.25
 """The drive's own windows are a quarter wider than the master's: the master, who sees all axes and can

@@ -13,7 +13,7 @@ from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
 from invid.errors import DriveError, InputError
 from invid.planning.hold_laws import master_hold
-from invid_drivers.cia402.scales import MUCH_OF_RATED
+from invid_drivers.cia402.stated.scales import MUCH_OF_RATED
 from invid_drivers.cli.measure import budget_lines, plan_text
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.readiness import Prepared, prepare, require_plan

@@ -15,8 +15,8 @@ from pydantic import BaseModel
 from invid.config import CellConfig
 from invid.errors import InvidError
 from invid.planning.build import axes_left_out, subset_sentence
-from invid_drivers.cia402.holding import Reason as CellReason
-from invid_drivers.cia402.scales import MUCH_OF_RATED, limit_over_rated
+from invid_drivers.cia402.standing.holding import Reason as CellReason
+from invid_drivers.cia402.stated.scales import MUCH_OF_RATED, limit_over_rated
 from invid_service.jobs.live import LiveRun
 
 _KEPT_S = 4.0

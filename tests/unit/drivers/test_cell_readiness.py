@@ -9,9 +9,9 @@ import pytest
 
 from invid.cli.app import run
 from invid.config import CellConfig, load_config
-from invid_drivers.cia402.hold_memory import HoldMemory, Seen
-from invid_drivers.cia402.holding import energised_reason
 from invid_drivers.cia402.journal import journal_path
+from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
+from invid_drivers.cia402.standing.holding import energised_reason
 from invid_drivers.cia402.states import DriveState
 from invid_drivers.readiness import not_ready
 from invid_service.cells.readiness import Situation, readiness

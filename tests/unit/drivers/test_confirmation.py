@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from invid.config import CellConfig, load_config
-from invid_drivers.cia402.hold_memory import HoldMemory, Seen
-from invid_drivers.cia402.holding import to_support
+from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
+from invid_drivers.cia402.standing.holding import to_support
 from invid_drivers.cli.confirmation import confirm
 
 ROOT = Path(__file__).parents[3]

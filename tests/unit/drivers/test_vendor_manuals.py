@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from invid_drivers.cia402.manuals import QUESTIONS
-from invid_drivers.cia402.vendors import VENDORS, reference, vendor
+from invid_drivers.cia402.stated.manuals import QUESTIONS
+from invid_drivers.cia402.stated.vendors import VENDORS, reference, vendor
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
 

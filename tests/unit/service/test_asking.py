@@ -12,8 +12,8 @@ import pytest
 from fastapi.testclient import TestClient
 from service_doubles import CELL, Director, running, wait_for
 
-from invid_drivers.cia402.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.journal import journal_path
+from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
 from invid_drivers.simulated.unix_bus import UnixHub
 
 CELLS = "/api/v1/cells"

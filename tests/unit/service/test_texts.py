@@ -9,9 +9,14 @@ from typing import get_args
 import pytest
 
 from invid import errors
+from invid.config import load_config
 from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Grade
+from invid.numerics.compiled import COMPILING
+from invid.planning import make_plan
+from invid_drivers.cia402.standing.moving_cell import STOPPING, UNSEEN
 from invid_service.cells.readiness import Note, Reason
+from invid_service.jobs.analysis_progress import STAGES
 from invid_service.jobs.states import State
 from invid_service.jobs.stops import STOPS, Run, action_for
 from invid_service.jobs.worker import FIXES, error_info
@@ -88,6 +93,26 @@ def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
         for code in STOPS:
             wanted |= {f"halt.{code}", *(f"action.{action_for(code, run)['code']}" for run in stops)}
         assert wanted - known.keys() == set()
+
+
+def test_every_phase_of_a_sweep_and_of_an_analysis_has_its_words() -> None:
+    config = load_config(Path(__file__).parents[3] / "configs" / "case-study.yaml")
+    patterns = [
+        re.compile(re.sub(r"\\\{\d\\\}", ".+", re.escape(k.removeprefix("phase."))))
+        for k in ENGLISH
+        if k.startswith("phase.")
+    ]
+    core = Path(__file__).parents[3] / "invid"
+    told = {
+        stage
+        for path in core.rglob("*.py")
+        for stage in re.findall(r"\btell\(\s*f?\"([^\"]+)\"", path.read_text(encoding="utf-8"))
+    }
+    assert {"still looking", "fitting the machine alone"} <= told
+    names = [p.name for p in make_plan(config).phases] + [COMPILING, *STAGES, *told - {"weighing"}]
+    names += [STOPPING, UNSEEN.format("A1, A2")]
+    for name in names:  # "weighing" comes with its cause, which the page names
+        assert any(p.fullmatch(name) for p in patterns), name
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from invid.config import CellConfig
+from invid.sweep.bounds import has_leapt
 from invid.sweep.ports import Sample
 
 RUNAWAY_GROWTH, RUNAWAY_SHARE = 1.2, 0.02
@@ -17,7 +18,7 @@ NOISE_COUNTS = 4
 class RunawayGuard:
     """Compares the speed during a quick stop with the speed at its start."""
 
-    def __init__(self, config: CellConfig, counts: Sequence[float] = ()) -> None:
+    def __init__(self, config: CellConfig, counts: Sequence[float]) -> None:
         """``counts``: position of an encoder count."""
         self._least = [RUNAWAY_SHARE * a.limits.velocity for a in config.axes]
         for i, count in enumerate(counts):
@@ -26,6 +27,10 @@ class RunawayGuard:
         self._before: list[tuple[float, float] | None] = [None] * count
         self._entry = [-1.0] * count
         self._quiet = [0] * count
+        self._axes = config.axes
+        self._counts = counts
+        self.leapt: set[int] = set()
+        """Axes whose encoders went further between two samples than an axis can."""
 
     def silent(self, sample: Sample) -> list[int]:
         """Axes that have not answered for three samples."""
@@ -42,7 +47,10 @@ class RunawayGuard:
             before, self._before[i] = self._before[i], (sample.time, sample.position[i])
             if before is None or sample.time <= before[0]:
                 continue
-            speed = abs(sample.position[i] - before[1]) / (sample.time - before[0])
+            way, seconds = abs(sample.position[i] - before[1]), sample.time - before[0]
+            if has_leapt(way, seconds, self._axes[i].limits.velocity, abs(self._counts[i])):
+                self.leapt.add(i)
+            speed = way / seconds
             if self._entry[i] < 0:
                 self._entry[i] = speed
             if speed > RUNAWAY_GROWTH * self._entry[i] + self._least[i]:

@@ -19,14 +19,15 @@ from invid.numerics.arrays import Bool, Float64
 from invid.sweep.falling import Fall, Kind
 from invid.sweep.loads import CONFIRM_S, LOAD_SHARE
 from invid.sweep.ports import Sample
+from invid.sweep.shortfall import HeldTorque
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_STOP
-from invid_drivers.cia402.moving_cell import MovingCell
-from invid_drivers.cia402.runaway import RunawayGuard
-from invid_drivers.cia402.standstill import tolerances
+from invid_drivers.cia402.standing.moving_cell import STOPPING, UNSEEN, MovingCell
+from invid_drivers.cia402.standing.runaway import RunawayGuard
+from invid_drivers.cia402.standing.standstill import tolerances
+from invid_drivers.cia402.standing.stop_test import BRAKE_S, RESUME_S, SUPPORT_S, await_support
 from invid_drivers.cia402.states import DriveState, state_of
-from invid_drivers.cia402.stop_test import BRAKE_S, RESUME_S, SUPPORT_S, await_support
 
 QUICK_STOP_S = 1.0
 """Longest quick stop before the voltage is taken away regardless, where the drive's ramp is not longer."""
@@ -82,6 +83,8 @@ class Loads:
     brake_s: Mapping[int, float] = field(default_factory=dict)
     brake_drop: Mapping[int, float] = field(default_factory=dict)
     """Seconds that brakes were seen to take, and how far their axes went meanwhile [rad or m]."""
+    weights: Mapping[int, float] = field(default_factory=dict)
+    """Torque that holds each loaded axis [N·m or N]."""
 
 
 class WayOut:
@@ -133,18 +136,22 @@ class WayOut:
         self._doubted, self._weigh = tuple(i for i in loads.doubted if i not in self._cut), weigh
         self._standstill, self._falling = cell.standstill(), cell.falling()
         self._guard = RunawayGuard(cell.config, cell.resolution)
+        self._weights = dict(loads.weights)
+        self._held_torque = HeldTorque(cell.rated, cell.resolution, cell.config.bus.cycle_s)
         self._given_up: set[int] = set()
         self._deaf: set[int] = set()
         self._began: float | None = None
         self._off_at: list[float] = []
         self._quick_stop_s = min(max(QUICK_STOP_S, RAMP_MARGIN * ramp_s), LONGEST_RAMP_S)
         self._ends = math.inf
+        self._told: set[int] = set()
 
     def take(self) -> tuple[str, ...]:
         """Quick stop, disable voltage, NMT stop; the axes that were not seen to switch off. Never raises."""
         began = self._link.clock.now()
         self._ends = began + MOVING_S
         self._cycle.leave()
+        self._tell({i for i in self._fell | self._blind if self._is_loaded(i)})
         with contextlib.suppress(Exception):
             self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
             for i in self._cut:
@@ -184,6 +191,13 @@ class WayOut:
                     self._link.nmt(NMT_STOP, drive.node_id)
         return tuple(on)
 
+    def _tell(self, axes: Collection[int] = ()) -> None:
+        """Say at once what is done, and which loads a person must support: it may last two minutes."""
+        self._told.update(axes)
+        names = ", ".join(self._drives[i].name for i in sorted(self._told))
+        with contextlib.suppress(Exception):  # whoever listens may have gone
+            self._cell.tell(UNSEEN.format(names) if names else STOPPING)
+
     # --- loads ---------------------------------------------------------------------------------
     def _see_brakes(self) -> None:
         """See that each axis that is off and loaded stands on its brake; one that does not is caught."""
@@ -201,7 +215,11 @@ class WayOut:
             if moved & self._catchable - self._fell:
                 break
             sample = self._exchange(self._cycle.support)
+            self._guard.faster(sample)
+            self._lose_sight(self._guard.leapt)
         self.failed_brakes = {i for i in axes if not self._standstill.stands(i)}
+        if self.failed_brakes:
+            self._tell(self.failed_brakes)
         # a drive that was seen not to hold an axis is not given it again
         self._to_catch = self.failed_brakes & self._catchable - self._fell
         self.unheld |= self.failed_brakes - self._to_catch
@@ -230,6 +248,7 @@ class WayOut:
             return
         for i in axes:
             self._stays[i] = True
+            self._weights.pop(i, None)  # it may be supported by then
         self._catchable.difference_update(axes)
         held = self._hold(axes)
         self.caught.update(held)
@@ -273,6 +292,7 @@ class WayOut:
         loaded = [i for i in range(len(self._stays)) if self._is_loaded(i) and i not in self._given_up]
         for i, fall in self._falling.check(sample, loaded, _is_energised).items():
             self._fell.add(i)
+            self._tell({i})
             if i in self._brakes or self._is_driven(i, fall):
                 self._to_brake(i)
             elif i in self._catchable and not fall.at_limit:
@@ -394,6 +414,8 @@ class WayOut:
             if self._may_disable(i):
                 self._fell.add(i)
                 self._to_brake(i)
+        held = {i for i in self._weights if sample.fresh[i] and _is_energised(sample.status[i])}
+        self._lose_sight({*self._guard.leapt, *self._held_torque.missing(sample, self._weights, held)})
         self._next_means(sample)
         if self._began is None:
             self._began = sample.time
@@ -411,6 +433,16 @@ class WayOut:
             if i not in self._given_up:
                 self._given_up.add(i)
                 self._link.nmt(NMT_STOP, self._drives[i].node_id)
+
+    def _lose_sight(self, axes: Collection[int]) -> None:
+        """No loop that a dead encoder closes holds: what has a brake or carries nothing is cut off."""
+        if not self._blind.issuperset(axes):
+            self._tell({i for i in axes if self._is_loaded(i)})
+        self._blind.update(axes)
+        self._catchable.difference_update(axes)
+        for i in axes:
+            if i in self._brakes or self._may_disable(i):
+                self._to_brake(i)
 
     def _drive_to(self, seconds: float, reached: Callable[[Sample], bool]) -> None:
         end = min(self._link.clock.now() + seconds, self._ends)

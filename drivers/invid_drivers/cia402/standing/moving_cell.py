@@ -12,8 +12,12 @@ from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.link import Link
-from invid_drivers.cia402.standstill import Standstill, tolerances
+from invid_drivers.cia402.standing.standstill import Standstill, tolerances
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
+
+STOPPING = "stopping"
+UNSEEN = "support the load of {}: it is not seen to stand"
+"""Phases that are told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +37,8 @@ class MovingCell:
     resolution: Sequence[float]
     rated: Sequence[float]
     torque_modes: Sequence[OperationMode]
+    tell: Callable[[str], None] = lambda phase: None
+    """Hears at once what is being done, while it goes on."""
 
     def standstill(self) -> Standstill:
         """A look at whether axes stand, from now on."""

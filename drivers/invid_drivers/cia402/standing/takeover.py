@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, ModeSet
-from invid_drivers.cia402.hold_memory import HoldMemory
-from invid_drivers.cia402.holding import AxisHolding
+from invid_drivers.cia402.standing.hold_memory import HoldMemory
+from invid_drivers.cia402.standing.holding import AxisHolding
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised
 
 NMT_OPERATIONAL, NMT_PRE_OPERATIONAL = 5, 127

@@ -20,11 +20,11 @@ from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.ports import Mode, Sample, Severity
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
-from invid_drivers.cia402.hold_memory import HoldMemory
-from invid_drivers.cia402.holding import AxisHolding
 from invid_drivers.cia402.link import NMT_START
-from invid_drivers.cia402.moving_cell import MovingCell
-from invid_drivers.cia402.standstill import STAND_S, Standstill, tolerances
+from invid_drivers.cia402.standing.hold_memory import HoldMemory
+from invid_drivers.cia402.standing.holding import AxisHolding
+from invid_drivers.cia402.standing.moving_cell import UNSEEN, MovingCell
+from invid_drivers.cia402.standing.standstill import STAND_S, Standstill, tolerances
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 
 HOLD_S = 0.4
@@ -306,6 +306,7 @@ class StopTest:
             sample = self._unwatched()
         for i in axes:
             if i not in brakes:
+                self._cell.tell(UNSEEN.format(self._name(i)))
                 least, most = LOAD_SHARE * self._cell.rated[i], self._holdings[i].most_drop
                 await_support(self._unwatched, i, least, most)
 

@@ -2,15 +2,16 @@
 
 From 16 vendor EDS/DCF files and from manuals. A row says what the master does instead, and what a manual
 says about stopping and limits (``Manual``); whether a drive has an object is still asked of the drive,
-because firmware versions differ. ``python -m invid_drivers.cia402.vendors`` prints the tables of the docs.
+because firmware versions differ. ``python -m invid_drivers.cia402.stated.vendors`` prints the tables of the
+docs.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from invid_drivers.cia402.manuals import NO, UNKNOWN, YES, Manual, sources, table
 from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.stated.manuals import NO, UNKNOWN, YES, Manual, sources, table
 
 
 @dataclass(frozen=True)

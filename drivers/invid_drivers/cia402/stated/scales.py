@@ -10,7 +10,7 @@ from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.units import Scaling, position_per_count
+from invid_drivers.cia402.stated.units import Scaling, position_per_count
 
 AGREEMENT = 0.05
 """Two statements of one scale agree to 5 %: plates and catalogues give two figures (0.13 N·m for 0.128 is

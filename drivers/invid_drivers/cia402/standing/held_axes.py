@@ -14,8 +14,11 @@ from invid.sweep.ports import Clock, Mode, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
-from invid_drivers.cia402.hold_memory import HoldMemory
-from invid_drivers.cia402.holding import (
+from invid_drivers.cia402.journal import Entry, Journal
+from invid_drivers.cia402.mode_change import CHANGE_S
+from invid_drivers.cia402.protection import STAY, SWITCH_OFF
+from invid_drivers.cia402.standing.hold_memory import HoldMemory
+from invid_drivers.cia402.standing.holding import (
     AxisHolding,
     Reason,
     energised_reason,
@@ -24,9 +27,6 @@ from invid_drivers.cia402.holding import (
     settle,
     suspect_reason,
 )
-from invid_drivers.cia402.journal import Entry, Journal
-from invid_drivers.cia402.mode_change import CHANGE_S
-from invid_drivers.cia402.protection import STAY, SWITCH_OFF
 from invid_drivers.cia402.states import DriveState, is_energised, state_of
 
 DEAD_PERMILLE = 5
@@ -98,14 +98,18 @@ class HeldAxes:
             self.holdings[axis].note(self.memory, loaded=True, weight=weight)
 
     # --- at rest -------------------------------------------------------------------------------
-    def weigh_at_once(self, sample: Sample, rated: Sequence[float], modes: Sequence[Mode]) -> bool:
+    def weigh_at_once(
+        self, sample: Sample, rated: Sequence[float], modes: Sequence[Mode], driven: Collection[int]
+    ) -> bool:
         """Whether an axis stays held for the torque it shows at a stop before the one at rest was judged.
 
-        That counts where the drive holds the axis, for nobody else commands it.
+        That counts where the drive holds the axis, for nobody else commands it, and not of one that is
+        ``driven`` by that torque.
         """
         stays = False
         for i, h in enumerate(self.holdings):
             doubted = not self._settled and h.loaded is False and h.can_stay and sample.fresh[i]
+            doubted = doubted and i not in driven
             held = is_energised(state_of(sample.status[i])) and modes[i] is Mode.HOLD
             if doubted and held and abs(sample.torque[i]) > LOAD_SHARE * rated[i]:
                 h.loaded = stays = True
