@@ -44,8 +44,8 @@ LARGEST_STEP = 0.2
 LARGEST_FIXED = 0.5
 """The same where the FMU takes one step alone: near the guide's limit, as a softer guide holds less."""
 SOFTER = 4
-"""Guides, each half as fast as the last, that are tried on such an FMU: how much later than its torque it moves
-is its solver's, and that limits the guide."""
+"""Guides, each half as fast as the last, that are tried on such an FMU: how late it moves is its solver's,
+and that limits a guide."""
 RUN_AWAY = 100.0
 """Largest torque of a guide over the largest recorded one: what is beyond is a guide that shakes."""
 TRIED = 1e-3
@@ -190,8 +190,8 @@ class FmuSimulator:
                 how = f"by {signal.Signals(-ended.returncode).name}"
             said = ended.stderr.strip().splitlines()[-1:] or ["nothing"]
             raise InputError(
-                f"{self.path}: the FMU's own code ended its process {how} in experiment {given.key} (it said: "
-                f"{said[0][:200]}); try it alone: 'fmpy simulate {Path(self.path).name}'"
+                f"{self.path}: the FMU's own code ended its process {how} in experiment {given.key} (it "
+                f"said: {said[0][:200]}); try it alone: 'fmpy simulate {Path(self.path).name}'"
             )
         found = pickle.loads(answer.read_bytes())
         if isinstance(found, InputError):
@@ -201,7 +201,7 @@ class FmuSimulator:
 
     def guided_here(self, given: Guided) -> tuple[Float64, Tie]:
         """``guide`` in this process."""
-        more, given = given.run_in()
+        given = given.run_in()
         rate = 2 * np.pi * GUIDE * given.high
         longest, tried = LARGEST_STEP / rate, 1
         if self.step:
@@ -213,7 +213,7 @@ class FmuSimulator:
             force = self._run(given, tie, longest)
             if np.isfinite(force).all() and np.abs(force).max() < RUN_AWAY * np.abs(given.torque).max():
                 every = max(1, int(np.ceil(given.interval / longest - 1e-9)))
-                return force[more:], replace(tie, late=0.5 * given.interval / every)
+                return force, replace(tie, late=0.5 * given.interval / every)
         coarse = f": its step of {self.step:g} s is too coarse to be guided" if self.step else ""
         raise InputError(f"{self.path}: the simulation of experiment {given.key} runs away{coarse}")
 
@@ -238,8 +238,8 @@ class FmuSimulator:
                 if self.velocities:
                     slide = velocity[k + 1] - run.read(self.velocities)
                 else:
-                    # A difference is the velocity of half a step ago: by three of them. Of what lies apart, not
-                    # of the motion: their error of (ωh)² is then one of the guide alone.
+                    # A difference is the velocity of half a step ago: by three of them. Of what lies apart:
+                    # of the motion itself their error of (ωh)² would be torque.
                     apart = [(away - before) / step, *apart[:2]]
                     slide = (11.0 * apart[0] - 7.0 * apart[1] + 2.0 * apart[2]) / 6.0
         return force
