@@ -1,4 +1,4 @@
-"""Plain models of the same recording and split: rigid with friction by least squares, and ARX.
+"""Plain models of the same recording and split: rigid with friction by least squares, FIR and ARX.
 
 Each predicts the held-out torque from the measured motion; the figure is the share of it that is missed, rms,
 below the same frequency.
@@ -6,27 +6,32 @@ below the same frequency.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from invid.recording import Experiment, Recording, Role
 
+PEERS = ("rigid + Coulomb + viscous", "FIR", "ARX")
 ORDERS = (1, 2, 3, 4, 6, 8, 12)
-"""Of the ARX model; the best on a quarter of the identification data that is kept out is taken."""
+"""Of FIR (samples each way) and ARX; the best on a quarter of the identification data that is kept out is
+taken."""
 
 
 def shares(recording: Recording, below_hz: float) -> dict[str, list[float]]:
     """Share of each axis' held-out torque that each model misses (1: all of it)."""
     fit = [e for e in recording.experiments if e.role is Role.IDENTIFY]
     held = [e for e in recording.experiments if e.role is Role.VALIDATE]
-    found: dict[str, list[float]] = {"rigid + Coulomb + viscous": [], "ARX": []}
+    found: dict[str, list[float]] = {name: [] for name in PEERS}
     for axis in range(recording.axis_count):
         own = [_signals(e, axis, below_hz) for e in fit]
         others = [_signals(e, axis, below_hz) for e in held]
         a = np.concatenate([_rigid(*s[:3]) for s in own])
         x = np.linalg.lstsq(a, np.concatenate([s[3] for s in own]), rcond=None)[0]
         found["rigid + Coulomb + viscous"].append(_missed([(s[3], _rigid(*s[:3]) @ x) for s in others]))
-        found["ARX"].append(_arx(own, others))
+        found["FIR"].append(_best(own, others, _fir))
+        found["ARX"].append(_best(own, others, _arx))
     return found
 
 
@@ -54,18 +59,29 @@ def _missed(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float:
     return float(np.sqrt(left / sum(float(np.sum(u**2)) for u, _ in pairs)))
 
 
-def _arx(own: list[tuple[np.ndarray, ...]], others: list[tuple[np.ndarray, ...]]) -> float:
-    best, chosen = np.inf, None
-    for order in ORDERS:
-        train = [tuple(x[: 3 * x.size // 4] for x in s) for s in own]
-        test = [tuple(x[3 * x.size // 4 :] for x in s) for s in own]
-        left = _missed([(s[3], _run(s, order, _fitted(train, order))) for s in test])
-        if left < best:
-            best, chosen = left, order
-    if chosen is None:
-        return float("nan")
-    model = _fitted(own, chosen)
-    return _missed([(s[3], _run(s, chosen, model)) for s in others])
+Records = list[tuple[np.ndarray, ...]]
+
+
+def _best(own: Records, others: Records, missed: Callable[[Records, Records, int], float]) -> float:
+    """Share missed by the order that misses least of a quarter of the identification data."""
+    train = [tuple(x[: 3 * x.size // 4] for x in s) for s in own]
+    test = [tuple(x[3 * x.size // 4 :] for x in s) for s in own]
+    return missed(own, others, min(ORDERS, key=lambda order: missed(train, test, order)))
+
+
+def _fir(own: Records, others: Records, order: int) -> float:
+    def window(q: np.ndarray) -> np.ndarray:
+        around = np.lib.stride_tricks.sliding_window_view(q, 2 * order + 1)
+        return np.column_stack([around, np.ones(around.shape[0])])
+
+    rows = np.concatenate([window(s[0]) for s in own])
+    model = np.linalg.lstsq(rows, np.concatenate([s[3][order:-order] for s in own]), rcond=None)[0]
+    return _missed([(s[3][order:-order], window(s[0]) @ model) for s in others])
+
+
+def _arx(own: Records, others: Records, order: int) -> float:
+    model = _fitted(own, order)
+    return _missed([(s[3], _run(s, order, model)) for s in others])
 
 
 def _fitted(records: list[tuple[np.ndarray, ...]], order: int) -> np.ndarray:
