@@ -7,7 +7,7 @@ Records that are not there are named, loudly.
     python benchmarks/diagnosis/bench_real_data.py [WORD …]
         records whose title holds a word; all without
     python benchmarks/diagnosis/bench_real_data.py --league [WORD …]
-        the share of the held-out torque that is missed: the product's, the peers' of peer_torque.py, published
+        the share of the held-out torque that is missed: ours, the peers' of peer_torque.py, published
     python benchmarks/diagnosis/bench_real_data.py --simulated N
         N machines drawn at random: rates of right names
 """
@@ -266,8 +266,8 @@ LEAGUE: list[tuple[str, str, str, float, str]] = [
     ("two servos, steps", "hsm150", "hsm150", 20.0, ""),
     ("Panda joint 7", "panda", "panda_joint_7", 10.0, ""),
 ]
-"""Title, source, map, the peers' band [Hz], published share [%] of the same kept-out torque. The last three by
-`league_data.sh`."""
+"""Title, source, map, the peers' band [Hz], published share [%] of kept-out torque; `league_data.sh` brings the
+last three."""
 LEVEL = 0.1
 """Relative difference of two figures up to which they are level: so much their held-out part alone moves them
 (empirical: halves of the records here)."""

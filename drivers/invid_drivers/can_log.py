@@ -194,9 +194,7 @@ def _fresh(cycles: _Cycles) -> _Cycles:
     return _Cycles(cycles.names, cycles.layouts, cycles.clock, cycles.file)
 
 
-def _rows(
-    path: Path, source: Source, layouts: dict[int, tuple[Pdo, Layout]], names: list[str]
-) -> Table:
+def _rows(path: Path, source: Source, layouts: dict[int, tuple[Pdo, Layout]], names: list[str]) -> Table:
     clock = source.sync_id if source.sync_id is not None else next(iter(layouts))
     cycles = _read_cycles(path, source, _Cycles(names, layouts, clock, path.name))
     if len(cycles.numbers) < 3:

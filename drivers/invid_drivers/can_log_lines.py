@@ -1,7 +1,7 @@
 """Frames of text logs of CAN traffic.
 
-Vector's ASC is python-can's; what candump shows on the screen, the CSV of SavvyCAN (GVRET) and BUSMASTER's log no
-kept library reads, and of candump's own log the expression that tells a whole line is all the reading there is.
+Vector's ASC is python-can's; what candump shows on the screen, the CSV of SavvyCAN (GVRET) and BUSMASTER's log
+no kept library reads, and the expression that tells a whole line of candump's log has read it.
 """
 
 from __future__ import annotations

@@ -248,7 +248,7 @@ def _asked(guide: Float64, tie: Tie, plant: Model, interval: float) -> Float64:
     count = guide.shape[0]
     fall = np.cos(0.5 * np.pi * np.linspace(0.0, 1.0, count)) ** 2
     padded = np.concatenate([guide, guide[-1] * fall[:, None]])
-    omega = 2 * np.pi * np.fft.rfftfreq(2 * count, interval)
+    omega = 2 * np.pi * np.fft.rfftfreq(2 * count, interval).astype(np.float64)
     away = np.fft.rfft(padded, axis=0) / (tie.stiffness + 1j * omega[:, None] * tie.damping)
     more = np.zeros_like(away)
     more[1:] = np.einsum("fij,fj->fi", motor_stiffness(plant, omega[1:]), away[1:])
