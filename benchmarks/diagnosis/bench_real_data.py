@@ -266,8 +266,8 @@ LEAGUE: list[tuple[str, str, str, float, str]] = [
     ("two servos, steps", "hsm150", "hsm150", 20.0, ""),
     ("Panda joint 7", "panda", "panda_joint_7", 10.0, ""),
 ]
-"""Title, source, map, the peers' band [Hz], published share [%] of kept-out torque; `league_data.sh` brings the
-last three."""
+"""Title, source, map, the peers' band [Hz], published share [%] of kept-out torque; `league_data.sh` brings
+the last three."""
 LEVEL = 0.1
 """Relative difference of two figures up to which they are level: so much their held-out part alone moves them
 (empirical: halves of the records here)."""

@@ -1,6 +1,6 @@
 """Frames of text logs of CAN traffic.
 
-Vector's ASC is python-can's; what candump shows on the screen, the CSV of SavvyCAN (GVRET) and BUSMASTER's log
+Vector's ASC is python-can's; candump's screen, the CSV of SavvyCAN (GVRET) and BUSMASTER's log
 no kept library reads, and the expression that tells a whole line of candump's log has read it.
 """
 
