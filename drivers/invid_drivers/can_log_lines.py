@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,8 +17,8 @@ from invid.recording.tables import BrokenRow
 
 MAX_BROKEN = 100_000
 READ = (
-    "candump (-L, or its screen with -t a, z, d), Vector ASC, SavvyCAN/GVRET CSV, BUSMASTER, and "
-    "BLF, PEAK TRC, MF4 of frames, and python-can's CSV and SQLite"
+    "candump (-L, or its screen with -t a, z, d, A), Vector ASC, SavvyCAN/GVRET CSV, BUSMASTER, CanKing, "
+    "and BLF, PEAK TRC, MF4 of frames, and python-can's CSV and SQLite"
 )
 # (1700000000.000210) can0 181#3712FCFFFAFFFFFF
 _CANDUMP = re.compile(
@@ -25,8 +26,10 @@ _CANDUMP = re.compile(
     r"((?:[0-9A-Fa-f]{2}){0,8}|R\d?|#[0-9A-Fa-f](?:[0-9A-Fa-f]{2}){0,64})(?:\s+([TRtr]))?\s*$"
 )
 #  (1700000000.000210)  can0  181   [8]  37 12 FC FF FA FF FF FF
+#  (2023-11-14 22:13:20.000210)  can0  RX - -  181   [8]  37 12 FC FF FA FF FF FF
 _SHOWN = re.compile(
-    r"\s*\((?P<t>\d+(?:\.\d+)?)\)\s+(?P<channel>\S+)\s+(?:(?P<way>[TR])X\s+)?(?:-\s+)*"
+    r"\s*\((?:(?P<t>\d+(?:\.\d+)?)|(?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{6}))\)"
+    r"\s+(?P<channel>\S+)\s+(?:(?P<way>[TR])X\s+)?(?:-\s+)*"
     r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(?P<length>\d)\](?P<data>(?:\s+[0-9A-Fa-f]{2})*)\s*(?:'.*)?$"
 )
 # 166064000,0000021A,false,Rx,0,8,FE,36,12,FE,69,05,07,AD,
@@ -40,9 +43,14 @@ _BUSMASTER = re.compile(
     r"\s*(?P<h>\d+):(?P<m>\d+):(?P<s>\d+):(?P<tenth>\d{4})\s+(?P<way>[RT])x\s+(?P<channel>\d+)\s+(?P<id>0x[0-9A-Fa-f]+|\d+)"
     r"\s+(?P<kind>[sx])r?\s+(?P<length>\d)(?P<data>(?:\s+[0-9A-Fa-f]{1,3})*)\s*$"
 )
-_FOREIGN = (_SHOWN, _GVRET, _BUSMASTER)
-_ASIDE = re.compile(r"\s*$|\s*#|\s*\*\*\*|\s*Time ?Stamp\b")
-"""Empty lines, comments, and the headers of BUSMASTER and SavvyCAN."""
+# 0    00000181         8  37 12 FC FF FA FF FF FF       0.000210 R
+_KVASER = re.compile(
+    r"\s*(?P<channel>\d+)\s+(?P<id>[0-9A-Fa-f]{8})\s+(?P<kind>X\s+)?(?P<length>\d)"
+    r"(?P<data>(?:\s+[0-9A-Fa-f]{2})*)\s+(?P<t>\d+\.\d+)\s+(?P<way>[RT])\s*$"
+)
+_FOREIGN = (_SHOWN, _GVRET, _BUSMASTER, _KVASER)
+_ASIDE = re.compile(r"\s*$|\s*#|\s*\*\*\*|\s*Time ?Stamp\b|Chn Identifier\b")
+"""Empty lines, comments, and the headers of BUSMASTER, SavvyCAN and Kvaser's CanKing."""
 #    0.002100 1  181             Rx   d 8 37 12 FC FF FA FF FF FF
 _ASC_FRAME = re.compile(r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\b")
 #    0.002100 1  SYNC            Rx   d 0
@@ -59,7 +67,7 @@ HEADER = re.compile(
     r"|\ATime Stamp,ID,Extended"
     # base hex  timestamps absolute
     r"|^\s*base\s+(?:hex|dec)\s+timestamps\s+(?:absolute|relative)"
-    rf"|^(?:{_CANDUMP.pattern})|^(?:{_SHOWN.pattern})",
+    rf"|^(?:{_CANDUMP.pattern})|^(?:{_SHOWN.pattern})|\AChn Identifier\b",
     re.MULTILINE,
 )
 """A head or a line that only a CAN log has."""
@@ -136,7 +144,9 @@ class Lines:
         if len(cells) < length:
             return None
         base = self._base if found.re is _BUSMASTER else 16
-        if found.re is _BUSMASTER:
+        if part.get("date"):
+            stamp = datetime.fromisoformat(part["date"]).replace(tzinfo=UTC).timestamp()
+        elif found.re is _BUSMASTER:
             stamp = (int(part["h"]) * 60 + int(part["m"])) * 60 + int(part["s"]) + 1e-4 * int(part["tenth"])
         else:
             stamp = int(part["us"]) / 1e6 if found.re is _GVRET else float(part["t"])
