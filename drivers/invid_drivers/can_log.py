@@ -6,13 +6,14 @@ master sends (RPDO) acts from the next SYNC on and stands in that row, held unti
 
 from __future__ import annotations
 
+import contextlib
 import math
 import struct
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import can
 import numpy as np
@@ -37,6 +38,7 @@ _FORMATS = {
     "int8": ("b", 1), "uint8": ("B", 1), "int16": ("h", 2), "uint16": ("H", 2), "int32": ("i", 4),
     "uint32": ("I", 4), "int64": ("q", 8), "uint64": ("Q", 8), "float32": ("f", 4), "float64": ("d", 8),
 }  # fmt: skip
+Layout: TypeAlias = list[tuple[str, struct.Struct, int]]
 
 
 class CanLogFile(FileKind):
@@ -88,7 +90,7 @@ class _Cycles:
     """Rows of a log as they grow: one a SYNC."""
 
     names: list[str]
-    layouts: dict[int, tuple[Pdo, list[tuple[str, str, int]]]]
+    layouts: dict[int, tuple[Pdo, Layout]]
     clock: int
     file: str
     broken: list[BrokenRow] = field(default_factory=list)
@@ -143,13 +145,13 @@ class _Cycles:
         pdo, layout = self.layouts[frame.arbitration_id]
         target = held if pdo.direction == "to_drive" else self.values
         row = 0 if target is held else len(self.values) - len(held)
-        for name, code, offset in layout:
-            if offset + struct.calcsize(code) > len(frame.data):
+        for name, form, offset in layout:
+            if offset + form.size > len(frame.data):
                 reason = f"frame 0x{frame.arbitration_id:X} has {len(frame.data)} bytes only"
                 self.broken.append(BrokenRow(self.file, number, reason))
                 return
             if row >= 0:
-                target[row + column[name]] = float(struct.unpack_from(code, frame.data, offset)[0])
+                target[row + column[name]] = form.unpack_from(frame.data, offset)[0]
 
 
 def _read_cycles(path: Path, source: Source, cycles: _Cycles) -> _Cycles:
@@ -192,9 +194,7 @@ def _fresh(cycles: _Cycles) -> _Cycles:
     return _Cycles(cycles.names, cycles.layouts, cycles.clock, cycles.file)
 
 
-def _rows(
-    path: Path, source: Source, layouts: dict[int, tuple[Pdo, list[tuple[str, str, int]]]], names: list[str]
-) -> Table:
+def _rows(path: Path, source: Source, layouts: dict[int, tuple[Pdo, Layout]], names: list[str]) -> Table:
     clock = source.sync_id if source.sync_id is not None else next(iter(layouts))
     cycles = _read_cycles(path, source, _Cycles(names, layouts, clock, path.name))
     if len(cycles.numbers) < 3:
@@ -232,20 +232,20 @@ def _rows(
 
 
 def _refuse_wrong_bytes(
-    columns: dict[str, Float64], layouts: dict[int, tuple[Pdo, list[tuple[str, str, int]]]], path: Path
+    columns: dict[str, Float64], layouts: dict[int, tuple[Pdo, Layout]], path: Path
 ) -> None:
     """InputError where a signal leaps as it is read and moves smoothly with its bytes the other way round."""
     for pdo, layout in layouts.values():
         told = {s.name for s in pdo.signals if s.byte_order is not None}
-        for name, code, _ in layout:
+        for name, form, _ in layout:
             if name in told:
                 continue
             values = columns[name][np.isfinite(columns[name])]
-            kind = np.dtype(code)
+            kind = np.dtype(form.format)
             if kind.kind == "f" or kind.itemsize == 1 or not roughness(values) > ROUGH:
                 continue
             if roughness(values.astype(kind).byteswap().astype(float)) < SMOOTH:
-                now = "big" if code.startswith(">") else "little"
+                now = "big" if form.format.startswith(">") else "little"
                 other = "little" if now == "big" else "big"
                 raise InputError(
                     f"{path}: {name!r} leaps from row to row read as {now}-endian, and moves smoothly with "
@@ -263,8 +263,7 @@ _BY_START: dict[bytes, Any] = {
 
 def _reader(path: Path, lines: Lines | None) -> Any:
     if lines is not None:
-        kind = can.ASCReader if lines.is_asc else can.CanutilsLogReader
-        return kind(lines)  # type: ignore[arg-type]
+        return can.ASCReader(lines) if lines.is_asc else contextlib.closing(lines)  # type: ignore[arg-type]
     with path.open("rb") as raw:
         head = raw.read(64)
     own = next((reader for start, reader in _BY_START.items() if head.startswith(start)), can.LogReader)
@@ -322,8 +321,8 @@ def _identifiers(path: Path) -> str:
     return ", ".join(f"0x{i:X}" for i in sorted(most)) or "none"
 
 
-def _layout(pdo: Pdo, byte_order: str | None) -> list[tuple[str, str, int]]:
-    """Name, struct code and byte offset of each signal; whole bytes only."""
+def _layout(pdo: Pdo, byte_order: str | None) -> Layout:
+    """Name, form and byte offset of each signal; whole bytes only."""
     bits = 0
     layout = []
     for signal in pdo.signals:
@@ -334,7 +333,8 @@ def _layout(pdo: Pdo, byte_order: str | None) -> list[tuple[str, str, int]]:
         if bits % 8:
             raise InputError(f"map: PDO 0x{pdo.id:X}: {signal.name!r} starts at bit {bits}, not at a byte")
         order = signal.byte_order or byte_order
-        layout.append((signal.name, (">" if order == "big" else "<") + code, bits // 8))
+        form = struct.Struct((">" if order == "big" else "<") + code)
+        layout.append((signal.name, form, bits // 8))
         bits += 8 * size
     if bits > 64:
         raise InputError(f"map: PDO 0x{pdo.id:X}: its signals take {bits} bits; a frame has 64")

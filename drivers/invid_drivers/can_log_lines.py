@@ -1,31 +1,35 @@
-"""Lines of text logs of CAN traffic, brought into the one form that python-can reads (candump -L).
+"""Frames of text logs of CAN traffic.
 
-python-can reads candump's log and Vector's ASC; what candump shows on the screen, the CSV of SavvyCAN
-(GVRET) and BUSMASTER's log no kept library reads.
+Vector's ASC is python-can's; candump's screen, the CSV of SavvyCAN (GVRET) and BUSMASTER's log
+no kept library reads, and the expression that tells a whole line of candump's log has read it.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from invid.errors import InputError
 from invid.recording.tables import BrokenRow
 
 MAX_BROKEN = 100_000
 READ = (
-    "candump (-L, or its screen with -t a, z, d), Vector ASC, SavvyCAN/GVRET CSV, BUSMASTER, and "
-    "BLF, PEAK TRC, MF4 of frames, and python-can's CSV and SQLite"
+    "candump (-L, or its screen with -t a, z, d, A), Vector ASC, SavvyCAN/GVRET CSV, BUSMASTER, CanKing, "
+    "and BLF, PEAK TRC, MF4 of frames, and python-can's CSV and SQLite"
 )
 # (1700000000.000210) can0 181#3712FCFFFAFFFFFF
 _CANDUMP = re.compile(
-    r"\s*\(\d+(\.\d+)?\)\s+\S+\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
-    r"(([0-9A-Fa-f]{2}){0,8}|R\d?|#[0-9A-Fa-f]([0-9A-Fa-f]{2}){0,64})(\s+[TRtr])?\s*$"
+    r"\s*\((\d+(?:\.\d+)?)\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
+    r"((?:[0-9A-Fa-f]{2}){0,8}|R\d?|#[0-9A-Fa-f](?:[0-9A-Fa-f]{2}){0,64})(?:\s+([TRtr]))?\s*$"
 )
 #  (1700000000.000210)  can0  181   [8]  37 12 FC FF FA FF FF FF
+#  (2023-11-14 22:13:20.000210)  can0  RX - -  181   [8]  37 12 FC FF FA FF FF FF
 _SHOWN = re.compile(
-    r"\s*\((?P<t>\d+(?:\.\d+)?)\)\s+(?P<channel>\S+)\s+(?:(?P<way>[TR])X\s+)?(?:-\s+)*"
+    r"\s*\((?:(?P<t>\d+(?:\.\d+)?)|(?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{6}))\)"
+    r"\s+(?P<channel>\S+)\s+(?:(?P<way>[TR])X\s+)?(?:-\s+)*"
     r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(?P<length>\d)\](?P<data>(?:\s+[0-9A-Fa-f]{2})*)\s*(?:'.*)?$"
 )
 # 166064000,0000021A,false,Rx,0,8,FE,36,12,FE,69,05,07,AD,
@@ -39,9 +43,14 @@ _BUSMASTER = re.compile(
     r"\s*(?P<h>\d+):(?P<m>\d+):(?P<s>\d+):(?P<tenth>\d{4})\s+(?P<way>[RT])x\s+(?P<channel>\d+)\s+(?P<id>0x[0-9A-Fa-f]+|\d+)"
     r"\s+(?P<kind>[sx])r?\s+(?P<length>\d)(?P<data>(?:\s+[0-9A-Fa-f]{1,3})*)\s*$"
 )
-_FOREIGN = (_SHOWN, _GVRET, _BUSMASTER)
-_ASIDE = re.compile(r"\s*$|\s*#|\s*\*\*\*|\s*Time ?Stamp\b")
-"""Empty lines, comments, and the headers of BUSMASTER and SavvyCAN."""
+# 0    00000181         8  37 12 FC FF FA FF FF FF       0.000210 R
+_KVASER = re.compile(
+    r"\s*(?P<channel>\d+)\s+(?P<id>[0-9A-Fa-f]{8})\s+(?P<kind>X\s+)?(?P<length>\d)"
+    r"(?P<data>(?:\s+[0-9A-Fa-f]{2})*)\s+(?P<t>\d+\.\d+)\s+(?P<way>[RT])\s*$"
+)
+_FOREIGN = (_SHOWN, _GVRET, _BUSMASTER, _KVASER)
+_ASIDE = re.compile(r"\s*$|\s*#|\s*\*\*\*|\s*Time ?Stamp\b|Chn Identifier\b")
+"""Empty lines, comments, and the headers of BUSMASTER, SavvyCAN and Kvaser's CanKing."""
 #    0.002100 1  181             Rx   d 8 37 12 FC FF FA FF FF FF
 _ASC_FRAME = re.compile(r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\b")
 #    0.002100 1  SYNC            Rx   d 0
@@ -58,7 +67,7 @@ HEADER = re.compile(
     r"|\ATime Stamp,ID,Extended"
     # base hex  timestamps absolute
     r"|^\s*base\s+(?:hex|dec)\s+timestamps\s+(?:absolute|relative)"
-    rf"|^(?:{_CANDUMP.pattern})|^(?:{_SHOWN.pattern})",
+    rf"|^(?:{_CANDUMP.pattern})|^(?:{_SHOWN.pattern})|\AChn Identifier\b",
     re.MULTILINE,
 )
 """A head or a line that only a CAN log has."""
@@ -73,9 +82,24 @@ def is_text_log(head: str) -> bool:
     )
 
 
+class Frame(NamedTuple):
+    """What python-can's ``Message`` is read for."""
+
+    timestamp: float
+    arbitration_id: int
+    data: bytes
+    channel: str
+    is_rx: bool = True
+    is_remote_frame: bool = False
+    is_error_frame: bool = False
+
+
+_ERROR = 0x20000000
+"""Flag of an error frame in candump's identifier (SocketCAN's CAN_ERR_FLAG)."""
+
+
 class Lines:
-    """Lines of a text log for python-can's reader, without those that are broken: they are kept with
-    their numbers."""
+    """Frames of a text log with the numbers of their lines, without lines that are broken: those are kept."""
 
     def __init__(self, path: Path, broken: list[BrokenRow]) -> None:
         self._file = path.open(encoding="utf-8", errors="replace")
@@ -87,45 +111,48 @@ class Lines:
         self._base = 16
         """Of BUSMASTER's numbers, which its header states."""
 
-    def __iter__(self) -> Iterator[str]:
+    def __iter__(self) -> Iterator[Any]:
+        """Its frames; of an ASC the lines, for python-can's reader."""
+        read = self._asc_line if self.is_asc else self._frame
         for line in self._file:
             self.number += 1
-            whole = self._asc_line(line) if self.is_asc else self._candump_line(line)
+            whole = read(line)
             if whole is not None:
                 yield whole
-            elif len(self._broken) < MAX_BROKEN:
+            elif not _ASIDE.match(line) and len(self._broken) < MAX_BROKEN:
                 self._broken.append(BrokenRow(self._name, self.number, "no whole CAN frame"))
 
-    def _candump_line(self, line: str) -> str | None:
-        if _CANDUMP.match(line):
-            return line
-        found = next((m for kind in _FOREIGN if (m := kind.match(line))), None)
-        if found is not None:
-            return self._rewritten(found)
-        if line.startswith("***DEC"):
-            self._base = 10
-        return "" if _ASIDE.match(line) else None
+    def _frame(self, line: str) -> Frame | None:
+        found = _CANDUMP.match(line)
+        if found is None:
+            if line.startswith("***DEC"):
+                self._base = 10
+            other = next((m for kind in _FOREIGN if (m := kind.match(line))), None)
+            return None if other is None else self._foreign(other)
+        stamp, channel, number, data, way = found.groups()
+        identifier, received = int(number, 16), way is None or way in "Rr"
+        if data[:1] == "R":
+            return Frame(float(stamp), identifier, b"", channel, received, True)
+        data = data[2:] if data[:1] == "#" else data
+        wrong = bool(identifier & _ERROR)
+        return Frame(float(stamp), identifier, bytes.fromhex(data), channel, received, False, wrong)
 
-    def _rewritten(self, found: re.Match[str]) -> str | None:
+    def _foreign(self, found: re.Match[str]) -> Frame | None:
         part = found.groupdict()
         cells = part["data"].replace(",", " ").split()
         length = int(part["length"])
         if len(cells) < length:
             return None
-        if found.re is _BUSMASTER:
-            seconds = (int(part["h"]) * 60 + int(part["m"])) * 60 + int(part["s"])
-            stamp, long = f"{seconds}.{part['tenth']}", part["kind"] == "x"
-            identifier = int(part["id"], 16 if part["id"].startswith("0x") else self._base)
-            data = [int(c, self._base) for c in cells[:length]]
+        base = self._base if found.re is _BUSMASTER else 16
+        if part.get("date"):
+            stamp = datetime.fromisoformat(part["date"]).replace(tzinfo=UTC).timestamp()
+        elif found.re is _BUSMASTER:
+            stamp = (int(part["h"]) * 60 + int(part["m"])) * 60 + int(part["s"]) + 1e-4 * int(part["tenth"])
         else:
-            identifier, data = int(part["id"], 16), [int(c, 16) for c in cells[:length]]
-            if found.re is _GVRET:
-                stamp = f"{int(part['us']) // 10**6}.{int(part['us']) % 10**6:06d}"
-                long = part["extended"].lower() in ("true", "1")
-            else:
-                stamp, long = part["t"], len(part["id"]) == 8
-        way = f" {part['way'].upper()}" if part["way"] else ""
-        return f"({stamp}) {part['channel']} {identifier:0{8 if long else 3}X}#{bytes(data).hex()}{way}\n"
+            stamp = int(part["us"]) / 1e6 if found.re is _GVRET else float(part["t"])
+        identifier = int(part["id"], 16 if part["id"].startswith("0x") else base)
+        data = bytes(int(c, base) for c in cells[:length])
+        return Frame(stamp, identifier, data, part["channel"], (part["way"] or "R").upper() == "R")
 
     def _asc_line(self, line: str) -> str | None:
         if _ASC_FRAME.match(line):
@@ -146,4 +173,4 @@ class Lines:
         self._file.close()
 
 
-__all__ = ["READ", "Lines", "is_text_log"]
+__all__ = ["READ", "Frame", "Lines", "is_text_log"]

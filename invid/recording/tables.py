@@ -128,10 +128,13 @@ def good_rows(
     ]
     # Broken lines of a bus log are no rows of their own: a lost frame shows as a row without a value, and
     # what belongs to no mapped signal is missed by nobody; both are reported, each once.
-    own = set(np.intersect1d(numbers, [b.line for b in table.broken]).tolist())
     holed = {int(numbers[row]) for row in reasons}
-    behind = [int(numbers[max(int(np.searchsorted(numbers, b.line)) - 1, 0)]) for b in table.broken]
-    lines = [b for b, row in zip(table.broken, behind, strict=True) if b.line not in own and row not in holed]
+    lines = []
+    for b in table.broken:
+        at = int(np.searchsorted(numbers, b.line))
+        own = at < numbers.size and numbers[at] == b.line
+        if not own and int(numbers[max(at - 1, 0)]) not in holed:
+            lines.append(b)
     skipped = sorted([*skipped, *lines], key=lambda b: b.line)
     worst = max(len(reasons), len(lines))
     if worst > BROKEN_LIMIT * count or good.sum() < 2:

@@ -4,13 +4,20 @@ Axis A1 is the input ``A1``, ``A1.torque`` or ``torque.A1``, the output ``A1.pos
 without such names inputs and outputs stand in the order of the axes. An output of the velocity is used where
 there is one, else differences of the position. Parameters named as an invid model's (``A1.mass.1``) are read
 and corrected.
+
+It is native code of somebody else: it runs in a process of its own, ``python -m invid.simulators.fmu_engine
+JOB ANSWER``, whose end is an error that names the file.
 """
 
 from __future__ import annotations
 
 import json
+import pickle
 import re
 import shutil
+import signal
+import subprocess
+import sys
 import tempfile
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,6 +43,11 @@ LARGEST_STEP = 0.2
 """Rate of the guide times the communication step: the guide sees the motion as it was a step ago."""
 LARGEST_FIXED = 0.5
 """The same where the FMU takes one step alone: near the guide's limit, as a softer guide holds less."""
+SOFTER = 4
+"""Guides, each half as fast as the last, that are tried on such an FMU: how late it moves is its solver's,
+and that limits a guide."""
+RUN_AWAY = 100.0
+"""Largest torque of a guide over the largest recorded one: what is beyond is a guide that shakes."""
 TRIED = 1e-3
 """Seconds of the steps from which the inertia that a motor shows is taken."""
 
@@ -97,7 +109,7 @@ class FmuSimulator:
         self.inputs = self._found(variables, "input", "torque")
         self.outputs = self._found(variables, "output", "position")
         self.velocities = self._found(variables, "output", "velocity", needed=False)
-        self.fixed_step = _fixed_step(self.description)
+        self.step = _fixed_step(self.description) or 0.0
         self.parameters = {n: v for n, v in variables.items() if v.causality == "parameter"}
         self.values = dict(values or {})
         self.folder = fmpy.extract(str(path), tempfile.mkdtemp(prefix="invid-fmu-"))
@@ -167,43 +179,77 @@ class FmuSimulator:
 
         It cannot be started in motion: a period is run before what repeats.
         """
-        more, given = given.run_in()
+        job, answer = (Path(self.folder) / f"invid-{name}" for name in ("job", "answer"))
+        job.write_bytes(pickle.dumps((self, given)))
+        answer.unlink(missing_ok=True)
+        command = [sys.executable, "-m", __name__, str(job), str(answer)]
+        ended = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        if not answer.exists():
+            how = f"with status {ended.returncode}"
+            if ended.returncode < 0:
+                how = f"by {signal.Signals(-ended.returncode).name}"
+            said = ended.stderr.strip().splitlines()[-1:] or ["nothing"]
+            raise InputError(
+                f"{self.path}: the FMU's own code ended its process {how} in experiment {given.key} (it "
+                f"said: {said[0][:200]}); try it alone: 'fmpy simulate {Path(self.path).name}'"
+            )
+        found = pickle.loads(answer.read_bytes())
+        if isinstance(found, InputError):
+            raise found
+        force, tie = found
+        return force, tie
+
+    def guided_here(self, given: Guided) -> tuple[Float64, Tie]:
+        """``guide`` in this process."""
+        given = given.run_in()
         rate = 2 * np.pi * GUIDE * given.high
-        tie = Tie.of(self._inertia(), rate)
-        if self.fixed_step is not None and self.fixed_step > 0.0:
-            least = self._steps_of(given.interval)
-            rate = min(rate, LARGEST_FIXED * least / given.interval)
-            tie = Tie.of(self._inertia(), rate)
-            every, torque, position, velocity = given.fine(given.interval / least, torque=0.5)
-        else:
-            every, torque, position, velocity = given.fine(LARGEST_STEP / rate, torque=0.5)
+        longest, tried = LARGEST_STEP / rate, 1
+        if self.step:
+            longest, tried = given.interval / self._steps_of(given.interval), SOFTER
+            rate = min(rate, LARGEST_FIXED / longest)
+        inertia = self._inertia()
+        for softer in range(tried):
+            tie = Tie.of(inertia, rate / 2**softer)
+            force = self._run(given, tie, longest)
+            if np.isfinite(force).all() and np.abs(force).max() < RUN_AWAY * np.abs(given.torque).max():
+                every = max(1, int(np.ceil(given.interval / longest - 1e-9)))
+                return force, replace(tie, late=0.5 * given.interval / every)
+        coarse = f": its step of {self.step:g} s is too coarse to be guided" if self.step else ""
+        raise InputError(f"{self.path}: the simulation of experiment {given.key} runs away{coarse}")
+
+    def _run(self, given: Guided, tie: Tie, longest: float) -> Float64:
+        """(n, M) torque of the guide in steps of ``longest`` [s] at most."""
+        every, torque, position, velocity = given.fine(longest, torque=0.5)
         step = given.interval / every
+        # A torque held over a step has lost (ωh)²/24 of a sine.
+        torque[1:-1] -= np.diff(torque, 2, axis=0) / 24.0
         force = np.zeros_like(given.torque)
         with _Running(self) as run:
             q = run.read(self.outputs)
             zero = q - position[0]  # it starts where it starts: only differences count
-            v, apart = np.zeros(q.size), [np.zeros(q.size)] * 3
+            away, apart = np.zeros(q.size), [np.zeros(q.size)] * 3
+            slide = velocity[0]
             for k in range(torque.shape[0] - 1):
-                e = tie.stiffness * (position[k] + zero - q) + tie.damping * (velocity[k] - v)
+                e = tie.stiffness * away + tie.damping * slide
                 if k % every == 0:
                     force[k // every] = e
                 run.step(torque[k] + e, k * step, step)
-                before, q = q, run.read(self.outputs)
+                before, away = away, position[k + 1] + zero - run.read(self.outputs)
                 if self.velocities:
-                    v = run.read(self.velocities)
-                else:  # a difference is the velocity of half a step ago: by three of them
-                    apart = [(q - before) / step, *apart[:2]]
-                    v = (11.0 * apart[0] - 7.0 * apart[1] + 2.0 * apart[2]) / 6.0
-        if not np.isfinite(force).all():
-            raise InputError(f"{self.path}: the simulation of experiment {given.key} runs away")
-        return force[more:], replace(tie, late=0.5 * step)
+                    slide = velocity[k + 1] - run.read(self.velocities)
+                else:
+                    # A difference is the velocity of half a step ago: by three of them. Of what lies apart:
+                    # of the motion itself their error of (ωh)² would be torque.
+                    apart = [(away - before) / step, *apart[:2]]
+                    slide = (11.0 * apart[0] - 7.0 * apart[1] + 2.0 * apart[2]) / 6.0
+        return force
 
     def _steps_of(self, interval: float) -> int:
         """Fixed steps of the FMU in a sample of the record."""
-        count = interval / (self.fixed_step or interval)
+        count = interval / self.step
         if abs(count - round(count)) > 1e-6 * count or count < 0.5:
             raise InputError(
-                f"{self.path}: takes steps of {self.fixed_step:g} s alone, and the recording has a sample "
+                f"{self.path}: takes steps of {self.step:g} s alone, and the recording has a sample "
                 f"each {interval:.6g} s, no whole number of them; export it with a variable step or one that "
                 "fits"
             )
@@ -212,7 +258,7 @@ class FmuSimulator:
     def _inertia(self) -> Float64:
         """(M,) inertia of each motor in a first short moment: torque over acceleration."""
         out = np.zeros(len(self.axes))
-        tried = TRIED if self.fixed_step is None else 10 * self.fixed_step
+        tried = 10 * self.step or TRIED
         for i in range(out.size):
             with _Running(self) as run:
                 before = run.read(self.outputs)[i]
@@ -310,3 +356,17 @@ class _Running:
 def opened(path: Path, axes: tuple[str, ...]) -> FmuSimulator:
     """The simulator."""
     return FmuSimulator(path, axes)
+
+
+def _answer(job: Path, answer: Path) -> None:
+    """Writes what ``guide`` gives, or the InputError that it ends with."""
+    simulator, given = pickle.loads(job.read_bytes())
+    try:
+        found = simulator.guided_here(given)
+    except InputError as error:
+        found = error
+    answer.write_bytes(pickle.dumps(found))
+
+
+if __name__ == "__main__":
+    _answer(Path(sys.argv[1]), Path(sys.argv[2]))

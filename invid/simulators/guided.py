@@ -24,13 +24,12 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.optimize import minimize_scalar
 
 from invid.model.document import Model
-from invid.model.forward import dynamic_stiffness
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.recording.model import Experiment
 from invid.signals.noise import quiet_power
 from invid.signals.timebase import resample_uniformly
-from invid.simulation.laws import Laws
-from invid.simulation.plant import matrices
+from invid.simulation.laws import laws_of
+from invid.simulation.plant import Matrices, matrices
 from invid.simulation.rigid import time_offsets
 
 BANDS = 6
@@ -121,12 +120,9 @@ class Guided:
         Where the inner masses began nobody measured: their free motion behind held motors, by the chains of
         ``plant``, is taken out.
         """
-        omega = 2 * np.pi * self.frequencies
-        z = dynamic_stiffness(plant.chains, omega)
-        own = self._spectrum(guide[self.lead :])
-        away = own / (tie.stiffness + 1j * omega[:, None] * tie.damping)
-        found = own * np.exp(-1j * omega[:, None] * tie.late) + np.einsum("fij,fj->fi", z, away)
-        free, slowest = _free_motion(plant, self.interval, guide.shape[0] - self.lead)
+        asked = _asked(guide, tie, plant, self.interval)[guide.shape[0] - self.torque.shape[0] + self.lead :]
+        found = self._spectrum(asked)
+        free, slowest = _free_motion(plant, self.interval, asked.shape[0])
         if not free.shape[0]:
             return found, np.zeros((2, 0))
         # Times t as well: an engine's modes decay and turn a little otherwise than the chains'.
@@ -134,9 +130,16 @@ class Guided:
         left, _ = _without(found, [self._spectrum(f) for f in both])
         first = min(free.shape[1], round(EARLY / slowest / self.interval))
         fall = np.cos(0.5 * np.pi * np.linspace(0.0, 1.0, first)) ** 2
-        early = [self._early(f[:first], fall) for f in (guide[self.lead :], *free)]
+        early = [self._early(f[:first], fall) for f in (guide[-asked.shape[0] :], *free)]
         _, began = _without(early[0], early[1:])
         return left, began.reshape(2, -1)
+
+    def blurred(self, step: float, model: Model) -> Float64:
+        """(F, M) power of the torque by which a right plant is wrong if solved in a fixed ``step`` [s]."""
+        omega = 2 * np.pi * self.frequencies
+        apart = motor_stiffness(model, omega, step) - motor_stiffness(model, omega)
+        torque = np.einsum("fij,fj->fi", apart, self._spectrum(self.position[self.lead :]))
+        return np.asarray(np.abs(torque) ** 2)
 
     def _early(self, x: Float64, fall: Float64) -> Complex128:
         hz = np.fft.rfftfreq(fall.size, self.interval).astype(np.float64)
@@ -164,8 +167,8 @@ class Guided:
         now = Sampling(self.sampling.later + by.later, self.sampling.held + by.held)
         return replace(self, torque=torque, sampling=now)
 
-    def run_in(self) -> tuple[int, Guided]:
-        """Samples more, and the record with its first period ``RUN_IN`` times before it.
+    def run_in(self) -> Guided:
+        """The record with its first period ``RUN_IN`` times before it.
 
         Where it begins in motion and repeats; else nothing more.
         """
@@ -173,9 +176,8 @@ class Guided:
         drift = self.position[n] - self.position[0]
         before = [self.position[:n] - k * drift for k in range(RUN_IN, 0, -1)]
         torque = np.concatenate([*[self.torque[:n]] * RUN_IN, self.torque])
-        more = RUN_IN * n
-        lead, position = self.lead + more, np.concatenate([*before, self.position])
-        return more, replace(self, lead=lead, torque=torque, position=position)
+        lead, position = self.lead + RUN_IN * n, np.concatenate([*before, self.position])
+        return replace(self, lead=lead, torque=torque, position=position)
 
     def noisier(self, rng: np.random.Generator) -> Guided:
         """The same with as much noise again."""
@@ -211,7 +213,7 @@ class Guided:
     def floor(self, model: Model) -> Float64:
         """(F, M) power that the noise of torque and encoder leaves a line, through the plant of ``model``."""
         torque, position = self.noise
-        z = np.abs(dynamic_stiffness(model.chains, 2 * np.pi * self.frequencies)) ** 2
+        z = np.abs(motor_stiffness(model, 2 * np.pi * self.frequencies)) ** 2
         return np.asarray(2.0 / (self.torque.shape[0] - self.lead) * (torque + z @ position))
 
 
@@ -238,10 +240,50 @@ def _without(x: Complex128, columns: Sequence[Complex128]) -> tuple[Complex128, 
     return (left[: x.size] + 1j * left[x.size :]).reshape(x.shape), share / size
 
 
+def _asked(guide: Float64, tie: Tie, plant: Model, interval: float) -> Float64:
+    """(n, M) torque of the guide, and what its lag would have asked the plant for more: e + Z e/(k + jωd).
+
+    Before any window: near an antiresonance Z turns faster than a window's lines stand apart.
+    """
+    count = guide.shape[0]
+    fall = np.cos(0.5 * np.pi * np.linspace(0.0, 1.0, count)) ** 2
+    padded = np.concatenate([guide, guide[-1] * fall[:, None]])
+    omega = 2 * np.pi * np.fft.rfftfreq(2 * count, interval).astype(np.float64)
+    away = np.fft.rfft(padded, axis=0) / (tie.stiffness + 1j * omega[:, None] * tie.damping)
+    more = np.zeros_like(away)
+    more[1:] = np.einsum("fij,fj->fi", motor_stiffness(plant, omega[1:]), away[1:])
+    late = np.fft.rfft(padded, axis=0) * np.exp(-1j * omega[:, None] * tie.late)
+    return np.asarray(np.fft.irfft(late + more, 2 * count, axis=0)[:count])
+
+
+def _linear(plant: Model) -> Matrices:
+    """Matrices of the chains with all their viscous damping, that of the effects too."""
+    damping = tuple(t for t in plant.effects if t.cause in ("viscous_friction", "spring_damping"))
+    return matrices(plant.chains, laws_of(plant.chains, damping))
+
+
+def motor_stiffness(plant: Model, omega: Float64, step: float = 0.0) -> Complex128:
+    """(F, M, M) dynamic stiffness at the motors, at ω > 0 [rad/s].
+
+    With all the damping: at an antiresonance that alone bounds it, and a soft guide is far off there. By
+    semi-implicit Euler of so long a ``step`` [s], if given: ω is sin(ωh/2)·2/h, and damping is late by h/2.
+    """
+    made, w = _linear(plant), np.asarray(omega)[:, None, None]
+    turn = np.exp(-0.5j * step * w)
+    if step:
+        w = 2.0 / step * np.sin(0.5 * step * w)
+    dynamic = made.stiffness + 1j * w * turn * made.damping - w**2 * made.mass
+    motors = plant.chains.motor_dofs
+    inner = np.setdiff1d(np.arange(made.mass.shape[0]), motors)
+    to = dynamic[:, motors[:, None], inner]
+    bent: Complex128 = to @ np.linalg.solve(dynamic[:, inner[:, None], inner], to.transpose(0, 2, 1))
+    return np.asarray(dynamic[:, motors[:, None], motors] - bent)
+
+
 def _free_motion(plant: Model, interval: float, count: int) -> tuple[Float64, float]:
     """(2 inner masses, count, M): torque on held motors after a unit of each inner position and velocity; the
     lowest frequency in it [Hz]."""
-    made = matrices(plant.chains, Laws())
+    made = _linear(plant)
     motors = plant.chains.motor_dofs
     inner = np.setdiff1d(np.arange(made.mass.shape[0]), motors)
     n = inner.size
@@ -269,6 +311,8 @@ class Simulator(Protocol):
     """Its engine with the version: "MuJoCo 4.0.0"."""
     restarts: bool
     """Whether its inner masses can be started anywhere."""
+    step: float
+    """The one step [s] it takes; 0 where it takes any."""
 
     def prepared(self, records: Sequence[Guided]) -> list[str]:
         """In sentences, what of the file is not simulated as it stands, and why."""
@@ -278,6 +322,8 @@ class Simulator(Protocol):
 
     def guide(self, given: Guided, start: Float64 | None) -> tuple[Float64, Tie]:
         """(n, M) torque of the guide at the samples, by the engine, and the guide's numbers.
+
+        More samples than the record's are what ran before it.
 
         ``start`` (2, inner masses): positions and velocities of the inner masses beyond those of their motor,
         for an engine that can be started anywhere.

@@ -26,6 +26,7 @@ class InvidSimulator:
 
     engine = "invid"
     restarts = False
+    step = 0.0
 
     def __init__(self, path: Path, model: Model) -> None:
         self.path = str(path)

@@ -45,12 +45,14 @@ much."""
 @dataclass(frozen=True, eq=False)
 class _Missing:
     """Spectra of the missing torque of each held-out record, the floors' powers, and what noise drawn anew
-    changes by run of the simulator itself, where that was tried."""
+    changes by run of the simulator itself, where that was tried; powers that its one step adds, where it
+    takes one."""
 
     records: list[Guided]
     spectra: list[Any]
     floors: list[Float64]
     tried: list[Float64] | None = None
+    blurred: list[Float64] | None = None
 
     def rms(self, axis: int, low: float = 0.0, high: float = math.inf) -> tuple[float, float]:
         """Rms and floor of one axis over a band, mean over the records."""
@@ -61,6 +63,12 @@ class _Missing:
 
         floor = max(mean(self.floors), 0.0 if self.tried is None else mean(self.tried))
         return math.sqrt(mean([np.abs(x) ** 2 for x in self.spectra])), math.sqrt(floor)
+
+    def coarse(self, axis: int) -> float:
+        """Rms of the floor and of what its one step may add; 0 where it takes any step."""
+        if self.blurred is None:
+            return 0.0
+        return math.hypot(*replace(self, spectra=[np.sqrt(p) for p in self.blurred]).rms(axis))
 
     def moved(self, axis: int) -> float:
         """Floors of a linear plant that noise alone makes of one axis."""
@@ -82,9 +90,14 @@ def judge(
     after, written = None, None
     right = all(_at_floor(before, i) for i in range(recording.axis_count))
     gear = None if claimed is None or right else _gear(claimed, model)
+    coarse = not right and all(
+        _at_floor(before, i) or before.rms(i)[0] <= RIGHT * before.coarse(i)
+        for i in range(recording.axis_count)
+    )
+    compared = not right and gear is None and not coarse
     if corrected is not None and not right and gear is not None:
         warnings.append("no corrected copy is written: the map's 'scale' is to be set, not the simulator")
-    elif corrected is not None and not right:
+    elif corrected is not None and compared:
         try:
             copy, cannot_hold = simulator.corrected(model, corrected)
             after, written = _missing(copy, records, model), str(corrected)
@@ -104,8 +117,8 @@ def judge(
         "simulator": simulator.path,
         "engine": simulator.engine,
         "right": right,
-        "parameters": [] if right or gear is not None else parameters,
-        "missing": [] if right or gear is not None else [effect_to_json(t) for t in missing],
+        "parameters": parameters if compared else [],
+        "missing": [effect_to_json(t) for t in missing] if compared else [],
         "held_out": {k: _whole(axes, k) for k in ("before", "after", "noise_floor")},
         "axes": axes,
         "experiments": [g.key for g in records],
@@ -113,8 +126,14 @@ def judge(
         "cannot_hold": list(cannot_hold),
         "warnings": warnings,
     }
-    compared = not right and gear is None
     out["sentences"] = _sentences(out, missing if compared else [], claimed, diagnosis)
+    if coarse:
+        worst = max(before.coarse(i) / before.rms(i)[1] for i in range(recording.axis_count))
+        out["sentences"].insert(
+            1,
+            f"Its step of {simulator.step:g} s is too coarse to judge it: a right simulator of that step may "
+            f"miss {worst:.3g} times what noise leaves. Export it with a smaller or a variable step.",
+        )
     if gear is not None:
         one, other = ("motor", "joint") if gear > 1.0 else ("joint", "motor")
         turns = max(gear, 1.0 / gear)
@@ -158,6 +177,8 @@ def _missing(simulator: Simulator, records: list[Guided], model: Model) -> _Miss
     plant = simulator.claimed() or model
     found = missed(simulator, records, plant)
     out = _Missing(found.records, found.spectra, [g.floor(model) for g in records])
+    if simulator.step:
+        out = replace(out, blurred=[g.blurred(simulator.step, plant) for g in found.records])
     over = [rms / floor for rms, floor in map(out.rms, range(len(model.axes)))]
     return replace(out, tried=moved_by_noise(simulator, found, plant)) if max(over) > RIGHT else out
 

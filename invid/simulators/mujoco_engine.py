@@ -31,6 +31,7 @@ class MujocoSimulator:
     """An XML whose actuators drive the recorded axes, one a motor."""
 
     restarts = True
+    step = 0.0
     left_out: Sequence[str] = ()
     """Shapes that are not read."""
 

@@ -275,14 +275,36 @@ def busmaster(folder: Path, *, base: str) -> Path:
     return path
 
 
+def shown(folder: Path, *, kind: str) -> Path:
+    """What Kvaser's CanKing and `candump -t A` print."""
+    lines = ["Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir"] * (
+        kind == "canking"
+    )
+    start = datetime(2023, 11, 14, 23, 59, 59, 900_000)
+    for k in ROW:
+        for shift, number, data in ((0, 0x80, b""), (200, 0x181, payload(k))):
+            us, cells = 1000 * int(k) + shift, " ".join(f"{b:02X}" for b in data)
+            if kind == "canking":
+                lines.append(f"0    {number:08X}         {len(data)}  {cells:24s}  {us / 1e6:.6f} R")
+            else:
+                stamp = f"{start + timedelta(microseconds=us):%Y-%m-%d %H:%M:%S.%f}"
+                lines.append(f" ({stamp})  can0  {number:03X}   [{len(data)}]  {cells}")
+    path = folder / "shown.txt"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
 @pytest.mark.parametrize(
-    "kind", ["gvret", "gvret without direction", "busmaster", "busmaster in decimals", "trc"]
+    "kind",
+    ["gvret", "gvret without direction", "busmaster", "busmaster in decimals", "canking", "dates", "trc"],
 )
 def test_can_logs_of_other_tools_are_read(tmp_path, capsys, kind):
     if kind.startswith("gvret"):
         log = gvret(tmp_path, way=kind == "gvret")
     elif kind.startswith("busmaster"):
         log = busmaster(tmp_path, base="HEX" if kind == "busmaster" else "DEC")
+    elif kind in ("canking", "dates"):
+        log = shown(tmp_path, kind=kind)
     else:
         log = tmp_path / "t.trc"
         with can.Logger(str(log)) as writer:
