@@ -10,16 +10,22 @@ import numpy as np
 from invid.config import CellConfig
 from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.belief import Belief
-from invid.planning.model import AxisForecast, Plan, PlannedExperiment, Trial
+from invid.planning.model import AxisForecast, Doublet, Plan, PlannedExperiment, Trial
 from invid.planning.phases import (
+    FREE_HZ,
     REST_S,
+    SIGN_FIRST_S,
+    SIGN_LAST_S,
     SIGN_TRAVEL,
+    doublet_torque,
     excerpt,
     sign_amplitude,
     sign_doublet,
     sign_doublets,
+    sign_wanted,
 )
 from invid.planning.response import Motion, foretold_motion, held_by_drive, hold_gains
+from invid.signals import excitation
 
 MARGIN = 1.25
 """Announced motion and torque over those that the model predicts. Empirical: models from an identification
@@ -34,6 +40,8 @@ USABLE_SHARE = 0.95
 LARGEST_SPREAD = 10.0
 """Largest spread with which a trial says anything about the experiments: its axis hardly moved beyond
 that."""
+ENOUGH = 1.3
+"""Of the motion that a sign trial wants a doublet is laid out for: friction and a changed load leave less."""
 DOUBLETS_MOTION = 3.0
 """Motion in the doublets over that of one from rest: each begins where the one before left the axis moving.
 Empirical (``tests/machines/test_announced.py``)."""
@@ -124,6 +132,27 @@ def model_trials(
         whole = highest([peaks[k].motion for k in trial.covers], len(config.axes))
         spread = frozen_float(np.clip(whole / own, 1.0, LARGEST_SPREAD))
         found.append(replace(trial, spread=spread, usual=spread))
+    return tuple(found)
+
+
+def foretold_doublets(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief
+) -> tuple[Doublet | None, ...]:
+    """The shortest doublet that moves each shaken axis as far as its sign trial wants; ``None`` where the
+    longest does not, or the axis is held."""
+    found: list[Doublet | None] = [None] * len(config.axes)
+    for i in {i for e in experiments for i in e.excited}:
+        amplitude, _ = sign_amplitude(config, experiments, i)
+        settings = config.axes[i]
+        wanted = ENOUGH * sign_wanted(settings.limits, settings.position_per_count or 0.0)
+        length = 2 * SIGN_FIRST_S
+        while found[i] is None and length <= SIGN_LAST_S:
+            wave = amplitude * excitation.doublet(round(length / config.bus.cycle_s))
+            moved = foretold_motion(config, doublet_torque(config, i, wave, FREE_HZ), belief).position[:, i]
+            far = float(np.abs(moved).max())
+            if far >= wanted:
+                found[i] = Doublet(length, amplitude * length**2 / (16 * far))
+            length *= 2**0.25
     return tuple(found)
 
 

@@ -79,6 +79,15 @@ class PhasePlan:
 
 
 @dataclass(frozen=True, eq=False)
+class Doublet:
+    """What a model foretells of the doublet that moves an axis far enough to tell its signs."""
+
+    length_s: float
+    inertia: float
+    """The rigid one that would move as far [kg·m² or kg]."""
+
+
+@dataclass(frozen=True, eq=False)
 class Trial:
     """Trial at a small amplitude for the experiments that it stands for.
 
@@ -144,6 +153,8 @@ class Plan:
     rest_s: float
     budget: BusBudget
     forecast: tuple[AxisForecast, ...]
+    doublets: tuple[Doublet | None, ...]
+    """By the model, for each axis that is shaken."""
     warnings: tuple[str, ...] = ()
     trials: tuple[Trial, ...] = ()
     phases: tuple[PhasePlan, ...] = ()

@@ -27,7 +27,7 @@ from invid.planning.phases import (
 )
 from invid.signals.excitation import doublet
 from invid.sweep import trials
-from invid.sweep.inertia import ELASTIC, ELASTIC_S, Branch, compare, rigid_branch
+from invid.sweep.inertia import AGREES, ELASTIC, ELASTIC_S, Branch, compare, rigid_branch
 from invid.sweep.motion import Feedback, Log, Motion
 from invid.sweep.ports import Mode
 
@@ -95,6 +95,7 @@ class SignTrial:
             for i, a in enumerate(motion.config.axes)
             if self._modes[i] is Mode.TORQUE
         ]
+        self._foretold = None if motion.by_offset(axis) else motion.plan.doublets[axis]
         self._spoilt: list[trials.Response] = []
         self._seen: list[trials.Response] = []
         self._still: list[bool] = []
@@ -116,9 +117,11 @@ class SignTrial:
         if not motion.by_offset(axis):
             name, rated, unit = self._settings.name, self._rated, self._torque_unit
             trials.judge_scale(name, self._seen, rated=rated, torque_unit=unit)
-        branch = self._weigh(last, amplitude, length)
+        shown = self._shown_over_foretold(last.response, length)
+        branch = self._branch(last.log) if shown is not None else self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         known = self._stated[0] if self._stated is not None else last.response.inertia
+        known *= max(1.0, shown or 1.0)  # a heavier load than the model's takes longer to stop
         self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
@@ -183,7 +186,7 @@ class SignTrial:
         """Bring the axis gently back to where it stood."""
         self._motion.inertia[self._axis] = inertia
         self._motion.centre({self._axis}, lowest=CATCH_HZ)
-        self._motion.play(None, round(SIGN_CATCH_S / self._motion.plan.cycle_s))
+        self._motion.until_still({self._axis}, SIGN_CATCH_S)
 
     def _grow(self) -> tuple[float, float, Trial]:
         """Play stronger, then longer, then again stronger doublets until the axis has moved; return the
@@ -227,13 +230,21 @@ class SignTrial:
             if found.displacement < ONE_COUNT * self._count and self._passed_on(trial.log):
                 break
             if length * 2 <= SIGN_LAST_S:
-                length *= 2
+                length = self._next_length(length, found.displacement)
                 continue
             if amplitude * TRIAL_CLIMB > self._most or found.displacement >= wanted:
                 break
             # What holds it against a small torque is most often friction; a stronger doublet starts short.
             amplitude, length = TRIAL_CLIMB * amplitude, TRIAL_AGAIN_S
         return amplitude, length, trial
+
+    def _next_length(self, length: float, moved: float) -> float:
+        """Twice as long; where a model says which length suffices that one, if what has moved so far does not
+        go too far in it by itself."""
+        if self._foretold is None or moved < LEAST_COUNTS * self._count:
+            return 2 * length
+        far = length * float(np.sqrt(SIGN_FAR * self._settings.limits.position / moved))
+        return max(2 * length, min(self._foretold.length_s, far))
 
     # --- verdicts ------------------------------------------------------------------------------
     def _require_torque(self, found: trials.Response, amplitude: float) -> None:
@@ -326,6 +337,17 @@ class SignTrial:
             branch = self._probe() or branch
             self._motion.done_s = done  # no part of the plan
         return branch
+
+    def _shown_over_foretold(self, found: trials.Response, length: float) -> float | None:
+        """Return the inertia that this doublet showed over that which a model foretells of it.
+
+        ``None`` where nothing is foretold of it, or they differ so much that slower doublets must weigh it.
+        """
+        told = self._foretold
+        if told is None or abs(length - told.length_s) > self._motion.plan.cycle_s:
+            return None
+        ratio = found.inertia / told.inertia
+        return ratio if 1.0 / AGREES <= ratio <= AGREES else None
 
     def _strayed(self, last: Trial) -> bool:
         """Return whether the axis is further from where it stood than a doublet may take it.

@@ -10,7 +10,7 @@ from invid.config import CellConfig
 from invid.errors import ConfigError, InputError
 from invid.planning.belief import Belief, guess
 from invid.planning.forecast import turning_back
-from invid.planning.goal import GoalPlan, plan_for_goal
+from invid.planning.goal import GoalPlan, GoalWish, plan_for_goal
 from invid.recording import Recording, read_recording
 from invid_drivers.cli.measure import parse_goal
 from invid_drivers.foretelling import sensor_noise
@@ -55,7 +55,7 @@ def test_no_block_exceeds_torque_travel_or_velocity(cell: CellConfig, belief: Be
 def test_a_goal_beyond_the_limits_is_refused_with_the_figure_that_can_be_reached(
     cell: CellConfig, belief: Belief
 ) -> None:
-    design = plan_for_goal(cell, belief, sensor_noise(cell), 1e-5, max_duration_s=13.0)
+    design = plan_for_goal(cell, belief, sensor_noise(cell), 1e-5, GoalWish(max_duration_s=13.0))
     assert not design.reachable
     _, *blocks = design.plan.recorded
     assert sum(e.cycles for e in blocks) * design.plan.cycle_s <= 13.0
@@ -71,7 +71,7 @@ def test_a_parameter_that_no_excited_axis_reaches_is_named_not_planned_for(
     cell: CellConfig, belief: Belief
 ) -> None:
     lonely = replace(belief, chains=replace(belief.chains, couplings=np.zeros((3, 3))))
-    design = plan_for_goal(cell, lonely, sensor_noise(cell), 0.01, axes=["A1"], max_duration_s=7.0)
+    design = plan_for_goal(cell, lonely, sensor_noise(cell), 0.01, GoalWish(["A1"], max_duration_s=7.0))
     assert not design.reachable
     assert design.expected.worst[0].startswith(("A2", "A3"))
     assert design.expected.worst[0] in design.sentence
@@ -121,7 +121,7 @@ def test_a_goal_is_a_percentage_or_a_share() -> None:
 
 def test_an_axis_that_is_not_there_is_refused(cell: CellConfig, belief: Belief) -> None:
     with pytest.raises(ConfigError, match="B7"):
-        plan_for_goal(cell, belief, sensor_noise(cell), 0.01, axes=["B7"])
+        plan_for_goal(cell, belief, sensor_noise(cell), 0.01, GoalWish(["B7"]))
 
 
 @pytest.mark.campaign
