@@ -108,6 +108,8 @@ class Trial:
     recorded_share: float = 0.0
     """Share of its amplitude at which its second step, the climb, is expected to be recorded as an
     experiment of its own; 0: it is not recorded."""
+    is_foretold: bool = False
+    """Whether a model says what it does: the first step is left out where the doublets moved every axis so."""
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,8 @@ SIGN_EDGE_S = 0.04
 SLOW_WINDOW, SLOW_SHARE = 0.04, 0.2
 """The slow doublet that weighs an axis whose inertia is stated: aims at 4 % of the window with a fifth of the
 trial's amplitude, which friction leaves more of than of less."""
+SLOW_S = 0.5
+"""Shortest doublet that weighs an axis: it moves as a whole (empirical, ``invid.sweep.inertia``)."""
 SIGN_STEPS = 2
 """Doublets of the shortest length at smaller torques before the first: a scale may be ten times wrong."""
 CATCH_HZ = 3.0
@@ -314,7 +316,8 @@ def phases_of(
 
     for number, trial in enumerate(trials):
         cycles = change(trial.experiment.excited)
-        cycles += sum(excerpt(config, trial, step).cycles + rest for step in (0, 1))
+        steps = (1,) if trial.is_foretold else (0, 1)
+        cycles += sum(excerpt(config, trial, step).cycles + rest for step in steps)
         found.append(PhasePlan(Step.TRIAL, number, "trying the amplitude", cycles))
         resting = trial.experiment.excited
     for number, e in enumerate(experiments):

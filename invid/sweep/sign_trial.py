@@ -102,8 +102,9 @@ class SignTrial:
         self._home = 0.0
         self._calm: Float64 | None = None
 
-    def run(self) -> None:
-        """Try one axis; SafetyStop where signs or scales are wrong, or nothing moves."""
+    def run(self) -> bool:
+        """Try one axis, and return whether it moves as a model foretells; SafetyStop where signs or scales are
+        wrong, or nothing moves."""
         motion, axis = self._motion, self._axis
         motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
         self._home = motion.place[axis]
@@ -126,6 +127,7 @@ class SignTrial:
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
         motion.watching.bounds.near = {}
+        return shown is not None
 
     # --- doublets ------------------------------------------------------------------------------
     def _play(self, amplitude: float, length: float) -> Trial:
@@ -194,7 +196,9 @@ class SignTrial:
         """
         limits = self._settings.limits
         # The slope is of the sampled position, so the axis must move many counts.
-        wanted = sign_wanted(limits, self._count)
+        wanted, suffices = sign_wanted(limits, self._count), 0.0
+        if self._foretold is not None:
+            wanted, suffices = SIGN_COUNTS * self._count, self._foretold.length_s - self._motion.plan.cycle_s
         far = SIGN_MOST * limits.position
         least = LEAST_STEPS / 1000 * self._rated
         shares = [s for s in FIRST_SHARES if s == 1.0 or s * self._amplitude >= least]
@@ -223,7 +227,8 @@ class SignTrial:
                 doubted = True
                 self._seen.clear()
                 continue
-            if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
+            shown = found.displacement >= wanted and length >= suffices
+            if sign < -trials.DECISIVE or (shown and sign > trials.DECISIVE):
                 break
             if found.displacement > far:
                 break
