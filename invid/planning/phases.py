@@ -18,8 +18,8 @@ SETTLE_S = 0.3
 """Held by the drives before anything else, to measure the torque that the holds need (gravity)."""
 REST_S = 1.0
 """Longest pause between experiments in which the hold brings every axis back to its place."""
-RESTED_S, SIGN_CAUGHT_S = 0.7, 0.4
-"""What that pause, and the catch after the doublets, usually take (case study)."""
+RESTED_S, SIGN_CAUGHT_S = 0.9, 0.5
+"""What that pause, and the catch after the doublets, usually take where a model is known (case study)."""
 FADE_S = 0.5
 """Least length of the raised-cosine start and end of an excitation."""
 FIRST_S, CLIMB_S = 5.0, 10.0
@@ -143,7 +143,7 @@ def sign_seconds(
     slow = np.sqrt(16 * inertia * SLOW_WINDOW * settings.limits.position / (SLOW_SHARE * amplitude))
     if slow > length:
         seconds += min(float(slow), SIGN_LAST_S) + SIGN_QUIET_S
-    return seconds + SIGN_CAUGHT_S
+    return seconds + SIGN_CATCH_S
 
 
 def sign_doublet(config: CellConfig, axis: int, amplitude: float, inertia: float) -> PlannedExperiment:
@@ -297,7 +297,8 @@ def phases_of(
     ``weights``: inertia of each axis and its doublet, where they are known.
     """
     cycle = config.bus.cycle_s
-    rest = round(RESTED_S / cycle)
+    known = all(doublet is not None for _, doublet in weights)
+    rest = round((RESTED_S if known else REST_S) / cycle)
     found = [PhasePlan(Step.SETTLE, 0, "settling", round(SETTLE_S / cycle))]
     for i in sorted({i for e in experiments for i in e.excited}):
         seconds = sign_seconds(config, i, sign_amplitude(config, experiments, i)[0], *weights[i])

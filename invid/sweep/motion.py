@@ -472,8 +472,13 @@ class Motion:
         return log
 
     def until_still(self, axes: set[int], longest_s: float) -> Log:
-        """Go on with the feedback until the axes rest at their places, ``longest_s`` at most."""
+        """Go on with the feedback, with axes of a model until they rest at their places, at most so long.
+
+        What swings behind a motor that stands is known to be slow or not by a model only.
+        """
         cycle = self.plan.cycle_s
+        if any(self.plan.doublets[i] is None for i in axes):
+            return self.play(None, round(longest_s / cycle))
         left, part = round(longest_s / cycle), max(1, round(STILL_S / 2 / cycle))
         logs: list[Log] = []
         while left > 0:
