@@ -438,6 +438,7 @@ class Motion:
             if held is not None:
                 feedback.append(Feedback(i, held, self.bias[i], limit))
         self.change(modes, feedback)
+        self.watching.bounds.obedience.shake(excited)
         self.led = set(excited)
         self.watching.held = set(range(self.count)) - excited
 
