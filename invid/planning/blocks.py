@@ -78,7 +78,9 @@ class BlockDesigner:
             self._fit_prices(length)
         made = self._build_block(length, number)
         # laid out for the first block; the climb and the others have other lines and phases
-        over = max((ratio for *_, ratio in self._excess_over_limits(made)), default=1.0) if number != 1 else 1.0
+        over = (
+            max((ratio for *_, ratio in self._excess_over_limits(made)), default=1.0) if number != 1 else 1.0
+        )
         return replace(made, torque=frozen_float(made.torque / over))
 
     def _fit_prices(self, length: float) -> None:

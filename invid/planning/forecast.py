@@ -18,13 +18,13 @@ from invid.planning.phases import (
     SIGN_LAST_S,
     SIGN_MOST,
     SIGN_TRAVEL,
+    SLOW_S,
     doublet_torque,
     excerpt,
     sign_amplitude,
     sign_doublet,
     sign_doublets,
     trial_shares,
-    SLOW_S,
 )
 from invid.planning.response import Motion, foretold_motion, held_by_drive, hold_gains
 from invid.signals import excitation
@@ -152,7 +152,9 @@ def model_trials(
         )
         hidden = np.clip(slides / np.maximum(sticks, 1e-300), 1.0, MOST_GROWTH)
         single = spread * np.concatenate((hidden, np.ones((1, len(config.axes)))))
-        found.append(replace(trial, spread=frozen_float(single), usual=frozen_float(single), is_foretold=True))
+        found.append(
+            replace(trial, spread=frozen_float(single), usual=frozen_float(single), is_foretold=True)
+        )
     return tuple(found)
 
 
