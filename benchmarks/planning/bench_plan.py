@@ -217,8 +217,8 @@ PLANS = {
     "settled periods": (settled, np.inf, 0, 0.1),
     "default": (default, 60.0, 6, 1.0),
     "--goal 1%": (goal, 25.0, 0, 1.0),
-    "--screen": (unchanged, 12.0, 0, 0.5),
-    "--screen changed": (changed, 12.0, 0, 0.5),
+    "--screen": (unchanged, 12.0, 0, 1.0),
+    "--screen changed": (changed, 12.0, 0, 1.0),
     "stepped sine": (stepped, np.inf, 0, 0.05),
 }
 

@@ -109,7 +109,7 @@ class Trial:
     """Share of its amplitude at which its second step, the climb, is expected to be recorded as an
     experiment of its own; 0: it is not recorded."""
     is_foretold: bool = False
-    """Whether a model says what it does: the first step is left out where the doublets moved every axis so."""
+    """Whether a model says what it does: the first step is left out where doublets moved every axis so."""
 
 
 @dataclass(frozen=True)

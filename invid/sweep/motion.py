@@ -33,8 +33,8 @@ FADE_S = 0.1
 """A stop on request fades the torque out in this time before the quick stop."""
 PROGRESS_S = 0.2
 STILL_S, STILL_SHARE = 0.2, 0.01
-"""An axis rests that keeps within this share of its window around its place so long, and within the same share
-of the way on which its velocity limit would take it. What is left adds so little to what it is shaken by."""
+"""An axis rests that keeps so long within this share of its window around its place, and within the same
+share of the way on which its velocity limit would take it: so little is added to what it is shaken by."""
 CATCH_SHARE, CATCH_LEAST_HZ = 0.5, 0.2
 """Bringing an axis back to rest takes no more than half of the announced torque, if a weak hold can do it."""
 

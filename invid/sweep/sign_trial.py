@@ -103,8 +103,8 @@ class SignTrial:
         self._calm: Float64 | None = None
 
     def run(self) -> bool:
-        """Try one axis, and return whether it moves as a model foretells; SafetyStop where signs or scales are
-        wrong, or nothing moves."""
+        """Try one axis, and return whether it moves as a model foretells; SafetyStop where signs or scales
+        are wrong, or nothing moves."""
         motion, axis = self._motion, self._axis
         motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
         self._home = motion.place[axis]
