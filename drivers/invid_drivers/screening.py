@@ -13,7 +13,7 @@ from invid.config import CellConfig
 from invid.model.document import Model
 from invid.planning.belief import Belief, from_model
 from invid.planning.expected_covariance import Noise
-from invid.planning.goal import GoalPlan, plan_for_goal
+from invid.planning.goal import GoalPlan, GoalWish, plan_for_goal
 from invid.recording import read_recording
 from invid.sweep import Progress
 from invid_drivers.measurement import MeasurementResult, measure_to_file
@@ -39,7 +39,8 @@ def screening_plan(
     config: CellConfig, belief: Belief, noise: Noise, *, amplitude_scale: float = 1.0
 ) -> GoalPlan:
     """The plan of a screening: the blocks that its goal needs, at least two, on all axes, without reserve."""
-    design = plan_for_goal(config, belief, noise, SCREEN_GOAL, amplitude_scale=amplitude_scale)
+    wish = GoalWish(amplitude_scale=amplitude_scale, is_from_model=True)
+    design = plan_for_goal(config, belief, noise, SCREEN_GOAL, wish)
     # the climb alone is too weak to tell which of two coupled axes changed
     needed = max(design.needed, 2)
     plan = design.plan.first(needed - 1)

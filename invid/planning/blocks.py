@@ -72,12 +72,15 @@ class BlockDesigner:
         return expected(self.config, numbered, self.belief, self.noise)
 
     def block(self, length: float, number: int) -> PlannedExperiment:
-        """One block, within travel and velocity by the belief."""
+        """One block, within travel and velocity by the belief; number 0 is the climb, every line on all axes:
+        the watch over signs learns on it how each follows its torque."""
         if length != self.length:
             self._fit_prices(length)
         made = self._build_block(length, number)
-        # laid out for the first block; the others have other phases
-        over = max((ratio for _, _, ratio in self._excess_over_limits(made)), default=1.0) if number else 1.0
+        # laid out for the first block; the climb and the others have other lines and phases
+        over = (
+            max((ratio for *_, ratio in self._excess_over_limits(made)), default=1.0) if number != 1 else 1.0
+        )
         return replace(made, torque=frozen_float(made.torque / over))
 
     def _fit_prices(self, length: float) -> None:
@@ -90,7 +93,7 @@ class BlockDesigner:
         self.reduced = np.ones(len(self.config.axes))
         self.touched.clear()
         for attempt in range(MOST_PRICINGS + 4):
-            over = self._excess_over_limits(self._build_block(length, 0))
+            over = self._excess_over_limits(self._build_block(length, 1))
             if not over:
                 return
             # Less torque moves less: travel and speed have their price after that.
@@ -123,7 +126,9 @@ class BlockDesigner:
         spacing = 1.0 / (period * cycle)
         first = max(1, int(np.ceil(self.band[0] / spacing - 1e-9)))
         lines = np.arange(first, int(np.floor(self.band[1] / spacing + 1e-9)) + 1)
-        axis = interleaved(lines, self.excited, number)
+        spread, axis = lines, interleaved(lines, self.excited, number)
+        if number == 0:
+            spread, axis = np.tile(lines, len(self.excited)), np.repeat(self.excited, lines.size)
         peaks = self.peaks
         torque = np.zeros((period, len(config.axes)))
         shell = PlannedExperiment(
@@ -135,11 +140,11 @@ class BlockDesigner:
             attributes={
                 "seed": self.seed + number,
                 "amplitude": self.share,
-                "lines": "interleaved",
+                "lines": "interleaved" if number else "all",
                 "from_rest": True,
             },
         )
-        design = self._design(lines, spacing, axis, shell)
+        design = self._design(spread, spacing, axis, shell)
         rng = np.random.default_rng((self.seed, number))
         for i in self.excited:
             own, amplitude = design.of(i)

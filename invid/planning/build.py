@@ -20,8 +20,15 @@ from invid.model.chains import CoupledChains
 from invid.numerics.arrays import Float64, Int64, frozen_float
 from invid.planning.belief import Belief, rigid
 from invid.planning.budget import require_budget
-from invid.planning.forecast import fitted, limit_forecast, model_forecast, model_trials, scale_torque
-from invid.planning.model import Plan, PlannedExperiment
+from invid.planning.forecast import (
+    fitted,
+    foretold_doublets,
+    limit_forecast,
+    model_forecast,
+    model_trials,
+    scale_torque,
+)
+from invid.planning.model import Doublet, Plan, PlannedExperiment
 from invid.planning.phases import (
     CLIMB_CYCLES,
     FADE_S,
@@ -168,15 +175,18 @@ def assemble(
     played = scale_torque([*([] if climb is None else [climb]), *experiments], kept)
     played = tuple(replace(e, key=f"{k:03d}") for k, e in enumerate(played))
     sentences: list[str] = []
+    doublets: tuple[Doublet | None, ...]
     inertia: list[float | None] = [a.inertia for a in config.axes]
     if belief is not None and known:
         inertia = [a.inertia or float(m) for a, m in zip(config.axes, belief.inertia, strict=True)]
         played, peaks, is_lowered = fitted(config, played, belief, share, kept)
         sentences += is_lowered
+        doublets = foretold_doublets(config, played[first:], belief)
         trials = trials_of(config, played[first:], climb and played[0])
         trials = model_trials(config, trials, peaks[first:], belief)
         expected = model_forecast(config, played, peaks, belief)
     else:
+        doublets = (None,) * len(inertia)
         rough_peaks = rigid(config) if belief is None else None
         if rough_peaks is not None:
             played, _, is_lowered = fitted(config, played, rough_peaks, share, kept)
@@ -191,9 +201,10 @@ def assemble(
         rest_s=REST_S,
         budget=require_budget(config),
         forecast=expected,
+        doublets=doublets,
         warnings=tuple(sentences),
         trials=trials,
-        phases=phases_of(config, played[first:], trials, inertia=inertia),
+        phases=phases_of(config, played[first:], trials, weights=list(zip(inertia, doublets, strict=True))),
         inertia=tuple(inertia),
         share=share,
     )

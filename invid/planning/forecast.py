@@ -10,16 +10,24 @@ import numpy as np
 from invid.config import CellConfig
 from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.belief import Belief
-from invid.planning.model import AxisForecast, Plan, PlannedExperiment, Trial
+from invid.planning.model import AxisForecast, Doublet, Plan, PlannedExperiment, Trial
 from invid.planning.phases import (
+    FREE_HZ,
     REST_S,
+    SIGN_COUNTS,
+    SIGN_LAST_S,
+    SIGN_MOST,
     SIGN_TRAVEL,
+    SLOW_S,
+    doublet_torque,
     excerpt,
     sign_amplitude,
     sign_doublet,
     sign_doublets,
+    trial_shares,
 )
 from invid.planning.response import Motion, foretold_motion, held_by_drive, hold_gains
+from invid.signals import excitation
 
 MARGIN = 1.25
 """Announced motion and torque over those that the model predicts. Empirical: models from an identification
@@ -31,9 +39,15 @@ READING_NOISE = 0.03
 """Noise of 0x6077 as a share of rated torque: six standard deviations of 0.5 %, as the watch allows."""
 USABLE_SHARE = 0.95
 """Share of a limit that what is announced may use."""
+MOST_GROWTH = 1.6
+"""A straight line through zero at a tenth of the amplitude and the motion at a third rises so much; one that
+begins later has stuck there, and nothing more can be said."""
 LARGEST_SPREAD = 10.0
 """Largest spread with which a trial says anything about the experiments: its axis hardly moved beyond
 that."""
+ENOUGH, DOUBLETS = 2.0, 12
+"""A doublet is laid out for so many times the counts that a trial needs, as friction and a changed load leave
+less; lengths that are tried for it."""
 DOUBLETS_MOTION = 3.0
 """Motion in the doublets over that of one from rest: each begins where the one before left the axis moving.
 Empirical (``tests/machines/test_announced.py``)."""
@@ -117,13 +131,54 @@ def model_trials(
     peaks: Sequence[Peaks],
     belief: Belief,
 ) -> tuple[Trial, ...]:
-    """The trials with the spread that the model predicts; ``peaks`` are those of all experiments."""
+    """The trials with the spread that the model predicts; ``peaks`` are those of all experiments.
+
+    Friction takes more of the climb's torque than of theirs: what it hides there is in the spread.
+    """
     found = []
     for trial in trials:
-        own = np.maximum(peaks_of(config, excerpt(config, trial, 1), belief).motion, 1e-300)
+        climb = excerpt(config, trial, 1)
+        own = np.maximum(peaks_of(config, climb, belief).motion, 1e-300)
         whole = highest([peaks[k].motion for k in trial.covers], len(config.axes))
-        spread = frozen_float(np.clip(whole / own, 1.0, LARGEST_SPREAD))
-        found.append(replace(trial, spread=spread, usual=spread))
+        spread = np.clip(whole / own, 1.0, LARGEST_SPREAD)
+        _, share = trial_shares(config, trial.experiment)
+        at_share = replace(climb, torque=frozen_float(share * climb.torque))
+        sticks, slides = (
+            np.abs([m.position, m.velocity]).max(axis=1)
+            for m in (
+                foretold_motion(config, at_share, belief),
+                foretold_motion(config, at_share, replace(belief, coulomb=0.0 * belief.coulomb)),
+            )
+        )
+        hidden = np.clip(slides / np.maximum(sticks, 1e-300), 1.0, MOST_GROWTH)
+        single = spread * np.concatenate((hidden, np.ones((1, len(config.axes)))))
+        found.append(
+            replace(trial, spread=frozen_float(single), usual=frozen_float(single), is_foretold=True)
+        )
+    return tuple(found)
+
+
+def foretold_doublets(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief
+) -> tuple[Doublet | None, ...]:
+    """A doublet for each shaken axis that tells its signs and its weight: as long as a rigid axis is weighed
+    with, longer where it would not show, shorter where it would go far. ``None`` where none does, or the axis
+    is held."""
+    found: list[Doublet | None] = [None] * len(config.axes)
+    for i in {i for e in experiments for i in e.excited}:
+        amplitude, _ = sign_amplitude(config, experiments, i)
+        settings = config.axes[i]
+        most = SIGN_MOST * settings.limits.position
+        least = min(ENOUGH * SIGN_COUNTS * (settings.position_per_count or 0.0), most)
+        length = SLOW_S
+        for _ in range(DOUBLETS):
+            wave = amplitude * excitation.doublet(round(length / config.bus.cycle_s))
+            moved = foretold_motion(config, doublet_torque(config, i, wave, FREE_HZ), belief).position[:, i]
+            far = float(np.abs(moved).max())
+            if least <= far <= most:
+                found[i] = Doublet(length, amplitude * length**2 / (16 * far))
+                break
+            length = length / 1.2 if far > most else min(1.2 * length, SIGN_LAST_S)
     return tuple(found)
 
 

@@ -29,6 +29,8 @@ from invid.planning.phases import RECORDED_CLIMB_S, REST_S, trial_shares
 BLOCKS_S = (5.0, 6.5, 8.0, 10.0, 13.0, 16.0, 20.0)
 """Lengths of a block. Shorter than 5 s the lines lie so far apart that a fit from nothing may miss a
 resonance (empirical, modes of 4 to 8 Hz); they scale with the lowest frequency below 0.5 Hz."""
+FROM_MODEL_S = (2.5, 3.2, 4.0)
+"""And where the fit starts at a model of the cell, which says where the resonances are."""
 MARGIN = 0.9
 """The expected uncertainty must be this much below the goal: the measured one scatters about it."""
 HOPELESS_FACTOR = 2.0
@@ -91,22 +93,30 @@ class GoalPlan:
         }
 
 
-def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a person may wish of the plan
-    config: CellConfig,
-    belief: Belief,
-    noise: Noise,
-    goal: float,
-    *,
-    axes: Sequence[str] | None = None,
-    amplitude_scale: float = 1.0,
-    max_duration_s: float = 120.0,
-) -> GoalPlan:
-    """The shortest plan that is expected to reach ``goal`` (relative standard deviation).
+@dataclass(frozen=True)
+class GoalWish:
+    """What a person may wish of the plan, and what it is for.
 
-    Parameters
+    Attributes
     ----------
     axes
         Excite only these.
+    max_duration_s
+        Robot time of the blocks after the climb.
+    is_from_model
+        Whether the fit will start at the believed plant, so that blocks may be shorter.
+    """
+
+    axes: Sequence[str] | None = None
+    amplitude_scale: float = 1.0
+    max_duration_s: float = 120.0
+    is_from_model: bool = False
+
+
+def plan_for_goal(
+    config: CellConfig, belief: Belief, noise: Noise, goal: float, wish: GoalWish = GoalWish()
+) -> GoalPlan:
+    """The shortest plan that is expected to reach ``goal`` (relative standard deviation).
 
     Raises
     ------
@@ -115,15 +125,17 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
     """
     if not 0 < goal < 1:
         raise ConfigError(f"goal is {goal:g}; give a relative uncertainty such as 1% or 0.01")
-    known = require_known_axes(config, axes)
-    excited = tuple(i for i, n in enumerate(known) if axes is None or n in axes)
-    designer = BlockDesigner(config, belief, noise, excited, amplitude_scale)
+    known = require_known_axes(config, wish.axes)
+    excited = tuple(i for i, n in enumerate(known) if wish.axes is None or n in wish.axes)
+    designer = BlockDesigner(config, belief, noise, excited, wish.amplitude_scale)
+    max_duration_s = wish.max_duration_s
     require_budget(config)
 
     def plan_of(climb: PlannedExperiment, blocks: Sequence[PlannedExperiment]) -> Plan:
-        return assemble(config, blocks, belief, share=amplitude_scale, climb=climb)
+        return assemble(config, blocks, belief, share=wish.amplitude_scale, climb=climb)
 
-    lengths = [t * max(1.0, 0.5 / designer.band[0]) for t in BLOCKS_S]
+    shortest = FROM_MODEL_S if wish.is_from_model else ()
+    lengths = [t * max(1.0, 0.5 / designer.band[0]) for t in (*shortest, *BLOCKS_S)]
     lengths = [t for t in lengths if t + REST_S <= max_duration_s] or [max(max_duration_s - REST_S, 1.0)]
     best: tuple[list[PlannedExperiment], Expected] | None = None
     first = 0.0
@@ -136,7 +148,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
         best = (blocks, reached)
         first = first or reached.worst[1]
         if reached.worst[1] <= MARGIN * goal:
-            return _complete_plan(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
+            return _complete_plan(designer, _Layout(blocks, reached, length), goal, wish, plan_of)
     blocks, reached = best if best is not None else ([], designer.expected([]))
     length = lengths[-1]
     while MARGIN * goal < reached.worst[1] < np.inf:
@@ -147,7 +159,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
             break
         blocks += [designer.block(length, 1 + len(blocks) + k) for k in range(min(more, room))]
         reached = designer.expected(blocks)
-    return _complete_plan(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
+    return _complete_plan(designer, _Layout(blocks, reached, length), goal, wish, plan_of)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,27 +175,30 @@ def _complete_plan(
     designer: BlockDesigner,
     layout: _Layout,
     goal: float,
+    wish: GoalWish,
     plan_of: Callable[[PlannedExperiment, Sequence[PlannedExperiment]], Plan],
-    max_duration_s: float,
 ) -> GoalPlan:
     """The plan: the climb of its trial, which may be enough, the blocks, then reserve."""
     blocks, reached, length = layout.blocks, layout.expected, layout.length
     reachable = reached.worst[1] <= goal
-    climb = designer.block(max(length, RECORDED_CLIMB_S), 0)
+    climb_s = max(length, RECORDED_CLIMB_S)
+    if wish.is_from_model:  # which says what a block does beyond one cycle of the slowest line
+        climb_s = 1.0 / designer.band[0]
+    climb = designer.block(climb_s, 0)
     share = trial_shares(designer.config, climb)[1]
     first = designer.expected([replace(climb, torque=frozen_float(share * climb.torque))])
     needed = 1 + len(blocks)
     if first.worst[1] <= MARGIN * goal:
         needed, reached, reachable = 1, first, True
     for _ in range(RESERVE):
-        if reachable and (len(blocks) + 1) * (length + REST_S) <= max_duration_s:
+        if reachable and (len(blocks) + 1) * (length + REST_S) <= wish.max_duration_s:
             blocks = [*blocks, designer.block(length, 1 + len(blocks))]
     binding = sorted(designer.touched)
     if not reachable and np.isfinite(reached.worst[1]):
         if not binding or designer.reduced.min() > 0.99:
             name = reached.worst[0].split(".")[0].split("-")[0]
             binding.append(f"torque limit of {name}")
-        binding.append(f"duration of {max_duration_s:g} s")
+        binding.append(f"duration of {wish.max_duration_s:g} s")
     plan = plan_of(climb, blocks)
     return GoalPlan(
         plan=replace(

@@ -79,6 +79,15 @@ class PhasePlan:
 
 
 @dataclass(frozen=True, eq=False)
+class Doublet:
+    """What a model foretells of the doublet that moves an axis far enough to tell its signs."""
+
+    length_s: float
+    inertia: float
+    """The rigid one that would move as far [kg·m² or kg]."""
+
+
+@dataclass(frozen=True, eq=False)
 class Trial:
     """Trial at a small amplitude for the experiments that it stands for.
 
@@ -99,6 +108,8 @@ class Trial:
     recorded_share: float = 0.0
     """Share of its amplitude at which its second step, the climb, is expected to be recorded as an
     experiment of its own; 0: it is not recorded."""
+    is_foretold: bool = False
+    """Whether a model says what it does: the first step is left out where doublets moved every axis so."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +155,8 @@ class Plan:
     rest_s: float
     budget: BusBudget
     forecast: tuple[AxisForecast, ...]
+    doublets: tuple[Doublet | None, ...]
+    """By the model, for each axis that is shaken."""
     warnings: tuple[str, ...] = ()
     trials: tuple[Trial, ...] = ()
     phases: tuple[PhasePlan, ...] = ()

@@ -10,14 +10,16 @@ import numpy as np
 from invid.config import CellConfig
 from invid.config.schema import LimitsConfig
 from invid.numerics.arrays import Float64, frozen_float
-from invid.planning.model import PhasePlan, PlannedExperiment, Step, Trial
+from invid.planning.model import Doublet, PhasePlan, PlannedExperiment, Step, Trial
 from invid.recording.model import Kind
 from invid.signals import excitation
 
 SETTLE_S = 0.3
 """Held by the drives before anything else, to measure the torque that the holds need (gravity)."""
 REST_S = 1.0
-"""Pause between experiments in which the hold brings every axis back to its place."""
+"""Longest pause between experiments in which the hold brings every axis back to its place."""
+RESTED_S, SIGN_CAUGHT_S = 0.9, 0.5
+"""What that pause, and the catch after the doublets, usually take where a model is known (case study)."""
 FADE_S = 0.5
 """Least length of the raised-cosine start and end of an excitation."""
 FIRST_S, CLIMB_S = 5.0, 10.0
@@ -45,11 +47,13 @@ SIGN_TRAVEL = 0.25
 """Announced for the doublets, as a share of the window: until the axis is caught, and when the motor that was
 held lets go while masses swing behind it. Empirical: 0.21 at most (``tests/machines/test_announced.py``)."""
 SIGN_QUIET_S, SIGN_CATCH_S = 0.07, 0.8
-"""Stillness around each doublet, and the time in which the axis is caught after the last."""
+"""Stillness around each doublet, and the longest time in which the axis is caught after the last."""
 SIGN_EDGE_S = 0.04
 SLOW_WINDOW, SLOW_SHARE = 0.04, 0.2
 """The slow doublet that weighs an axis whose inertia is stated: aims at 4 % of the window with a fifth of the
 trial's amplitude, which friction leaves more of than of less."""
+SLOW_S = 0.5
+"""Shortest doublet that weighs an axis: it moves as a whole (empirical, ``invid.sweep.inertia``)."""
 SIGN_STEPS = 2
 """Doublets of the shortest length at smaller torques before the first: a scale may be ten times wrong."""
 CATCH_HZ = 3.0
@@ -121,13 +125,18 @@ def sign_wanted(limits: LimitsConfig, resolution: float) -> float:
     return min(max(SIGN_WINDOW * limits.position, SIGN_COUNTS * resolution), SIGN_MOST * limits.position)
 
 
-def sign_seconds(config: CellConfig, axis: int, amplitude: float, inertia: float | None) -> float:
+def sign_seconds(
+    config: CellConfig, axis: int, amplitude: float, inertia: float | None, foretold: Doublet | None
+) -> float:
     """Expected length of the sign trial of an axis [s]; a mass m moves by A·T²/(16·m) in a doublet."""
+    first = (1 + SIGN_STEPS) * (SIGN_QUIET_S + SIGN_FIRST_S)
+    if foretold is not None:
+        return first + foretold.length_s + SIGN_QUIET_S + SIGN_CAUGHT_S
     if inertia is None:
         return SIGN_UNKNOWN_S
     settings = config.axes[axis]
     wanted = sign_wanted(settings.limits, settings.position_per_count or 0.0)
-    length, seconds = SIGN_FIRST_S, (1 + SIGN_STEPS) * (SIGN_QUIET_S + SIGN_FIRST_S)
+    length, seconds = SIGN_FIRST_S, first
     while amplitude * length**2 / (16 * inertia) < wanted and 2 * length <= SIGN_LAST_S:
         length *= 2
         seconds += length + SIGN_QUIET_S
@@ -143,7 +152,7 @@ def sign_doublet(config: CellConfig, axis: int, amplitude: float, inertia: float
     wave = amplitude * excitation.doublet(
         round(_rigid_doublet_length(config, axis, amplitude, inertia) / cycle)
     )
-    return _doublet_torque(
+    return doublet_torque(
         config, axis, np.concatenate((wave, np.zeros(round(SIGN_CATCH_S / cycle)))), CATCH_HZ
     )
 
@@ -157,7 +166,7 @@ def sign_doublets(config: CellConfig, axis: int, amplitude: float, inertia: floa
     while length <= max(last, SIGN_FIRST_S):
         waves += [amplitude * excitation.doublet(round(length / cycle)), quiet]
         length *= 2
-    return _doublet_torque(config, axis, np.concatenate(waves), FREE_HZ)
+    return doublet_torque(config, axis, np.concatenate(waves), FREE_HZ)
 
 
 def _rigid_doublet_length(config: CellConfig, axis: int, amplitude: float, inertia: float) -> float:
@@ -165,7 +174,8 @@ def _rigid_doublet_length(config: CellConfig, axis: int, amplitude: float, inert
     return float(min(max(np.sqrt(16 * inertia * far / amplitude), SIGN_FIRST_S), SIGN_LAST_S))
 
 
-def _doublet_torque(config: CellConfig, axis: int, wave: Float64, hold_hz: float) -> PlannedExperiment:
+def doublet_torque(config: CellConfig, axis: int, wave: Float64, hold_hz: float) -> PlannedExperiment:
+    """Return the torque (n,) of one axis as an experiment, its edges rounded."""
     torque = np.zeros((wave.size, len(config.axes)))
     # its edges rounded: what is worked out on lines up to 100 Hz may have nothing beyond them
     edge = np.hanning(max(round(SIGN_EDGE_S / config.bus.cycle_s), 1) + 2)
@@ -280,14 +290,18 @@ def phases_of(
     experiments: Sequence[PlannedExperiment],
     trials: Sequence[Trial],
     *,
-    inertia: Sequence[float | None],
+    weights: Sequence[tuple[float | None, Doublet | None]],
 ) -> tuple[PhasePlan, ...]:
-    """Return the phases from enabling to the end, in order, with their expected length in cycles."""
+    """Return the phases from enabling to the end, in order, with their expected length in cycles.
+
+    ``weights``: inertia of each axis and its doublet, where they are known.
+    """
     cycle = config.bus.cycle_s
-    rest = round(REST_S / cycle)
+    known = all(doublet is not None for _, doublet in weights)
+    rest = round((RESTED_S if known else REST_S) / cycle)
     found = [PhasePlan(Step.SETTLE, 0, "settling", round(SETTLE_S / cycle))]
     for i in sorted({i for e in experiments for i in e.excited}):
-        seconds = sign_seconds(config, i, sign_amplitude(config, experiments, i)[0], inertia[i])
+        seconds = sign_seconds(config, i, sign_amplitude(config, experiments, i)[0], *weights[i])
         name = f"trying the signs of {config.axes[i].name}"
         found.append(PhasePlan(Step.SIGNS, i, name, round(seconds / cycle)))
     led: tuple[int, ...] = ()
@@ -303,7 +317,8 @@ def phases_of(
 
     for number, trial in enumerate(trials):
         cycles = change(trial.experiment.excited)
-        cycles += sum(excerpt(config, trial, step).cycles + rest for step in (0, 1))
+        steps = (1,) if trial.is_foretold else (0, 1)
+        cycles += sum(excerpt(config, trial, step).cycles + rest for step in steps)
         found.append(PhasePlan(Step.TRIAL, number, "trying the amplitude", cycles))
         resting = trial.experiment.excited
     for number, e in enumerate(experiments):

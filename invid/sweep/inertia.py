@@ -15,6 +15,7 @@ import numpy as np
 
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Bool, Float64
+from invid.planning.phases import SLOW_S
 
 AGREES = 3.0
 """Stated and measured inertia may differ by this factor. "Roughly" in a config, a tool that was changed, and
@@ -22,8 +23,8 @@ what friction and modes leave to a trial stay within two (a guess for the first,
 for the last); what goes wrong with scales is 4 (lines taken for counts), 10 (a unit), 16 (bits) or a gear."""
 NOTED = 0.25
 """Beyond this share a difference is worth a line: a trial is good to ten per cent or so (case study)."""
-RIGID, SLOW_S = 0.02, 0.5
-"""Where no more than this share of the path is left over in a doublet of at least this length, the axis moved
+RIGID = 0.02
+"""Where no more than this share of the path is left over in a doublet of at least ``SLOW_S``, the axis moved
 as a rigid mass with friction, and its inertia is known: 0.7 to 2.1 times the true one on 100 elastic cells
 with lowest modes from 1 to 5 Hz (``tests/machines``, empirical)."""
 ELASTIC, ELASTIC_S = 6.0, 1.0

@@ -33,6 +33,9 @@ from invid.sweep.watch import Watch
 FADE_S = 0.1
 """A stop on request fades the torque out in this time before the quick stop."""
 PROGRESS_S = 0.2
+STILL_S, STILL_SHARE = 0.2, 0.01
+"""An axis rests that keeps so long within this share of its window around its place, and within the same
+share of the way on which its velocity limit would take it: so little is added to what it is shaken by."""
 CATCH_SHARE, CATCH_LEAST_HZ = 0.5, 0.2
 """Bringing an axis back to rest takes no more than half of the announced torque, if a weak hold can do it."""
 
@@ -439,6 +442,7 @@ class Motion:
             if held is not None:
                 feedback.append(Feedback(i, held, self.bias[i], limit))
         self.change(modes, feedback)
+        self.watching.bounds.obedience.shake(excited)
         self.led = set(excited)
         self.watching.held = set(range(self.count)) - excited
 
@@ -468,9 +472,36 @@ class Motion:
                 lowest /= 2
                 inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0
                 f.gains = centring(inertia, lowest, cycle, CATCHING_RATIO)
-        log = self.play(None, round(self.plan.rest_s / cycle))
+        log = self.until_still(excited, self.plan.rest_s)
         self._rested = set(excited)
         return log
+
+    def until_still(self, axes: set[int], longest_s: float) -> Log:
+        """Go on with the feedback, with axes of a model until they rest at their places, at most so long.
+
+        What swings behind a motor that stands is known to be slow or not by a model only.
+        """
+        cycle = self.plan.cycle_s
+        if any(self.plan.doublets[i] is None for i in axes):
+            return self.play(None, round(longest_s / cycle))
+        left, part = round(longest_s / cycle), max(1, round(STILL_S / 2 / cycle))
+        logs: list[Log] = []
+        while left > 0:
+            logs.append(self.play(None, min(part, left)))
+            left -= part
+            if len(logs) > 1 and self._is_still(axes, joined(logs[-2:])):
+                break
+        return joined(logs)
+
+    def _is_still(self, axes: set[int], log: Log) -> bool:
+        for i in axes:
+            limits = self.config.axes[i].limits
+            away = log.position[:, i] - self.origin[i]
+            if np.abs(away).max() > STILL_SHARE * limits.position:
+                return False
+            if np.ptp(away) > STILL_SHARE * STILL_S * limits.velocity:
+                return False
+        return True
 
     def stated_holds(self) -> list[float]:
         """Return the stiffness of the hold of every axis; NaN inside a drive, where nobody knows it."""

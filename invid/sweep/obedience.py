@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,10 +82,20 @@ class Obedience:
 
     def __init__(self, names: Sequence[str], cycle_s: float) -> None:
         self._names, self._cycle = list(names), cycle_s
-        self._axes: list[_Axis | None] = [None] * len(names)
         self._slot: int | None = None
+        self._learned: dict[frozenset[int], list[_Axis | None]] = {}
+        """By the axes that were shaken: how one follows depends on what the others do meanwhile."""
+        self._axes: list[_Axis | None] = []
+        self.shake(())
         self.paused = False
         """A path is followed: torque is what that takes, against friction."""
+
+    def shake(self, axes: Iterable[int]) -> None:
+        """From here on these axes are shaken, the others held."""
+        learned = self._learned.setdefault(frozenset(axes), [None] * len(self._names))
+        if learned is not self._axes:
+            self._axes = learned
+            self.forget()
 
     def forget(self) -> None:
         """No cycles were made for a while; what was learned stays."""

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.numerics.arrays import Float64
-from invid.planning.forecast import QUANTITIES, READING_NOISE, USABLE_SHARE, announced, limits_of
+from invid.planning.forecast import (
+    MOST_GROWTH,
+    QUANTITIES,
+    READING_NOISE,
+    USABLE_SHARE,
+    announced,
+    limits_of,
+)
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
 from invid.planning.phases import (
     excerpt,
@@ -34,9 +41,6 @@ hidden wholly; where a third of what is allowed is not reached in the second, an
 the usual, there is another."""
 BISECTIONS = 12
 """A scale is sought to a four-thousandth."""
-MOST_GROWTH = 1.6
-"""A straight line through zero at a tenth of the amplitude and the motion at a third rises so much; one that
-begins later has stuck there, and nothing more can be said."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +84,15 @@ class Rehearsal:
         self._sure: Float64 = np.zeros(motion.count)
         """(M,) least torque with which an axis must move: friction may hold one that is shaken with less than
         it was tried with."""
+        self._as_foretold: set[int] = set()
+        """Axes that doublets of a tenth of the amplitude moved as the model says."""
         self.bounds: Float64 = np.zeros((3, motion.count))
         """(3, M) travel, velocity and torque of the experiments, by the trials."""
 
     def try_signs(self, axis: int) -> None:
         """Play doublets of a tenth of the amplitude: signs, motion, and scales against the stated inertia."""
-        SignTrial(self._motion, axis, self._stated[axis], self.warnings).run()
+        if SignTrial(self._motion, axis, self._stated[axis], self.warnings).run():
+            self._as_foretold.add(axis)
 
     def try_amplitude(self, trial: Trial) -> None:
         """Play a tenth, then a third of the shaking: does full amplitude stay within what was announced?
@@ -110,11 +117,16 @@ class Rehearsal:
             # Less than what friction surely lets through says nothing of an encoder that stands.
             return self._try_share(trial, step, share, moves=share >= sure)
 
-        first = min(sure, self._gentle(experiment, allowed[0]))
-        seen = tried(0, first)
-        share = min(second, first * min(self._room(seen, allowed), CLIMB))
-        again = tried(1, share)
-        linear = self._extrapolated(seen, again)
+        if trial.is_foretold and set(experiment.excited) <= self._as_foretold:
+            # at a third, an axis that moves ``AGREES`` times as foretold hardly leaves what is announced
+            share, again = second, tried(1, second)
+            linear = again.stacked / second
+        else:
+            first = min(sure, self._gentle(experiment, allowed[0]))
+            seen = tried(0, first)
+            share = min(second, first * min(self._room(seen, allowed), CLIMB))
+            again = tried(1, share)
+            linear = self._extrapolated(seen, again)
         while share < second and self._room(again, allowed) > SHORT:
             # Friction hid so much of the motion that the second step was still a small one.
             share = min(second, share * min(self._room(again, allowed), CLIMB))

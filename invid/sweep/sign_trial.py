@@ -27,7 +27,7 @@ from invid.planning.phases import (
 )
 from invid.signals.excitation import doublet
 from invid.sweep import trials
-from invid.sweep.inertia import ELASTIC, ELASTIC_S, Branch, compare, rigid_branch
+from invid.sweep.inertia import AGREES, ELASTIC, ELASTIC_S, Branch, compare, rigid_branch
 from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.motion import Feedback, Log, Motion
 from invid.sweep.ports import Mode
@@ -98,14 +98,16 @@ class SignTrial:
             for i, a in enumerate(motion.config.axes)
             if self._modes[i] is Mode.TORQUE
         ]
+        self._foretold = None if motion.by_offset(axis) else motion.plan.doublets[axis]
         self._spoilt: list[trials.Response] = []
         self._seen: list[trials.Response] = []
         self._still: list[bool] = []
         self._home = 0.0
         self._calm: Float64 | None = None
 
-    def run(self) -> None:
-        """Try one axis; SafetyStop where signs or scales are wrong, or nothing moves."""
+    def run(self) -> bool:
+        """Try one axis, and return whether it moves as a model foretells; SafetyStop where signs or scales
+        are wrong, or nothing moves."""
         motion, axis = self._motion, self._axis
         motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
         self._home = motion.place[axis]
@@ -119,9 +121,11 @@ class SignTrial:
         if not motion.by_offset(axis):
             name, rated, unit = self._settings.name, self._rated, self._torque_unit
             trials.judge_scale(name, self._seen, rated=rated, torque_unit=unit)
-        branch = self._weigh(last, amplitude, length)
+        shown = self._shown_over_foretold(last.response, length)
+        branch = self._branch(last.log) if shown is not None else self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         known = self._stated[0] if self._stated is not None else last.response.inertia
+        known *= max(1.0, shown or 1.0)  # a heavier load than the model's takes longer to stop
         friction = amplitude
         if branch is not None:  # as the fit shows it, but no less than a drive's friction at rest may be
             friction = min(amplitude, max(FIT_MOST * branch.friction, LOAD_SHARE * self._rated))
@@ -130,6 +134,7 @@ class SignTrial:
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
         motion.watching.bounds.near = {}
+        return shown is not None
 
     # --- doublets ------------------------------------------------------------------------------
     def _play(self, amplitude: float, length: float) -> Trial:
@@ -190,7 +195,7 @@ class SignTrial:
         """Bring the axis gently back to where it stood."""
         self._motion.inertia[self._axis] = inertia
         self._motion.centre({self._axis}, lowest=CATCH_HZ)
-        self._motion.play(None, round(SIGN_CATCH_S / self._motion.plan.cycle_s))
+        self._motion.until_still({self._axis}, SIGN_CATCH_S)
 
     def _grow(self) -> tuple[float, float, Trial]:
         """Play stronger, then longer, then again stronger doublets until the axis has moved; return the
@@ -198,7 +203,9 @@ class SignTrial:
         """
         limits = self._settings.limits
         # The slope is of the sampled position, so the axis must move many counts.
-        wanted = sign_wanted(limits, self._count)
+        wanted, suffices = sign_wanted(limits, self._count), 0.0
+        if self._foretold is not None:
+            wanted, suffices = SIGN_COUNTS * self._count, self._foretold.length_s - self._motion.plan.cycle_s
         far = SIGN_MOST * limits.position
         least = LEAST_STEPS / 1000 * self._rated
         shares = [s for s in FIRST_SHARES if s == 1.0 or s * self._amplitude >= least]
@@ -227,17 +234,16 @@ class SignTrial:
                 doubted = True
                 self._seen.clear()
                 continue
-            if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
+            shown = found.displacement >= wanted and length >= suffices
+            if sign < -trials.DECISIVE or (shown and sign > trials.DECISIVE):
                 break
             if found.displacement > far:
                 break
             if found.displacement < ONE_COUNT * self._count and self._passed_on(trial.log):
                 break
-            if (
-                length * 2 <= SIGN_LAST_S
-                and self._free_way(amplitude, 2 * length) <= SIGN_FAR * limits.position
-            ):
-                length *= 2
+            longer = self._next_length(length, found.displacement)
+            if length * 2 <= SIGN_LAST_S and self._free_way(amplitude, longer) <= SIGN_FAR * limits.position:
+                length = longer
                 continue
             if amplitude * TRIAL_CLIMB > self._most or found.displacement >= wanted:
                 break
@@ -251,6 +257,14 @@ class SignTrial:
         An axis that nobody sees move may do so all the same: more torque tells as well as a longer way.
         """
         return amplitude * length**2 / (4 * self._stated[0]) if self._stated is not None else 0.0
+
+    def _next_length(self, length: float, moved: float) -> float:
+        """Twice as long; where a model says which length suffices that one, if what has moved so far does not
+        go too far in it by itself."""
+        if self._foretold is None or moved < LEAST_COUNTS * self._count:
+            return 2 * length
+        far = length * float(np.sqrt(SIGN_FAR * self._settings.limits.position / moved))
+        return max(2 * length, min(self._foretold.length_s, far))
 
     # --- verdicts ------------------------------------------------------------------------------
     def _require_torque(self, found: trials.Response, amplitude: float) -> None:
@@ -344,6 +358,17 @@ class SignTrial:
             branch = self._probe() or branch
             self._motion.done_s = done  # no part of the plan
         return branch
+
+    def _shown_over_foretold(self, found: trials.Response, length: float) -> float | None:
+        """Return the inertia that this doublet showed over that which a model foretells of it.
+
+        ``None`` where nothing is foretold of it, or they differ so much that slower doublets must weigh it.
+        """
+        told = self._foretold
+        if told is None or abs(length - told.length_s) > self._motion.plan.cycle_s:
+            return None
+        ratio = found.inertia / told.inertia
+        return ratio if 1.0 / AGREES <= ratio <= AGREES else None
 
     def _strayed(self, last: Trial) -> bool:
         """Return whether the axis is further from where it stood than a doublet may take it.

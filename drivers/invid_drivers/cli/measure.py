@@ -19,7 +19,7 @@ from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid.planning.build import require_all_axes
 from invid.planning.expected_covariance import Noise
-from invid.planning.goal import GoalPlan, plan_for_goal
+from invid.planning.goal import GoalPlan, GoalWish, plan_for_goal
 from invid.planning.separating_experiments import to_separate
 from invid.planning.stopping_distance import StoppingBudget
 from invid.sweep import Progress
@@ -186,15 +186,7 @@ def design_for(
         raise InputError(f"--amplitude is {amplitude:g}; it must lie above 0 and be at most 1")
     if not max_duration_s >= SHORTEST_S:
         raise InputError(f"--max-duration is {max_duration_s:g}; give at least {SHORTEST_S:g} seconds")
-    return plan_for_goal(
-        cell,
-        belief,
-        noise,
-        parse_goal(goal),
-        axes=axes,
-        amplitude_scale=amplitude,
-        max_duration_s=max_duration_s,
-    )
+    return plan_for_goal(cell, belief, noise, parse_goal(goal), GoalWish(axes, amplitude, max_duration_s))
 
 
 def parse_goal(text: str) -> float:

@@ -10,7 +10,7 @@ from invid.config import CellConfig
 from invid.errors import InputError
 from invid.planning.belief import Belief
 from invid.planning.forecast import turning_back
-from invid.planning.goal import GoalPlan, plan_for_goal
+from invid.planning.goal import GoalPlan, GoalWish, plan_for_goal
 from invid.recording import Recording, read_recording
 from invid_drivers.cli.measure import parse_goal
 from invid_drivers.foretelling import sensor_noise
@@ -55,7 +55,7 @@ def test_no_block_exceeds_torque_travel_or_velocity(cell: CellConfig, belief: Be
 def test_a_goal_beyond_the_limits_is_refused_with_the_figure_that_can_be_reached(
     cell: CellConfig, belief: Belief
 ) -> None:
-    design = plan_for_goal(cell, belief, sensor_noise(cell), 1e-5, max_duration_s=13.0)
+    design = plan_for_goal(cell, belief, sensor_noise(cell), 1e-5, GoalWish(max_duration_s=13.0))
     assert not design.reachable
     _, *blocks = design.plan.recorded
     assert sum(e.cycles for e in blocks) * design.plan.cycle_s <= 13.0

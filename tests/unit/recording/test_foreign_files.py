@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import struct
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import can
