@@ -192,7 +192,7 @@ def _covariance_slope(
     terms = value.numbers.plant.structure.terms
     noise, condensed = work.noise, work.condensed
     pull = balance @ seen
-    motion_noise = work.stack.position_noise[:, None] * condensed.stiffness.conj().transpose(0, 2, 1)
+    motion_noise = work.position_noise[:, None] * condensed.stiffness.conj().transpose(0, 2, 1)
     by_motion = (seen * (motion_noise @ pull)).sum(axis=1)
     pushed = (noise.power[:, :, None] * noise.reach.conj().transpose(0, 2, 1)).transpose(0, 2, 1)  # (F, M, P)
     pushed = along(pushed, problem.spots.vectors.T).transpose(0, 2, 1)  # (F, n, M)

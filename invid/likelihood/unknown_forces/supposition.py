@@ -139,6 +139,19 @@ class Motions:
         """Motion in all records."""
         return [m for stack in self.of(spot) for m in stack]
 
+    def readings(self, motor: Spot) -> list[Float64]:
+        """Position of a motor in all records, as read."""
+        return [r.motion.position[:, motor.number] for stack in self.stacks for r in stack.records]
+
+    def rounding(self, motor: Spot) -> list[Complex128]:
+        """(R, F) of each stack: reading of a motor less its motion, which is smooth. An error of the reading
+        stretches both."""
+        return [
+            stack.position[..., motor.number]
+            - np.array([r.lines(r.motion.position[:, motor.number]) for r in stack.records])
+            for stack in self.stacks
+        ]
+
     def _of_stack(self, spot: Spot, number: int) -> list[SpotMotion]:
         records = self.stacks[number].records
         clocks: list[Float64] = [
@@ -210,7 +223,12 @@ class Bench:
         lines = self.law_lines(placed, motions)
         vector = vector_of(structure, placed.spot)
         still = np.zeros(len(placed.law.low))
-        stretch = _stretch(placed, motions.flat(placed.spot)) if placed.law.reads else still
+        stretch = still
+        if placed.law.reads:
+            stretch = _stretch(placed, motions)
+            lines = [
+                w + n[..., None] * stretch for w, n in zip(lines, motions.rounding(placed.spot), strict=True)
+            ]
         return tuple(
             Column(
                 (*placed.key, i),
@@ -249,10 +267,10 @@ def _stride(law: SupposedLaw, record: Record, motion: SpotMotion, shape: Shape) 
     return record.stride(law.stride(motion, shape))
 
 
-def _stretch(placed: PlacedLaw, motions: Sequence[SpotMotion]) -> Float64:
-    """(L,) mean derivative of a law's waves by the position."""
-    moved = [np.diff(m.position) for m in motions]
-    waves = [np.diff(placed.law.waves(m, placed.shape), axis=0) for m in motions]
+def _stretch(placed: PlacedLaw, motions: Motions) -> Float64:
+    """(L,) mean derivative of a law's waves, on where the motor stands, by its reading."""
+    moved = [np.diff(reading) for reading in motions.readings(placed.spot)]
+    waves = [np.diff(placed.law.waves(m, placed.shape), axis=0) for m in motions.flat(placed.spot)]
     power = sum(float(d @ d) for d in moved)
     return np.asarray(np.sum([d @ w for d, w in zip(moved, waves, strict=True)], axis=0) / max(power, 1e-300))
 

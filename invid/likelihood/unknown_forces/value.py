@@ -138,6 +138,8 @@ class StackWork:
     stack: Stack
     condensed: Condensed
     noise: MissingNoise
+    position_noise: Float64
+    """(M,) of the motion: that of the reading, stretched as the reading is."""
     whitener: Complex128
     """(F, M, M) with the lines' weights: rows of unit variance."""
     ends: Float64
@@ -193,9 +195,16 @@ def evaluate(problem: Problem, numbers: Numbers, coefficients: Float64 | None = 
     LinAlgError
         The numbers are so far off that a covariance is not positive.
     """
-    work = tuple(_work(problem, numbers, k) for k in range(len(problem.stacks)))
+    still = np.ones(problem.stacks[0].position.shape[2])
+    stretch = still if coefficients is None else reading_stretch(problem, coefficients)
+    work = _works(problem, numbers, stretch)
     if coefficients is None:
         coefficients, free = _coefficients(problem, work)
+        stretch = reading_stretch(problem, coefficients)
+        if (stretch != still).any():
+            # A reading that is stretched stretches its noise: else a smaller plant had less of it.
+            work = _works(problem, numbers, stretch)
+            coefficients, free = _coefficients(problem, work)
     else:
         free = np.zeros(coefficients.size, dtype=bool)
     share = [
@@ -205,16 +214,20 @@ def evaluate(problem: Problem, numbers: Numbers, coefficients: Float64 | None = 
     return Value(numbers, coefficients, free, np.array(share), float(off @ off), work)
 
 
-def _work(problem: Problem, numbers: Numbers, number: int) -> StackWork:
+def _works(problem: Problem, numbers: Numbers, stretch: Float64) -> tuple[StackWork, ...]:
+    return tuple(_work(problem, numbers, k, stretch) for k in range(len(problem.stacks)))
+
+
+def _work(problem: Problem, numbers: Numbers, number: int, stretch: Float64) -> StackWork:
     stack = problem.stacks[number]
-    omega = stack.omega
+    omega, position_noise = stack.omega, stack.position_noise * stretch**2
     condensed = numbers.plant.condense(omega)
     stiffness, motion = condensed.stiffness, condensed.motion
     noise = missing_noise(
         stiffness,
         along(motion, problem.spots.vectors),
         colours(omega, problem.corner) @ numbers.strength.T,
-        (stack.position_noise, stack.torque_noise),
+        (position_noise, stack.torque_noise),
     )
     whitener = noise.whitener * np.sqrt(2.0 * stack.weight)[:, None, None]
     jumps = np.concatenate((motion, 1j * omega[:, None, None] * motion), axis=2)
@@ -232,7 +245,10 @@ def _work(problem: Problem, numbers: Numbers, number: int) -> StackWork:
     inside = basis.T @ rows
     rows = rows - basis @ inside
     back = np.linalg.inv(triangle) / length[:, None]
-    return StackWork(stack, condensed, noise, whitener, basis, back, rows[..., :-1], rows[..., -1], inside)
+    law_rows, missing_rows = rows[..., :-1], rows[..., -1]
+    return StackWork(
+        stack, condensed, noise, position_noise, whitener, basis, back, law_rows, missing_rows, inside
+    )
 
 
 def _law_columns(problem: Problem, number: int, at: tuple[Complex128, Condensed, Complex128]) -> Complex128:

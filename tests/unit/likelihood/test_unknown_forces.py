@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,9 +14,15 @@ from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.slope import slope
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
-from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
+from invid.likelihood.unknown_forces.supposition import (
+    Bench,
+    Hypothesis,
+    Supposed,
+    first_strength,
+    suppose,
+)
 from invid.likelihood.unknown_forces.timing import Timing
-from invid.likelihood.unknown_forces.value import Numbers, evaluate
+from invid.likelihood.unknown_forces.value import Column, Numbers, evaluate
 from invid.recording.model import Role
 from invid.signals.record import make_record
 
@@ -67,6 +74,27 @@ def test_the_gradient_is_that_of_the_value():
         step[k] = 1e-5
         up, down = (evaluate(problem, numbers.moved(numbers.x + s)).total for s in (step, -step))
         assert exact[k] == pytest.approx((up - down) / 4e-5, rel=2e-3, abs=0.05 + 1e-5 * np.abs(exact).max())
+
+
+def test_a_scale_of_all_readings_is_worth_nothing_beside_lighter_masses():
+    _, found = fitted()
+    problem, value, scale = found.fit.problem, found.fit.value, 1.2
+    readings = [
+        Column(
+            ("scale", m),
+            np.eye(5)[m],
+            tuple(s.position[..., m] for s in problem.stacks),
+            lambda _: np.zeros(0, dtype=complex),
+            reads=m,
+            stretch=1.0,
+        )
+        for m in range(2)
+    ]
+    wider = replace(problem, columns=(*problem.columns, *readings))
+    lighter = Plant.of_values(found.hypothesis.structure, value.numbers.plant.values / scale)
+    coefficients = np.append(value.coefficients, [scale - 1.0, scale - 1.0])
+    scaled = evaluate(wider, replace(value.numbers, plant=lighter), coefficients)
+    assert scaled.share == pytest.approx(value.share, abs=0.01)
 
 
 def test_a_plant_with_friction_is_found_within_its_deviations():
