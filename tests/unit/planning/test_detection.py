@@ -36,6 +36,7 @@ def test_what_is_not_shaken_is_not_seen(cell: CellConfig, belief: Belief) -> Non
     assert not any(limit.is_met for limit in still)
 
 
+@pytest.mark.campaign
 def test_runs_are_no_longer_than_what_is_of_interest_asks_for(cell: CellConfig, belief: Belief) -> None:
     def seconds(**sizes: float) -> float:
         interest = cell.sizes_of_interest.model_copy(update=sizes)
