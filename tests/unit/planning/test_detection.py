@@ -20,7 +20,7 @@ def limits(cell: CellConfig, belief: Belief) -> dict[tuple[str, str], DetectionL
 def test_the_default_plan_shows_the_frictions_of_the_case_study_and_free_play_below_what_is_sold_as_low(
     limits: dict[tuple[str, str], DetectionLimit], cell: CellConfig
 ) -> None:
-    # what `bench_plan.py --case time` then finds in twenty of twenty recordings
+    # what `bench_plan.py` then finds in twenty of twenty recordings
     for axis, dry, viscous in (("A1", 0.1, 0.1), ("A2", 0.2, 0.2), ("A3", 0.4, 0.4)):
         assert limits["coulomb_friction", axis].size < 0.6 * dry
         assert limits["viscous_friction", axis].size < viscous
