@@ -28,7 +28,7 @@ from invid.identification.identify import identify
 from invid.identification.kept_out import all_records
 from invid.model.document import parameter_vector
 from invid.planning import make_plan
-from invid.planning.belief import Belief, guess
+from invid.planning.belief import guess
 from invid.planning.expected_covariance import is_in_goal, parameter_scale
 from invid.planning.goal import plan_for_goal
 from invid.recording import read_recording
@@ -51,15 +51,6 @@ def cell(seed: int, **changes: Any) -> CellConfig:
     document = load_config(CONFIG).model_dump(mode="python") | changes
     document["simulation"] = document["simulation"] | {"seed": seed}
     return CellConfig.model_validate(document)
-
-
-def true_belief(config: CellConfig) -> Belief:
-    """The simulated plant itself, friction included."""
-    plant = truth(config)
-    friction = config.simulation["axes"] if config.simulation else {}
-    coulomb = np.array([friction[a.name]["friction"]["coulomb_Nm"] for a in config.axes])
-    free = replace(plant, ground_dampers=np.zeros(len(config.axes)))
-    return Belief(free, np.array(plant.ground_dampers), coulomb, "the simulated plant", False)
 
 
 def errors(config: CellConfig, path: Path) -> tuple[float, bool]:
