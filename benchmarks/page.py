@@ -47,8 +47,8 @@ SECTIONS = (
         "friction, quantisation and noise, no model given; beside it stepped sine at the same peak torque, "
         "fitted by the same estimator.",
         "planning/bench_plan.py",
-        ("--case", "time", "--seeds", "2"),
-        ("--case", "time", "--seeds", "1"),
+        ("--seeds", "2"),
+        ("--seeds", "1"),
     ),
     Section(
         "Hidden causes: what was hidden, what was said",

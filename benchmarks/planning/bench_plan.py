@@ -1,14 +1,11 @@
-"""Planning: expected against actual uncertainty, and robot time to a goal against stepped sine.
+"""Planning: robot time of every plan, to what it shows, beside settled periods and stepped sine.
 
-    python benchmarks/planning/bench_plan.py [--case expected|time] [--seeds N] [--first S]
+    python benchmarks/planning/bench_plan.py [--seeds N] [--first S]
 
 Everything runs through the simulated cell: drives on the virtual CAN bus, the sweep with its trials,
-friction, encoder and torque quantisation, noise, hold controllers. Exit status 1 where a bar is missed.
-
-expected  standard deviations foretold before anything moves / scatter of identified parameters (0.7–1.5)
-time      robot time of the default plan (60 s, six of six frictions named), of --goal 1% (25 s) and --screen
-          (12 s), none sure and wrong, 1 % on every mass, spring and coupling; beside settled periods and
-          stepped sine
+friction, encoder and torque quantisation, noise, hold controllers. Exit status 1 where a bar is missed: the
+default plan (60 s, six of six frictions named), --goal 1% (25 s) and --screen (12 s), none sure and wrong,
+1 % on every mass, spring and coupling.
 """
 
 from __future__ import annotations
@@ -31,8 +28,8 @@ from invid.identification.identify import identify
 from invid.identification.kept_out import all_records
 from invid.model.document import parameter_vector
 from invid.planning import make_plan
-from invid.planning.belief import Belief, guess
-from invid.planning.expected_covariance import expected, is_in_goal, parameter_scale
+from invid.planning.belief import guess
+from invid.planning.expected_covariance import is_in_goal, parameter_scale
 from invid.planning.goal import plan_for_goal
 from invid.recording import read_recording
 from invid_drivers.foretelling import sensor_noise
@@ -56,15 +53,6 @@ def cell(seed: int, **changes: Any) -> CellConfig:
     return CellConfig.model_validate(document)
 
 
-def true_belief(config: CellConfig) -> Belief:
-    """The simulated plant itself, friction included."""
-    plant = truth(config)
-    friction = config.simulation["axes"] if config.simulation else {}
-    coulomb = np.array([friction[a.name]["friction"]["coulomb_Nm"] for a in config.axes])
-    free = replace(plant, ground_dampers=np.zeros(len(config.axes)))
-    return Belief(free, np.array(plant.ground_dampers), coulomb, "the simulated plant", False)
-
-
 def errors(config: CellConfig, path: Path) -> tuple[float, bool]:
     """Largest relative error of masses, springs and couplings, and whether the fit trusts itself."""
     plant = truth(config)
@@ -77,37 +65,6 @@ def errors(config: CellConfig, path: Path) -> tuple[float, bool]:
     _, found = parameter_vector(model.chains)
     off = np.abs(found - values) / parameter_scale(plant)
     return float(off[is_in_goal(names)].max()), bool(model.fit["trustworthy"])
-
-
-def foretold(seeds: range, folder: Path) -> bool:
-    """Expected standard deviations of one planned block against what identifications scatter by."""
-    config = cell(0)
-    belief, noise = true_belief(config), sensor_noise(config)
-    plan = plan_for_goal(config, belief, noise, GOAL).plan
-    plan = plan.first(1)
-    said = expected(config, plan, belief, noise)
-    found, stated = [], []
-    for seed in seeds:
-        path = folder / "expected.h5"
-        measure_to_file(cell(seed), path, plan=plan)
-        model = identify(read_recording(path), masses=(3, 3, 3))
-        if model.covariance is None:
-            print(f"expected: seed {seed}: no covariance: {model.warnings}")
-            return False
-        found.append(parameter_vector(model.chains)[1])
-        stated.append(np.sqrt(np.diag(model.covariance)))
-    count = len(found)
-    scatter = np.std(found, axis=0, ddof=1)
-    bias = np.abs(np.mean(found, axis=0) - said.values) / said.std
-    ratio = said.std / scatter
-    print(f"expected: {count} seeds, one block of 5 s: expected/actual std and bias/std of each parameter")
-    for name, std, r, b in zip(said.names, said.relative, ratio, bias, strict=True):
-        print(f"  {name:<18} expected {std:8.3%}   expected/actual {r:5.2f}   bias {b:5.2f} std")
-    goal = said.goal
-    pooled = float(np.sqrt(np.mean((said.std[goal] / scatter[goal]) ** -2)) ** -1)
-    said_stated = float(np.median(np.median(stated, axis=0)[goal] / said.std[goal]))
-    print(f"expected: pooled expected/actual {pooled:.2f} (bar 0.7–1.5), stated/expected {said_stated:.2f}")
-    return 0.7 < pooled < 1.5
 
 
 @dataclass(frozen=True)
@@ -279,23 +236,15 @@ def stepped_config(seed: int, count: int, peaks: np.ndarray) -> CellConfig:
     return CellConfig.model_validate(document)
 
 
-CASES = {"expected": (foretold, 20), "time": (robot_time, 20)}
-
-
 def main() -> int:
-    """Run the cases."""
+    """Run all plans."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--case", choices=list(CASES))
-    parser.add_argument("--seeds", type=int)
+    parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()
-    passed = True
     with tempfile.TemporaryDirectory() as folder:
-        for name, (run, count) in CASES.items():
-            if options.case in (None, name):
-                wanted = range(options.first, options.first + (options.seeds or count))
-                passed &= run(wanted, Path(folder))
-    return 0 if passed else 1
+        wanted = range(options.first, options.first + options.seeds)
+        return 0 if robot_time(wanted, Path(folder)) else 1
 
 
 if __name__ == "__main__":

@@ -279,6 +279,7 @@ def healthy() -> dict[str, tuple[Habits, dict[str, Any]]]:
     }
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("what", list(healthy()))
 def test_a_healthy_cell_is_measured_whatever_its_drive_is_used_to(tmp_path: Path, what: str) -> None:
     habits, axis = healthy()[what]

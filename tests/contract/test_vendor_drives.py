@@ -289,6 +289,7 @@ def test_an_eds_is_looked_for_beside_the_config_and_its_absence_is_bad_input(tmp
     connected.close()
 
 
+@pytest.mark.campaign
 def test_whatever_object_a_drive_lacks_it_runs_or_is_refused_in_a_sentence() -> None:
     """Each object of the simulated drive taken away in turn; nobody crashes, and nobody is left energised."""
     document = yaml.safe_load((ROOT / "configs" / "case-study.yaml").read_text(encoding="utf-8"))

@@ -60,7 +60,7 @@ def test_no_axis_does_more_than_was_announced_in_any_phase_and_the_run_lasts_as_
         # let go while the load swings behind it: the branch drifts
         pytest.param(9127, "trying the signs of A3", marks=BY_NIGHT),
         # the loop around other phases than those tried
-        (9107, "experiment 2 of 4"),
+        pytest.param(9107, "experiment 2 of 4", marks=BY_NIGHT),
     ],
 )
 def test_what_swings_drifts_or_is_led_stays_within_what_was_announced(seed: int, until: str) -> None:

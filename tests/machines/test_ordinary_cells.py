@@ -26,6 +26,7 @@ def test_an_ordinary_cell_is_measured_and_its_plant_never_does_more_than_the_dry
             assert way is None or way <= budget.case.room * (1 + 1e-6)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("seed", [7, *(pytest.param(s, marks=BY_NIGHT) for s in (3, 16))])
 def test_a_heartbeat_that_a_user_has_set_is_kept_and_the_refusal_names_one_that_will_do(seed: int) -> None:
     config = ordinary(seed)

@@ -201,6 +201,7 @@ def test_kill_9_of_either_process_of_the_master_stops_the_drives(
     assert read_recording(left).experiments[0].samples > 0
 
 
+@pytest.mark.campaign
 def test_a_cell_that_dies_ends_the_measurement_with_exit_5_and_keeps_the_samples(
     simcell: subprocess.Popen[str], folder: Path
 ) -> None:

@@ -42,6 +42,7 @@ def drawn(seed: int) -> ChainPlant:
     )  # fmt: skip
 
 
+@pytest.mark.campaign
 def test_friction_alone_hides_nothing_else() -> None:
     plant = drawn(11)
     result, others = found(plant, 11)

@@ -76,7 +76,7 @@ def transmission_error(near: float, far: float) -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("law", "main", "size", "cycles"),
     [
-        (cogging, "torque", 0.8, 31.0),
+        pytest.param(cogging, "torque", 0.8, 31.0, marks=pytest.mark.campaign),
         pytest.param(transmission_error, "amplitude", 8e-4, 17.0, marks=pytest.mark.campaign),
     ],
 )

@@ -20,7 +20,7 @@ def limits(cell: CellConfig, belief: Belief) -> dict[tuple[str, str], DetectionL
 def test_the_default_plan_shows_the_frictions_of_the_case_study_and_free_play_below_what_is_sold_as_low(
     limits: dict[tuple[str, str], DetectionLimit], cell: CellConfig
 ) -> None:
-    # what `bench_plan.py --case time` then finds in twenty of twenty recordings
+    # what `bench_plan.py` then finds in twenty of twenty recordings
     for axis, dry, viscous in (("A1", 0.1, 0.1), ("A2", 0.2, 0.2), ("A3", 0.4, 0.4)):
         assert limits["coulomb_friction", axis].size < 0.6 * dry
         assert limits["viscous_friction", axis].size < viscous
@@ -36,6 +36,7 @@ def test_what_is_not_shaken_is_not_seen(cell: CellConfig, belief: Belief) -> Non
     assert not any(limit.is_met for limit in still)
 
 
+@pytest.mark.campaign
 def test_runs_are_no_longer_than_what_is_of_interest_asks_for(cell: CellConfig, belief: Belief) -> None:
     def seconds(**sizes: float) -> float:
         interest = cell.sizes_of_interest.model_copy(update=sizes)

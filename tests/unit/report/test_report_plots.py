@@ -62,6 +62,7 @@ def test_every_picture_is_whole_svg_with_its_data_beside_it(written) -> None:
         assert "mathdefault" not in path.read_text()
 
 
+@pytest.mark.campaign
 def test_the_missing_torque_over_velocity_is_the_friction_that_was_hidden(written) -> None:
     out, document, torque = written
     waves = columns(out / f"missing-{document['residual'][0]['axis']}.csv")

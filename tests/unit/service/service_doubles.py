@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import h5py
 import numpy as np
@@ -16,6 +17,7 @@ from fastapi.testclient import TestClient
 
 from invid.model.chains import case_study
 from invid.model.document import ChainStd, Model, model_to_json, parameter_vector
+from invid_service import service
 from invid_service.app import create_app
 from invid_service.jobs.protocol import TOLD, Job, Told, Wish
 from invid_service.settings import Settings
@@ -194,6 +196,19 @@ def settings_in(folder: Path, **given: Any) -> Settings:
     return Settings(**{**base, **given})
 
 
+_refusal_of, _refusals = service._refusal_of, dict[Any, Any]()
+
+
+def _refused_once(config: Any, amplitude: float, axes: Any, in_force: Any) -> Any:
+    """What a plan of this config is refused for, worked out once a process: a second of planning."""
+    if in_force is not None:
+        return _refusal_of(config, amplitude, axes, in_force)
+    key = (config.model_dump_json(), amplitude, axes)
+    if key not in _refusals:
+        _refusals[key] = _refusal_of(config, amplitude, axes, None)
+    return _refusals[key]
+
+
 @contextmanager
 def running(
     folder: Path, director: Director | None = None, **given: Any
@@ -201,7 +216,10 @@ def running(
     """A client of a running application."""
     director = director or Director()
     app = create_app(settings_in(folder, **given), launcher=director.launch)
-    with TestClient(app, raise_server_exceptions=False, base_url="http://127.0.0.1") as client:
+    with (
+        patch.object(service, "_refusal_of", _refused_once),
+        TestClient(app, raise_server_exceptions=False, base_url="http://127.0.0.1") as client,
+    ):
         yield client, director
 
 

@@ -29,6 +29,7 @@ def start(client: Any) -> str:
     return str(client.post(START, json={"mode": "full", "arm": True}).headers["Location"])
 
 
+@pytest.mark.campaign
 def test_the_log_holds_start_end_verdict_and_cell_of_every_run(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], root_logger: logging.Logger
 ) -> None:

@@ -318,7 +318,10 @@ def test_accepted_models_form_a_history_and_can_be_restored(tmp_path: Path) -> N
         assert client.get("/api/v1/cells/cell/model").json()["id"] == old
 
 
-@pytest.mark.parametrize(("scale", "state"), [(1.001, "succeeded"), (1.2, "awaiting_accept")])
+@pytest.mark.parametrize(
+    ("scale", "state"),
+    [pytest.param(1.001, "succeeded", marks=pytest.mark.campaign), (1.2, "awaiting_accept")],
+)
 def test_results_within_the_stated_bounds_are_accepted_automatically(
     tmp_path: Path, scale: float, state: str
 ) -> None:

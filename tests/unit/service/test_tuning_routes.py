@@ -8,6 +8,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import pytest
 from service_doubles import Director, model_document, running, wait_for
 from starlette.testclient import TestClient
 
@@ -55,6 +56,7 @@ def director_of_one_axis() -> Director:
     return director
 
 
+@pytest.mark.campaign
 def test_a_finished_run_is_tuned_and_its_files_are_kept(tmp_path: Path) -> None:
     with running(tmp_path, director_of_one_axis()) as (client, _):
         location = finished(client)

@@ -31,6 +31,7 @@ def floors(found: Any, given: Guided, model: Model) -> float:
     return float(np.sqrt(power.max()))
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("kind", "motion"), [("lag", "multisine"), ("delay", "chirp"), ("play", "multisine")]
 )

@@ -135,7 +135,8 @@ def test_a_wrong_number_is_told_with_other_joints_beside_and_the_copy_keeps_them
     assert re.search(r'<joint name="(door|lid)"', (tmp_path / "b.xml").read_text())
 
 
-@pytest.mark.parametrize("gear", [pytest.param(50.0, marks=pytest.mark.campaign), 0.02])
+@pytest.mark.campaign
+@pytest.mark.parametrize("gear", [50.0, 0.02])
 def test_a_recording_of_the_other_side_of_a_gear_is_named_as_that(tmp_path: Path, gear: float) -> None:
     (tmp_path / "a.xml").write_text(xml())
     found = judge(*recorded(gear), open_simulator(tmp_path / "a.xml", ("A1",)), tmp_path / "b.xml")
