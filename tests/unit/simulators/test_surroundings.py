@@ -289,7 +289,7 @@ def test_a_wrong_fmu_whose_equations_nobody_sees_lacks_nothing_by_name(bench: An
     ("name", "options", "said"),
     [
         ("elsewhere", {"without": "linux"}, "win64"),
-        ("licence", {"fault": "return False"}, "fails to take a step"),
+        ("licence", {"fault": "return False"}, "the FMU fails: .*DoStep"),
         ("furlong", {"unit": "furlong"}, "'furlong' is no unit of position"),
     ],
 )
