@@ -257,7 +257,7 @@ def chain(source: Path, chart: Path, folder: Path) -> Result:
 
 LEAGUE: list[tuple[str, str, str, float, str]] = [
     ("ball screw, pulses", "emps", "emps", 50.0, "6.0"),
-    ("double pendulum", "double_pendulum", "double_pendulum", 10.0, "11.9"),
+    ("double pendulum", "double_pendulum", "double_pendulum", 10.0, "11.9 of both"),
     ("large robot, axis 1", "kr300", "kr300", 10.0, ""),
     ("geared pendulum", "simple_pendulum", "simple_pendulum", 10.0, ""),
     ("two servos, steps", "hsm150", "hsm150", 20.0, ""),

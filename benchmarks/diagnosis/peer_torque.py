@@ -1,4 +1,4 @@
-"""Plain models of the same recording and split: rigid with friction by least squares, FIR and ARX.
+"""Plain models of the same recording and split: rigid with friction and weight by least squares, FIR and ARX.
 
 Each predicts the held-out torque from the measured motion; the figure is the share of it that is missed, rms,
 below the same frequency.
@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from invid.recording import Experiment, Recording, Role
 
-PEERS = ("rigid + Coulomb + viscous", "FIR", "ARX")
+PEERS = ("rigid + friction + gravity", "FIR", "ARX")
 ORDERS = (1, 2, 3, 4, 6, 8, 12)
 """Of FIR (samples each way) and ARX; the best on a quarter of the identification data that is kept out is
 taken."""
@@ -29,7 +29,7 @@ def shares(recording: Recording, below_hz: float) -> dict[str, list[float]]:
         others = [_signals(e, axis, below_hz) for e in held]
         a = np.concatenate([_rigid(*s[:3]) for s in own])
         x = np.linalg.lstsq(a, np.concatenate([s[3] for s in own]), rcond=None)[0]
-        found["rigid + Coulomb + viscous"].append(_missed([(s[3], _rigid(*s[:3]) @ x) for s in others]))
+        found[PEERS[0]].append(_missed([(s[3], _rigid(*s[:3]) @ x) for s in others]))
         found["FIR"].append(_best(own, others, _fir))
         found["ARX"].append(_best(own, others, _arx))
     return found
@@ -51,7 +51,7 @@ def _signals(e: Experiment, axis: int, below_hz: float) -> tuple[np.ndarray, ...
 
 def _rigid(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     turning = 0.01 * np.abs(v).max()
-    return np.column_stack([a, v, np.tanh(v / turning), np.ones_like(q)])
+    return np.column_stack([a, v, np.tanh(v / turning), np.ones_like(q), np.sin(q), np.cos(q)])
 
 
 def _missed(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float:

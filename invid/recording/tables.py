@@ -130,10 +130,9 @@ def good_rows(
     # what belongs to no mapped signal is missed by nobody; both are reported, each once.
     holed = {int(numbers[row]) for row in reasons}
     lines = []
-    for b in table.broken:
-        at = int(np.searchsorted(numbers, b.line))
-        own = at < numbers.size and numbers[at] == b.line
-        if not own and int(numbers[max(at - 1, 0)]) not in holed:
+    for b, at in zip(table.broken, np.searchsorted(numbers, [b.line for b in table.broken]), strict=True):
+        around = numbers[max(at - 1, 0) : at + 1].tolist()
+        if b.line not in around and around[0] not in holed:
             lines.append(b)
     skipped = sorted([*skipped, *lines], key=lambda b: b.line)
     worst = max(len(reasons), len(lines))

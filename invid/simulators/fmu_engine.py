@@ -20,8 +20,8 @@ import subprocess
 import sys
 import tempfile
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -292,23 +292,6 @@ class _Running:
         self.is_two = simulator.description.fmiVersion.startswith("2")
 
     def __enter__(self) -> _Running:
-        with self._named("start"):
-            return self._started()
-
-    @contextmanager
-    def _named(self, what: str) -> Iterator[None]:
-        """Context manager that makes of any failure of the FMU's own an error that names it."""
-        try:
-            yield
-        except InputError:
-            raise
-        except Exception as error:  # the FMU's library, its binding, or what either of them loads
-            said = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-            raise InputError(
-                f"{self.simulator.path}: the FMU fails to {what}: {said}; try it alone: 'fmpy simulate'"
-            ) from None
-
-    def _started(self) -> _Running:
         s = self.simulator
         made = FMU2Slave if self.is_two else FMU3Slave
         self.slave = made(
@@ -338,19 +321,15 @@ class _Running:
     def read(self, channels: list[_Channel]) -> Float64:
         """Values of outputs [SI]."""
         read = self.slave.getReal if self.is_two else self.slave.getFloat64
-        with self._named("give its outputs"):
-            values = np.array(read([c.reference for c in channels]), dtype=float)
+        values = np.array(read([c.reference for c in channels]), dtype=float)
         return np.asarray(values * np.array([c.factor for c in channels]))
 
     def step(self, torque: Float64, now: float, step: float) -> None:
         """One communication step with the torques held over it."""
         inputs = self.simulator.inputs
-        with self._named(f"take a step of {step:g} s at {now:.6g} s"):
-            self._write(
-                [c.reference for c in inputs],
-                [float(t) / c.factor for t, c in zip(torque, inputs, strict=True)],
-            )
-            self.slave.doStep(currentCommunicationPoint=now, communicationStepSize=step)
+        torques = [float(t) / c.factor for t, c in zip(torque, inputs, strict=True)]
+        self._write([c.reference for c in inputs], torques)
+        self.slave.doStep(currentCommunicationPoint=now, communicationStepSize=step)
 
 
 def opened(path: Path, axes: tuple[str, ...]) -> FmuSimulator:
@@ -365,6 +344,9 @@ def _answer(job: Path, answer: Path) -> None:
         found = simulator.guided_here(given)
     except InputError as error:
         found = error
+    except Exception as error:  # the FMU's library, its binding, or what either of them loads
+        said = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        found = InputError(f"{simulator.path}: the FMU fails: {said}; try it alone: 'fmpy simulate'")
     answer.write_bytes(pickle.dumps(found))
 
 

@@ -1,4 +1,4 @@
-"""Reads one MDF file in a process of its own: ``python -m invid.recording.readers.mdf_process FILE OUT.npz``.
+"""Reads one MDF file in a process of its own: ``python -m invid.recording.readers.mdf_process FILE OUT``.
 
 asammdf reads in C. A damaged file makes it print, and one in a few hundred corrupts memory ("malloc():
 invalid size"), so it works where nothing else can be lost.
@@ -6,7 +6,7 @@ invalid size"), so it works where nothing else can be lost.
 
 from __future__ import annotations
 
-import json
+import pickle
 import sys
 from pathlib import Path
 from typing import Any
@@ -17,27 +17,24 @@ MAX_VALUES = 200_000_000
 
 
 def main(source: Path, out: Path) -> None:
-    """Writes arrays ``0``, ``1``, … and ``about``: JSON with their names, clocks and units, or an error."""
+    """Pickles ``columns`` by name with their ``clocks`` and ``units``, or the ``error``."""
     import asammdf  # noqa: PLC0415 (an extra: not everybody has it)
 
-    arrays: list[np.typing.NDArray[np.float64]] = []
-    about: dict[str, Any] = {"names": [], "clocks": {}, "units": {}, "error": ""}
+    found: dict[str, Any] = {"columns": {}, "clocks": {}, "units": {}, "error": ""}
     try:
         with asammdf.MDF(source) as file:
             claimed = sum(g.channel_group.cycles_nr * len(g.channels) for g in file.groups)
             if claimed > MAX_VALUES:
                 raise ValueError(f"{claimed} numbers, more than this program reads from one file")
             for index, _ in enumerate(file.groups):
-                _take(file, index, arrays, about)
+                _take(file, index, found)
     except Exception as error:  # by kind of damage: MdfException, struct.error, ValueError, …
-        about["error"] = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-    numbered = {str(i): a for i, a in enumerate(arrays)}
-    np.savez(out, about=np.array(json.dumps(about)), **numbered)  # type: ignore[arg-type]
+        found["error"] = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+    out.write_bytes(pickle.dumps(found))
 
 
-def _take(file: Any, index: int, arrays: list[np.typing.NDArray[np.float64]], about: dict[str, Any]) -> None:
-    names: list[str] = about["names"]
-    clock = ""
+def _take(file: Any, index: int, found: dict[str, Any]) -> None:
+    columns, clock = found["columns"], ""
     for number, channel in enumerate(file.groups[index].channels):
         if channel.channel_type in (2, 3):
             continue  # the master itself
@@ -47,16 +44,12 @@ def _take(file: Any, index: int, arrays: list[np.typing.NDArray[np.float64]], ab
         if not numbers or instants.size != values.size:
             continue  # text and arrays
         if not clock:
-            clock = f"time of group {index}" if "time" in names else "time"
-            names.append(clock)
-            arrays.append(instants)
-            about["units"][clock] = "s"
-        name = channel.name if channel.name not in names else f"{channel.name}.{index}.{number}"
-        names.append(name)
-        arrays.append(values.astype(np.float64))
-        about["clocks"][name] = clock
+            clock = f"time of group {index}" if "time" in columns else "time"
+            columns[clock], found["units"][clock] = instants, "s"
+        name = channel.name if channel.name not in columns else f"{channel.name}.{index}.{number}"
+        columns[name], found["clocks"][name] = values.astype(np.float64), clock
         if signal.unit:
-            about["units"][name] = signal.unit
+            found["units"][name] = signal.unit
 
 
 if __name__ == "__main__":

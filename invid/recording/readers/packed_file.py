@@ -25,14 +25,8 @@ from invid.recording.tables import Table
 
 MAX_BYTES = 4_000_000_000
 _DAMAGE = (
-    OSError,
-    EOFError,
-    zlib.error,
-    lzma.LZMAError,
-    zipfile.BadZipFile,
-    RuntimeError,
-    NotImplementedError,
-)
+    OSError, EOFError, zlib.error, lzma.LZMAError, zipfile.BadZipFile, RuntimeError, NotImplementedError,
+)  # fmt: skip
 Reader = Callable[..., Table]
 
 

@@ -258,7 +258,7 @@ def fmu(
     ("name", "options", "said"),
     [
         ("elsewhere", {"without": "linux"}, "win64"),
-        ("licence", {"fault": "return False"}, "fails to take a step"),
+        ("licence", {"fault": "return False"}, "the FMU fails: .*DoStep"),
         ("furlong", {"unit": "furlong"}, "'furlong' is no unit of position"),
     ],
 )
