@@ -81,7 +81,6 @@ def test_an_encoder_that_dies_while_its_axis_is_at_rest_is_found_when_it_is_shak
     assert not cell.drives[0].axis.energised
 
 
-@pytest.mark.campaign
 def test_a_turn_in_the_middle_of_the_shaking_is_told_from_the_motion_alone(tmp_path: Path) -> None:
     _, error = broken_at(tmp_path, 13.35, turn)
     assert isinstance(error, SafetyStop)
@@ -191,6 +190,16 @@ def test_an_axis_that_stands_is_not_judged_for_friction_may_hold_it() -> None:
     assert cycles_until_stopped(obedience, pushed, 100) is None
     pushed.stuck = True
     assert cycles_until_stopped(obedience, pushed, 10_000) is None
+
+
+def test_what_was_learned_with_some_axes_shaken_says_nothing_while_others_are() -> None:
+    pushed = Pushed(7)
+    obedience = taught(pushed)
+    pushed.sign = -1.0
+    obedience.shake({0})
+    assert cycles_until_stopped(obedience, pushed, 2000) is None
+    obedience.shake(())
+    assert cycles_until_stopped(obedience, pushed, 500) is not None
 
 
 def test_too_few_rows_teach_nothing_and_a_path_that_is_followed_is_not_judged() -> None:

@@ -130,7 +130,6 @@ def test_a_kill_at_a_random_instant_leaves_a_readable_recording_that_is_offered_
         is_worked_out(service, location)
 
 
-@pytest.mark.campaign
 def test_a_killed_command_leaves_rows_that_identify_reads(tmp_path: Path) -> None:
     (tmp_path / "cell.yaml").write_text(CELL)
     out, rows = tmp_path / "r.h5", tmp_path / "r.h5.rows"

@@ -82,7 +82,6 @@ def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path:
         assert page.mistakes() == []
 
 
-@pytest.mark.campaign
 def test_a_stop_works_with_a_revoked_key_and_nothing_covers_it(tmp_path: Path) -> None:
     keys = tmp_path / "keys.json"
     mine, plc = add_key(keys, "tablet", ["read", "run", "accept"]), add_key(keys, "plc", ["read", "run"])

@@ -133,7 +133,6 @@ def test_a_service_killed_in_mid_run_takes_its_motion_with_it_and_starts_again_c
         assert service.client.get(location).json()["state"] == "interrupted"
 
 
-@pytest.mark.campaign
 def test_a_killed_runner_makes_its_run_fail_and_the_next_one_starts(tmp_path: Path) -> None:
     with serving(tmp_path) as service:
         location = service.start()
@@ -193,7 +192,6 @@ def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_
         assert service.client.get("/health/ready").status_code == 200
 
 
-@pytest.mark.campaign
 def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(tmp_path: Path) -> None:
     import subprocess
     import sys
@@ -212,7 +210,6 @@ def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentenc
     assert "Traceback" not in refused.stderr
 
 
-@pytest.mark.campaign
 def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_path: Path) -> None:
     import subprocess
     import sys

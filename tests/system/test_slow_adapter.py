@@ -64,7 +64,6 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CellConfig:
     return load_config(tmp_path / "hardware.yaml")
 
 
-@pytest.mark.campaign
 def test_check_says_so_and_no_measurement_enables_a_drive(cell: CellConfig, tmp_path: Path) -> None:
     simcell = subprocess.Popen(
         [*INVID, "simcell", str(tmp_path / "cell.yaml"), "--duration", "100", "--json"],

@@ -201,7 +201,6 @@ def test_kill_9_of_either_process_of_the_master_stops_the_drives(
     assert read_recording(left).experiments[0].samples > 0
 
 
-@pytest.mark.campaign
 def test_a_cell_that_dies_ends_the_measurement_with_exit_5_and_keeps_the_samples(
     simcell: subprocess.Popen[str], folder: Path
 ) -> None:
@@ -229,7 +228,6 @@ def test_ctrl_c_stops_in_order_and_exits_4(simcell: subprocess.Popen[str], folde
     assert not list((folder / "state").rglob("*.journal"))
 
 
-@pytest.mark.campaign
 def test_ctrl_c_before_anything_is_recorded_says_so_and_leaves_no_file(
     simcell: subprocess.Popen[str], folder: Path
 ) -> None:
@@ -283,7 +281,6 @@ def test_the_same_over_the_kernels_virtual_can(folder: Path) -> None:
         cell.communicate()
 
 
-@pytest.mark.campaign
 def test_nobody_on_the_bus_is_exit_5_and_writes_nothing(folder: Path) -> None:
     config(folder)
     before = folder / "run.h5"

@@ -11,14 +11,13 @@ import pytest
 from invid.cli.app import run
 from invid.comparison.screening import screen
 from invid.config import CellConfig, load_config
-from invid.errors import ModelError
+from invid.errors import ModelError, SafetyStop
 from invid.identification.identify import identify
 from invid.model.document import Model, save_model
-from invid.planning.belief import from_model
 from invid.recording import Recording, read_recording
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import measure_to_file
-from invid_drivers.screening import screen_cell, screening_plan
+from invid_drivers.screening import screen_cell
 
 CELL = """\
 format: invid-config
@@ -69,9 +68,9 @@ def test_an_unchanged_cell_is_said_to_be_unchanged_and_what_would_have_been_seen
     accepted: Model, tmp_path: Path
 ) -> None:
     config = cell(tmp_path, 2)
-    plan = screening_plan(config, from_model(accepted, config), sensor_noise(config)).plan
-    assert plan.shaking_s < 14  # the climb of its trial and one block
-    found = screen_cell(config, accepted, tmp_path / "r.h5", noise=sensor_noise(config)).screening
+    screened = screen_cell(config, accepted, tmp_path / "r.h5", noise=sensor_noise(config))
+    assert screened.result.duration_s < 10  # doublets, the climb of its trial and one block
+    found = screened.screening
     assert (found.verdict, found.changed) == ("unchanged", ())
     assert found.sentence.startswith("Nothing changed since the accepted model")
     assert "would have been found" in found.sentence
@@ -100,6 +99,20 @@ def test_what_changed_is_named_with_its_size(
     assert told.std is not None
     assert abs(told.difference - by) < 4 * told.std
     assert told.std < 0.06 * abs(by)
+
+
+@pytest.mark.parametrize("heavier", [0.2, 5.0])
+def test_an_axis_that_its_model_does_not_know_again_is_weighed_and_refused(
+    accepted: Model, tmp_path: Path, heavier: float
+) -> None:
+    document = cell(tmp_path, 6).model_dump(mode="python")
+    branch = document["simulation"]["plant"]["branches"][0]
+    for key in ("masses_kgm2", "springs_Nm_per_rad", "dampers_Nms_per_rad"):
+        branch[key] = [heavier * value for value in branch[key]]
+    changed = CellConfig.model_validate(document)
+    with pytest.raises(SafetyStop, match="which no elastic axis explains") as stopped:
+        screen_cell(changed, accepted, tmp_path / "r.h5", noise=sensor_noise(changed))
+    assert (stopped.value.code, stopped.value.axis) == ("scales", "A1")
 
 
 def test_the_command_answers_in_json_and_by_its_exit_status(

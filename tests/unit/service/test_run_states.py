@@ -10,12 +10,16 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
-from service_doubles import CELL, Director, model_document, running, wait_for
+from service_doubles import CELL, Director, model_document, running, settings_in, wait_for
 from sqlalchemy.exc import OperationalError
 
 from invid.config import load_config
 from invid.errors import ConfigError
+from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.readiness import ask_drives
+from invid_drivers.relay import STOP_S
+from invid_service.app import create_app
+from invid_service.settings import Settings
 from invid_service.store.database import open_engine
 
 START = "/api/v1/cells/cell/identifications"
@@ -444,3 +448,23 @@ def test_a_store_whose_disk_is_full_says_so_and_not_that_it_is_slow(
         problem(answer, 503, "store-unavailable")
         assert "its disk is full" in answer.json()["detail"]
         assert "make room on the disk" in answer.json()["detail"]
+
+
+def test_a_motion_of_which_nothing_is_heard_is_stopped(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director, motion_silence_s=0.3) as (client, _):
+        location = start(client)
+        ended = wait_for(client, location, "cancelled", timeout=5.0)
+        assert director.workers[0].said[-1] == "stop"
+        assert not director.workers[0].killed.is_set() or ended["error"]["code"] == "timeout"
+        assert "hung while running" in ended["error"]["text"]
+
+
+def test_the_grace_of_a_stop_is_longer_than_the_way_out_and_hardware_gets_no_shorter_one(
+    tmp_path: Path,
+) -> None:
+    assert Settings().stop_grace_s > STOP_S > STOPPED_S
+    (tmp_path / "cell.yaml").write_text(CELL.replace("invid-virtual", "socketcan"))
+    with pytest.raises(ConfigError, match="stop_grace_s"):
+        create_app(settings_in(tmp_path, stop_grace_s=3.0), launcher=Director().launch)

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from service_doubles import running, settings_in, wait_for
+from service_doubles import Director, running, settings_in, wait_for
 
 from invid.errors import ConfigError
 from invid.model.document import model_from_json
@@ -159,3 +159,15 @@ def test_stored_files_are_whole_checksummed_and_inside_the_store(tmp_path: Path)
 def test_a_database_that_cannot_be_opened_is_one_sentence(tmp_path: Path, url: str) -> None:
     with pytest.raises(ConfigError, match=r"database_url|store"):
         create_app(settings_in(tmp_path, database_url=url))
+
+
+def test_a_clean_shutdown_stops_the_motion_and_interrupts_the_run(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
+        location = answer.headers["Location"]
+        wait_for(client, location, "running")
+    assert "stop" in director.workers[0].said
+    with running(tmp_path) as (client, _):
+        assert client.get(location).json()["state"] == "interrupted"
