@@ -269,8 +269,7 @@ the pendulum, the servos and the Panda."""
 BUDGET = 60.0
 """Seconds of processor time: the command's own."""
 LEVEL = 0.1
-"""Relative difference of two figures up to which they are level: so much their held-out part alone moves them
-(empirical: halves of the records here)."""
+"""Relative difference of two figures up to which they are called level (a guess)."""
 
 
 def kept_out(recording: Recording) -> Recording:

@@ -17,6 +17,7 @@ from invid.identification.first_plants import (
     random_plants,
     split_plants,
 )
+from invid.identification.own_time import tones_of
 from invid.likelihood.unknown_forces.forces import Where
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Plant, Structure
@@ -111,11 +112,12 @@ def begin_with_modes(
 ) -> Supposed:
     """The same of a structure whose loads may have a mode, of chains that are astray.
 
-    From chains that lack one no later trial comes home: it is decided before any law is looked at.
+    From chains that lack one no later trial comes home: it is decided before any law is looked at. Not before
+    a torque that keeps its own time is taken out: a light mode that swings from the start is the same.
     """
     lowest = _lowest(bench, structure, kept, known)
     pool = [lowest]
-    is_lost = lowest.inner_strength > LOST * torque_rms(bench)
+    is_lost = lowest.inner_strength > LOST * torque_rms(bench) and not tones_of(lowest)
     for axis in _astray(lowest) if is_lost else ():
         if budget.is_left_out("further starts"):
             break
