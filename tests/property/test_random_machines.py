@@ -126,9 +126,15 @@ def test_what_was_put_in_is_named_and_nothing_else(seed, force, named):
     assert causes(diagnosis) == named, diagnosis.sentences
 
 
-@pytest.mark.parametrize("force", [lambda x: Force(ripple=x), lambda x: Force(hum=x)], ids=["ripple", "hum"])
-def test_what_has_no_name_gets_none(force):
-    diagnosis = diagnose_trajectory(machine(15, force))
+def test_a_ripple_over_position_is_cogging():
+    diagnosis = diagnose_trajectory(machine(15, lambda x: Force(ripple=x)))
+    (cogging,) = diagnosis.findings
+    assert cogging.cause == "cogging"
+    assert cogging.effect.value("cycles_per_rev") == pytest.approx(31.0, rel=2e-3)
+
+
+def test_what_has_no_name_gets_none():
+    diagnosis = diagnose_trajectory(machine(15, lambda x: Force(hum=x)))
     assert causes(diagnosis) == set()
     assert diagnosis.verdict is Verdict.UNEXPLAINED
 

@@ -35,7 +35,7 @@ from invid.numerics.arrays import frozen_float
 from invid.recording.hdf5 import write_recording
 from invid.recording.model import Experiment, Recording, Role
 from invid.rigid_motion.effect_terms import place_of
-from invid.rigid_motion.regressors import Regressor
+from invid.rigid_motion.terms import GRAVITY, Term
 
 
 def broken(document: dict, recording: Recording) -> list[str]:
@@ -158,7 +158,7 @@ def test_a_size_that_the_data_do_not_tell_comes_with_what_would() -> None:
 
 
 def test_the_weight_of_a_carried_link_is_no_alternative_of_itself() -> None:
-    both = Regressor("gravity", 1, ("sine", "cosine"), other=0)
+    both = Term(GRAVITY, 1, other=0)
     place = place_of(both, ("shoulder", "elbow"))
     assert place == ("elbow", "mass 1", "shoulder")
     alone = EffectTerm("gravity", "elbow", {"torque": Estimate(1.0, 0.1, "N·m")}, "mass 1")

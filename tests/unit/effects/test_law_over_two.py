@@ -89,7 +89,7 @@ def test_its_file_has_its_shape(over: str, across: str, element: str, tmp_path: 
     (effect,) = load_effects(file)
     rng = np.random.default_rng(1)
     q, v = rng.uniform(-1.5, 1.5, 50), rng.uniform(-3.0, 3.0, 50)
-    found = effect.regressors(PlaceMotion(q, v, np.zeros(50)), ())[:, 0] * term.value("torque")
+    found = effect.resistance(PlaceMotion(q, v, np.zeros(50)), ())[:, 0] * term.value("torque")
     assert found == pytest.approx(drag(v, q), abs=0.02 * np.abs(drag(v, q)).max())
 
 

@@ -10,7 +10,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 
@@ -27,7 +26,6 @@ from invid.numerics import budget
 from invid.numerics.budget import Budget, Progress, use_budget
 from invid.numerics.run_clock import RunClock
 from invid.recording import Kind
-from invid.rigid_motion.selection import Selection
 
 
 class Ticks:
@@ -90,9 +88,7 @@ def test_what_a_rigid_machine_s_diagnosis_does_not_need_goes_to_the_doubt_about_
 ) -> None:
     """Where rigid axes miss a lot chains are tried; a search for their causes may follow or not."""
     monkeypatch.setattr(machine_kind, "is_trajectory", lambda _: moved)
-    monkeypatch.setattr(
-        machine_kind, "analyse", lambda _: SimpleNamespace(selection=Selection(cast("Any", None)))
-    )
+    monkeypatch.setattr(machine_kind, "analyse", lambda _: SimpleNamespace(is_cut_short=False))
     monkeypatch.setattr(machine_kind, "rigid_missed_share", lambda _: 0.5)
     monkeypatch.setattr(machine_kind, "identify_trajectory", lambda *_, **__: None)
     given = list[bool]()

@@ -14,9 +14,11 @@ import pytest
 from large_motion import experiment, recording
 
 from invid.diagnosis.rigid import diagnose_trajectory
+from invid.identification.machine_kind import rigid_missed_share
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.recording import Experiment, Kind, Role
 from invid.rigid_motion.analysis import analyse
+from invid.rigid_motion.record_kind import is_trajectory, reversal_rate
 
 RATE, SUB, COUNT, NOISE = 250.0, 20, 2 * np.pi / 2**20, 0.01
 
@@ -172,7 +174,7 @@ def test_constant_speeds_show_friction_however_they_are_cut_into_records(turns: 
     assert diagnosis.explained_fraction > 0.99
 
 
-def arm(rng: np.random.Generator, seconds: float = 15.0) -> list[Experiment]:
+def arm(rng: np.random.Generator, seconds: float = 15.0, pace: float = 1.0) -> list[Experiment]:
     """Three motions of two drawn links that fall and rub: the torque that each motion asks for.
 
     Every record moves the joints by amounts of its own.
@@ -186,7 +188,7 @@ def arm(rng: np.random.Generator, seconds: float = 15.0) -> list[Experiment]:
         q, v, a = np.zeros((3, t.size, 2))
         for i in (0, 1):
             for _ in range(4):
-                w, phase = 2 * np.pi * rng.uniform(0.2, 0.8), rng.uniform(0, 2 * np.pi)
+                w, phase = 2 * np.pi * pace * rng.uniform(0.2, 0.8), rng.uniform(0, 2 * np.pi)
                 size = spans[i] * rng.uniform(0.3, 0.6)
                 q[:, i] += size * np.sin(w * t + phase)
                 v[:, i] += size * w * np.cos(w * t + phase)
@@ -219,10 +221,18 @@ def test_which_motion_of_an_arm_validates_changes_no_cause():
         assert all(n == causes for n in named), (seed, named)
 
 
+def test_an_arm_that_is_stated_to_be_one_mass_a_joint_is_rigid_however_fast_it_swings():
+    data = recording(*arm(np.random.default_rng(7501), pace=3.6))
+    assert reversal_rate(data) > 5.0
+    stated = replace(data, masses_per_axis=(1, 1))
+    assert is_trajectory(stated)
+    assert rigid_missed_share(analyse(stated)) < 0.02
+
+
 def test_rows_beside_a_reversal_are_left_out_where_others_remain():
     rng = np.random.default_rng(7600)
     axis = Axis(1.0, (1.0, 1.0))
     axis.record(rng, wander(rng))
-    design = analyse(recording(*axis.seen)).design
-    assert design.far.all()
-    assert design.torque.size < sum(m.keep.sum() for m in design.motions)
+    rows = analyse(recording(*axis.seen)).rows
+    assert rows.far.all()
+    assert rows.torque.size < sum(m.keep.sum() for m in rows.motions)
