@@ -49,17 +49,17 @@ def draw(a: Analysis, axis: int) -> Figure:
     """Torque over speed for constant speeds, else over time: measured, rigid, with the causes."""
     figure, place = plt.subplots(figsize=(7.2, 3.0), layout="constrained")
     unit = a.recording.torque_unit
-    mine = a.design.axis == axis
-    told, final, base = (x[mine] for x in (a.design.torque, a.final.held_out, a.base.held_out))
+    mine = a.rows.axis == axis
+    told, final, base = (x[mine] for x in (a.rows.torque, a.final.held_out, a.base.held_out))
     if a.reach.steady:
-        speed = np.array([m.velocity[0, axis] for m in a.motions])
+        speed = np.array([m.velocity[0, axis] for m in a.rows.motions])
         order = np.argsort(speed)
         place.plot(speed[order], 1e3 * told[order], "o", ms=4, color=MEASURED, label="measured")
         place.plot(speed[order], 1e3 * (told - final)[order], "-", color=NAMED, label="named, speed kept out")
         place.set(xlabel="speed [rad/s]", ylabel=f"torque [m{unit}]")
     else:
-        motion = max(a.motions, key=lambda m: int(m.keep.sum()))
-        at = sum(int(m.keep.sum()) for m in a.motions[: a.motions.index(motion)])
+        motion = max(a.rows.motions, key=lambda m: int(m.keep.sum()))
+        at = sum(int(m.keep.sum()) for m in a.rows.motions[: a.rows.motions.index(motion)])
         count = int(motion.keep.sum())
         rows = slice(at, at + count)
         time = np.flatnonzero(motion.keep) * motion.row_step

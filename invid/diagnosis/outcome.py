@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 
 from invid.diagnosis.sentences import finding_sentence, separating_text
-from invid.diagnosis.thresholds import COMPETES, CONTESTED, EXPLAINED, FLOOR, MISSED, NAMED, SMALL, UNSIZED
+from invid.diagnosis.thresholds import CONTESTED, EXPLAINED, FLOOR, MISSED, NAMED, SMALL, SOFTER, UNSIZED
 from invid.effects.laws.empirical_law import NAMELESS, is_like_law
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
 from invid.model.document import EffectTerm, Model
 from invid.model.doubts import Doubt, DoubtCode
-from invid.numerics.arrays import Float64
 from invid.recording.model import Recording, Role
 
 
@@ -36,9 +35,9 @@ class Cause:
     fraction
         Share of what the model missed that it explains.
     share
-        Its share of the likelihood among all competitors (``likelihood_share``).
+        Its share of the likelihood among all competitors (``share_among_rivals``).
     alternatives
-        Causes that the data cannot tell from it (``is_rival``).
+        Causes that the data cannot tell from it (``COMPETES``).
     size_is_significant
         Whether its size differs from zero; ``None`` where that is not known.
     remarks
@@ -56,23 +55,11 @@ class Cause:
     doubts: tuple[str, ...] = ()
 
 
-def likelihood_share(scores: Float64, own: Sequence[bool]) -> float:
-    """Share of the likelihood of all candidates that the ``own`` ones have; ``scores``: −2 ln L with penalty.
-
-    Likelihood ratios overstate certainty where the models are imperfect (the dispersion only accounts for
-    their size, not for their coherence); halving the exponent is empirical (hidden plants).
-    """
-    weights = np.exp(-0.25 * np.clip(scores - scores.min(), 0.0, 200.0))
-    return float(weights[list(own)].sum() / weights.sum())
-
-
-def is_rival(score_gap: float, cost_gap: float, remainder: float) -> bool:
-    """Whether a candidate counts as a rival of the chosen one.
-
-    It does where its −2 ln L with penalty is higher by less than ``COMPETES``, or its χ² by less than the
-    ``remainder`` that even the chosen one leaves.
-    """
-    return score_gap < COMPETES or cost_gap < remainder
+def share_among_rivals(worse: Sequence[float]) -> float:
+    """Share of the likelihood of all that a cause has, beside none and its rivals, by how much higher −2 ln L
+    is with each of these."""
+    odds = np.exp(-np.clip(worse, 0.0, 200.0) / SOFTER)
+    return float(1.0 / (1.0 + odds.sum()))
 
 
 def finding_of(

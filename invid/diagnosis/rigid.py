@@ -1,9 +1,6 @@
-"""The diagnosis of a large motion: regression over time instead of spectra, judged as every other."""
+"""The diagnosis of a large motion: rows of time instead of spectral lines, judged as every other."""
 
 from __future__ import annotations
-
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -14,33 +11,28 @@ from invid.diagnosis.outcome import (
     explained_share,
     finding_of,
     floors_left,
-    is_rival,
-    likelihood_share,
     limit_unfinished_search,
+    share_among_rivals,
 )
-from invid.diagnosis.thresholds import FLOOR, NAMED, NEAR, UNSIZED
-from invid.effects.registry import CATALOGUE
+from invid.diagnosis.thresholds import COMPETES, FLOOR, NAMED, UNSIZED
+from invid.effects.laws.empirical_law import NAMELESS
+from invid.effects.registry import BY_CAUSE, CATALOGUE
+from invid.effects.supposed.large_motion import LoadFriction
 from invid.errors import InputError
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.worth import NUMBER
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Unexplained
 from invid.model.document import EffectTerm, Model
 from invid.numerics import budget
 from invid.recording.model import Recording
-from invid.rigid_motion.analysis import Analysis, analyse, depends_on, row_floor, sampling_error
-from invid.rigid_motion.effect_terms import place_of, term_of
+from invid.rigid_motion import search
+from invid.rigid_motion.analysis import Analysis, analyse, row_floor, sampling_error
+from invid.rigid_motion.effect_terms import effect_of_cause, place_of
 from invid.rigid_motion.figures import figures_of
+from invid.rigid_motion.fit import Fit, axis_powers, falls, settled
 from invid.rigid_motion.model import model_of
-from invid.rigid_motion.regression import Fit, fit_terms
-from invid.rigid_motion.regressors import ASYMMETRIC, Regressor
-from invid.rigid_motion.selection import (
-    best_of_label,
-    can_join,
-    held_out_cost,
-    held_out_p,
-    hold_at_bounds,
-    judged_rows,
-    root_mean_square,
-    training_p,
-)
+from invid.rigid_motion.smooth_law import depends_on, law_fits
+from invid.rigid_motion.terms import BEND, BY_DIRECTION, GRAVITY, RISE, Term
 
 
 def diagnose_trajectory(
@@ -59,14 +51,14 @@ def diagnose_trajectory(
     a = analyse(recording) if analysis is None else analysis
     extended = model_of(a, model)
     residual = _residuals(a)
-    terms = [t for t in a.final.terms if not t.base]
-    explained = explained_share(residual) if terms else None
+    found = search.causes_of(a.final.terms)
+    explained = explained_share(residual) if found else None
     near = axis_above_floor(residual) is None
     missing = any(
         r.after > max(FLOOR * r.floor, allowed)
         for r, allowed in zip(residual, sampling_error(a), strict=True)
     )
-    causes = sorted(_causes(a, terms, explained or 0.0), key=lambda c: c.after - c.before)
+    causes = sorted(_causes(a, found, explained or 0.0), key=lambda c: c.after - c.before)
     sizes = extended.chains.masses_per_branch
     result = assemble_diagnosis(
         recording,
@@ -77,189 +69,137 @@ def diagnose_trajectory(
         missing=missing,
         complete=True,
         explained=explained,
-        left=None if near or not (terms or missing) else _describe_residual(a, residual),
+        left=None if near or not (found or missing) else _describe_residual(a, residual),
         warnings=extended.warnings,
         details=figures_of(a, extended),
     )
-    return limit_unfinished_search(result) if a.selection.is_cut_short else result
+    return limit_unfinished_search(result) if a.is_cut_short else result
+
+
+def _missing(a: Analysis, result: Fit) -> list[float]:
+    """Rms torque that each axis misses in rows kept out."""
+    return [float(x) for x in np.sqrt(axis_powers(a.rows, a.rows.judged, result.held_out))]
 
 
 def _residuals(a: Analysis) -> tuple[AxisResidual, ...]:
-    rows, unit, floor = judged_rows(a.design), a.recording.torque_unit, row_floor(a)
-    result = []
-    for i, name in enumerate(a.recording.axes):
-        axis_rows = rows & (a.design.axis == i)
-        before, after = (
-            root_mean_square(a.base.held_out[axis_rows]),
-            root_mean_square(a.final.held_out[axis_rows]),
-        )
-        result.append(AxisResidual(name, unit, before, after, float(np.sqrt(np.mean(floor[axis_rows])))))
-    return tuple(result)
+    floor = np.sqrt(axis_powers(a.rows, a.rows.judged, np.sqrt(row_floor(a))))
+    unit, columns = a.recording.torque_unit, (_missing(a, a.base), _missing(a, a.final), floor)
+    return tuple(
+        AxisResidual(name, unit, before, after, float(noise))
+        for name, before, after, noise in zip(a.recording.axes, *columns, strict=True)
+    )
 
 
-class _Costs:
-    """χ² of fits over independent rows, with the residual variance of the final fit as unit."""
-
-    def __init__(self, a: Analysis) -> None:
-        self.design, self.final = a.design, a.final
-        own = a.design.has_validation
-        train = a.design.train
-        length = train.sum() / max(a.final.effective, 1.0)
-        self.held = float(judged_rows(a.design).sum() / length)
-        # In cross-validation every row is predicted by a fit without it and counts once.
-        self.trained = a.final.effective if own else 0.0
-        rows = judged_rows(a.design)
-        noise = float(np.mean((row_floor(a) * a.design.weight**2)[rows]))
-        share = 1.0 - noise / max(held_out_cost(a.design, a.final), 1e-300)
-        count = self.held + self.trained
-        self.left = max(count * share - 3.0 * float(np.sqrt(2.0 * count)), 0.0)
-        """χ² that even the final fit leaves beyond noise, three standard deviations subtracted."""
-
-    def of(self, result: Fit) -> float:
-        """χ² of a fit."""
-        held = held_out_cost(self.design, result) / max(held_out_cost(self.design, self.final), 1e-300)
-        return self.held * held + self.trained * result.cost / max(self.final.cost, 1e-300)
-
-    def score(self, result: Fit) -> float:
-        """−2 ln(likelihood) and Schwarz' penalty of all coefficients and shapes."""
-        count = self.held + self.trained
-        numbers = result.value.size + sum(t.shape is not None for t in result.terms)
-        return self.of(result) + float(np.log(max(count, 2.0))) * numbers
-
-
-def _causes(a: Analysis, terms: list[Regressor], explained: float) -> list[Cause]:
-    """The terms as causes, with what each explains and its competitors."""
-    costs, design = _Costs(a), a.design
-    others = [[t for t in a.final.terms if t is not term] for term in terms]
-    without = [fit_terms(design, rest) for rest in others]
-    gains = [max(costs.of(w) - costs.of(a.final), 0.0) for w in without]
+def _causes(a: Analysis, found: list[search.Cause], explained: float) -> list[Cause]:
+    """The causes with what each explains and its rivals."""
+    without = [search.without(a.rows, a.final, c) for c in found]
+    gains = [max(sum(falls(a.rows, w, a.final)), 0.0) for w in without]
+    after = _missing(a, a.final)
     # What leaves more is wrong somewhere: of a drag with the square of the speed viscous friction takes six
     # sevenths, and is not what is there.
     most = 1.0 if explained >= NAMED else UNSIZED
-    found = []
-    for term, rest, bare, gain in zip(terms, others, without, gains, strict=True):
-        axis_rows = judged_rows(design) & (design.axis == term.axis)
-        near = _near_fits(a, term, rest, costs, costs.of(a.final) + NEAR * gain)
-        scores = np.array([costs.score(f) for f in (a.final, *near)])
-        chance = max(training_p(bare, a.final), held_out_p(design, bare, a.final))
-        alternatives = tuple(
-            _alternative(f.terms[-1], a, root_mean_square(f.held_out[axis_rows]))
-            for f, score in zip(near, scores[1:], strict=True)
-            if is_rival(score - scores[0], costs.of(f) - costs.of(a.final), costs.left)
-        )
-        effect, remarks = _plain_effect(a, term, rest)
-        found.append(
+    out = []
+    for cause, bare, gain in zip(found, without, gains, strict=True):
+        axis = cause.terms[0].axis
+        rivals = _rivals(a, cause, bare)
+        effect, remarks = _plain_effect(a, cause)
+        out.append(
             Cause(
                 effect,
-                root_mean_square(bare.held_out[axis_rows]),
-                root_mean_square(a.final.held_out[axis_rows]),
+                _missing(a, bare)[axis],
+                after[axis],
                 explained * gain / max(sum(gains), 1e-300),
-                min(most, 1.0 - chance) * likelihood_share(scores, [True, *(False for _ in near)]),
-                alternatives,
+                min(most, share_among_rivals([gain, *(worse for worse, _ in rivals)])),
+                tuple(said for worse, said in rivals if worse < COMPETES),
                 remarks=remarks,
             )
         )
-    return found
+    return out
 
 
-def _alternative(term: Regressor, a: Analysis, after: float) -> Alternative:
-    axis, element, other = place_of(term, a.recording.axes)
-    return Alternative(term.cause, axis, element, after, other)
+def _rivals(a: Analysis, cause: search.Cause, bare: Fit) -> list[tuple[float, Alternative]]:
+    """Other causes in the place of one: by how much −2 ln L is higher, and what they leave."""
+    if cause.name == NAMELESS or budget.is_left_out("rivals of the causes"):
+        return []
+    axis, laws = cause.terms[0].axis, {t.label for t in (*cause.terms, *a.final.terms)}
+    alike = {*BY_CAUSE[cause.name].looks_like}
+    alike |= {e.cause for e in CATALOGUE if cause.name in e.looks_like}
+    here = {t.law for t in bare.terms if t.axis == axis}
+    others = [
+        t
+        for t in a.candidates
+        # A law that contains the cause is a refinement that was not needed, no rival.
+        if t.axis == axis
+        and t.label not in laws
+        and t.cause in alike
+        and t.law not in (RISE, BEND, BY_DIRECTION)
+        and not (t.law is Part.OFFSET and GRAVITY in here)
+    ]
+    fits = [(t, search.with_term(a.rows, bare, t)) for t in search.leaders(a.rows, bare, others)]
+    out = [(t.cause, place_of(t, a.recording.axes), f) for t, f in fits]
+    if isinstance(cause.terms[0].law, LoadFriction):
+        # On one way a load that follows the pose is a law of position, and any other such law is like it.
+        place = place_of(cause.terms[0], a.recording.axes)
+        out += [(NAMELESS, place, f) for f in law_fits(a.rows, bare, axis, ("position", ""))]
+    return [
+        (worse, Alternative(name, at, element, _missing(a, f)[axis], other))
+        for name, (at, element, other), f in out
+        for worse in (sum(falls(a.rows, f, a.final)) + NUMBER * (f.numbers - a.final.numbers),)
+    ]
 
 
-def _near_fits(a: Analysis, term: Regressor, rest: list[Regressor], costs: _Costs, most: float) -> list[Fit]:
-    """Fits with another cause in place of ``term`` that cost less than ``most``."""
-    labels: dict[Any, list[Regressor]] = {}
-    for c in a.candidates:
-        # A law that contains the term is a refinement that was not needed, not a rival.
-        nested = term.cause in c.replaces or c.cause in term.replaces or c.cause == term.cause
-        if c.axis == term.axis and not (c.base or nested) and c.label != term.label and can_join(rest, c):
-            labels.setdefault(c.label, []).append(c)
-    found = []
-    for options in labels.values():
-        if budget.is_left_out("rivals of the causes found"):
-            break
-        trial = best_of_label(a.design, rest, options)
-        if trial is not None and costs.of(trial) < most:
-            found.append(trial)
-    return found
-
-
-def _plain_effect(a: Analysis, term: Regressor, rest: list[Regressor]) -> tuple[EffectTerm, tuple[str, ...]]:
+def _plain_effect(a: Analysis, cause: search.Cause) -> tuple[EffectTerm, tuple[str, ...]]:
     """The effect in the cause's own parameters, and sentences about what the model has beyond them.
 
-    Friction that differs by direction has four parameters. Where it also bends at low speed, the four are
-    those of the best law without the bend (with the bend they would mean something else), and the bend stands
-    in the model's effect. The symmetric law beside it lets a reader compare with tables.
+    Friction by direction has four parameters. Where it also bends at low speed, the four are those of the
+    best law without the bend (with it they would mean something else), and the bend stands in the model.
     """
-    effect = term_of(a, term)
-    if term.cause == "load_dependent_friction":
+
+    def effect_in(final: Fit, of: search.Cause) -> EffectTerm:
+        return effect_of_cause(a.rows, final, of, a.recording.axes, linear=a.recording.linear)
+
+    effect = effect_in(a.final, cause)
+    if isinstance(cause.terms[0].law, LoadFriction):
         counted = "weight and inertia" if effect.value("inertia_counts") else "weight"
         return effect, (f"The load is the joint's {counted}.",)
-    if term.cause != "asymmetric_friction":
+    bend = {n: p for n, p in effect.parameters.items() if n.startswith("low_speed")}
+    if not bend:
         return effect, ()
-    remarks: list[str] = []
-    if len(term.names) > len(ASYMMETRIC):
-        bend = {n: effect.parameters[n] for n in effect.parameters if n.startswith("low_speed")}
-        own = Regressor("asymmetric_friction", term.axis, ASYMMETRIC, ASYMMETRIC)
-        own = hold_at_bounds(a.design, [*rest, own], own) or own
-        beyond = effect
-        effect = term_of(replace(a, final=fit_terms(a.design, [*rest, own])), own)
-        up, down, speed = (p.value for p in bend.values())
-        unit, force = bend["low_speed_velocity"].unit, beyond.parameters["coulomb_positive"].unit
-        remarks.append(
-            f"Below about {speed:.3g} {unit} it changes by {up:.3g} (forward) and {down:.3g} {force} "
-            "(backward): see the model."
-        )
-    same = [
-        Regressor("coulomb_friction", term.axis, ("torque",)),
-        Regressor("viscous_friction", term.axis, ("coefficient",)),
-        Regressor("torque_offset", term.axis, ("torque",)),
-    ]
-    if any(t.cause == "gravity" and t.axis == term.axis for t in rest):
-        return effect, tuple(remarks)
-    # As tables in the literature are made: without the sampling instant of the torque.
-    symmetric = fit_terms(a.design, [*(t for t in rest if t.cause != "time_offset"), *same])
-    units = [p.unit for p in effect.parameters.values()]
-    sizes = [
-        f"{name} {value[0]:.4g} ± {std[0]:.2g} {unit}"
-        for name, unit, (value, std) in zip(
-            ("Coulomb", "viscous", "offset"),
-            (units[0], units[2], units[0]),
-            (symmetric.of(t) for t in same),
-            strict=True,
-        )
-    ]
-    remarks.append(f"As one law for both directions: {', '.join(sizes)}.")
-    return effect, tuple(remarks)
+    bare = search.without(a.rows, a.final, cause)
+    own = [t for t in cause.terms if isinstance(t.law, Part)]
+    plain = search.Cause(cause.name, (Term(BY_DIRECTION, own[0].axis), *own))
+    whole = settled(a.rows, [*bare.terms, *plain.terms])
+    up, down, speed = (p.value for p in bend.values())
+    unit, force = bend["low_speed_velocity"].unit, effect.parameters["coulomb_positive"].unit
+    said = (
+        f"Below about {speed:.3g} {unit} it changes by {up:.3g} (forward) and {down:.3g} {force} "
+        "(backward): see the model."
+    )
+    return effect_in(whole, plain), (said,)
 
 
 def _describe_residual(a: Analysis, residual: tuple[AxisResidual, ...]) -> Unexplained:
     """Size, frequencies and character of the unexplained torque on the axis farthest above its floor."""
     worst = max(range(len(residual)), key=lambda i: floors_left(residual[i]))
-    axis_rows = a.design.axis == worst
-    residual_rows = a.final.held_out[axis_rows]
-    motion = max(a.motions, key=lambda m: int(m.keep.sum()))
-    character = []
-    position = a.design.on_axis([m.rows(m.position) for m in a.motions], worst)
-    velocity = a.design.on_axis([m.rows(m.velocity) for m in a.motions], worst)
-    time = np.arange(residual_rows.size, dtype=float)
-    for name, driver in (("position", position), ("velocity", velocity), ("time", time)):
-        if depends_on(residual_rows, driver, a.final.effective / a.design.axes):
-            character.append(f"{name}-dependent")
+    motions, left = a.rows.motions, a.final.held_out[a.rows.axis == worst]
+    drivers = {
+        "position": [m.position for m in motions],
+        "velocity": [m.velocity for m in motions],
+        "time": [np.cumsum(np.ones_like(m.position), axis=0) + 1e9 * k for k, m in enumerate(motions)],
+    }
+    character = tuple(f"{q}-dependent" for q, d in drivers.items() if depends_on(a.rows, a.final, worst, d))
     frequencies: tuple[float, ...] = ()
-    if not motion.steady and residual_rows.size >= 64:
-        power = np.abs(np.fft.rfft(residual_rows - residual_rows.mean())) ** 2
-        line = np.fft.rfftfreq(residual_rows.size, motion.row_step)
-        top = sorted(float(f) for f in line[np.argsort(power)[-3:]])
-        frequencies = tuple(round(f, 3) for f in top)
+    if not a.reach.steady and left.size >= 64:
+        power = np.abs(np.fft.rfft(left - left.mean())) ** 2
+        line = np.fft.rfftfreq(left.size, a.rows.step)
+        frequencies = tuple(round(f, 3) for f in sorted(float(f) for f in line[np.argsort(power)[-3:]]))
     r = residual[worst]
     how = (", " + ", ".join(character)) if character else ""
     where = f" around {', '.join(f'{f:g}' for f in frequencies)} Hz" if frequencies else ""
     return Unexplained(
         axis=r.axis,
         frequencies_hz=frequencies,
-        character=tuple(character),
+        character=character,
         sentence=f"{r.axis}: {r.after:.3g} {r.unit} rms is left over a noise floor of {r.floor:.3g} "
         f"{r.unit}{where}{how}; no cause explains it that is searched for in moves of rigid axes "
         f"(not searched for: {', '.join(_not_searched(a))})",

@@ -22,9 +22,9 @@ NAMED = 0.9
 wrong ones."""
 
 # --- Rivals: what the data cannot tell apart
-NEAR = 0.3
-"""Share of the best candidate's gain that a candidate may lack and still be examined as its rival
-(empirical)."""
+SOFTER = 4.0
+"""Divisor of a rise of −2 ln L in the exponent of the odds: two by definition, and two more since likelihood
+ratios overstate certainty where models are imperfect (empirical, hidden plants)."""
 COMPETES = 9.0
 """Difference of −2 ln(likelihood) within which two causes count as indistinguishable (statistical, about 3
 σ)."""

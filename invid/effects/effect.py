@@ -187,13 +187,6 @@ class Effect:
         """Elements for the simulators; ModelError where it cannot be simulated."""
         raise ModelError(f"effect {self.cause} on {at.term.axis}: it says nothing on how to simulate it")
 
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        """(n, k) resistance for each coefficient at one, where an axis is one rigid mass.
-
-        ``shape`` are the shape parameters themselves, no logarithms.
-        """
-        raise InputError(f"effect {self.cause}: it has no law for large motion")
-
     def size_text(self, size: str) -> str:
         """The size as a sentence states it."""
         return f" of {size}"

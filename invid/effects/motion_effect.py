@@ -55,9 +55,6 @@ class MotionEffect(Effect):
         ]
         return list(product(*scaled))
 
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        return self.resistance(motion, shape)
-
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64 | None:
         return self._static_resistance(p, x)
 

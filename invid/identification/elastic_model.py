@@ -18,11 +18,11 @@ from invid.identification.fitted_model import model_of
 from invid.identification.late_drives import late_drives
 from invid.identification.quantities import axis_and_element
 from invid.identification.terms import TermWriter
-from invid.identification.worth import Worth, friction_worths, gone_columns, pays, role_falls
 from invid.inverse import PaperResult
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.worth import Worth, friction_worths, gone_columns, pays, role_falls
 from invid.model.document import EffectTerm, Model
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts, doubts_of
 from invid.numerics import budget

@@ -22,7 +22,6 @@ from invid.recording.model import Kind, Recording
 from invid.rigid_motion.analysis import Analysis, analyse, row_floor
 from invid.rigid_motion.model import TRAJECTORY, identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
-from invid.rigid_motion.selection import judged_rows
 
 RIGID_ENOUGH = 0.1
 """Missed share of the torque (rms, held-out rows) below which rigid axes are not doubted. Empirical: 0.007 to
@@ -59,7 +58,8 @@ def machine_kind(
     """
     wanted = recording.masses_per_axis if masses is None else masses
     if wanted is not None and not isinstance(wanted, str):
-        return MachineKind(all(n == 1 for n in wanted) and is_trajectory(recording))
+        stated = replace(recording, masses_per_axis=tuple(wanted))
+        return MachineKind(all(n == 1 for n in wanted) and is_trajectory(stated))
     experiments = recording.experiments
     if any(e.period_samples and e.periods >= 2 for e in experiments):
         return MachineKind(rigid=False)
@@ -74,7 +74,7 @@ def machine_kind(
         missed = rigid_missed_share(found)
         identify_trajectory(recording, analysis=found)  # an axis may not accelerate at all
         # There may be time for more of it, but of a machine that is moved it had all there was.
-        analysis = None if found.selection.is_cut_short and not is_moved else found
+        analysis = None if found.is_cut_short and not is_moved else found
     except InvidError:
         analysis, missed = None, float("inf")
     if is_moved and missed < RIGID_ENOUGH:
@@ -139,12 +139,12 @@ def rigid_missed_share(analysis: Analysis) -> float:
 
 def _rigid_powers(analysis: Analysis) -> Float64:
     """(M, 2) power that is missing on rows kept out, beyond noise, and that of the torque."""
-    design, rows, floor = analysis.design, judged_rows(analysis.design), row_floor(analysis)
+    rows, floor = analysis.rows, row_floor(analysis)
     left = analysis.final.held_out**2 - floor
-    out = np.zeros((design.axes, 2))
-    for i in range(design.axes):
-        axis_rows = rows & (design.axis == i)
-        out[i] = max(float(left[axis_rows].sum()), 0.0), float(np.sum(design.torque[axis_rows] ** 2))
+    out = np.zeros((rows.axes, 2))
+    for i in range(rows.axes):
+        axis_rows = rows.judged & (rows.axis == i)
+        out[i] = max(float(left[axis_rows].sum()), 0.0), float(np.sum(rows.torque[axis_rows] ** 2))
     return out
 
 

@@ -13,9 +13,10 @@ from invid.model.doubts import Doubt, DoubtCode, doubt_facts
 from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
 from invid.rigid_motion.analysis import Analysis, analyse
-from invid.rigid_motion.effect_terms import term_of
-from invid.rigid_motion.regression import fit_terms
-from invid.rigid_motion.regressors import Regressor
+from invid.rigid_motion.effect_terms import effect_of_cause
+from invid.rigid_motion.fit import fit_terms
+from invid.rigid_motion.search import causes_of
+from invid.rigid_motion.terms import Base, Term
 
 TRAJECTORY = "trajectory"
 """Method name of models of rigid axes."""
@@ -47,20 +48,20 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
     facts: dict[str, Any] = {}
     for term in final.terms:
         value, std = final.of(term)
-        if term.cause == "inertia":
+        if term.law is Base.INERTIA and final.free[final.span(term)].all():
             mass[term.axis], mass_std[term.axis] = value[0], std[0]
-        elif term.cause == "coupling" and term.other is not None:
+        elif term.law is Base.COUPLING and term.other is not None:
             for i, j in ((term.axis, term.other), (term.other, term.axis)):
                 coupling[i, j], coupling_std[i, j] = value[0], std[0]
-        elif term.cause == "time_offset":
+        elif term.law is Base.TIME_OFFSET:
             offsets = facts.setdefault("time_offset_s", {})
             offsets[f"{recording.axes[term.axis]}.time_offset"] = {
                 "value": float(value[0]),
                 "std": float(std[0]),
             }
-        elif term.cause == "ground_spring":
+        elif term.law is Base.GROUND_SPRING:
             spring[term.axis], spring_std[term.axis] = value[0], std[0]
-        elif term.cause == "configuration":
+        elif term.law is Base.CONFIGURATION:
             facts["inertia_with_angle"] = {
                 "axes": [recording.axes[term.axis], recording.axes[term.other or 0]],
                 "cosine": {"value": float(value[0]), "std": float(std[0])},
@@ -105,17 +106,21 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
         chains=chains,
         std=std_of,
         linear=recording.linear,
-        effects=tuple(term_of(a, t) for t in final.terms if not t.base),
+        effects=tuple(
+            effect_of_cause(a.rows, final, c, recording.axes, linear=recording.linear)
+            for c in causes_of(final.terms)
+        ),
         warnings=tuple(warnings),
-        fit={**facts, "rows": int(a.design.torque.size), "independent_rows": round(final.effective, 1)},
+        fit={**facts, "rows": int(a.rows.torque.size), "independent_rows": round(final.effective, 1)},
         provenance={"recording": recording.source, "model_of": "rigid body with gravity and friction"},
     )
 
 
 def _hidden_inertia_std(a: Analysis, axis: int) -> float:
     """Standard deviation of an inertia given the rest of the model: how much could be there unseen."""
-    own = Regressor("inertia", axis, ("mass",), base=True)
-    _, std = fit_terms(a.design, [*a.final.terms, own]).of(own)
+    own = Term(Base.INERTIA, axis)
+    rest = [t for t in a.final.terms if t.label != own.label]
+    _, std = fit_terms(a.rows, [*rest, own]).of(own)
     if not std[0] > 0:
         raise NotIdentifiableError(
             f"{a.recording.source}: {a.recording.axes[axis]} does not accelerate; record faster moves"
@@ -125,7 +130,7 @@ def _hidden_inertia_std(a: Analysis, axis: int) -> float:
 
 def _warnings(a: Analysis) -> list[str]:
     found = []
-    if not a.design.has_validation:
+    if not a.rows.has_validation:
         found.append(
             "the recording names no validation data: whole pieces (or constant-speed records) were kept out "
             "in turn"

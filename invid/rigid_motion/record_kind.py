@@ -6,11 +6,12 @@ import numpy as np
 import scipy
 
 from invid.errors import InvidError
+from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.numerics.arrays import Float64
 from invid.recording.model import Kind, Recording
-from invid.rigid_motion.regression import Design, fit_terms
-from invid.rigid_motion.regressors import Regressor, base_terms
-from invid.rigid_motion.selection import held_out_cost
+from invid.rigid_motion.fit import axis_powers, fit_terms
+from invid.rigid_motion.rows import Rows
+from invid.rigid_motion.terms import GRAVITY, Base, Term, base_terms, extent, first_terms
 from invid.signals.motion_record import find_band, prepare_rows
 from invid.signals.timebase import resample_uniformly
 
@@ -28,14 +29,19 @@ SHAKING_RATE = 4.0
 """Reversals of velocity a second from which an axis is shaken, not moved. Empirical: at most 1.8 on the moves
 of six arms of two links (one axis changes the inertia of the other, so that rigid axes alone account for a
 tenth of the torque in one), 7.8 and more on 16 chains under noise or a stepped sine."""
+LEFT_BY_SPRING = 0.25
+"""Share of what friction, gravity and inertia leave on held-out rows that a spring to ground may leave
+(empirical)."""
+LEAST_WEIGHED = 1.0
+"""Travel [rad] from which weight is told from a spring to ground (physical)."""
 
 
 def is_trajectory(recording: Recording) -> bool:
     """Whether a recording is a motion for a rigid model with gravity, friction or a spring to ground.
 
     That is: velocity without position; moves and constant velocities without a visible resonance that are no
-    shaking, or whose torque rigid axes explain; and any record whose motor has no rigid mode. Periodic and
-    swept excitation of a free axis is not.
+    shaking, or whose torque rigid axes explain, or of several axes that turn and are stated to be one mass
+    each; and any record whose motor has no rigid mode. Periodic and swept excitation of a free axis is not.
     """
     experiments = recording.experiments
     if any(e.attributes.get("position_source") == "integrated_velocity" for e in experiments):
@@ -53,6 +59,9 @@ def is_trajectory(recording: Recording) -> bool:
                 return True
             if is_resonance_visible(recording):
                 return False
+            # Chains of one mass cannot hold an inertia that varies with the pose of another axis.
+            if recording.masses_per_axis is not None and recording.axis_count > 1 and not recording.linear:
+                return True
             return (
                 reversal_rate(recording) < SHAKING_RATE or rigid_torque_share(recording) > LEAST_RIGID_SHARE
             )
@@ -108,24 +117,13 @@ def reversal_rate(recording: Recording) -> float:
 def rigid_torque_share(recording: Recording) -> float:
     """Share of the torque's power that rigid axes with friction and gravity explain on held-out rows, worst
     axis."""
-    design = Design([prepare_rows(e, find_band(recording.experiments)) for e in recording.experiments])
-    count = recording.axis_count
-    terms = base_terms(count, steady=False)
-    for i in range(count):
-        terms += [
-            Regressor("viscous_friction", i, ("coefficient",)),
-            Regressor("coulomb_friction", i, ("torque",)),
-        ]
-        terms.append(Regressor("torque_offset", i, ("torque",)))
-        if not recording.linear:
-            terms.append(Regressor("gravity", i, ("sine", "cosine")))
-    remainder = fit_terms(design, terms).held_out
-    shares = []
-    for i in range(count):
-        rows = design.axis == i
-        power = float(np.mean(design.torque[rows] ** 2))
-        shares.append(1.0 - float(np.mean(remainder[rows] ** 2)) / power if power > 0 else 1.0)
-    return min(shares)
+    band = find_band(recording.experiments)
+    motions = [prepare_rows(e, band) for e in recording.experiments]
+    rows, reach = Rows(motions), extent(motions, not recording.linear)
+    remainder = fit_terms(rows, [*base_terms(reach, set()), *first_terms(reach, set())]).held_out
+    every = np.ones(rows.torque.size, dtype=np.bool_)
+    left, power = (axis_powers(rows, every, x) for x in (remainder, rows.torque))
+    return float(np.min(1.0 - left / np.where(power > 0, power, np.inf)))
 
 
 def _peak_frequencies(torque: Float64, acceleration: Float64, step: float, length: int = 0) -> Float64:
@@ -148,33 +146,28 @@ def _peak_frequencies(torque: Float64, acceleration: Float64, step: float, lengt
 def grounded_axes(recording: Recording) -> set[int]:
     """Axes that a spring ties to ground: no rigid mode, and a resonance inside the band.
 
-    The spring must leave at most a quarter of what friction, gravity and inertia leave on held-out rows.
+    The spring must leave at most ``LEFT_BY_SPRING``.
     """
     if all(e.kind is Kind.CONSTANT_VELOCITY for e in recording.experiments):
         return set()
     band = find_band(recording.experiments)
-    motions = [prepare_rows(e, band) for e in recording.experiments]
-    design = Design(motions)
-    count = recording.axis_count
+    rows = Rows([prepare_rows(e, band) for e in recording.experiments])
     found: set[int] = set()
-    for i in range(count):
-        plain = [Regressor("inertia", j, ("mass",), base=True) for j in range(count)]
-        plain += [Regressor("time_offset", j, ("delay",), base=True) for j in range(count)]
-        plain += [
-            Regressor("viscous_friction", i, ("coefficient",)),
-            Regressor("coulomb_friction", i, ("torque",)),
-        ]
-        plain += [Regressor("torque_offset", i, ("torque",))]
-        if not recording.linear and np.ptp(np.concatenate([m.position[:, i] for m in motions])) > 1.0:
-            plain.append(Regressor("gravity", i, ("sine", "cosine")))
-        spring = Regressor("ground_spring", i, ("stiffness",), base=True)
-        before, after = fit_terms(design, plain), fit_terms(design, [*plain, spring])
+    for i in range(recording.axis_count):
+        plain = [Term(law, j) for law in (Base.INERTIA, Base.TIME_OFFSET) for j in range(rows.axes)]
+        plain += [Term(part, i) for part in (Part.DRY, Part.VISCOUS, Part.OFFSET)]
+        travel = np.ptp(np.concatenate([m.position[:, i] for m in rows.motions]))
+        if not recording.linear and travel > LEAST_WEIGHED:
+            plain.append(Term(GRAVITY, i))
+        spring = Term(Base.GROUND_SPRING, i)
+        before, after = fit_terms(rows, plain), fit_terms(rows, [*plain, spring])
         stiffness, mass = after.of(spring)[0][0], after.of(plain[i])[0][0]
         if stiffness <= 0 or mass <= 0:
             continue
         own = float(np.sqrt(stiffness / mass) / (2 * np.pi))
         slowest = 4.0 / max(e.duration for e in recording.experiments)
         inside = slowest < own < float(band.rows_hz[i])
-        if inside and held_out_cost(design, after) < 0.25 * held_out_cost(design, before):
+        left, without = (axis_powers(rows, rows.judged, f.held_out)[i] for f in (after, before))
+        if inside and left < LEFT_BY_SPRING * without:
             found.add(i)
     return found

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -285,15 +286,11 @@ class RigidLaws:
 
 def _rigid_laws(model: Model) -> RigidLaws:
     axes = len(model.axes)
-    smooth, dry, carried = np.zeros((axes, 6)), np.zeros((axes, 10)), np.zeros(5)
+    smooth, dry, carried = np.zeros((axes, 6)), np.zeros((axes, 10)), _carried_inertia(model)
     smooth[:, 0] = model.chains.ground_springs
     dry[:, 7] = 2.0
     static: list[StaticLaw] = []
     channels: list[TorqueChannel] = []
-    inertia = model.fit.get("inertia_with_angle")
-    if isinstance(inertia, Mapping) and axes == 2:
-        carried[:2] = [float(inertia[k]["value"]) for k in ("cosine", "sine")]
-        carried[4] = 1.0
     for term in model.effects:
         for element in elements_of(model.chains, term, rigid=True):
             match element:
@@ -303,6 +300,8 @@ def _rigid_laws(model: Model) -> RigidLaws:
                     smooth[axis, 3] += parameters[0]
                 case ForceLaw(Law.SINE, axis, _, (size, 1.0, angle)):
                     smooth[axis, 4:] += size * np.cos(angle), size * np.sin(angle)
+                case ForceLaw(Law.SINE, axis, _, ripple):
+                    static.append(StaticLaw("position", partial(_sinusoid, ripple), axis))
                 case CarriedWeight(sine, cosine):
                     carried[2:4] += sine, cosine
                     carried[4] = 1.0
@@ -324,6 +323,22 @@ def _rigid_laws(model: Model) -> RigidLaws:
                 case _:
                     raise InputError(f"effect {term.cause} on {term.axis}: a rigid model has no place for it")
     return RigidLaws(smooth, dry, carried, tuple(static), tuple(channels))
+
+
+def _carried_inertia(model: Model) -> Float64:
+    """(5,) of ``march``, with the inertia that varies with the second angle, where the model has one."""
+    carried, inertia = np.zeros(5), model.fit.get("inertia_with_angle")
+    if isinstance(inertia, Mapping) and len(model.axes) == 2:
+        carried[:2] = [float(inertia[k]["value"]) for k in ("cosine", "sine")]
+        carried[4] = 1.0
+    return carried
+
+
+def _sinusoid(ripple: tuple[float, ...], position: Float64) -> Float64:
+    """(n,) torque of a ripple's size, cycles a revolution and phase."""
+    size, cycles, phase = ripple
+    out: Float64 = size * np.sin(cycles * position + phase)
+    return out
 
 
 def _rms(values: Float64) -> float:

@@ -16,7 +16,7 @@ SCENARIOS = (
     "gravity and dry", "gravity, dry, wet", "loaded", "drag", "ripple", "hum",
 )  # fmt: skip
 OUTSIDE = {"drag", "ripple", "hum"}
-"""Mechanisms that no cause for large motions describes."""
+"""Mechanisms that no cause for large motions describes, or that a slow encoder may not show."""
 
 
 @dataclass
@@ -125,6 +125,8 @@ def _axis(rng: np.random.Generator) -> Machine:
         row[law.DRAG] = x / fast**2
     if scenario == "ripple":
         row[law.RIPPLE], row[law.CYCLES] = x, float(rng.uniform(15, 40)) / stroke
+        if not linear:
+            say("cogging", torque=x, cycles_per_rev=row[law.CYCLES])
     if scenario == "hum":
         row[law.HUM], row[law.HUM_HZ] = x, float(rng.uniform(1, 5))
     command = np.zeros(reference.size // sub)

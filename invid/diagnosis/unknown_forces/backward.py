@@ -8,7 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from invid.diagnosis.unknown_forces.structures import additions_of, without
-from invid.identification.worth import (
+from invid.likelihood.unknown_forces.plant import Kind
+from invid.likelihood.unknown_forces.shapes import curvature
+from invid.likelihood.unknown_forces.supposition import Channel, Supposed
+from invid.likelihood.unknown_forces.worth import (
     FRICTION,
     PRICE,
     Worth,
@@ -17,9 +20,6 @@ from invid.identification.worth import (
     without_column,
     worth_of,
 )
-from invid.likelihood.unknown_forces.plant import Kind
-from invid.likelihood.unknown_forces.shapes import curvature
-from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 
 
 def worths(now: Supposed) -> list[Worth]:

@@ -22,9 +22,9 @@ from invid.effects.supposed_laws import supposed_laws
 from invid.identification.begun import Begun
 from invid.identification.fewer_masses import with_masses_seen
 from invid.identification.quantities import axis_and_element
-from invid.identification.worth import Worth, gone_columns
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
+from invid.likelihood.unknown_forces.worth import Worth, gone_columns
 from invid.numerics import budget
 from invid.recording.model import Recording
 

@@ -28,11 +28,11 @@ from invid.effects.laws.empirical_law import (
 from invid.effects.motion_effect import OF_RATE, PAIRS
 from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
 from invid.identification.missing_torque import axis_missing
-from invid.identification.worth import pays, role_falls
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import curvature
 from invid.likelihood.unknown_forces.supposition import Hypothesis, PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.worth import pays, role_falls
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
 from invid.numerics.smooth_parts import smooth_parts

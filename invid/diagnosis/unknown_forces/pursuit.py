@@ -12,11 +12,11 @@ from invid.diagnosis.unknown_forces.scoring import ALIKE, candidates, own_share,
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
 from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
 from invid.identification.late_drives import late_drives
-from invid.identification.worth import LEAST_FITTED, NUMBER, pays, role_falls
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, scan_law
 from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.worth import LEAST_FITTED, NUMBER, pays, role_falls
 from invid.numerics import budget
 
 PROMISING = 0.3

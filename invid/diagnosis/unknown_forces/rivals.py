@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invid.diagnosis.outcome import share_among_rivals
 from invid.diagnosis.thresholds import COMPETES, EXPLAINED
 from invid.diagnosis.unknown_forces.left_over import PlaceForce
 from invid.diagnosis.unknown_forces.projected_rows import Rows
@@ -18,17 +19,14 @@ from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed_laws import supposed_laws
 from invid.identification.missing_torque import axis_missing
 from invid.identification.quantities import axis_and_element
-from invid.identification.worth import FRICTION, Worth, role_falls
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.worth import FRICTION, Worth, role_falls
 from invid.model.diagnosis_document import Alternative
 from invid.numerics import budget
 from invid.recording.model import Recording
 
-SOFTER = 4.0
-"""Divisor of a rise of −2 ln L in the exponent of the odds: two by definition, and two more since likelihood
-ratios overstate certainty where models are imperfect (empirical, hidden plants)."""
 REACH = 0.7
 """Share of a cause's worth that a rival must promise by its score to be fitted in its place (empirical)."""
 TRIED = 3
@@ -66,7 +64,7 @@ def contests(
         rivals = [] if worth.cause == NAMELESS else _rivals_of(end, worth, pursued, linear=recording.linear)
         close = [r for r in rivals if r.worse < COMPETES]
         # The cause against none, and against each rival.
-        odds = np.exp(-np.clip([worth.rise, *(r.worse for r in rivals)], 0.0, 200.0) / SOFTER)
+        share = share_among_rivals([worth.rise, *(r.worse for r in rivals)])
         said = tuple(
             Alternative(r.cause, recording.axes[axis], element, r.missing)
             for r in close
@@ -76,7 +74,7 @@ def contests(
             # Seen from one motor a body under its load makes the same poles and zeros.
             missing = float(axis_missing(end).missing[0])
             said += (Alternative(Base.cause, recording.axes[0], None, missing),)
-        out[worth.key] = Contest(float(1.0 / (1.0 + odds.sum())), said)
+        out[worth.key] = Contest(share, said)
     return out
 
 

@@ -7,9 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.dry_friction import stribeck_decay
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, asymmetric_share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
@@ -66,11 +65,3 @@ class AsymmetricFriction(Effect):
             ForceLaw(Law.DRY, at.mass(), -1, levels),
             ForceLaw(Law.ONE_SIDED_VISCOUS, at.mass(), -1, sides),
         ]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        forward, v = 0.5 * (1 + motion.direction), motion.velocity
-        columns = [forward, -(1 - forward), v * forward, v * (1 - forward)]
-        if shape:  # how it bends at low speed, by direction
-            near = stribeck_decay(v, shape)
-            columns += [forward * near, -(1 - forward) * near]
-        return np.stack(columns, axis=1)

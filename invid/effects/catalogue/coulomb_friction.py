@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import AT_LOAD, FRICTION, JOINT_SOURCE, Size, sag, share
@@ -37,6 +37,3 @@ class CoulombFriction(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [ForceLaw(Law.DRY, at.mass(), -1, dry_parameters(abs(at.value("torque"))))]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        return motion.direction[:, None]

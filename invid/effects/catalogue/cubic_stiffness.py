@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, GroundSpring, Law, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import STIFFENING_SOURCE, STIFFER, Size, stiffening
@@ -39,7 +39,3 @@ class CubicStiffness(Effect):
             return [GroundSpring(at.axis, 3, at.value("coefficient"))]
         a, b, _, _ = at.spring()
         return [ForceLaw(Law.CUBIC, a, b, (at.value("coefficient"),))]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        out: Float64 = motion.position[:, None] ** 3
-        return out

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import CarriedWeight, Element, ForceLaw, Law, ModelPlace
 from invid.effects.laws.ripple import rotate_phase
 from invid.effects.sizes import AT_LOAD, GRAVITY, RATED_SOURCE, Size, sag, share
@@ -60,6 +60,3 @@ class Gravity(Effect):
         if at.rigid and at.term.other_axis is not None:
             return [CarriedWeight(torque * np.cos(angle), torque * np.sin(angle))]
         return [ForceLaw(Law.SINE, at.mass(at.last), -1, (torque, 1.0, angle))]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        return np.stack([np.sin(motion.position), np.cos(motion.position)], axis=1)

@@ -7,9 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
-from invid.effects.laws.dry_friction import stribeck_decay
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, share
 from invid.errors import ModelError
 from invid.model.parameters import ChainStructure
@@ -59,7 +58,3 @@ class StribeckFriction(Effect):
         excess = at.value("static") - at.value("coulomb")
         levels = dry_parameters(at.value("coulomb"), excess, velocity, at.optional("exponent", 2.0))
         return [ForceLaw(Law.DRY, at.mass(), -1, levels)]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        near = stribeck_decay(motion.velocity, shape)
-        return np.stack([motion.direction, motion.direction * near], axis=1)

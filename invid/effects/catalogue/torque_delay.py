@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import LATE, Size, size
-from invid.errors import InputError
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
 from invid.numerics.arrays import Float64
@@ -38,8 +37,3 @@ class TorqueDelay(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [TorqueChannel(at.axis, delay=at.value("delay"))]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        if motion.torque_rate is None:
-            raise InputError("effect torque_delay: the torque's rate is not known")
-        return motion.torque_rate[:, None]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import OFFSET, Size, share
@@ -39,6 +39,3 @@ class TorqueOffset(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [ForceLaw(Law.CONSTANT, at.mass(), -1, (at.value("torque"),))]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        return np.ones((motion.position.size, 1))

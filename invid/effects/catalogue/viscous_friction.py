@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedDamper, Element, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import AT_SPEED, JOINT_SOURCE, Size, viscous_share
@@ -34,6 +34,3 @@ class ViscousFriction(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [AddedDamper(at.mass(), -1, at.value("coefficient"))]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        return motion.velocity[:, None]

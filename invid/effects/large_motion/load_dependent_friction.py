@@ -7,12 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, LoadFriction, ModelPlace
-from invid.errors import InputError
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
-from invid.numerics.arrays import Float64
 
 
 class LoadDependentFriction(Effect):
@@ -37,9 +35,3 @@ class LoadDependentFriction(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [LoadFriction(at.axis, at.value("coefficient"), at.optional("inertia_counts", 0.0))]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        if motion.load is None:
-            raise InputError("effect load_dependent_friction: the load is not known")
-        out: Float64 = (np.abs(motion.load) * motion.direction)[:, None]
-        return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, GroundSpring, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.model.parameters import ChainStructure
@@ -34,7 +34,3 @@ class QuadraticStiffness(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [GroundSpring(at.axis, 2, at.value("coefficient"))]
-
-    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        out: Float64 = motion.position[:, None] ** 2
-        return out

@@ -36,9 +36,9 @@ def test_its_places_are_of_the_kind_where_the_law_was_found(
     (effect,) = load_effects(file)
     assert {p.kind for p in effect.places(ChainStructure((2, 2), ("A1", "A2")))} == {kind}
     still = np.zeros(4)
-    shape = effect.regressors(PlaceMotion(np.array([-1.0, 0.0, 2.0, 3.0]), still, still), ())
+    shape = effect.resistance(PlaceMotion(np.array([-1.0, 0.0, 2.0, 3.0]), still, still), ())
     assert shape[:3, 0] == pytest.approx([-1.0, 0.0, 0.5])
     slope = shape[3, 0] - shape[2, 0]  # straight beyond its knots
-    assert effect.regressors(PlaceMotion(np.array([4.0]), still[:1], still[:1]), ())[0, 0] == pytest.approx(
+    assert effect.resistance(PlaceMotion(np.array([4.0]), still[:1], still[:1]), ())[0, 0] == pytest.approx(
         shape[3, 0] + slope
     )

@@ -82,14 +82,27 @@ def test_what_is_outside_the_catalogue_is_left_unnamed(extra: Force):
     assert diagnosis.unexplained.axis == "A1"
 
 
-def test_a_ripple_over_position_is_a_law_without_a_name():
-    ripple = recording(simulate(np.random.default_rng(5), extra=lambda q, v, t: 0.6 * np.sin(23.0 * q + 0.3)))
-    diagnosis = diagnose_trajectory(ripple)
-    assert diagnosis.verdict is Verdict.PARTLY_EXPLAINED
-    (law,) = diagnosis.findings
+def test_a_ripple_over_position_is_cogging_beside_friction_too():
+    for dry in (0.0, 0.8):
+        ripple = simulate(
+            np.random.default_rng(5), dry=(dry, dry), extra=lambda q, v, t: 0.6 * np.sin(23.0 * q + 0.3)
+        )
+        diagnosis = diagnose_trajectory(recording(ripple))
+        found = {f.cause: f.effect for f in diagnosis.findings}
+        assert set(found) == {"cogging", *(["coulomb_friction"] if dry else [])}
+        cogging = found["cogging"].parameters
+        assert cogging["torque"].value == pytest.approx(0.6, rel=0.05)
+        assert cogging["cycles_per_rev"].value == pytest.approx(23.0, rel=2e-3)
+        assert cogging["phase"].value == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_smooth_law_of_position_is_no_cogging_and_has_no_name():
+    """Two periods on the travel: any law of position is as good."""
+    slow = simulate(np.random.default_rng(5), extra=lambda q, v, t: 0.6 * np.sin(5.0 * q + 0.3), stroke=1.2)
+    (law,) = diagnose_trajectory(recording(slow)).findings
     table = law.effect.table
     assert (law.cause, table.over) == ("empirical_law", "position")
-    assert np.array(table.value) == pytest.approx(0.6 * np.sin(23.0 * np.array(table.at) + 0.3), abs=0.1)
+    assert np.array(table.value) == pytest.approx(0.6 * np.sin(5.0 * np.array(table.at) + 0.3), abs=0.1)
 
 
 def test_a_drag_at_one_place_of_the_travel_is_a_law_over_velocity_and_position():

@@ -64,9 +64,10 @@ def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
     return before.total - after.total, before.kept_total - after.kept_total
 
 
-def pays(fitted: float, kept: float, numbers: int = 1) -> bool:
-    """Return whether falls on the records fitted and kept out pay the price of so many numbers."""
-    price = PRICE + NUMBER * (numbers - 1)
+def pays(fitted: float, kept: float, numbers: int = 1, first: float = PRICE) -> bool:
+    """Return whether falls on the records fitted and kept out pay the price of so many numbers, ``first`` of
+    one."""
+    price = first + NUMBER * (numbers - 1)
     share = price / PRICE
     return fitted + kept > price and fitted > share * LEAST_FITTED and kept > share * LEAST_KEPT
 
