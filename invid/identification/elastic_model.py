@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from invid.effects.units import unit_of
-from invid.errors import InvidError, NotIdentifiableError
 from invid.identification.begun import Begun, on_all_records
 from invid.identification.contest import HOME, torque_rms
-from invid.identification.crosscheck import compare_routes, second_route
 from invid.identification.fewer_masses import fewer_masses_warnings, with_masses_seen
 from invid.identification.fitted_model import model_of
 from invid.identification.late_drives import late_drives
 from invid.identification.quantities import axis_and_element
 from invid.identification.terms import TermWriter
-from invid.inverse import PaperResult
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import Supposed
@@ -26,7 +22,6 @@ from invid.likelihood.unknown_forces.worth import Worth, friction_worths, gone_c
 from invid.model.document import EffectTerm, Model
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts, doubts_of
 from invid.numerics import budget
-from invid.recording.model import Recording
 
 EXPLAINED = 0.9
 """Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
@@ -54,8 +49,7 @@ def model_of_chains(begun: Begun) -> Model:
         end = on_all_records(end, recording)
     model = model_of(end, _friction_terms(end, worths, begun), recording)
     found = _doubts(begun, end, model)
-    routes: list[str] = []
-    fit = {**model.fit, "routes": _routes(recording, model, routes)}
+    fit = dict(model.fit)
     if begun.declared is None:
         fit["order"] = {
             "chosen": list(end.hypothesis.structure.sizes),
@@ -69,7 +63,6 @@ def model_of_chains(begun: Begun) -> Model:
         *model.warnings,
         *fewer_masses_warnings(begun.declared, end.hypothesis.structure.sizes),
         *_warnings(model),
-        *routes,
     ]
     return replace(model, fit={**fit, **doubt_facts(doubts)}, warnings=tuple(dict.fromkeys(said)))
 
@@ -134,11 +127,3 @@ def _warnings(model: Model) -> list[str]:
             "contain; standard deviations include it; invid diagnose names it where it can"
         )
     return out
-
-
-def _routes(recording: Recording, model: Model, warnings: list[str]) -> dict[str, Any]:
-    """The paper's inverse beside the fit."""
-    paper: PaperResult | InvidError = NotIdentifiableError("the budget was spent before the second route")
-    if not budget.is_left_out("the paper's method as a second route"):
-        paper = second_route(recording, model)
-    return compare_routes(paper, model, warnings)

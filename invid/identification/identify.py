@@ -11,10 +11,9 @@ import numpy as np
 
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.begun import Begun, begin_elastic
-from invid.identification.crosscheck import widen_by_method_error
 from invid.identification.elastic_model import model_of_chains
 from invid.identification.machine_kind import machine_kind, rigid_model
-from invid.identification.paper_model import paper_model
+from invid.identification.paper_model import paper_model, widen_by_method_error
 from invid.identification.stated_inertia import against_stated
 from invid.inverse import PaperResult, identify_paper
 from invid.model.document import Model

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from invid.errors import InvidError
 from invid.identification.fitted_model import provenance_of
 from invid.identification.identifiability import Unidentifiable
-from invid.inverse import PaperResult
+from invid.inverse import PaperResult, identify_paper
 from invid.model.document import Model, parameter_vector, std_by_name
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts
+from invid.model.forward import frf
 from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
 from invid.signals.frf import FrfMatrix
@@ -51,3 +55,39 @@ def paper_model(
         },
         provenance=provenance_of(recording),
     )
+
+
+def widen_by_method_error(paper: PaperResult, measured: FrfMatrix) -> PaperResult:
+    """The paper's result with the error of its method added to the covariance.
+
+    The method takes damping to first order. Applied to the FRF of its own result it has to return that
+    result; the standard deviations are widened by the difference.
+    """
+    omega = 2 * np.pi * measured.frequency_hz
+    sizes, axes = paper.chains.masses_per_branch, paper.chains.axes
+    try:
+        repeated = identify_paper(
+            measured.frequency_hz,
+            frf(paper.chains, omega),
+            measured.variance,
+            sizes,
+            axes=axes,
+            start=paper.modes,
+        )
+        values = np.array([v for v, _ in paper.named.values()])
+        method_error = np.array([v for v, _ in repeated.named.values()]) - values
+    except (InvidError, np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
+        warning = f"the method could not be checked on its own result ({error}): its errors may be larger"
+        return replace(paper, warnings=(*paper.warnings, warning))
+    covariance = paper.covariance + np.diag(method_error**2)
+    deviation = np.sqrt(np.maximum(np.diag(paper.covariance), 1e-300))
+    found = paper.warnings
+    if np.any((np.abs(method_error) > 2.0 * deviation) & (np.abs(method_error) > 1e-3 * np.abs(values))):
+        worst = int(np.argmax(np.abs(method_error) / deviation))
+        found = (
+            *found,
+            f"damping: applied to its own result the paper's method is off by "
+            f"{abs(method_error[worst] / values[worst]):.1%} in {list(paper.named)[worst]}; standard "
+            "deviations include it; refined has no such error",
+        )
+    return replace(paper, covariance=covariance, warnings=found)

@@ -102,7 +102,7 @@ class Model:
         (n, n) joint covariance of ``parameter_names`` (as made by ``parameter_vector``), where the
         method gives one; used by ``compare`` and by the service's ``changes``.
     fit
-        Free-form facts of the fit: chi2, dof, iterations, band_hz, time_offset_s, routes, …
+        Free-form facts of the fit: chi2, dof, iterations, band_hz, time_offset_s, …
     """
 
     robot: str

@@ -12,7 +12,6 @@ second order in damping.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -148,25 +147,3 @@ def lag_functions(w: Float64, omega: Float64, damping: Float64) -> Complex128:
     ratio = 1j * w[:, None] / omega
     values = ratio / (omega**2 - w2 + 2j * damping * omega * w[:, None])
     return values.astype(np.complex128)
-
-
-def modes_of_matrices(
-    mass: Float64, damping: Float64, stiffness: Float64, motors: Sequence[int], masses: tuple[int, ...]
-) -> Modes:
-    """The modes that a plant of these matrices (ΣN, ΣN) shows at its motors' coordinates; no covariance.
-
-    Each motor has a branch, each branch a rigid motion; ``high_gain`` is that of all motors, M⁻¹.
-    """
-    count, at = len(motors), list(motors)
-    squares, vectors = scipy.linalg.eigh(stiffness, mass)
-    omega, vectors = np.sqrt(np.maximum(squares[count:], 1e-12)), vectors[:, count:]
-    loss = np.einsum("ar,ab,br->r", vectors, damping, vectors)
-    high = np.asarray(np.linalg.inv(mass)[np.ix_(at, at)], dtype=np.float64)
-    return Modes(
-        omega=omega,
-        damping=np.maximum(loss / (2 * omega), 1e-4),
-        shapes=np.ascontiguousarray(vectors[at].T),
-        high_gain=high,
-        friction=np.zeros((count, count)),
-        masses=masses,
-    )
