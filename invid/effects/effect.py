@@ -3,9 +3,6 @@
 An effect adds to the missing torque r = Z Θ − A T of the linear model a *contribution*: r plus the
 contributions of all effects is zero for a perfect model. A resistance f (a force −f on the pattern b of
 coordinates) contributes Wᵀ b f; what it does to the inner coordinates is q = W Θ − Z_ii⁻¹ b f.
-
-The parameters of an effect inside a fit are a vector ``x``: first the linear coefficients, then the
-shape parameters (logarithms where they must be positive).
 """
 
 from __future__ import annotations
@@ -84,9 +81,7 @@ class Effect:
     """One cause of the catalogue. Subclasses are stateless; the catalogue holds one of each.
 
     ``numbers`` are its parameters. From them follow, where a class does not say otherwise, ``parameters``
-    (the contract's names with their kinds of unit), ``coefficients``, which are linear (bounds in
-    ``lower``/``upper``), ``shapes``, which are not (``logarithmic``: which of them move as logarithms), and
-    ``main``, the first.
+    (the contract's names with their kinds of unit) and ``main``, the first.
     """
 
     numbers: ClassVar[tuple[Parameter, ...]] = ()
@@ -116,11 +111,6 @@ class Effect:
     in_samples: bool = False
     """Whether it sits in the samples and not in the plant; it is found there, and not fitted."""
     parameters: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    coefficients: tuple[str, ...] = ()
-    lower: tuple[float, ...] = ()
-    upper: tuple[float, ...] = ()
-    shapes: tuple[str, ...] = ()
-    logarithmic: tuple[bool, ...] = ()
     rotary: bool = False
     main: str = ""
 
@@ -130,15 +120,8 @@ class Effect:
             return
         if not (isinstance(cls.numbers, tuple) and all(isinstance(p, Parameter) for p in cls.numbers)):
             raise InputError("numbers is a tuple of parameters: numbers = (Parameter(name, unit),)")
-        linear = [p for p in cls.numbers if p.linear]
-        shapes = [p for p in cls.numbers if not p.linear]
         follows: dict[str, Any] = {
             "parameters": {p.name: p.unit for p in cls.numbers},
-            "coefficients": tuple(p.name for p in linear),
-            "lower": tuple(p.low for p in linear),
-            "upper": tuple(p.high for p in linear),
-            "shapes": tuple(p.name for p in shapes),
-            "logarithmic": tuple(p.logarithmic for p in shapes),
             "main": next((p.name for p in cls.numbers), ""),
         }
         for name, value in follows.items():
@@ -148,25 +131,6 @@ class Effect:
     def places(self, structure: ChainStructure) -> list[Place]:
         """All places where it may sit."""
         raise NotImplementedError
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        """Parameters of the contract by name from the fitted vector, logarithms undone."""
-        names = (*self.coefficients, *self.shapes)
-        logarithms = (*(False for _ in self.coefficients), *self.logarithmic)
-        return {
-            name: float(np.exp(value) if log else value)
-            for name, value, log in zip(names, x, logarithms, strict=True)
-        }
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        """Fitted vector from the contract's parameters: the inverse of ``values``."""
-        logs = dict(zip(self.shapes, self.logarithmic, strict=True))
-        names = (*self.coefficients, *self.shapes)
-        return [float(np.log(p[n])) if logs.get(n) else float(p[n]) for n in names]
-
-    def of_structure(self, structure: ChainStructure) -> Effect:
-        """The law with as many parameters as a machine of this structure asks for."""
-        return self
 
     def known(self, term: EffectTerm) -> Self:
         """The law with what a model states of it beyond its parameters."""

@@ -226,7 +226,7 @@ def _try_law(effect: MotionEffect, refuse: Refuse) -> None:
     """Evaluate the law on a motion of ten samples; InputError where the result is not usable."""
     x = np.linspace(-1.0, 1.0, 10)
     out = np.asarray(effect.resistance(PlaceMotion(x, x[::-1].copy(), x), effect.starts(1.0, 1.0)[0]))
-    wanted = (10, len(effect.coefficients))
+    wanted = (10, len(effect.linear))
     if out.shape != wanted or not np.isfinite(out).all():
         shown = f"has shape {out.shape}" if out.shape != wanted else "is not finite"
         refuse("resistance", f"its resistance {shown}; it must be finite, (samples, linear parameters), here "

@@ -42,6 +42,11 @@ class MotionEffect(Effect):
         raise NotImplementedError
 
     @property
+    def linear(self) -> tuple[Parameter, ...]:
+        """Parameters that its resistance is linear in."""
+        return tuple(p for p in self.numbers if p.linear)
+
+    @property
     def nonlinear(self) -> tuple[Parameter, ...]:
         """Parameters that are shapes."""
         return tuple(p for p in self.numbers if not p.linear)
@@ -83,6 +88,6 @@ class MotionEffect(Effect):
         return self._resistance_at(p, motion)
 
     def _resistance_at(self, p: Mapping[str, float], motion: PlaceMotion) -> Float64:
-        size = np.array(self.vector(p)[: len(self.coefficients)])
-        out: Float64 = self.resistance(motion, [p[name] for name in self.shapes]) @ size
+        size = np.array([p[own.name] for own in self.linear])
+        out: Float64 = self.resistance(motion, [p[own.name] for own in self.nonlinear]) @ size
         return out

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from invid.effects.laws.empirical_law import EmpiricalLaw
 from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed.friction import AsymmetricAtMotor
-from invid.effects.supposed.of_effect import EffectLaw
+from invid.effects.supposed.of_effect import SmoothLaw
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.model.document import EffectTerm, Estimate
@@ -47,8 +46,8 @@ def effect_of_cause(rows: Rows, final: Fit, cause: Cause, axes: Sequence[str], *
         parameters[name] = Estimate(size, std, None if unit == "1" else unit)
     law = cause.terms[0].law
     table = None
-    if isinstance(law, EffectLaw) and isinstance(law.effect, EmpiricalLaw):
-        table = law.effect.table(x, spread, linear=linear)
+    if isinstance(law, SmoothLaw):
+        table = law.law.table(x, spread, linear=linear)
     axis, element, other = place_of(cause.terms[0], axes)
     return EffectTerm(cause.name, axis, parameters, element, other, table)
 

@@ -7,7 +7,7 @@ import numpy as np
 from invid.effects.laws.empirical_law import EmpiricalLaw, is_known, is_like_law, knots_of, most_knots
 from invid.effects.motion_effect import OF_RATE
 from invid.effects.registry import BY_CAUSE
-from invid.effects.supposed.of_effect import EffectLaw
+from invid.effects.supposed.of_effect import SmoothLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.worth import NUMBER, pays
 from invid.numerics import budget
@@ -71,7 +71,7 @@ def _with_law(rows: Rows, bare: Fit, axis: int, quantities: tuple[str, str]) -> 
     second = rest[0] if rest else [0.0]
 
     def term_of(shapes: Float64) -> Term:
-        return Term(EffectLaw(EmpiricalLaw(over, first, shapes, across, second)), axis)
+        return Term(SmoothLaw(EmpiricalLaw(over, first, shapes, across, second)), axis)
 
     every, matrix, left = (
         rows.colour.whitened(rows, x)
@@ -107,7 +107,7 @@ def _knots(rows: Rows, axis: int, over: str, *, two: bool) -> list[float] | None
 def any_law(rows: Rows, axis: int, over: str) -> list[Term]:
     """The term of any smooth law over a quantity, where that moves."""
     knots = _knots(rows, axis, over, two=False)
-    return [] if knots is None else [Term(EffectLaw(EmpiricalLaw(over, knots, np.eye(len(knots)))), axis)]
+    return [] if knots is None else [Term(SmoothLaw(EmpiricalLaw(over, knots, np.eye(len(knots)))), axis)]
 
 
 def _is_accepted(rows: Rows, before: Fit, after: Fit, axis: int) -> bool:

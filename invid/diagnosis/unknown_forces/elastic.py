@@ -20,10 +20,11 @@ from invid.diagnosis.unknown_forces.left_over import forces_at, is_of_shapes
 from invid.diagnosis.unknown_forces.limits import ruled_out
 from invid.diagnosis.unknown_forces.machine_search import ElasticSearch, search_elastic
 from invid.diagnosis.unknown_forces.named_terms import CauseWriter
-from invid.diagnosis.unknown_forces.nameless import SmoothLaw, coefficients_of
+from invid.diagnosis.unknown_forces.nameless import coefficients_of
 from invid.diagnosis.unknown_forces.rivals import Contest, contests, is_part_of_more
 from invid.diagnosis.unknown_forces.structures import additions_of
 from invid.diagnosis.unknown_forces.unexplained import describe_left
+from invid.effects.supposed.of_effect import SmoothLaw
 from invid.effects.units import unit_of
 from invid.identification.begun import Begun
 from invid.identification.fewer_masses import fewer_masses_warnings

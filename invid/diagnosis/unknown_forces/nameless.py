@@ -16,7 +16,6 @@ import numpy as np
 from invid.diagnosis.thresholds import EXPLAINED, FLOOR
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_of
 from invid.diagnosis.unknown_forces.projected_rows import Rows
-from invid.effects.effect import PlaceMotion
 from invid.effects.laws.empirical_law import (
     KNOTS,
     EmpiricalLaw,
@@ -26,7 +25,7 @@ from invid.effects.laws.empirical_law import (
     most_knots,
 )
 from invid.effects.motion_effect import OF_RATE, PAIRS
-from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed.of_effect import SmoothLaw
 from invid.identification.missing_torque import axis_missing
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -45,20 +44,6 @@ FITTED = 3
 SIMPLER = 30.0
 """Rise of −2 ln L at which a law stands for its place's friction as well: Schwarz's price of three."""
 AT_MASS, AT_SPRING = ("velocity", "position"), ("deflection", "deflection rate")
-
-
-class SmoothLaw(SupposedLaw):
-    """A law without a name as the search supposes it: the shapes of a spline, each with its size."""
-
-    def __init__(self, law: EmpiricalLaw) -> None:
-        self.effect = self.law = law
-        self.low = law.lower
-
-    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        return self.law.resistance(PlaceMotion(motion.position, motion.velocity, motion.time), ())
-
-    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
-        return {"torque": float(np.abs(self.law.splines @ coefficients).max())}
 
 
 @dataclass(frozen=True, eq=False)

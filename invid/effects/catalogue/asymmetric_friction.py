@@ -32,14 +32,6 @@ class AsymmetricFriction(Effect):
         "viscous_positive": "damping",
         "viscous_negative": "damping",
     }
-    coefficients: tuple[str, ...] = (
-        "coulomb_positive",
-        "coulomb_negative",
-        "viscous_positive",
-        "viscous_negative",
-    )
-    lower: tuple[float, ...] = (0.0,) * 4
-    upper: tuple[float, ...] = (np.inf,) * 4
     main = "coulomb_positive"
 
     def places(self, structure: ChainStructure) -> list[Place]:

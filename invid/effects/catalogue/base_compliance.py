@@ -25,22 +25,18 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedBase, Element, ModelPlace
 from invid.effects.laws.moving_base import (
     SHARE,
-    angles_of,
     load_inertia,
     moved_by_base,
     shares_of,
-    unit_direction,
 )
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_base
 from invid.model.document import EffectTerm
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
-from invid.numerics.arrays import Float64
 
 
 class BaseCompliance(Effect):
-    """The body under all loads on a spring (and a light damper) to ground; shapes: frequency, damping and
-    direction."""
+    """The body under all loads on a spring (and a light damper) to ground."""
 
     cause = "base_compliance"
     title = "a base that gives way under all axes"
@@ -52,8 +48,6 @@ class BaseCompliance(Effect):
     looks_like = ("extra_mode", "coupling_stiffness")
     home = "base"
     sizes = (Size(RESONANCE, resonance_change(with_base)),)
-    coefficients = ("coupled_mass",)
-    lower, upper = (0.0,), (np.inf,)
     main = "stiffness"
     parameters: ClassVar[Mapping[str, str]] = {
         "mass": "mass",
@@ -61,49 +55,17 @@ class BaseCompliance(Effect):
         "damping_ratio": "ratio",
     }
     optional: ClassVar[Mapping[str, float]] = {"damping_ratio": 0.01}
-    shapes: tuple[str, ...] = ("frequency", "damping")
-    logarithmic: tuple[bool, ...] = (True, True)
 
-    def __init__(self, axes: int = 1, inertia: Float64 | None = None) -> None:
-        """The law on a machine of ``axes``; ``inertia`` (M, M) of its loads, that of a unit mass where not
-        known."""
-        self._axes = axes
-        self._inertia = np.eye(axes) if inertia is None else inertia
+    def __init__(self, axes: int = 1) -> None:
+        """The law on a machine of ``axes``."""
         if axes > 1:
             shares = {f"{SHARE}{i + 1}": "ratio" for i in range(axes)}
             kept = BaseCompliance.parameters, BaseCompliance.optional
             self.parameters = {**kept[0], **shares}  # type: ignore[misc]
             self.optional = {**kept[1], **dict.fromkeys(shares, 1.0)}  # type: ignore[misc]
-            self.shapes = (*BaseCompliance.shapes, *(f"angle_{i + 1}" for i in range(axes - 1)))
-            self.logarithmic = (True, True, *(False for _ in range(axes - 1)))
-
-    def of_structure(self, structure: ChainStructure) -> BaseCompliance:
-        return _law_of(structure.motors)
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return [Place("base", 0)]
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        own = float(np.exp(2 * x[1]))
-        direction = unit_direction(np.asarray(x[3:], dtype=float))
-        shares = np.linalg.solve(self._inertia, direction)
-        scale = 1.0 / float(shares[np.argmax(np.abs(shares))])
-        shares = shares * scale
-        total = scale**2 / max(float(x[0]), 1e-300)
-        out = {
-            "mass": total - float(shares @ self._inertia @ shares),
-            "stiffness": total * own,
-            "damping_ratio": float(np.exp(x[2])),
-        }
-        if self._axes > 1:
-            out |= {f"{SHARE}{i + 1}": float(s) for i, s in enumerate(shares)}
-        return out
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        total, force = moved_by_base(p, self._inertia)
-        own = 0.5 * float(np.log(p["stiffness"] / total))
-        size = float(force @ force) / total
-        return [size, own, float(np.log(p["damping_ratio"])), *angles_of(force).tolist()]
 
     def known(self, term: EffectTerm) -> BaseCompliance:
         count = sum(name.startswith(SHARE) for name in term.parameters)

@@ -9,7 +9,6 @@ import numpy as np
 
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.ripple import rotate_phase
 from invid.effects.sizes import COGGING_SOURCE, RIPPLE, Size, share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, motor_places
@@ -34,23 +33,10 @@ class Cogging(Effect):
         "cycles_per_rev": "count",
         "phase": "angle",
     }
-    coefficients = ("sine", "cosine")
-    lower, upper = (-np.inf,) * 2, (np.inf,) * 2
-    shapes, logarithmic = ("cycles_per_rev",), (True,)
     main = "torque"
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return motor_places(structure)
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {
-            "torque": float(np.hypot(x[0], x[1])),
-            "cycles_per_rev": float(np.exp(x[2])),
-            "phase": float(np.arctan2(x[1], x[0])),
-        }
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [*rotate_phase(p["torque"], p["phase"]), float(np.log(p["cycles_per_rev"]))]
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sin(p["cycles_per_rev"] * x + p["phase"])

@@ -29,8 +29,5 @@ class DroppedSamples(Effect):
     def places(self, structure: ChainStructure) -> list[Place]:
         return []
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"fraction": float(x[0])}
-
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [RepeatedRows(at.value("fraction"))]

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import numpy as np
-
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, ReadingError
-from invid.effects.laws.ripple import rotate_phase
 from invid.effects.sizes import ARCSEC, ENCODER_SOURCE, READING, Size, size
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
@@ -28,19 +25,11 @@ class EncoderEccentricity(Effect):
     over = "position"
     sizes = (Size(READING, size("amplitude"), 65 * ARCSEC, 130 * ARCSEC, ENCODER_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {"amplitude": "position", "phase": "angle"}
-    coefficients = ("sine", "cosine")
-    lower, upper = (-0.5,) * 2, (0.5,) * 2
     rotary = True
     main = "amplitude"
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return axis_places(structure)
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"amplitude": float(np.hypot(x[0], x[1])), "phase": float(np.arctan2(x[1], x[0]))}
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [*rotate_phase(p["amplitude"], p["phase"])]
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [ReadingError(at.axis, at.value("amplitude"), at.value("phase"))]

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import numpy as np
-
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedMass, Element, ModelPlace
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_mode
@@ -15,7 +13,7 @@ from invid.model.place import Place, mass_places
 
 
 class ExtraMode(Effect):
-    """A mass m on a spring k (and a light damper) at one of the masses; shapes: frequency and damping."""
+    """A mass m on a spring k (and a light damper) at one of the masses."""
 
     cause = "extra_mode"
     title = "a resonance that the model does not have"
@@ -31,24 +29,10 @@ class ExtraMode(Effect):
         "stiffness": "stiffness",
         "damping_ratio": "ratio",
     }
-    coefficients = ("mass",)
-    lower, upper = (0.0,), (np.inf,)
-    shapes, logarithmic = ("frequency", "damping"), (True, True)
     main = "mass"
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {
-            "mass": float(x[0]),
-            "stiffness": float(x[0] * np.exp(2 * x[1])),
-            "damping_ratio": float(np.exp(x[2])),
-        }
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        own = 0.5 * np.log(p["stiffness"] / p["mass"])
-        return [p["mass"], float(own), float(np.log(p["damping_ratio"]))]
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         ratio = at.optional("damping_ratio", self.optional["damping_ratio"])

@@ -9,7 +9,6 @@ import numpy as np
 
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import CarriedWeight, Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.ripple import rotate_phase
 from invid.effects.sizes import AT_LOAD, GRAVITY, RATED_SOURCE, Size, sag, share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, end_places, motor_places
@@ -35,8 +34,6 @@ class Gravity(Effect):
         Size(AT_LOAD, sag),
     )
     parameters: ClassVar[Mapping[str, str]] = {"torque": "torque", "angle": "angle"}
-    coefficients = ("sine", "cosine")
-    lower, upper = (-np.inf,) * 2, (np.inf,) * 2
     rotary = True
     main = "torque"
 
@@ -44,12 +41,6 @@ class Gravity(Effect):
         # A motor that carries weight itself (a counterweight, a pulley) before its springs.
         ends = end_places(structure)
         return [*ends, *(p for p in motor_places(structure) if p not in ends)]
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"torque": float(np.hypot(x[0], x[1])), "angle": float(np.arctan2(x[1], x[0]))}
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [*rotate_phase(p["torque"], p["angle"])]
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sin(x + p["angle"])

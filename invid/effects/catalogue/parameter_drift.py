@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import numpy as np
-
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Drift, Element, ModelPlace
 from invid.effects.sizes import DRIFTED, RESONANCE, Size, drift, resonance_change, with_drift
@@ -28,15 +26,10 @@ class ParameterDrift(Effect):
     home = "spring"
     sizes = (Size(DRIFTED, drift), Size(RESONANCE, resonance_change(with_drift)))
     parameters: ClassVar[Mapping[str, str]] = {"parameter": "count", "rate": "stiffness_rate"}
-    coefficients = ("rate",)
-    lower, upper = (-np.inf,), (np.inf,)
     main = "rate"
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"parameter": float(place.number), "rate": float(x[0])}
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         if (at.term.element or "spring 1").startswith("mass"):

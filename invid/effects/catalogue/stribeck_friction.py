@@ -32,19 +32,10 @@ class StribeckFriction(Effect):
         "coulomb": "torque",
         "velocity": "velocity",
     }
-    coefficients = ("coulomb", "excess")
-    lower, upper = (0.0, 0.0), (np.inf, np.inf)
-    shapes, logarithmic = ("velocity",), (True,)
     main = "coulomb"
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"static": float(x[0] + x[1]), "coulomb": float(x[0]), "velocity": float(np.exp(x[2]))}
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [p["coulomb"], p["static"] - p["coulomb"], float(np.log(p["velocity"]))]
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         near = np.exp(-((np.abs(x) / p["velocity"]) ** p.get("exponent", 2.0)))

@@ -34,12 +34,6 @@ class TorqueGain(Effect):
     def places(self, structure: ChainStructure) -> list[Place]:
         return axis_places(structure) if structure.motors > 1 else []
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"gain": 1.0 + float(x[0])}
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [p["gain"] - 1.0]
-
     def size_text(self, size: str) -> str:
         return f" (true torque is {size} times the record)"
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import numpy as np
-
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, LoadFriction, ModelPlace
 from invid.model.parameters import ChainStructure
@@ -25,8 +23,6 @@ class LoadDependentFriction(Effect):
     family = "friction"
     looks_like = ("coulomb_friction", "asymmetric_friction")
     parameters: ClassVar[Mapping[str, str]] = {"coefficient": "ratio", "inertia_counts": "count"}
-    coefficients = ("coefficient",)
-    lower, upper = (0.0,), (np.inf,)
     main = "coefficient"
 
     def places(self, structure: ChainStructure) -> list[Place]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Self
 
@@ -131,9 +131,6 @@ class EmpiricalLaw(MotionEffect):
         self.across_knots = frozen_float(across_knots if across else (0.0,))
         size = self.knots.size * self.across_knots.size
         self.splines = frozen_float(np.zeros((size, 1)) if shapes is None else shapes)
-        count = self.splines.shape[1]
-        self.coefficients = tuple(f"part_{k + 1}" for k in range(count))
-        self.lower, self.upper = (-np.inf,) * count, (np.inf,) * count
         if shapes is not None:
             self.title = " and ".join(filter(None, (f"{self.title} over the {over}", across)))
 
@@ -157,12 +154,6 @@ class EmpiricalLaw(MotionEffect):
     def resistance(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
         quantities = (self.over, self.across) if self.across else (self.over,)
         return self._curve(*(motion.velocity if q in OF_RATE else motion.position for q in quantities))
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"torque": float(np.abs(self.splines @ np.asarray(x, dtype=float)).max())}
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [p["torque"]]
 
     def table(self, x: Float64, covariance: Float64, *, linear: bool) -> LawTable:
         return LawTable(

@@ -35,22 +35,3 @@ def moved_by_base(p: Mapping[str, float], inertia: Float64) -> tuple[float, Floa
     shares = shares_of(p, inertia.shape[0])
     force: Float64 = inertia @ shares
     return p["mass"] + float(shares @ force), force
-
-
-def unit_direction(angles: Float64) -> Float64:
-    """(M,) unit vector of M − 1 spherical angles."""
-    out = np.ones(angles.size + 1)
-    for k, angle in enumerate(angles):
-        out[k] *= np.cos(angle)
-        out[k + 1 :] *= np.sin(angle)
-    return out
-
-
-def angles_of(direction: Float64) -> Float64:
-    """(M − 1,) spherical angles of a direction (M,) of any length; the inverse of ``unit_direction``."""
-    count = direction.size - 1
-    out = np.zeros(count)
-    for k in range(count):
-        beyond = direction[-1] if k == count - 1 else np.linalg.norm(direction[k + 1 :])
-        out[k] = np.arctan2(beyond, direction[k])
-    return out

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Effect
-from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.numerics.compiled import compiled
 
@@ -49,16 +48,7 @@ class SliderEffect(Effect):
     """A slider along a pattern: ``torque`` times its displacement over the ``most`` that it gives way at."""
 
     parameters: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness", "torque": "torque"}
-    coefficients = ("torque",)
-    lower, upper = (0.0,), (np.inf,)
-    shapes, logarithmic = ("most",), (True,)
     main = "torque"
-
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"stiffness": float(x[0] / np.exp(x[1])), "torque": float(x[0])}
-
-    def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [p["torque"], float(np.log(p["torque"] / p["stiffness"]))]
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         most = p["torque"] / p["stiffness"]

@@ -1,4 +1,4 @@
-"""The law of a cause in a file of its own, as the search supposes it."""
+"""The law of a cause in a file of its own, and a law without a name, as the search supposes them."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from invid.effects.effect import PlaceMotion
+from invid.effects.laws.empirical_law import EmpiricalLaw
 from invid.effects.motion_effect import MotionEffect
 from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw
 from invid.effects.units import unit_of
-from invid.model.place import Place
 from invid.numerics.arrays import Float64
 
-PLACE = Place("mass", 0, 1)
-"""Stands for every place: parameters of such an effect do not depend on it."""
 TURN = 0.02
 """Speed over its rms below which a law may soften the direction of motion."""
 
@@ -26,7 +24,7 @@ class EffectLaw(SupposedLaw):
     def __init__(self, effect: MotionEffect) -> None:
         self.motion_effect = effect
         self.effect = effect
-        self.low = effect.lower
+        self.low = tuple(p.low for p in effect.linear)
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         rest = TURN * float(np.sqrt((motion.velocity**2).mean()))
@@ -34,16 +32,16 @@ class EffectLaw(SupposedLaw):
         return self.motion_effect.resistance(moved, self._units(shape))
 
     def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
-        return list(zip(self.effect.lower, self.effect.upper, strict=True))
+        return [(p.low, p.high) for p in self.motion_effect.linear]
 
     def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
         position, velocity = (
             max(float(np.sqrt(np.mean([(w**2).mean() for w in waves]))), 1e-300)
             for waves in ([m.position for m in motions], [m.velocity for m in motions])
         )
-        logs = self.effect.logarithmic
+        shapes = self.motion_effect.nonlinear
         return [
-            tuple(float(np.log(s)) if log else float(s) for s, log in zip(one, logs, strict=True))
+            tuple(float(np.log(s)) if p.logarithmic else float(s) for s, p in zip(one, shapes, strict=True))
             for one in self.motion_effect.starts(position, velocity)
         ]
 
@@ -67,8 +65,24 @@ class EffectLaw(SupposedLaw):
         return out
 
     def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
-        return self.effect.values([*coefficients, *shape], PLACE)
+        effect = self.motion_effect
+        values = [*map(float, coefficients), *self._units(shape)]
+        return {p.name: v for p, v in zip((*effect.linear, *effect.nonlinear), values, strict=True)}
 
     def _units(self, shape: Shape) -> list[float]:
-        logs = self.effect.logarithmic
-        return [float(np.exp(s)) if log else float(s) for s, log in zip(shape, logs, strict=True)]
+        shapes = self.motion_effect.nonlinear
+        return [float(np.exp(s)) if p.logarithmic else float(s) for s, p in zip(shape, shapes, strict=True)]
+
+
+class SmoothLaw(SupposedLaw):
+    """A law without a name as the search supposes it: the shapes of a spline, each with its size."""
+
+    def __init__(self, law: EmpiricalLaw) -> None:
+        self.effect = self.law = law
+        self.low = (-np.inf,) * law.splines.shape[1]
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return self.law.resistance(PlaceMotion(motion.position, motion.velocity, motion.time), ())
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return {"torque": float(np.abs(self.law.splines @ coefficients).max())}

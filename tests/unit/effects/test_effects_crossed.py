@@ -17,6 +17,7 @@ from test_extended_model import SIZES
 
 from invid.diagnosis.consequence import consequence_of
 from invid.diagnosis.sentences import finding_sentence
+from invid.effects.catalogue.base_compliance import BaseCompliance
 from invid.effects.effect_files import check_effect
 from invid.effects.laws.empirical_law import EmpiricalLaw
 from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effects, registered_effects
@@ -25,7 +26,6 @@ from invid.effects.units import unit_of
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, load_model
 from invid.model.law_table import LawTable
-from invid.model.parameters import ChainStructure
 from invid.recording.model import Recording
 from invid.simulation.rigid import simulate_motion
 from invid.simulation.run import simulate
@@ -45,12 +45,10 @@ ONE_LAW = LawTable(
     "velocity", (-0.5, 0.0, 0.5), "rad/s", (-2.0, 0.1, 1.0), "N·m", ((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1))
 )
 TABLES = {"empirical_law": ONE_LAW}
-ELASTIC = [e.of_structure(ChainStructure((2, 3), ("J1", "J2"))) for e in (*CATALOGUE, *FURTHER)]
+ELASTIC = [BaseCompliance(2) if e.cause == "base_compliance" else e for e in (*CATALOGUE, *FURTHER)]
 ELASTIC.append(EmpiricalLaw().known(EffectTerm("empirical_law", "J1", {}, table=ONE_LAW)))
 EVERY = [*ELASTIC, *LARGE_MOTION]
 """All effects, and those that an elastic machine can have."""
-"""Found in the samples; part of the linear model."""
-"""Tried only on what no other cause explains."""
 NO_LARGE_MOTION = {
     "presliding_friction", "torque_lag", "torque_gain", "torque_saturation",
     "encoder_eccentricity", "dropped_samples", "spring_damping", "backlash", "spring_hysteresis",
