@@ -242,7 +242,9 @@ class SignTrial:
             if found.displacement < ONE_COUNT * self._count and self._passed_on(trial.log):
                 break
             longer = self._next_length(length, found.displacement)
-            if length * 2 <= SIGN_LAST_S and self._free_way(amplitude, longer) <= SIGN_FAR * limits.position:
+            unseen = found.displacement < LEAST_COUNTS * self._count
+            way = self._free_way(amplitude, longer) if unseen else 0.0
+            if length * 2 <= SIGN_LAST_S and way <= SIGN_FAR * limits.position:
                 length = longer
                 continue
             if amplitude * TRIAL_CLIMB > self._most or found.displacement >= wanted:

@@ -220,10 +220,10 @@ class _Mass:
     x = v = 0.0
 
     def go(self, torque: float, holds: float, inertia: float, dt: float) -> None:
+        if self.v == 0.0 and abs(torque) <= holds:
+            return
         moving = self.v if self.v != 0.0 else torque
         force = torque - math.copysign(holds, moving)
-        if self.v == 0.0 and force * torque <= 0.0:
-            return
         after = self.v + force / inertia * dt
         self.v = 0.0 if after * moving < 0.0 else after
         self.x += self.v * dt

@@ -235,3 +235,10 @@ def test_an_encoder_that_dies_under_shaking_is_told_by_torque_that_must_have_mov
     assert told is not None
     assert 0.0 < told[0] - dies < 0.5  # a period of the slowest line
     assert told[1] < 0.05  # what it drifts at the speed at which it died
+
+
+def test_an_axis_whose_friction_nobody_met_yet_may_stand_whatever_is_asked_of_it() -> None:
+    watch = Unmoved(["A1"], [COUNT], [WINDOW], CYCLE)
+    watch.begin({0: (MASS, 0.0)})
+    for k in range(500):
+        watch.check(Sample(k, k * CYCLE, [0.0], [0.0], [0x27], [True], []), [5.0 if k > 200 else 0.0])
