@@ -158,6 +158,7 @@ class OneRun:
         self._foreign = self._shown()
         self.marks: list[tuple[float, str]] = []
         self.at_s = math.inf
+        self.is_over = False
 
     def _shown(self) -> tuple[object, ...]:
         foreign = self.cell.drives[FOREIGN - 1]
@@ -190,14 +191,15 @@ class OneRun:
         self.at_s, kind, drive = at, self.drawn.kind, self.cell.drives[0]
 
         def die() -> None:
-            raise Killed
+            if not self.is_over:
+                raise Killed
 
         whatever = {"stop": self.stop.set, "master dies": die}
         self.cell.wire.at(at, whatever.get(kind, lambda: EVENTS[kind](drive)))
 
     def judge(self, ended: Run | None) -> list[str]:
         """Violations, by the plant; two seconds after the end."""
-        at_end = self.cell.wire.now
+        self.is_over, at_end = True, self.cell.wire.now
         self.cell.wire.advance(at_end + 2.0)
         wrong = [*self._torque(), *self._foreigners()]
         if self.drawn.phase == "always" or self.at_s <= at_end - SEEN_S:  # else nobody was there any more

@@ -26,6 +26,8 @@ NEAR = 12
 """Lines on either side from which a tone is read."""
 FAINT = 0.2
 """Amplitude over the strongest tone's up to which another may be what that did to the fit (empirical)."""
+SLOWEST = 1.0
+"""Cycles in a record from which on it shows a tone: what is slower is a drift; its rest looks like tones."""
 SWINGS = 2.0
 """Lines from a load's own frequency within which it swings there, and what else may is not told from that."""
 DECAYS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
@@ -77,6 +79,8 @@ def find_tones(lines: tuple[Complex128, Float64, Bool], span: float, own_hz: Flo
         swings = bool(np.any(np.abs(own_hz * span - best.cycles) < SWINGS))
         if swings:
             best = max((near.read(decay) for decay in DECAYS), key=lambda s: s.gain)
+        elif best.cycles <= SLOWEST:
+            return []
         rest = rest - best.lines(number)
         taken += best.gain
         if not swings:
