@@ -131,6 +131,19 @@ def begin_with_modes(
     return min(ends, key=_priced)
 
 
+def home_with_a_mode(now: Supposed) -> Supposed | None:
+    """The fit of chains that are astray with a mode on one load, from starts of its own; ``None`` where none
+    comes home."""
+    structure, found = now.hypothesis.structure, []
+    for axis in _astray(now):
+        if budget.is_left_out("further starts"):
+            break
+        wider = replace(structure, modes=(*structure.modes, structure.load[axis]))
+        with suppress(np.linalg.LinAlgError):
+            found.append(brought_home(_lowest(now.bench, wider, now.kept, NOTHING)))
+    return min((f for f in found if is_settled(f)), key=lambda f: f.total, default=None)
+
+
 def _priced(found: Supposed) -> float:
     return found.total + PRICE_OF_MASS * len(found.hypothesis.structure.modes)
 
