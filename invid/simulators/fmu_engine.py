@@ -48,6 +48,8 @@ SOFTER = 4
 and that limits a guide."""
 RUN_AWAY = 100.0
 """Largest torque of a guide over the largest recorded one: what is beyond is a guide that shakes."""
+LONGEST_S = 900.0
+"""Time in which an experiment is simulated, else the FMU hangs."""
 TRIED = 1e-3
 """Seconds of the steps from which the inertia that a motor shows is taken."""
 
@@ -183,7 +185,15 @@ class FmuSimulator:
         job.write_bytes(pickle.dumps((self, given)))
         answer.unlink(missing_ok=True)
         command = [sys.executable, "-m", __name__, str(job), str(answer)]
-        ended = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        try:
+            ended = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", check=False, timeout=LONGEST_S
+            )
+        except subprocess.TimeoutExpired:
+            raise InputError(
+                f"{self.path}: the FMU has not simulated experiment {given.key} in {LONGEST_S:g} s; try it "
+                f"alone: 'fmpy simulate {Path(self.path).name}'"
+            ) from None
         if not answer.exists():
             how = f"with status {ended.returncode}"
             if ended.returncode < 0:

@@ -15,6 +15,7 @@ import invid
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording import Experiment, Kind, Recording, Role
+from invid.simulators import fmu_engine
 from invid.simulators.judge import judge
 from invid.simulators.open import open_simulator
 
@@ -125,4 +126,16 @@ def test_an_fmu_that_crashes_is_refused_and_takes_nothing_down(
     simulator = open_simulator(drive(tmp_path, "Crash", last=3.0), ("A1",))
     said = r"Crash\.fmu: the FMU's own code ended its process by SIGSEGV"
     with pytest.raises(invid.InputError, match=said):
+        judge(recording, truth, simulator)
+
+
+def test_an_fmu_that_hangs_is_refused(
+    tmp_path: Path, bench: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, truth = bench
+    simulator = open_simulator(drive(tmp_path, "Slow"), ("A1",))
+    monkeypatch.setattr(fmu_engine, "LONGEST_S", 0.5)
+    with pytest.raises(
+        invid.InputError, match=r"Slow\.fmu: the FMU has not simulated experiment 000 in 0\.5 s"
+    ):
         judge(recording, truth, simulator)
