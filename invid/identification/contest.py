@@ -20,7 +20,7 @@ from invid.identification.first_plants import (
 from invid.identification.own_time import tones_of
 from invid.likelihood.unknown_forces.forces import Where
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
-from invid.likelihood.unknown_forces.plant import Plant, Structure
+from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import (
     Bench,
@@ -128,7 +128,20 @@ def begin_with_modes(
         ends.append(brought_home(start))
         if is_settled(ends[-1]):
             break
-    return min(ends, key=_priced)
+    best = min(ends, key=_priced)
+    if not best.hypothesis.structure.modes:
+        return best
+    chains = replace(best.hypothesis, structure=structure)
+    plain = _from_plant((bench, kept), chains, _chains_of(best.numbers.plant), TO_THE_END)
+    return best if plain is None or _priced(plain) > _priced(best) else plain
+
+
+def _chains_of(plant: Plant) -> Plant:
+    """The plant without its modes, whose numbers are the last of their kinds."""
+    chains = Structure(plant.structure.sizes)
+    counts = [chains.index(kind).stop - chains.index(kind).start for kind in Kind]
+    own = [plant.of_kind(kind)[:count] for kind, count in zip(Kind, counts, strict=True)]
+    return Plant.of_values(chains, np.concatenate(own))
 
 
 def home_with_a_mode(now: Supposed) -> Supposed | None:
