@@ -250,3 +250,17 @@ def test_a_base64_of_python_can_is_no_table(tmp_path):
     rows += [f"{1.7e9 + t},0x181,0,0,0,4,{base64.b64encode(bytes(4)).decode()}" for t in TIME]
     (tmp_path / "a.txt").write_text("\n".join([head, *sorted(rows)]))
     assert set(read_table(tmp_path / "a.txt", PDOS).columns) == {"time", "q"}
+
+
+@pytest.mark.parametrize(("delimiter", "decimal"), [(",", "."), (";", ","), ("\t", ".")])
+def test_a_table_is_the_same_without_pyarrow(tmp_path, monkeypatch, delimiter, decimal):
+    rows = np.column_stack([TIME, ANGLE, TORQUE])
+    lines = [delimiter.join(f"{v:.9g}".replace(".", decimal) for v in row) for row in rows]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([delimiter.join(["time", "position", "torque"]), *lines]))
+    with_it = read_table(path, Source())
+    monkeypatch.setattr("invid.recording.readers.text_table.find_spec", lambda name: None)
+    without = read_table(path, Source())
+    assert list(with_it.columns) == list(without.columns) == ["time", "position", "torque"]
+    for name, numbers in with_it.columns.items():
+        np.testing.assert_array_equal(numbers, without.columns[name])
