@@ -42,7 +42,9 @@ _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
 def read_text_table(path: Path, source: Source) -> Table:
     """Columns of a text file; what ``source`` leaves open is found out and noted."""
     text, encoding = read_text(path, source.encoding)
-    return table_of_lines(path, text.splitlines(), source, encoding)
+    lines = text.splitlines()
+    del text  # as large as the file
+    return table_of_lines(path, lines, source, encoding)
 
 
 def table_of_lines(path: Path, lines: list[str], source: Source, encoding: str = "utf-8") -> Table:
@@ -339,10 +341,7 @@ class _Body:
                     column_types=dict.fromkeys(names, "float64"), decimal_point=decimal, null_values=[]
                 ),
             )
-            data = np.empty((table.num_rows, self.width))
-            for i, name in enumerate(names):
-                data[:, i] = table[name].to_numpy()
-            return data
+            return np.column_stack([table[n].to_numpy() for n in names])
         lines = [line.replace(",", ".") if decimal == "," else line for line in part.texts()]
         delimiter = None if self.delimiter == " " else self.delimiter
         return np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)

@@ -140,3 +140,17 @@ def test_a_document_in_the_folder_stops_no_import(tmp_path, capsys, beside):
     out = tmp_path / "r.h5"
     assert run(["import", str(folder), "--map", str(chart), "-o", str(out)]) == 0
     assert len(read_recording(out).experiments) == 2
+
+
+@pytest.mark.parametrize(("delimiter", "decimal"), [(",", "."), (";", ","), ("\t", ".")])
+def test_a_table_is_the_same_without_pyarrow(tmp_path, monkeypatch, delimiter, decimal):
+    rows = np.column_stack([TIME, ANGLE, TORQUE])
+    lines = [delimiter.join(f"{v:.9g}".replace(".", decimal) for v in row) for row in rows]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([delimiter.join(["time", "position", "torque"]), *lines]))
+    with_it = read_table(path, Source())
+    monkeypatch.setattr("invid.recording.readers.text_table.find_spec", lambda name: None)
+    without = read_table(path, Source())
+    assert list(with_it.columns) == list(without.columns) == ["time", "position", "torque"]
+    for name, numbers in with_it.columns.items():
+        np.testing.assert_array_equal(numbers, without.columns[name])
