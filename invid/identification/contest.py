@@ -116,24 +116,43 @@ def begin_with_modes(
     a torque that keeps its own time is taken out: a light mode that swings from the start is the same.
     """
     lowest = _lowest(bench, structure, kept, known)
-    pool = [lowest]
     is_lost = lowest.inner_strength > LOST * torque_rms(bench) and not tones_of(lowest)
-    for axis in _astray(lowest) if is_lost else ():
-        if budget.is_left_out("further starts"):
-            break
-        with suppress(np.linalg.LinAlgError):
-            pool.append(_lowest(bench, replace(structure, modes=(structure.load[axis],)), kept, NOTHING))
+    pool = [lowest, *(_with_modes(lowest) if is_lost else ())]
     ends: list[Supposed] = []
     for start in sorted(pool, key=_priced)[:STRUCTURES]:
         ends.append(brought_home(start))
         if is_settled(ends[-1]):
             break
-    best = min(ends, key=_priced)
-    if not best.hypothesis.structure.modes:
-        return best
-    chains = replace(best.hypothesis, structure=structure)
-    plain = _from_plant((bench, kept), chains, _chains_of(best.numbers.plant), TO_THE_END)
-    return best if plain is None or _priced(plain) > _priced(best) else plain
+    return _without_idle_modes(min(ends, key=_priced))
+
+
+def home_with_a_mode(now: Supposed) -> Supposed | None:
+    """The fit of chains that are astray with a mode on one load, from starts of its own; ``None`` where none
+    comes home."""
+    ends = [e for e in map(brought_home, _with_modes(now)) if is_settled(e)]
+    return _without_idle_modes(min(ends, key=_priced)) if ends else None
+
+
+def _with_modes(now: Supposed) -> list[Supposed]:
+    """First fits of the chains with one mode more, on the load of each that is astray."""
+    structure, found = now.hypothesis.structure, []
+    for axis in _astray(now):
+        if budget.is_left_out("further starts"):
+            break
+        wider = replace(structure, modes=(*structure.modes, structure.load[axis]))
+        with suppress(np.linalg.LinAlgError):
+            found.append(_lowest(now.bench, wider, now.kept, NOTHING))
+    return found
+
+
+def _without_idle_modes(found: Supposed) -> Supposed:
+    """The fit, or its chains alone where they do as well: that start may have been the better one."""
+    if not found.hypothesis.structure.modes:
+        return found
+    chains = _chains_of(found.numbers.plant)
+    hypothesis = replace(found.hypothesis, structure=chains.structure)
+    plain = _from_plant((found.bench, found.kept), hypothesis, chains, TO_THE_END)
+    return found if plain is None or _priced(plain) > _priced(found) else plain
 
 
 def _chains_of(plant: Plant) -> Plant:
@@ -142,19 +161,6 @@ def _chains_of(plant: Plant) -> Plant:
     counts = [chains.index(kind).stop - chains.index(kind).start for kind in Kind]
     own = [plant.of_kind(kind)[:count] for kind, count in zip(Kind, counts, strict=True)]
     return Plant.of_values(chains, np.concatenate(own))
-
-
-def home_with_a_mode(now: Supposed) -> Supposed | None:
-    """The fit of chains that are astray with a mode on one load, from starts of its own; ``None`` where none
-    comes home."""
-    structure, found = now.hypothesis.structure, []
-    for axis in _astray(now):
-        if budget.is_left_out("further starts"):
-            break
-        wider = replace(structure, modes=(*structure.modes, structure.load[axis]))
-        with suppress(np.linalg.LinAlgError):
-            found.append(brought_home(_lowest(now.bench, wider, now.kept, NOTHING)))
-    return min((f for f in found if is_settled(f)), key=lambda f: f.total, default=None)
 
 
 def _priced(found: Supposed) -> float:

@@ -32,8 +32,6 @@ from invid.recording.model import Recording
 TIME_TO_PURSUE, TIME_TO_WEIGH = 0.6, 0.5
 """Shares of the time that is left for the causes, and for what each is worth (empirical: what is done of them
 without a budget)."""
-NUMBERS_OF_MODE = 3
-"""Its mass, spring and damper."""
 CAUSES = "further causes"
 """What a spent budget leaves out without which nothing is certain, in the words of the warning."""
 
@@ -70,8 +68,8 @@ def search_elastic(begun: Begun) -> ElasticSearch:
         laws = supposed_laws(linear=recording.linear)
         growing = begun.declared is None
         pursued = pursue(begun.first, laws, tell=tell, growing=growing)
-        start = None if is_told(pursued.end, begun.first) else home_with_a_mode(begun.first)
-        if start is not None and pays(*role_falls(pursued.end, start), NUMBERS_OF_MODE):
+        start = None if _is_told(pursued.end, begun.first) else home_with_a_mode(begun.first)
+        if start is not None and pays(*role_falls(pursued.end, start), _numbers_of(start)):
             pursued = pursue(start, laws, tell=tell, growing=growing)
     is_cut_short = CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
@@ -94,7 +92,13 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 
-def is_told(end: Supposed, first: Supposed) -> bool:
+def _numbers_of(start: Supposed) -> int:
+    """Numbers of the modes of a structure."""
+    structure = start.hypothesis.structure
+    return max(1, sum(a.numbers(structure) for a in additions_of(structure)))
+
+
+def _is_told(end: Supposed, first: Supposed) -> bool:
     """Return whether a search took a cause, or nothing unknown acts behind the motors: else the chains may be
     astray since a load has a mode, which no step from where they stand shows."""
     was, now = first.hypothesis, end.hypothesis

@@ -88,14 +88,14 @@ def smooth(problem: Problem, value: Value) -> tuple[SmoothedStack, ...]:
 
 def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
     stack = problem.stacks[number]
-    numbers = value.numbers
+    numbers, position_noise = value.numbers, value.work[number].position_noise
     omega = stack.records[0].wide
     condensed = numbers.plant.condense(omega)
     stiffness, motion = condensed.stiffness, condensed.motion
     wide = stack.wide
     reach = along(motion, problem.spots.vectors)
     power = colours(omega, problem.corner) @ numbers.strength.T
-    noise = missing_noise(stiffness, reach, power, (stack.position_noise, stack.torque_noise))
+    noise = missing_noise(stiffness, reach, power, (position_noise, stack.torque_noise))
     ends = ends_of(value, number)
     n = motion.shape[2]
     named = ends[:, None, :n] + 1j * omega[:, None] * ends[:, None, n:]
@@ -112,13 +112,13 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
     white = (noise.whitener @ missing[..., None])[..., 0]
     solved = (noise.whitener.conj().transpose(0, 2, 1) @ white[..., None])[..., 0]
     force = power * (reach.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
-    motor = stands - stack.position_noise * (stiffness.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
+    motor = stands - position_noise * (stiffness.conj().transpose(0, 2, 1) @ solved[..., None])[..., 0]
     pushed = named - along(force, problem.spots.vectors.T)
     lines = ((motion.transpose(0, 2, 1) @ motor[..., None]) - (condensed.receptance @ pushed[..., None]))[
         ..., 0
     ]
     jump, bend = _jumps(numbers.plant, ends * stack.span / 2.0)
-    sensors = (np.abs(stiffness) ** 2 * stack.position_noise).sum(axis=2) + stack.torque_noise
+    sensors = (np.abs(stiffness) ** 2 * position_noise).sum(axis=2) + stack.torque_noise
     return SmoothedStack(stack, lines, jump, bend, force, numbers.plant, missing, sensors)
 
 

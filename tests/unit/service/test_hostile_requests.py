@@ -76,6 +76,22 @@ def test_keys_open_what_their_scopes_say_and_nothing_else(tmp_path: Path, keys: 
         assert [e["caller"] for e in client.get("/api/v1/audit").json()] == ["run", "accept"]
 
 
+def test_wrong_expired_and_misplaced_keys_are_refused(tmp_path: Path, keys: dict[str, str]) -> None:
+    for host in ("127.0.0.1", "0.0.0.0"):
+        with running(tmp_path, host=host, key_file=tmp_path / "keys.json") as (client, _):
+            path = "/api/v1/cells"
+            for token in ("x", "invid_0_0", keys["read"][:-1], keys["read"] + "x", "invid_" + "é" * 10):
+                headers = [(b"authorization", b"Bearer " + token.encode())]
+                assert kind(client.get(path, headers=headers)) == "key-invalid"  # type: ignore[arg-type]
+            assert kind(client.get(path, headers={"Authorization": f"Basic {keys['read']}"})) == "key-invalid"
+            expired = client.get(path, headers=bearer(keys["old"]))
+            assert kind(expired) == "key-invalid"
+            assert "expired" in expired.json()["detail"]
+            assert expired.headers["WWW-Authenticate"] == "Bearer"
+            if host == "0.0.0.0":
+                assert kind(client.get(path, params={"key": keys["read"]})) == "key-missing"
+
+
 def test_a_stop_asks_for_no_key_and_a_web_site_of_others_cannot_ask_for_it(
     tmp_path: Path, keys: dict[str, str]
 ) -> None:
