@@ -15,13 +15,13 @@ from invid_service.cells.state import router as state
 from invid_service.jobs.drawing import router as drawing
 from invid_service.jobs.launcher import Launcher, launch_process
 from invid_service.jobs.router import router as identifications
-from invid_service.jobs.tuning import router as tuning
 from invid_service.links import API
 from invid_service.middleware import Guard
 from invid_service.openapi import complete_schema, operation_id
 from invid_service.recordings.router import router as recordings
 from invid_service.service import Clock, build, utc_now
 from invid_service.settings import Settings
+from invid_service.tuning.router import router as tuning
 from invid_service.web.pages import router as pages
 from invid_service.web.pages import static_files
 

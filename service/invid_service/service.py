@@ -33,7 +33,6 @@ from invid_service.jobs.orphans import settle
 from invid_service.jobs.results import Results, load
 from invid_service.jobs.run_log import tell_ended
 from invid_service.jobs.states import State
-from invid_service.jobs.tunings import Tunings
 from invid_service.keys import Keys
 from invid_service.links import API, set_root
 from invid_service.metrics import Metrics
@@ -43,6 +42,7 @@ from invid_service.store.blobs import Blobs
 from invid_service.store.database import open_engine, upgrade
 from invid_service.store.lock import DataLock
 from invid_service.store.store import RunRecord, Store, StoredModel
+from invid_service.tuning.tunings import Tunings
 
 log = logging.getLogger(__name__)
 Clock = Callable[[], datetime]

@@ -14,9 +14,9 @@ from invid_service.jobs.protocol import ErrorInfo
 from invid_service.jobs.stated_change import StatedChange
 from invid_service.jobs.states import ENDED, State
 from invid_service.jobs.stops import EMPTY
-from invid_service.jobs.tunings import TUNING_KINDS
 from invid_service.links import address
 from invid_service.store.store import RunRecord
+from invid_service.tuning.tunings import TUNING_KINDS
 
 RETRY_AFTER_S = 1
 _PLANNED = {State.CHECKING, State.AWAITING_ARM, State.RUNNING}

@@ -38,7 +38,7 @@ class Tunings:
         return self._failed.get(run)
 
     def start(self, run: str, order: dict[str, Any]) -> None:
-        """Begin; nothing more where it has begun. ``order`` is that of ``tuning_worker`` without its
+        """Begin; nothing more where it has begun. ``order`` is that of ``worker`` without its
         folder."""
         if run in self._tasks:
             return
@@ -80,7 +80,7 @@ class Tunings:
         process = await asyncio.create_subprocess_exec(
             sys.executable,
             "-m",
-            "invid_service.jobs.tuning_worker",
+            "invid_service.tuning.worker",
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             env=one_thread(),

@@ -1,0 +1,1 @@
+"""Values for the drives from a model, worked out in a process of their own."""
