@@ -110,7 +110,7 @@ EXAMPLES: dict[str, Any] = {
     },
     "Version": {
         "name": "invid",
-        "version": "0.1.0",
+        "version": "0.2.0",
         "api": "v1",
         "formats": {"invid-recording": 1, "invid-model": 1, "invid-diagnosis": 1},
     },
