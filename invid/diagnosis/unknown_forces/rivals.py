@@ -10,6 +10,7 @@ import numpy as np
 from invid.diagnosis.outcome import share_among_rivals
 from invid.diagnosis.thresholds import COMPETES, EXPLAINED
 from invid.diagnosis.unknown_forces.left_over import PlaceForce
+from invid.diagnosis.unknown_forces.nameless import drag
 from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound, try_law
 from invid.diagnosis.unknown_forces.scoring import score, spots_of
@@ -161,6 +162,8 @@ def _candidates(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) 
         and not (isinstance(worth.key, tuple) and (law.cause, worth.key[0]) in friction)
         for shape in law.shapes(end.motions.flat(spot))
     ]
+    if isinstance(worth.key, tuple) and worth.key[0] is Part.VISCOUS:
+        out.append(drag(end, worth.key[1]))
     return out + [
         rival.placed
         for won, rival in pursued.rivals
