@@ -57,6 +57,11 @@ class SmoothMotion:
     velocity: Float64
     step: float
 
+    @cached_property
+    def acceleration(self) -> Float64:
+        """(k + 1, M) derivative of the velocity."""
+        return np.asarray(np.gradient(self.velocity, self.step, axis=0), dtype=np.float64)
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
