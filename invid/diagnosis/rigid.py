@@ -71,7 +71,7 @@ def diagnose_trajectory(
         explained=explained,
         left=None if near or not (found or missing) else _describe_residual(a, residual),
         warnings=extended.warnings,
-        details=figures_of(a, extended),
+        details=figures_of(a),
     )
     return limit_unfinished_search(result) if a.is_cut_short else result
 

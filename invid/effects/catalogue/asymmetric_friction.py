@@ -10,8 +10,7 @@ import numpy as np
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, asymmetric_share
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, mass_places
+from invid.model.place import mass_places
 from invid.numerics.arrays import Float64
 
 
@@ -23,6 +22,7 @@ class AsymmetricFriction(Effect):
     check = "Check wear, preload and seals that act in one direction, and a load that pulls."
     separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
+    stands = (mass_places,)
     looks_like = ("coulomb_friction", "viscous_friction", "torque_offset")
     over = "velocity"
     sizes = (Size(FRICTION, asymmetric_share, 0.15, 0.30, JOINT_SOURCE),)
@@ -33,9 +33,6 @@ class AsymmetricFriction(Effect):
         "viscous_negative": "damping",
     }
     main = "coulomb_positive"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return mass_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         speed = p.get("low_speed_velocity", 0.0)

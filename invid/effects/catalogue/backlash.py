@@ -10,8 +10,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import ARCMIN, PLAY, PLAY_SOURCE, Size, size
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, spring_places
+from invid.model.place import spring_places
 from invid.numerics.arrays import Float64
 
 
@@ -25,14 +24,12 @@ class Backlash(Effect):
         "amplitudes", "a second amplitude: free play matters most when the motion is small"
     )
     family = "spring"
+    stands = (spring_places,)
     looks_like = ("cubic_stiffness", "spring_hysteresis", "coulomb_friction")
     home = "spring"
     over = "deflection"
     sizes = (Size(PLAY, size("gap"), 1 * ARCMIN, 3 * ARCMIN, PLAY_SOURCE),)
     numbers = (Parameter("gap", "position", linear=False),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return spring_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = stiffness * (np.sign(x) * np.maximum(np.abs(x) - 0.5 * p["gap"], 0.0) - x)

@@ -10,8 +10,7 @@ import numpy as np
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.sizes import COGGING_SOURCE, RIPPLE, Size, share
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, motor_places
+from invid.model.place import motor_places
 from invid.numerics.arrays import Float64
 
 
@@ -25,6 +24,7 @@ class Cogging(Effect):
         "positions", "a slow move over a whole revolution: cogging repeats with its number of cycles"
     )
     family = "position"
+    stands = (motor_places,)
     looks_like = ("gravity", "transmission_error")
     over = "position"
     sizes = (Size(RIPPLE, share("torque"), 0.02, 0.04, COGGING_SOURCE),)
@@ -34,9 +34,6 @@ class Cogging(Effect):
         "phase": "angle",
     }
     main = "torque"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return motor_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sin(p["cycles_per_rev"] * x + p["phase"])

@@ -10,8 +10,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import AT_LOAD, FRICTION, JOINT_SOURCE, Size, sag, share
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, mass_places
+from invid.model.place import mass_places
 from invid.numerics.arrays import Float64
 
 
@@ -23,13 +22,11 @@ class CoulombFriction(Effect):
     check = "Check brake release and lubrication."
     separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
+    stands = (mass_places,)
     looks_like = ("stribeck_friction", "presliding_friction", "asymmetric_friction", "backlash")
     over = "velocity"
     sizes = (Size(FRICTION, share("torque"), 0.15, 0.30, JOINT_SOURCE), Size(AT_LOAD, sag))
     numbers = (Parameter("torque", "torque", low=0.0),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return mass_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sign(x)

@@ -8,8 +8,6 @@ from typing import ClassVar
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, RepeatedRows
 from invid.effects.sizes import SAMPLES, Size, size
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place
 
 
 class DroppedSamples(Effect):
@@ -25,9 +23,6 @@ class DroppedSamples(Effect):
     sizes = (Size(SAMPLES, size("fraction")),)
     parameters: ClassVar[Mapping[str, str]] = {"fraction": "ratio"}
     main = "fraction"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return []
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [RepeatedRows(at.value("fraction"))]

@@ -8,8 +8,7 @@ from typing import ClassVar
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, ReadingError
 from invid.effects.sizes import ARCSEC, ENCODER_SOURCE, READING, Size, size
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, axis_places
+from invid.model.place import axis_places
 
 
 class EncoderEccentricity(Effect):
@@ -20,6 +19,7 @@ class EncoderEccentricity(Effect):
     check = "Check the encoder's mounting and its coupling."
     separating = Experiment("positions", "a move over a whole revolution at constant speed")
     family = "sensor"
+    stands = (axis_places,)
     looks_like = ("cogging", "transmission_error")
     home = "axis"
     over = "position"
@@ -27,9 +27,6 @@ class EncoderEccentricity(Effect):
     parameters: ClassVar[Mapping[str, str]] = {"amplitude": "position", "phase": "angle"}
     rotary = True
     main = "amplitude"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return axis_places(structure)
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [ReadingError(at.axis, at.value("amplitude"), at.value("phase"))]

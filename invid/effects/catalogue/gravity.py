@@ -10,8 +10,7 @@ import numpy as np
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import CarriedWeight, Element, ForceLaw, Law, ModelPlace
 from invid.effects.sizes import AT_LOAD, GRAVITY, RATED_SOURCE, Size, sag, share
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, end_places, motor_places
+from invid.model.place import end_places, motor_places
 from invid.numerics.arrays import Float64
 
 
@@ -26,6 +25,8 @@ class Gravity(Effect):
         "the same motion around positions far apart: gravity changes with position, an offset does not",
     )
     family = "position"
+    # A motor may carry weight itself (a counterweight, a pulley) before its springs.
+    stands = (end_places, motor_places)
     looks_like = ("torque_offset", "cogging")
     home = "end"
     over = "position"
@@ -36,11 +37,6 @@ class Gravity(Effect):
     parameters: ClassVar[Mapping[str, str]] = {"torque": "torque", "angle": "angle"}
     rotary = True
     main = "torque"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        # A motor that carries weight itself (a counterweight, a pulley) before its springs.
-        ends = end_places(structure)
-        return [*ends, *(p for p in motor_places(structure) if p not in ends)]
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sin(x + p["angle"])

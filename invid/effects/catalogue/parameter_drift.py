@@ -8,8 +8,7 @@ from typing import ClassVar
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Drift, Element, ModelPlace
 from invid.effects.sizes import DRIFTED, RESONANCE, Size, drift, resonance_change, with_drift
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, spring_places
+from invid.model.place import spring_places
 
 
 class ParameterDrift(Effect):
@@ -22,14 +21,12 @@ class ParameterDrift(Effect):
         "time", "repeat the first experiment at the end, and once more when the machine is warm"
     )
     family = "time"
+    stands = (spring_places,)
     looks_like = ("payload_change",)
     home = "spring"
     sizes = (Size(DRIFTED, drift), Size(RESONANCE, resonance_change(with_drift)))
     parameters: ClassVar[Mapping[str, str]] = {"parameter": "count", "rate": "stiffness_rate"}
     main = "rate"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return spring_places(structure)
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         if (at.term.element or "spring 1").startswith("mass"):

@@ -8,8 +8,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, LaterMass, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import LOAD, RESONANCE, Size, load_change, resonance_change, with_load
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, end_places
+from invid.model.place import end_places
 
 
 class PayloadChange(Effect):
@@ -20,6 +19,7 @@ class PayloadChange(Effect):
     check = "Check what was picked up, put down or came loose during the measurement."
     separating = Experiment("time", "repeat the first experiment at the end")
     family = "time"
+    stands = (end_places,)
     looks_like = ("parameter_drift",)
     home = "end"
     sizes = (Size(LOAD, load_change), Size(RESONANCE, resonance_change(with_load)))
@@ -27,9 +27,6 @@ class PayloadChange(Effect):
         Parameter("mass", "mass"),
         Parameter("time", "time", linear=False, logarithmic=False),
     )
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return end_places(structure)
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [LaterMass(at.mass(at.last), at.value("mass"), at.value("time"))]

@@ -16,8 +16,7 @@ from invid.effects.sizes import (
     lost_motion,
     share,
 )
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, spring_places
+from invid.model.place import spring_places
 
 
 class SpringHysteresis(SliderEffect):
@@ -30,6 +29,7 @@ class SpringHysteresis(SliderEffect):
         "amplitudes", "a second amplitude with the motor held: the loop's width does not grow with amplitude"
     )
     family = "spring"
+    stands = (spring_places,)
     looks_like = ("backlash", "cubic_stiffness", "presliding_friction")
     home = "spring"
     over, path = "deflection", True
@@ -37,9 +37,6 @@ class SpringHysteresis(SliderEffect):
         Size(LOST, lost_motion, 2 * ARCMIN, 4 * ARCMIN, HYSTERESIS_SOURCE),
         Size(SPRING_FRICTION, share("torque")),
     )
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return spring_places(structure)
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         a, b, _, _ = at.spring()

@@ -11,8 +11,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, share
 from invid.errors import ModelError
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, mass_places
+from invid.model.place import mass_places
 from invid.numerics.arrays import Float64
 
 
@@ -24,6 +23,7 @@ class StribeckFriction(Effect):
     check = "Check the lubrication: the film builds too late."
     separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
+    stands = (mass_places,)
     looks_like = ("coulomb_friction", "presliding_friction", "asymmetric_friction")
     over = "velocity"
     sizes = (Size(FRICTION, share("static", "coulomb"), 0.15, 0.30, JOINT_SOURCE),)
@@ -33,9 +33,6 @@ class StribeckFriction(Effect):
         "velocity": "velocity",
     }
     main = "coulomb"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return mass_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         near = np.exp(-((np.abs(x) / p["velocity"]) ** p.get("exponent", 2.0)))

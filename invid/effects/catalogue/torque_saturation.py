@@ -10,8 +10,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import RATED_SOURCE, SHORTFALL, Size, shortfall
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, axis_places
+from invid.model.place import axis_places
 from invid.numerics.arrays import Float64
 
 
@@ -23,14 +22,12 @@ class TorqueSaturation(Effect):
     check = "Check the drive's current and torque limits and its bus voltage."
     separating = Experiment("amplitudes", "a second amplitude: below the limit nothing is missing")
     family = "saturation"
+    stands = (axis_places,)
     looks_like = ("torque_gain",)
     home = "axis"
     over = "torque"
     sizes = (Size(SHORTFALL, shortfall, 0.0, 0.0, RATED_SOURCE, linear=True),)
     numbers = (Parameter("limit", "torque", linear=False),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return axis_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = x - np.clip(x, -p["limit"], p["limit"])

@@ -10,8 +10,7 @@ import numpy as np
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.sizes import ACCURACY_SOURCE, ARCMIN, GEAR_ERROR, Size, size
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, spring_places
+from invid.model.place import spring_places
 from invid.numerics.arrays import Float64
 
 
@@ -26,6 +25,7 @@ class TransmissionError(Effect):
     check = "Check the gear's teeth and its alignment; compensate over position."
     separating = Experiment("positions", "a slow move over a whole revolution, and a second amplitude")
     family = "position"
+    stands = (spring_places,)
     looks_like = ("cogging", "encoder_eccentricity")
     home = "spring"
     over = "position"
@@ -36,9 +36,6 @@ class TransmissionError(Effect):
         "phase": "angle",
     }
     main = "amplitude"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return spring_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = -stiffness * p["amplitude"] * np.sin(p["cycles_per_rev"] * x + p["phase"])

@@ -8,8 +8,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedDamper, Element, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import AT_SPEED, JOINT_SOURCE, Size, viscous_share
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, mass_places
+from invid.model.place import mass_places
 from invid.numerics.arrays import Float64
 
 
@@ -21,13 +20,11 @@ class ViscousFriction(Effect):
     check = "Check the grease (too much, too stiff, cold) and the seals."
     separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
+    stands = (mass_places,)
     looks_like = ("coulomb_friction", "stribeck_friction", "asymmetric_friction")
     over = "velocity"
     sizes = (Size(AT_SPEED, viscous_share, 0.15, 0.30, JOINT_SOURCE),)
     numbers = (Parameter("coefficient", "damping", low=0.0),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return mass_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return p["coefficient"] * x

@@ -7,8 +7,6 @@ from typing import ClassVar
 
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, LoadFriction, ModelPlace
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place
 
 
 class LoadDependentFriction(Effect):
@@ -21,13 +19,10 @@ class LoadDependentFriction(Effect):
         "positions", "the same motion with another payload: this friction changes with it"
     )
     family = "friction"
+    # A load that hardly varies, as in small motion, makes it Coulomb friction.
     looks_like = ("coulomb_friction", "asymmetric_friction")
     parameters: ClassVar[Mapping[str, str]] = {"coefficient": "ratio", "inertia_counts": "count"}
     main = "coefficient"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        # A load that hardly varies, as in small motion, makes it Coulomb friction.
-        return []
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [LoadFriction(at.axis, at.value("coefficient"), at.optional("inertia_counts", 0.0))]

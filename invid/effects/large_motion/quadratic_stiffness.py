@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, GroundSpring, ModelPlace
 from invid.effects.parameter import Parameter
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place
 from invid.numerics.arrays import Float64
 
 
@@ -24,9 +22,6 @@ class QuadraticStiffness(Effect):
     home = "spring"
     over = "deflection"
     numbers = (Parameter("coefficient", "torque/position^2"),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return []
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["coefficient"] * x**2
