@@ -163,11 +163,6 @@ def misfit(data: FrfData, fit: ModalFit) -> Float64:
     return difference
 
 
-def robust_cost(data: FrfData, fit: ModalFit) -> float:
-    """Mean log misfit relative to the response: comparable between fits made under any weights."""
-    return float(np.mean(np.log1p((data.weight(0.01) * misfit(data, fit)) ** 2)))
-
-
 def reduced_chi2(data: FrfData, weight: Float64, fit: ModalFit) -> float:
     """χ² per degree of freedom under ``weight`` (a complex variance puts half into each part)."""
     dof = max(2 * data.g.size - _pack(fit).size, 1)
