@@ -97,7 +97,7 @@ class Effect:
     family: str = ""
     home: Literal["motor", "end", "spring", "axis", "base"] = "motor"
     """Place of the effect in a model that does not state one."""
-    stands: ClassVar[tuple[Callable[[ChainStructure], list[Place]], ...]] = ()
+    stands: ClassVar[tuple[Callable[[ChainStructure], list[Place]], ...] | None] = None
     """Kinds of places where it may sit (``invid.model.place``); none where no search of chains asks."""
     over: str = ""
     """Quantity over which its missing torque is drawn (``invid.effects.curve``); "" where it has no such
@@ -132,7 +132,7 @@ class Effect:
 
     def places(self, structure: ChainStructure) -> list[Place]:
         """All places where it may sit: those of ``stands``, each once."""
-        return list(dict.fromkeys(p for places in self.stands for p in places(structure)))
+        return list(dict.fromkeys(p for places in self.stands or () for p in places(structure)))
 
     def known(self, term: EffectTerm) -> Self:
         """The law with what a model states of it beyond its parameters."""

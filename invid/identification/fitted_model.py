@@ -91,11 +91,7 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     std = {n: np.nan if n in blind.unseen else float(d) for n, d in zip(known, deviation, strict=True)}
     doubts = [*_short_experiments(recording), *(Doubt(DoubtCode.UNSEEN, said) for said in blind.sentences)]
-    said = [
-        *(d.text for d in doubts),
-        *hold_warnings(end, open_part, recording),
-        *_lag_warnings(end, axes),
-    ]
+    said = [*(d.text for d in doubts), *hold_warnings(end, open_part, recording), *_lag_warnings(end, axes)]
     return Model(
         robot=recording.robot,
         method="refined",

@@ -46,10 +46,7 @@ class MachineKind:
 
 
 def machine_kind(
-    recording: Recording,
-    masses: Sequence[int] | str | None,
-    chains: Callable[[], Begun],
-    share: float = 1.0,
+    recording: Recording, masses: Sequence[int] | str | None, chains: Callable[[], Begun], share: float = 1.0
 ) -> MachineKind:
     """Rigid axes or chains; ``chains`` identifies them as chains, with ``masses`` as requested.
 

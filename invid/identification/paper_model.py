@@ -18,12 +18,7 @@ from invid.recording.model import Recording
 from invid.signals.frf import FrfMatrix
 
 
-def paper_model(
-    recording: Recording,
-    paper: PaperResult,
-    measured: FrfMatrix,
-    warnings: list[str],
-) -> Model:
+def paper_model(recording: Recording, paper: PaperResult, measured: FrfMatrix, warnings: list[str]) -> Model:
     """The model of the paper's route alone."""
     chains = paper.chains
     names_all, values = parameter_vector(chains)

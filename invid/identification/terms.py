@@ -29,13 +29,7 @@ class TermWriter:
     def _unit(self, cause: str, parameter: str) -> str | None:
         return unit_of(BY_CAUSE[cause].parameters.get(parameter, "ratio"), self.linear)
 
-    def term(
-        self,
-        cause: str,
-        axis: int,
-        sizes: Sizes,
-        **place: str,
-    ) -> EffectTerm:
+    def term(self, cause: str, axis: int, sizes: Sizes, **place: str) -> EffectTerm:
         """A cause's term, its parameters functions of what was fitted."""
         parameters = {
             name: self.known.estimate(size, indices, self._unit(cause, name))

@@ -9,14 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from invid.modes.data import FrfData, checked_data
-from invid.modes.least_squares import (
-    ModalFit,
-    levenberg,
-    misfit,
-    noise_chi2,
-    normal_equations,
-    reduced_chi2,
-)
+from invid.modes.least_squares import ModalFit, levenberg, misfit, noise_chi2, normal_equations, reduced_chi2
 from invid.modes.model import Modes, high_gain_pairs, pairs
 from invid.modes.pole_search import NoisyRecord, search_modes
 

@@ -8,6 +8,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, GroundSpring, Law, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import STIFFENING_SOURCE, STIFFER, Size, stiffening
+from invid.effects.supposed.law import Shape, SpotMotion, SupposedLaw
 from invid.model.place import spring_places
 from invid.numerics.arrays import Float64
 
@@ -36,3 +37,13 @@ class CubicStiffness(Effect):
             return [GroundSpring(at.axis, 3, at.value("coefficient"))]
         a, b, _, _ = at.spring()
         return [ForceLaw(Law.CUBIC, a, b, (at.value("coefficient"),))]
+
+
+class CubicStiffnessLaw(SupposedLaw):
+    """A spring that hardens (or softens) with the third power of its deflection."""
+
+    effect, main = CubicStiffness(), "coefficient"
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        cube: Float64 = (motion.position**3)[:, None]
+        return cube

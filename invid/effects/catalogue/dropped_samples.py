@@ -18,6 +18,7 @@ class DroppedSamples(Effect):
     check = "Check the bus load, the SYNC period and the PDO mapping of the axis."
     separating = Experiment("hand", "record the timestamps of every frame")
     family = "sampling"
+    stands = ()
     home = "axis"
     in_samples = True
     sizes = (Size(SAMPLES, size("fraction")),)

@@ -8,7 +8,9 @@ from typing import ClassVar
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, ReadingError
 from invid.effects.sizes import ARCSEC, ENCODER_SOURCE, READING, Size, size
+from invid.effects.supposed.law import Bounds, Shape, SinusoidLaw, SpotMotion
 from invid.model.place import axis_places
+from invid.numerics.arrays import Float64
 
 
 class EncoderEccentricity(Effect):
@@ -30,3 +32,16 @@ class EncoderEccentricity(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [ReadingError(at.axis, at.value("amplitude"), at.value("phase"))]
+
+
+class EncoderEccentricityLaw(SinusoidLaw):
+    """An encoder that reads θ + amplitude·sin(θ + phase); its motor stands at the reading less that."""
+
+    effect, main = EncoderEccentricity(), "amplitude"
+    reads = True
+
+    def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
+        return [(-0.5, 0.5), (-0.5, 0.5)]
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return -super().waves(motion, shape)

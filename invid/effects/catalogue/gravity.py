@@ -10,6 +10,7 @@ import numpy as np
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import CarriedWeight, Element, ForceLaw, Law, ModelPlace
 from invid.effects.sizes import AT_LOAD, GRAVITY, RATED_SOURCE, Size, sag, share
+from invid.effects.supposed.law import SinusoidLaw
 from invid.model.place import end_places, motor_places
 from invid.numerics.arrays import Float64
 
@@ -30,10 +31,7 @@ class Gravity(Effect):
     looks_like = ("torque_offset", "cogging")
     home = "end"
     over = "position"
-    sizes = (
-        Size(GRAVITY, share("torque"), 1.0, 1.0, RATED_SOURCE, linear=True),
-        Size(AT_LOAD, sag),
-    )
+    sizes = (Size(GRAVITY, share("torque"), 1.0, 1.0, RATED_SOURCE, linear=True), Size(AT_LOAD, sag))
     parameters: ClassVar[Mapping[str, str]] = {"torque": "torque", "angle": "angle"}
     rotary = True
     main = "torque"
@@ -47,3 +45,13 @@ class Gravity(Effect):
         if at.rigid and at.term.other_axis is not None:
             return [CarriedWeight(torque * np.cos(angle), torque * np.sin(angle))]
         return [ForceLaw(Law.SINE, at.mass(at.last), -1, (torque, 1.0, angle))]
+
+
+class GravityLaw(SinusoidLaw):
+    """A torque of one cycle a revolution at a load or a motor.
+
+    On a small motion it is a constant torque and a spring to ground: it takes the place of the first.
+    """
+
+    effect, phase = Gravity(), "angle"
+    covers = frozenset({"offset"})

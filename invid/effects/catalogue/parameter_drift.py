@@ -8,7 +8,9 @@ from typing import ClassVar
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Drift, Element, ModelPlace
 from invid.effects.sizes import DRIFTED, RESONANCE, Size, drift, resonance_change, with_drift
+from invid.effects.supposed.law import SMOOTH, Bounds, Shape, SpotMotion, SupposedLaw
 from invid.model.place import spring_places
+from invid.numerics.arrays import Float64
 
 
 class ParameterDrift(Effect):
@@ -33,3 +35,24 @@ class ParameterDrift(Effect):
             return [Drift(at.mass(), -1, at.value("rate"))]
         a, b, _, _ = at.spring()
         return [Drift(a, b, at.value("rate"))]
+
+
+class ParameterDriftLaw(SupposedLaw):
+    """A spring's stiffness that changes by its coefficient a second, from the start of the recording on."""
+
+    effect, main, counts = ParameterDrift(), "rate", "parameter"
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return SMOOTH
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        force: Float64 = (motion.position * (motion.time - motion.origin))[:, None]
+        return force
+
+    def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
+        """A spring that drifts by more than itself stands for another one."""
+        own = motions[0].own
+        if own is None:
+            return super().limits(motions)
+        most = own / max(float(m.time[-1] - m.origin) for m in motions)
+        return [(-most, most)]

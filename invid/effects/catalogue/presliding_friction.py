@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from invid.effects.catalogue.coulomb_friction import InnerDry
 from invid.effects.effect import Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.slider import SliderEffect
+from invid.effects.laws.slider import SliderEffect, SliderLaw
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, share
+from invid.effects.supposed.law import AtMotor, InnerLaw
 from invid.model.place import mass_places
 
 
@@ -26,3 +28,17 @@ class PreslidingFriction(SliderEffect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [ForceLaw(Law.SLIDER, at.mass(), -1, (at.positive("stiffness"), abs(at.value("torque"))))]
+
+
+class PreslidingAtMotor(AtMotor, SliderLaw):
+    """Dry friction of a motor that yields elastically before it slides."""
+
+    effect = PreslidingFriction()
+    covers = frozenset({"dry", "rise"})
+
+
+class InnerPresliding(InnerLaw, SliderLaw):
+    """The same of a mass behind the motor."""
+
+    effect = PreslidingFriction()
+    contains = (InnerDry,)

@@ -19,6 +19,7 @@ class SpringDamping(Effect):
     separating = Experiment("hand", "none needed: the linear fit contains it")
     family = "linear"
     # The damper beside every spring is fitted with the linear parameters: nothing is left to name.
+    stands = ()
     home = "spring"
     over = "deflection rate"
     numbers = (Parameter("coefficient", "damping", low=0.0),)

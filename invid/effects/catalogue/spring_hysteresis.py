@@ -6,16 +6,8 @@ from collections.abc import Sequence
 
 from invid.effects.effect import Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.slider import SliderEffect
-from invid.effects.sizes import (
-    ARCMIN,
-    HYSTERESIS_SOURCE,
-    LOST,
-    SPRING_FRICTION,
-    Size,
-    lost_motion,
-    share,
-)
+from invid.effects.laws.slider import SliderEffect, SliderLaw
+from invid.effects.sizes import ARCMIN, HYSTERESIS_SOURCE, LOST, SPRING_FRICTION, Size, lost_motion, share
 from invid.model.place import spring_places
 
 
@@ -41,3 +33,9 @@ class SpringHysteresis(SliderEffect):
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         a, b, _, _ = at.spring()
         return [ForceLaw(Law.PAIR_SLIDER, a, b, (at.positive("stiffness"), abs(at.value("torque"))))]
+
+
+class SpringHysteresisLaw(SliderLaw):
+    """A slider beside a spring."""
+
+    effect = SpringHysteresis()

@@ -10,6 +10,7 @@ import numpy as np
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.sizes import ACCURACY_SOURCE, ARCMIN, GEAR_ERROR, Size, size
+from invid.effects.supposed.law import Bounds, Shape, SinusoidLaw, SpotMotion, extent
 from invid.model.place import spring_places
 from invid.numerics.arrays import Float64
 
@@ -45,3 +46,25 @@ class TransmissionError(Effect):
         a, b, stiffness, _ = at.spring()
         wave = at.value("amplitude"), at.value("cycles_per_rev"), at.value("phase")
         return [ForceLaw(Law.TRANSMISSION, a, b, (*wave, stiffness))]
+
+
+class TransmissionErrorLaw(SinusoidLaw):
+    """A sinusoid of the gear's angle in the deflection of its spring; shape ln(cycles)."""
+
+    effect, main = TransmissionError(), "amplitude"
+    shape_step = 1e-3
+    LEAST, MOST = 2.0, 120.0
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        span = extent([m.angle - m.angle.mean() for m in motions], 0.98)
+        return [(float(np.log(n)),) for n in np.arange(self.LEAST / span, self.MOST, max(0.35 / span, 0.25))]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> Bounds:
+        span = extent([m.angle - m.angle.mean() for m in motions], 0.98)
+        return [(float(np.log(self.LEAST / span)), float(np.log(self.MOST)))]
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return self.sinusoid(motion.angle, shape)
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return super().parameters(coefficients / stiffness, shape, stiffness)

@@ -8,6 +8,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedDamper, Element, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import AT_SPEED, JOINT_SOURCE, Size, viscous_share
+from invid.effects.supposed.law import InnerLaw, Shape, SpotMotion
 from invid.model.place import mass_places
 from invid.numerics.arrays import Float64
 
@@ -31,3 +32,12 @@ class ViscousFriction(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [AddedDamper(at.mass(), -1, at.value("coefficient"))]
+
+
+class InnerViscous(InnerLaw):
+    """Viscous friction of a mass behind the motor."""
+
+    effect, main, low = ViscousFriction(), "coefficient", (0.0,)
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return motion.velocity[:, None]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Effect
+from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw, extent
 from invid.numerics.arrays import Float64
 from invid.numerics.compiled import compiled
 
@@ -54,3 +55,28 @@ class SliderEffect(Effect):
         most = p["torque"] / p["stiffness"]
         # A path walked twice; the second time is drawn.
         return p["stiffness"] * _slide(np.ascontiguousarray(x), most, 2, 0.0)
+
+
+class SliderLaw(SupposedLaw):
+    """A spring that slides at its limit; shape ln(deflection at which it slides).
+
+    The coefficient is the torque at which it slides.
+    """
+
+    low = (0.0,)
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        most = float(np.exp(shape[0]))
+        return slide(motion.position, most, periodic=False)[:, None] / most
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        size = extent([m.position - m.position.mean() for m in motions], 0.9)
+        return [(float(np.log(size * share)),) for share in (0.03, 0.1, 0.3)]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> Bounds:
+        size = extent([m.position - m.position.mean() for m in motions], 0.9)
+        return [(float(np.log(1e-3 * size)), float(np.log(size)))]
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        torque = float(coefficients[0])
+        return {"stiffness": torque / float(np.exp(shape[0])), "torque": torque}
