@@ -8,21 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.numerics.arrays import Float64
-from invid.planning.forecast import (
-    MOST_GROWTH,
-    QUANTITIES,
-    READING_NOISE,
-    USABLE_SHARE,
-    announced,
-    limits_of,
-)
+from invid.planning.forecast import MOST_GROWTH, QUANTITIES, READING_NOISE, USABLE_SHARE, announced, limits_of
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
-from invid.planning.phases import (
-    excerpt,
-    highest_frequency,
-    lowest_frequency,
-    trial_shares,
-)
+from invid.planning.phases import excerpt, highest_frequency, lowest_frequency, trial_shares
 from invid.recording.model import Kind
 from invid.sweep.motion import Log, Motion, RowSink, joined
 from invid.sweep.ports import Sink
