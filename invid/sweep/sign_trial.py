@@ -305,6 +305,12 @@ class SignTrial:
             axis=self._settings.name,
         )
 
+    def _require_repeat(self, amplitude: float, length: float) -> None:
+        """Require that what moved an axis moves it again: friction may hold it under less torque."""
+        while (again := self._play(amplitude, length).response).late:
+            self._spoil(again)
+        self._require_motion(again, amplitude, length)
+
     def _ignored(self) -> str:
         """Return what the drive says of a target that did nothing."""
         if not self._motion.watching.words.ignores(self._axis):
@@ -335,6 +341,7 @@ class SignTrial:
         window = self._settings.limits.position
         slow = max(self._amplitude * SLOW_SHARE, LEAST_STEPS / 1000 * self._rated)
         slow = min(amplitude, slow)
+        moved = length
         branch = self._branch(last.log)
         for _ in range(SLOW_TRIALS):
             inertia = branch.inertia if branch is not None else last.response.inertia
@@ -350,8 +357,9 @@ class SignTrial:
             if trial.response.late:
                 self._spoil(trial.response)
                 continue
-            if branch is not None:  # more than friction took of a stronger one: its encoder stands
-                self._require_motion(trial.response, slow, next_length)
+            if trial.response.displacement < LEAST_COUNTS * self._count:
+                self._require_repeat(amplitude, moved)
+                break
             last, length = trial, next_length
             branch = self._branch(last.log)
         seen = branch.inertia if branch is not None else last.response.inertia

@@ -168,6 +168,8 @@ class Truth:
     error: str | None = None
     after: tuple[AxisForecast, ...] = ()
     scale: float = 1.0
+    shares: list[float] = field(default_factory=list)
+    """Of its amplitude, of each experiment that was recorded."""
     warnings: tuple[str, ...] = ()
 
     def ratios(self) -> Float64:
@@ -189,7 +191,11 @@ def _bounds(forecast: Sequence[AxisForecast]) -> Float64:
 
 
 class _Sink:
-    def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None: ...
+    def __init__(self) -> None:
+        self.shares: list[float] = []
+
+    def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
+        self.shares.append(scale)
 
     def row(self, sample: Sample, demand: Sequence[float]) -> None: ...
 
@@ -226,7 +232,9 @@ def run(drawn: Drawn, until: str = "") -> Truth:
         return sample
 
     cell.exchange = watched  # type: ignore[method-assign]
-    sweep = Sweep(plan, config, cell, _Sink())
+    sink = _Sink()
+    truth.shares = sink.shares
+    sweep = Sweep(plan, config, cell, sink)
     try:
         cell.check()
         result = sweep.run()
