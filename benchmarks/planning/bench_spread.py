@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from invid.planning.phases import SPREAD_CLIMB
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 
-from machines.cells import draw, run
+from machines.cells import by_default, draw, run
 
 MOST_AXES = 4
 
@@ -40,8 +39,7 @@ def main() -> int:
         seed += 1
         if len(drawn.config.axes) > MOST_AXES:
             continue
-        config = drawn.config.model_copy(update={"experiments": []})
-        truth = run(replace(drawn, config=config, model=None, amplitude=1.0))
+        truth = run(by_default(drawn))
         if truth.error is not None:
             ended += 1
             print(f"cell {seed - 1}: {truth.error}"[:150], flush=True)
@@ -53,7 +51,7 @@ def main() -> int:
         after = [r for name, r in zip(truth.peaks, truth.ratios(), strict=True) if "experiment" in name]
         beyond.append(np.max(after, axis=(0, 2)))
         print(
-            f"cell {seed - 1}, {len(config.axes)} axes: travel {spreads[-1][0]:.2f} and velocity "
+            f"cell {seed - 1}, {len(drawn.config.axes)} axes: travel {spreads[-1][0]:.2f} and velocity "
             f"{spreads[-1][1]:.2f} of the climb's; of what was announced at most {beyond[-1].max():.2f}",
             flush=True,
         )

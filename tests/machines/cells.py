@@ -102,6 +102,11 @@ def draw(seed: int) -> Drawn:
     return Drawn(config, model, amplitude)
 
 
+def by_default(drawn: Drawn) -> Drawn:
+    """The cell with the default plan, of which nobody knows more than its config says."""
+    return Drawn(drawn.config.model_copy(update={"experiments": []}), None, 1.0)
+
+
 def _chain(rng: np.random.Generator) -> tuple[Float64, list[float], list[float]]:
     size = int(rng.integers(1, 4))
     masses = 10 ** rng.uniform(-1, 1.5) * rng.dirichlet(np.full(size, 8.0))
