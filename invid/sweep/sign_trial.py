@@ -205,7 +205,9 @@ class SignTrial:
         self._motion.until_still({self._axis}, SIGN_CATCH_S)
 
     def _hold_again(self) -> None:
-        """Let the axis be held for a while: what swung behind it when it was let go moves it."""
+        """Let an axis of which nobody knows how heavy it is be held for a while: what swung behind it when it
+        was let go moves it.
+        """
         motion, done = self._motion, self._motion.done_s
         if motion.cell.can_hold[self._axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != self._axis])
@@ -234,8 +236,9 @@ class SignTrial:
             if found.late:
                 self._spoil(found)
                 continue
-            drifts += trial.drifted >= LEAST_COUNTS * self._count
-            if found.displacement > far and length == SIGN_FIRST_S and 0 < drifts <= DRIFTS:
+            drifting = self._stated is None and trial.drifted >= LEAST_COUNTS * self._count
+            if drifting and length == SIGN_FIRST_S and found.displacement > far and drifts < DRIFTS:
+                drifts += 1
                 self._hold_again()
                 continue
             if shares and found.displacement <= far:
