@@ -40,8 +40,8 @@ def modes_of(
     """Mass-normalised motor shapes from the residues of the acceleration.
 
     Near a pole −ω²G ≈ c/(jω − p) with c real coefficients a + jb of the basis; the receptance has the
-    residue c/p², and φφᵀ = Re(2j·ω_d·c/p²), of which the leading eigenvector is kept; where branches are equal
-    (``shared``) modes share poles, and the eigenvectors of all that swing most are.
+    residue c/p², and φφᵀ = Re(2j·ω_d·c/p²), of which the leading eigenvector is kept. Where branches are
+    equal (``shared``) modes share poles, and of the eigenvectors of all poles those are kept that swing most.
     """
     count, motors = poles.size, len(masses)
     omega = np.abs(poles)
