@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from invid.modes.data import FrfData, checked_data
-from invid.modes.least_squares import ModalFit, levenberg, misfit, noise_chi2, normal_equations, reduced_chi2
+from invid.modes.least_squares import ModalFit, levenberg, noise_chi2, normal_equations, reduced_chi2
 from invid.modes.model import Modes, high_gain_pairs, pairs
 from invid.modes.pole_search import NoisyRecord, search_modes
 
@@ -148,8 +148,6 @@ def _finish(data: FrfData, fit: ModalFit) -> Modes:
         friction=friction,
         masses=data.masses,
         covariance=covariance[np.ix_(index, index)],
-        chi2=float(2 * np.sum((data.weight(0.0) * misfit(data, fit)) ** 2)),
-        dof=2 * data.g.size - covariance.shape[0],
         model_error=model_error,
         lag=np.zeros((n, count)) if fit.lag is None else fit.lag[order],
     )
