@@ -17,14 +17,7 @@ from invid.diagnosis.thresholds import COMPETES, EXPLAINED, FLOOR
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_of
 from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.scoring import score
-from invid.effects.laws.empirical_law import (
-    KNOTS,
-    EmpiricalLaw,
-    is_known,
-    is_like_law,
-    knots_of,
-    most_knots,
-)
+from invid.effects.laws.empirical_law import KNOTS, EmpiricalLaw, is_known, is_like_law, knots_of, most_knots
 from invid.effects.motion_effect import OF_RATE, PAIRS
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.identification.missing_torque import axis_missing

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.diagnosis.unknown_forces.projected_rows import law_rows
-from invid.effects.supposed_laws import SupposedLaw
+from invid.effects.supposed.law import SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Structure
