@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.effects.supposed_laws import Shape
+from invid.effects.supposed.law import Shape
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.slope import number_rows, whitened_rows

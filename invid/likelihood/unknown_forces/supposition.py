@@ -251,20 +251,16 @@ class Bench:
         at = placed.shape if shape is None else shape
         key = placed.law, placed.spot, at, quick
         if key not in motions.lines:
+
+            def lines(record: Record, motion: SpotMotion) -> Complex128:
+                stride = record.stride(placed.law.stride(motion, at)) if quick else 1
+                return record.lines(placed.law.waves(motion.every(stride), at))
+
             motions.lines[key] = [
-                np.array(
-                    [
-                        r.lines(placed.law.waves(m.every(_stride(placed.law, r, m, at) if quick else 1), at))
-                        for r, m in zip(stack.records, moved, strict=True)
-                    ]
-                )
+                np.array([lines(r, m) for r, m in zip(stack.records, moved, strict=True)])
                 for stack, moved in zip(self.stacks, motions.of(placed.spot), strict=True)
             ]
         return motions.lines[key]
-
-
-def _stride(law: SupposedLaw, record: Record, motion: SpotMotion, shape: Shape) -> int:
-    return record.stride(law.stride(motion, shape))
 
 
 def _stretch(placed: PlacedLaw, motions: Motions) -> Float64:
