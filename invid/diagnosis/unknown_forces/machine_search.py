@@ -73,13 +73,14 @@ def search_elastic(begun: Begun) -> ElasticSearch:
         found, weighed = _weighed(pursued.end, with_masses_seen)
     budget.tell("what is left", 0.85)
     named = budget.or_else("what is left at each place", lambda: at_their_places(weighed), weighed)
+    named = named.kept_settled()
     bare = without_causes(named)
     nothing: tuple[PlaceForce, ...] = ()
     forces_named = budget.or_else("what is left at each place", lambda: place_forces(named, bare), nothing)
     end, forces = named, forces_named
     with_law = budget.or_else("a law without a name", lambda: add_laws(named, forces_named), None)
     if with_law is not None:
-        found, end = _weighed(with_law, lambda law: law)
+        found, end = _weighed(with_law, Supposed.kept_settled)
         forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), nothing)
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 

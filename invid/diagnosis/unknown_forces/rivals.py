@@ -92,7 +92,7 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
         if budget.is_left_out(WHAT):
             break
         more = price * (_numbers(placed) - (1 if own is None else _numbers(own)))
-        rivals.append((placed.law.cause, placed.spot, more, try_law(less, placed)))
+        rivals.append((placed.law.cause, placed.spot, more, try_law(less, placed).kept_settled()))
     if isinstance(worth.key, tuple) and isinstance(worth.key[0], Channel):
         channel, axis = worth.key
         other = next(c for c in Channel if c is not channel)
