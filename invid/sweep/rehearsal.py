@@ -18,12 +18,7 @@ from invid.planning.forecast import (
     limits_of,
 )
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
-from invid.planning.phases import (
-    excerpt,
-    highest_frequency,
-    lowest_frequency,
-    trial_shares,
-)
+from invid.planning.phases import excerpt, highest_frequency, lowest_frequency, trial_shares
 from invid.recording.model import Kind
 from invid.sweep.motion import Log, Motion, RowSink, joined
 from invid.sweep.ports import Sink
