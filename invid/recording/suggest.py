@@ -32,13 +32,23 @@ from invid.recording.units import (
 
 _WORDS = {
     "time": (
-        r"^(time|t|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros)$"
+        r"(time|t|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros|"
+        r"tiempo)$|.*(时间|時間|時刻)"
     ),
-    "demand": r"(ref|cmd|command|demand|target|setpoint|set|des|desired|soll|goal)",
-    "velocity": r"(vel|velocity|speed|omega|dq|qd|rpm|drehzahl)",
-    "torque": r"(tau|torque|trq|moment|drehmoment|force|iq|current|strom|effort|vir)",
-    "position": r"(pos|position|theta|angle|phi|winkel|enc|encoder|q|qm|joint)",
+    "demand": (
+        r"(ref|cmd|command|demand|target|setpoint|set|des|desired|soll|goal|consigne)|"
+        r".*(给定|指令|目标|目標|设定)"
+    ),
+    "velocity": (
+        r"(vel|velocity|speed|omega|dq|qd|rpm|vitesse|velocidad)|.*(drehzahl|geschwindigkeit|速度|转速|回転数)"
+    ),
+    "torque": (
+        r"(tau|torque|trq|force|iq|current|effort|vir|couple|par$|corriente|courant|coppia)|"
+        r".*(moment|strom|力矩|扭矩|转矩|电流|トルク|電流)"
+    ),
+    "position": (r"(pos|theta|angle|phi|enc|encoder|q|qm|joint|ángulo)|.*(position|winkel|位置|角度)"),
 }
+"""How words of a name begin; a compound's last part says what it is."""
 _ASIDE = {"act", "actual", "meas", "measured", "msr", "joint", "joints", "state", "states", "data", "value"}
 _UNITS = {u for table in FACTORS.values() for u in table} | {*BY_MACHINE, *BY_TORQUE_CONSTANT}
 _VOLTS = {"voltage", "volt", "volts", "spannung", "pwm", "duty"}
@@ -370,7 +380,7 @@ def _rates(rise: float) -> str:
 def _words(name: str) -> list[str]:
     bare = re.sub(r"[\[(].*?[\])]", " ", name)
     bare = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", bare)  # ActPosition is two words
-    return [w for w in re.split(r"[^a-zA-Zäöü]+", bare.lower()) if w]
+    return [w for w in re.split(r"[\W\d_]+", bare.lower()) if w]
 
 
 def _rank(name: str) -> int:
@@ -400,7 +410,7 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
         return known.quantity
     # The q-axis of a motor is its current, not a joint's coordinate.
     words = _words(name)
-    if words and re.match(_WORDS["time"], words[-1]):
+    if words and (re.match(_WORDS["time"], words[-1]) or words[:2] == ["time", "of"]):
         return None
     words = [w for w, after in zip_longest(words, words[1:]) if (w, after) != ("q", "axis")]
     for quantity in ("velocity", "torque", "position"):
@@ -412,16 +422,14 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
 def _unit_in_name(name: str) -> str | None:
     bracket = re.findall(r"[\[(]\s*([^\])]+?)\s*[\])]", name)
     candidates = [b for b in bracket if not b.isdigit() and b != _entry_of(name)]
-    lowered = name.lower()
-    for suffix, unit in (
-        ("deg_per_s", "deg/s"), ("rad_per_s", "rad/s"), ("_rpm", "rpm"), ("_deg", "deg"), ("_rad", "rad"),
-        ("_counts", "counts"), ("_ticks", "counts"), ("_permille", "permille"), ("_percent", "%"),
-        ("_nm", "N·m"), ("_ms", "ms"), ("_us", "us"), ("_mm", "mm"), ("_m", "m"), ("_n", "N"), ("_s", "s"),
-        ("_a", "A"), ("_v", "V"),
-    ):  # fmt: skip
-        if re.sub(r"\[\d+\]$", "", lowered).endswith(suffix):
-            candidates.append(unit)
-            break
+    bare = re.sub(r"[\[(].*?[\])]", "", name).rstrip()
+    if (per := re.search(r"_(deg|rad)_per_s$", bare.lower())) is not None:
+        return candidates[0] if candidates else f"{per[1]}/s"
+    last = re.split(r"[_ ]", bare)[-1] if re.search(r"[_ ]", bare) or _is_named_time(bare) else ""
+    last = {"ticks": "counts", "nm": "N·m"}.get(last.lower(), last)
+    # 'in' and 'min' are words before they are inches and minutes, and so is a capital after a blank.
+    if normal_unit(last) in _UNITS - {"in", "min"} and ("_" in bare or len(last) > 1 or last.islower()):
+        candidates.append(last)
     return candidates[0] if candidates else None
 
 
@@ -457,7 +465,11 @@ def _axes(
             doubt = f"both {one!r} and {other!r} look like {slot}: {one!r} was taken"
             if doubt not in unsure:
                 unsure.append(doubt)
-    base = 0 if "0" in groups else 1
+    if not any(map(_is_whole, groups.values())):
+        groups = _as_one(groups)
+    # A second column of the same name is numbered 1.
+    twice = all(k in groups and _is_whole(groups[k]) for k in ("", "1"))
+    base = 0 if "0" in groups or twice else 1
     numbered = all(not k or k.isdigit() for k in groups)
     named: dict[str, _Axis] = {}
     for key in sorted(groups, key=lambda k: int(k) if k else -1) if numbered else groups:
@@ -476,6 +488,19 @@ def _axes(
         if name not in named or not _is_whole(named[name]):
             named[name] = axis
     return named
+
+
+def _as_one(groups: Mapping[str, _Axis]) -> dict[str, _Axis]:
+    """One axis where numbers in names, those of a drive's parameters, leave none with torque and motion."""
+    one = _Axis()
+    for axis in groups.values():
+        for slot in ("position", "velocity", "torque", "torque_demand"):
+            if (name := getattr(axis, slot)) is not None:
+                if getattr(one, slot) is not None:
+                    return dict(groups)
+                setattr(one, slot, name)
+        one.others += axis.others
+    return {"": one}
 
 
 def _is_demand(words: Sequence[str]) -> bool:
@@ -631,7 +656,9 @@ def _is_whole_numbers(column: Float64) -> bool:
 
 
 def _is_current(name: str) -> bool:
-    return bool({"iq", "current", "currents", "strom", "amps", "amp"} & set(_words(name)))
+    return any(
+        re.match(r"(iq|currents?|amps?|courant|corriente)$|.*(strom|电流|電流)$", w) for w in _words(name)
+    )
 
 
 def _said(name: str, table: Table) -> str:

@@ -278,6 +278,8 @@ def on_clock(table: Table, time: str, needed: Sequence[str]) -> tuple[Table, tup
         there, values = there[good], values[good]
         keep &= (instants >= there[0]) & (instants <= there[-1])
         brought[name] = np.interp(instants, there, values)
+        if np.array_equal(there, instants):
+            continue
         remarks.append(
             f"{name!r} was sampled at instants of its own ({clock!r}, {_interval(there)}); it was "
             f"interpolated to those of {time!r} ({_interval(instants)})"

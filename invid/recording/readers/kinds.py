@@ -142,6 +142,10 @@ _KINDS: tuple[FileKind, ...] = (
         starts=(b"ULog\x01\x12\x35",), endings=(".ulg",),
     ),
     RefusedKind(
+        "a TwinCAT Scope project", "export it there as CSV (Scope: Export, CSV), or with TC3ScopeExportTool",
+        endings=(".svdx", ".tcscopex", ".svd"),
+    ),
+    RefusedKind(
         "a Python pickle", "it runs code as it is loaded; there, DataFrame.to_csv or np.savez it",
         starts=(b"\x80\x02", b"\x80\x03", b"\x80\x04\x95", b"\x80\x05\x95"), endings=(".pkl", ".pickle"),
     ),
@@ -163,7 +167,8 @@ _KINDS: tuple[FileKind, ...] = (
     ),
     RefusedKind(
         # {"time": [0, 0.001], "position": [0.1, 0.2]}
-        "JSON", "write it as CSV (Python: pandas.read_json(file).to_csv('record.csv', index=False))",
+        "JSON", "write it as CSV (Python: pandas.read_json(file).to_csv('record.csv', index=False); "
+        "lines=True where each line is an object)",
         header=r"\A\s*[\[{]\s*[\[{\"\]}]",
     ),
     LvmFile(),

@@ -116,3 +116,77 @@ def test_an_offset_is_what_the_log_shows_at_zero(tmp_path):
     assert run(["import", str(log), "--map", str(chart), "-o", str(tmp_path / "r.h5")]) == 0
     found = read_recording(tmp_path / "r.h5").experiments[0]
     assert found.position[:, 0] == pytest.approx(-3.0 * (POSITION - 2.0), abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("names", "scales"),
+    [
+        ("时间(ms),关节1位置(mrad),关节1力矩(N·m)", (1e3, 1e3, 1)),
+        ("時刻[s],角度[rad],トルク[mNm]", (1, 1, 1e3)),
+        ("tiempo,posición,par", (1, 1, 1)),
+        ("Temps (s),Position (rad),Couple (N.m)", (1, 1, 1)),
+        ("Time in ms,r482: Encoder position value [rad],r80: Actual torque value [Nm]", (1e3, 1, 1)),
+        ("millis,angle_mrad,torque_mNm", (1e3, 1e3, 1e3)),
+    ],
+)
+def test_quantities_are_known_in_other_tongues_and_units_where_names_end(tmp_path, capsys, names, scales):
+    rows = np.column_stack([TIME, POSITION, TORQUE]) * scales
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([names, *(",".join(f"{v:.9f}" for v in r) for r in rows)]) + "\n")
+    taken(path, capsys)
+
+
+def test_what_was_asked_for_is_told_from_what_was_measured_in_a_compound(tmp_path, capsys):
+    rows = np.column_stack([TIME, -TORQUE, POSITION, TORQUE])
+    path = tmp_path / "log.csv"
+    names = "Zeit;Sollmoment [Nm];Istposition [rad];Istmoment [Nm]"
+    lines = [names, *(";".join(f"{v:.9f}".replace(".", ",") for v in r) for r in rows)]
+    path.write_text("\n".join(lines), "cp1252")
+    taken(path, capsys)
+
+
+def test_columns_of_one_name_and_lists_in_cells_are_joints(tmp_path, capsys):
+    twice, lists = ["time,pos,torque,pos,torque"], ["time,position,effort"]
+    for t, q, u in zip(TIME, POSITION, TORQUE, strict=True):
+        twice.append(f"{t:.4f},{q:.9f},{u:.9f},{2 * q:.9f},{3 * u:.9f}")
+        lists.append(f'{t:.4f},"[{q:.9f}, {2 * q:.9f}]","[{u:.9f}, {3 * u:.9f}]"')
+    for name, lines in (("twice.csv", twice), ("lists.csv", lists)):
+        path = tmp_path / name
+        path.write_text("\n".join(lines) + "\n")
+        taken(path, capsys)
+        found = read_recording(tmp_path / "record.h5").experiments[0]
+        assert found.position[:, 1] == pytest.approx(2 * POSITION, abs=1e-6)
+        assert found.torque[:, 1] == pytest.approx(3 * TORQUE, abs=1e-6)
+
+
+def test_a_row_a_joint_is_refused(tmp_path, capsys):
+    path = tmp_path / "long.csv"
+    rows = [f"{t:.3f},{j},{q:.6f},{q:.6f}" for t, q in zip(TIME, POSITION, strict=True) for j in ("a", "b")]
+    path.write_text("\n".join(["time,name,position,effort", *rows]))
+    assert run(["import", str(path), "--suggest"]) == 2
+    assert "pivot" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shape", ["lists", "struct"])
+def test_lists_and_structs_of_parquet_are_columns(tmp_path, capsys, shape):
+    if shape == "lists":
+        kind = pa.list_(pa.float64())
+        columns = {n: pa.array([[x] * 2 for x in v], kind) for n, v in (("q", POSITION), ("tau", TORQUE))}
+    else:
+        rows = [{"position": q, "effort": u} for q, u in zip(POSITION, TORQUE, strict=True)]
+        columns = {"state": pa.array(rows)}
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.table({"time": TIME, **columns}), path)
+    taken(path, capsys)
+
+
+def test_a_scope_export_with_a_clock_a_channel_takes_no_clock_for_a_position(tmp_path, capsys):
+    lines = ["Name\tActTorque\tName\tActPos", "SampleTime[ms]\t4\tSampleTime[ms]\t4"]
+    lines += ["Unit\tNm\tUnit\trad", ""]
+    lines += [
+        f"{1e3 * t:g}\t{u:.9f}\t{1e3 * t:g}\t{q:.9f}" for t, q, u in zip(TIME, POSITION, TORQUE, strict=True)
+    ]
+    path = tmp_path / "scope.csv"
+    path.write_text("\n".join(lines) + "\n")
+    taken(path, capsys)
+    assert not capsys.readouterr().err
