@@ -219,7 +219,7 @@ def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingP
         document["source"] = kept
         reasons.append("the file is delimited text: " + ", ".join(f"{k} {v!r}" for k, v in kept.items()))
         if table.units:
-            document["source"]["names"] = list(table.columns)
+            document["source"]["names"] = [n for n in table.columns if n not in table.added]
     if source:
         document["source"] = {**document.get("source", {}), **source}
     document["time"], time_column = _time(table, reasons, unsure, asked)
@@ -350,7 +350,7 @@ def _clock(whole: Mapping[str, Float64], table: Table) -> str | None:
     stamps = [n for n in named if n in in_time or n in table.stamped or not is_count(whole[n])]
     # What is called time and does not rise is refused by name, not passed over for what happens to rise.
     last = [n for n in named if re.match(_WORDS["time"], _words(n)[-1])]
-    for candidates in (stamps, in_time, last or free):
+    for candidates in ([*stamps, *(n for n in in_time if n not in stamps)], last or free):
         best = best_clock(whole[n] for n in candidates)
         if best is not None:
             return candidates[best]
@@ -411,6 +411,8 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
     # The q-axis of a motor is its current, not a joint's coordinate.
     words = _words(name)
     if words and (re.match(_WORDS["time"], words[-1]) or words[:2] == ["time", "of"]):
+        return None
+    if any(w.startswith(("temp", "温")) for w in words):
         return None
     words = [w for w, after in zip_longest(words, words[1:]) if (w, after) != ("q", "axis")]
     for quantity in ("velocity", "torque", "position"):
@@ -511,7 +513,9 @@ def _is_demand(words: Sequence[str]) -> bool:
 def _entry_of(name: str) -> str:
     """The name or number of a list's entry, ``position[elbow]``; a unit stands in brackets too."""
     bracket = re.findall(r"\S\[([^\]\[]+)\]$", name)
-    return str(bracket[0]) if bracket and normal_unit(bracket[0]) not in _UNITS else ""
+    # A list of a topic's messages has no unit, whatever its joints are called; nor is one written [a].
+    is_topic = re.match(r"/\S+\.\w+\[", name) is not None or bracket[:1] in (["a"], ["v"])
+    return str(bracket[0]) if bracket and (is_topic or normal_unit(bracket[0]) not in _UNITS) else ""
 
 
 def _joint_of(name: str, joints: Collection[str]) -> str:

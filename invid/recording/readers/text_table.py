@@ -347,6 +347,9 @@ def _names(
         if len(cells) == width and any(c and not NUMBER.match(c) for c in cells):
             candidates.append(cells)
     units: list[str] = []
+    # The row of units may have its own name in the first cell.
+    if candidates and re.fullmatch(r"units?|einheit(en)?", candidates[-1][0].lower()):
+        candidates[-1][0] = ""
     if len(candidates) >= 2 and _all_units(candidates[-1]):
         units = candidates.pop()
     names = candidates[-1] if candidates else [""] * width

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import zipfile
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -190,3 +192,35 @@ def test_a_scope_export_with_a_clock_a_channel_takes_no_clock_for_a_position(tmp
     path.write_text("\n".join(lines) + "\n")
     taken(path, capsys)
     assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("names", "clocks"),
+    [
+        ("header.stamp.sec,header.stamp.nanosec", lambda t: (1.7e9 + t // 1, 1e9 * (t % 1))),
+        (
+            "pc_time,device_us",
+            lambda t: (1.7e9 + t + 0.003 * np.sin(1e4 * t), (1e6 * t + 2**32 - 9e4) % 2**32),
+        ),
+        ("logged_at,stamp_ns", lambda t: (1.7e9 + t + 0.003 * np.sin(1e4 * t), 1.7e18 + 1e9 * t)),
+    ],
+)
+def test_the_evenest_of_two_clocks_is_taken_in_whatever_parts_it_is(tmp_path, capsys, names, clocks):
+    one, other = (np.rint(1e6 * c) / 1e6 for c in clocks(TIME + 0.9))
+    lines = [f"{names},position,torque"]
+    for row in zip(one, other, POSITION, TORQUE, strict=True):
+        lines.append("{:.6f},{:.0f},{:.9f},{:.9f}".format(*row))
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines) + "\n")
+    taken(path, capsys)
+
+
+def test_a_row_of_units_with_a_name_of_its_own_and_a_zip_with_a_readme_are_read(tmp_path, capsys):
+    lines = ["Name,position,torque", "Unit,mrad,Nm", ""]
+    lines += [f"{k},{1e3 * q:.9f},{u:.9f}" for k, (q, u) in enumerate(zip(POSITION, TORQUE, strict=True))]
+    with zipfile.ZipFile(tmp_path / "log.zip", "w") as archive:
+        archive.writestr("log.csv", "\n".join(lines) + "\n")
+        archive.writestr("README.txt", "Measured on Monday.")
+    assert run(["import", str(tmp_path / "log.zip"), "--suggest", "--json"]) == 0
+    (axis,) = json.loads(capsys.readouterr().out)["map"]["axes"]
+    assert axis["position"] == {"column": "position", "unit": "mrad"}
