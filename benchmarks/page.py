@@ -44,7 +44,7 @@ SECTIONS = (
     Section(
         "Robot time",
         "The case study through the simulated cell with friction, quantisation and noise: plans from nothing "
-        "and from a model. Stepped sine has no result: the watch over signs ends it by a false alarm.",
+        "and from a model. Stepped sine has half the torque, and limits of travel and speed lifted.",
         "planning/bench_plan.py",
         ("--seeds", "2"),
         ("--seeds", "1"),

@@ -26,10 +26,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnosis.peer_torque import PEERS, shares
-from invid import diagnose, import_recording
+from benchmarks.diagnosis.rigid_figures import friction_models, simulation_error
+from invid import diagnose, import_recording, read_recording
 from invid.cli.app import run
 from invid.model.chains import CoupledChains
-from invid.model.document import load_model
+from invid.model.document import load_model, model_from_json
 from invid.model.forward import natural_frequencies, resonances
 from invid.recording import Recording, Role
 
@@ -42,6 +43,7 @@ Document = dict[str, Any]
 class Result:
     """What the commands gave for one record."""
 
+    recording: Recording
     diagnosis: Document
     imported: Document
     chains: CoupledChains
@@ -59,12 +61,9 @@ class Result:
                 return float(f["parameters"][name]["value"])
         return float("nan")
 
-    def ladder(self, friction: str, term: str, name: str) -> float:
-        """One parameter of a friction model of the table in ``details``."""
-        for rung in self.diagnosis["details"]["ladder"]:
-            if rung["friction"] == friction:
-                return float(rung["parameters"][term][name]["value"])
-        return float("nan")
+    def ladder(self, term: str) -> float:
+        """One number of the model with symmetric friction."""
+        return float(next(friction_models(self.recording))["parameters"][term])
 
     def error(self, key: str = "fit") -> float:
         """Relative torque error of all axes [%]."""
@@ -72,10 +71,10 @@ class Result:
 
     def simulated(self, key: str, quantity: str, number: str) -> float:
         """One figure of the simulation in time of the first axis."""
-        for entry in self.diagnosis["details"]["simulation"]:
-            if entry["key"] == key:
-                return float(next(iter(entry[quantity].values()))[number])
-        return float("nan")
+        rms, percent = simulation_error(
+            model_from_json(self.diagnosis["model"]), self.recording, key, quantity
+        )
+        return percent if number == "percent" else rms
 
     def offset_ms(self) -> float:
         """Delay named plus sampling offset [ms]."""
@@ -114,22 +113,21 @@ def named(*causes: str) -> Check:
     )  # fmt: skip
 
 
-SYMMETRIC = "coulomb + viscous + offset"
 RECORDS: list[tuple[str, str, str, list[Check]]] = [
     (
         "emps", "emps", "emps",
         [
             named("asymmetric_friction"),
-            Check("M [kg]", "95.1089 ± 1 %", lambda r: r.ladder(SYMMETRIC, "carriage.inertia", "mass"),
+            Check("M [kg]", "95.1089 ± 1 %", lambda r: r.ladder("carriage.inertia"),
                   within(95.1089, 0.01)),
             Check("Fv [N·s/m]", "203.5034 ± 1 %",
-                  lambda r: r.ladder(SYMMETRIC, "carriage.viscous_friction", "coefficient"),
+                  lambda r: r.ladder("carriage.viscous_friction"),
                   within(203.5034, 0.01)),
             Check("Fc [N]", "20.3935 ± 1 %",
-                  lambda r: r.ladder(SYMMETRIC, "carriage.coulomb_friction", "torque"),
+                  lambda r: r.ladder("carriage.coulomb_friction"),
                   within(20.3935, 0.01)),
             Check("offset [N]", "-3.1648 ± 1 %",
-                  lambda r: r.ladder(SYMMETRIC, "carriage.torque_offset", "torque"), within(-3.1648, 0.01)),
+                  lambda r: r.ladder("carriage.torque_offset"), within(-3.1648, 0.01)),
             Check("force error [%]", "≤ 3.2", lambda r: r.error("fit"), below(3.2)),
             Check("force error, pulses [%]", "(authors 5.98)", lambda r: r.error("held_out"), below(5.982)),
             Check("closed loop, pulses [%]", "≤ 5 (authors 8.94)",
@@ -206,7 +204,7 @@ RECORDS: list[tuple[str, str, str, list[Check]]] = [
 
 def fit_rms(result: Result) -> float:
     """Rms of what the selected friction leaves [N·m]."""
-    return float(result.diagnosis["details"]["ladder"][-1]["fit_rms"])
+    return float(list(friction_models(result.recording))[-1]["fit_rms"])
 
 
 def motor_locked_hz(result: Result) -> float:
@@ -252,7 +250,10 @@ def chain(source: Path, chart: Path, folder: Path) -> Result:
             run(["diagnose", str(record), "-o", str(out)])
     found = load_model(model)
     diagnosis = json.loads(out.read_text(encoding="utf-8"))
-    return Result(diagnosis, json.loads(imported.getvalue()), found.chains, dict(found.fit), found.effects)
+    recording = read_recording(record)
+    return Result(
+        recording, diagnosis, json.loads(imported.getvalue()), found.chains, dict(found.fit), found.effects
+    )
 
 
 LEAGUE: list[tuple[str, str, str, float, str]] = [

@@ -158,11 +158,11 @@ def screened(before: CellConfig, now: CellConfig, path: Path, right: str) -> Run
 
 
 def stepped(config: CellConfig, path: Path) -> Run:
-    """Stepped sine at half the peak torque of the default plan, limits of travel and speed lifted; its fit
-    starts at the truth."""
+    """Stepped sine at half the peak torque of the default plan where held axes bear that, limits of travel
+    and speed lifted; plan and fit start at the truth."""
     changed = stepped_config(config.simulation["seed"], FREQUENCIES, 0.5 * make_plan(config).peak_torque)
     try:
-        seconds = measure_to_file(changed, path).duration_s
+        seconds = measure_to_file(changed, path, model=truth(config)).duration_s
     except InvidError as error:
         print(f"    {error}"[:150])
         return Run(float("inf"), float("inf"), 0, 0)

@@ -15,7 +15,16 @@ from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import diagnosis_to_json
-from invid.model.document import ChainStd, Model, dump_json, save_model, save_text, units
+from invid.model.document import (
+    Model,
+    dump_json,
+    numbers_by_name,
+    parameter_vector,
+    save_model,
+    save_text,
+    stds_by_name,
+    units,
+)
 from invid.recording import read_recording
 from invid.report import render_report
 from invid_drivers.measurement import measure_to_file
@@ -58,34 +67,12 @@ class Row:
 
 def truth_table(plant: CoupledChains, model: Model) -> list[Row]:
     """Masses, springs and couplings of the plant beside the model's, with standard deviations."""
-    chains, std, unit = model.chains, model.std, units(model.linear)
-    rows: list[Row] = []
-    for i, axis in enumerate(plant.axes):
-        for kind, unit_of, real, found, spread in _branch_columns(plant, chains, std, i, unit):
-            rows += [
-                Row(f"{axis} {kind} {q + 1}", unit_of, float(real[q]), float(found[q]), float(spread[q]))
-                for q in range(min(len(real), len(found)))
-            ]
-    for i in range(plant.branches):
-        for j in range(i + 1, plant.branches):
-            rows.append(
-                Row(
-                    f"{plant.axes[i]}-{plant.axes[j]} coupling",
-                    unit["mass"],
-                    float(plant.couplings[i, j]),
-                    float(chains.couplings[i, j]),
-                    float(std.couplings[i, j]),
-                )
-            )
-    return rows
-
-
-def _branch_columns(
-    plant: CoupledChains, chains: CoupledChains, std: ChainStd, i: int, unit: dict[str, str]
-) -> list[tuple[str, str, Any, Any, Any]]:
+    found, std, unit = numbers_by_name(model.axes, model.chains), stds_by_name(model), units(model.linear)
+    unit_of = {"mass": unit["mass"], "spring": unit["stiffness"], "coupling": unit["mass"]}
     return [
-        ("mass", unit["mass"], plant.masses[i], chains.masses[i], std.masses[i]),
-        ("spring", unit["stiffness"], plant.springs[i], chains.springs[i], std.springs[i]),
+        Row(name.replace(".", " "), unit_of[kind], float(value), found[name], std[name])
+        for name, value in zip(*parameter_vector(plant), strict=True)
+        if (kind := name.split(".")[1]) in unit_of
     ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,20 @@ def row_format(axes: int) -> np.dtype[Any]:
     return np.dtype([("slot", "<i8"), ("time", "<f8"), *((name, code, (axes,)) for name, code in per_axis)])
 
 
-class Judged:
-    """A recording that is being written, and the judge who says whether it needs another experiment."""
+@dataclass(frozen=True)
+class Judge:
+    """Who says after each experiment but the last whether a recording needs another one."""
 
-    def __init__(self, out: Path, header: Recording, go_on: Callable[[Recording], bool]) -> None:
-        self._out, self._header, self._go_on = out, header, go_on
+    needs_more: Callable[[Recording], bool]
+    is_awaited: bool = True
+    """Whether the axes are held until that is known; else the next experiment goes on meanwhile."""
+
+
+class Judged:
+    """A recording that is being written, and who judges it."""
+
+    def __init__(self, out: Path, header: Recording, judge: Judge) -> None:
+        self._out, self._header, self._judge = out, header, judge
         self._writer: RecordingWriter | None = None
 
     def open(self) -> RecordingWriter:
@@ -41,7 +51,17 @@ class Judged:
 
     def ask(self, number: int) -> bool:
         """Whether the next experiment is needed, by the rows of those that have ended."""
-        return self._writer is None or self._go_on(read_recording(self._writer.rows_file))
+        return self._writer is None or self._judge.needs_more(read_recording(self._writer.rows_file))
+
+    def ask_later(self) -> Callable[[int], bool]:
+        """The same with the answer to the question before, as where the next experiment goes on meanwhile."""
+        answers = [True]
+
+        def ask(number: int) -> bool:
+            answers.append(answers[-1] and self.ask(number))
+            return answers[-2]
+
+        return ask
 
 
 class Filing:
@@ -50,8 +70,8 @@ class Filing:
     ``error`` is set where the disk takes no more, or not fast enough; rows that come after that are dropped.
     """
 
-    def __init__(self, out: Path, go_on: Callable[[Recording], bool] | None) -> None:
-        self._out, self._go_on = out, go_on
+    def __init__(self, out: Path, judge: Judge | None) -> None:
+        self._out, self._judge = out, judge
         self.error: InvidError | None = None
         self._messages: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
         self._verdicts: queue.SimpleQueue[tuple[int, bool]] = queue.SimpleQueue()
@@ -116,7 +136,7 @@ class Filing:
             self._open(*message[1:])
         elif kind == "ask":
             # here, because what it judges was written by now; the judge takes its time in a thread of its own
-            threading.Thread(target=self._judge, args=message[1:], daemon=True).start()
+            threading.Thread(target=self._give_verdict, args=message[1:], daemon=True).start()
         elif recorder is None:
             return
         elif kind == "begin":
@@ -140,13 +160,13 @@ class Filing:
     def _open(self, header: Recording, cycle_s: float) -> None:
         count = len(header.axes)
         self._row_format = row_format(count)
-        if self._go_on is None:
+        if self._judge is None:
             self._recorder = Recorder(lambda: RecordingWriter(self._out, header), cycle_s, count)
             return
-        self._judged = Judged(self._out, header, self._go_on)
+        self._judged = Judged(self._out, header, self._judge)
         self._recorder = Recorder(self._judged.open, cycle_s, count)
 
-    def _judge(self, number: int) -> None:
+    def _give_verdict(self, number: int) -> None:
         """Ask the judge whether the next experiment is needed; a judge that fails ends nothing."""
         needed = True
         try:

@@ -1,10 +1,10 @@
-"""``measure_to_goal``: blocks until the measured covariance reaches the goal."""
+"""Runs that end when they know: what the records so far tell, and who judges by it."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +12,23 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.errors import InputError, NotIdentifiableError
+from invid.identification.begun import settled_about
 from invid.identification.identify import Masses, identify
+from invid.identification.kept_out import all_records
 from invid.model.document import Model, parameter_vector
+from invid.planning.detection import DetectionLimit, limits_at
 from invid.planning.expected_covariance import is_in_goal, parameter_scale
 from invid.planning.goal import GoalPlan
+from invid.planning.shortest_runs import UNCERTAINTY
 from invid.recording import Recording, read_recording
 from invid.sweep import Progress
+from invid_drivers.filing import Judge
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 
 
 @dataclass(frozen=True)
 class Reached:
-    """How well the records so far tell the parameters."""
+    """How well the records so far tell the parameters, and causes of the sizes of interest."""
 
     blocks: int
     worst: str
@@ -31,10 +36,25 @@ class Reached:
     """Relative standard deviation of the worst mass, spring or coupling; infinite where one is not seen."""
     trustworthy: bool
     reason: str = ""
+    limits: tuple[DetectionLimit, ...] = ()
+    """Empty where nobody asks for causes."""
+
+    @property
+    def shown(self) -> int:
+        """Causes that the records would show at their size of interest."""
+        return sum(limit.is_met for limit in self.limits)
+
+    @property
+    def sentence(self) -> str:
+        """What is known so far, in words."""
+        if not (self.worst and self.trustworthy):
+            return self.reason
+        causes = f"; {self.shown} of {len(self.limits)} causes would show at their size of interest"
+        return f"{self.worst} at {self.relative:.2g}{causes * bool(self.limits)}"
 
     def meets(self, goal: float) -> bool:
-        """Whether the records reach the goal, a relative standard deviation."""
-        return self.trustworthy and self.relative <= goal
+        """Whether they reach the goal, a relative standard deviation, and show every cause asked for."""
+        return self.trustworthy and self.relative <= goal and self.shown == len(self.limits)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -49,8 +69,11 @@ class Reached:
         }
 
 
-def reached(recording: Recording, masses: Masses = None) -> Reached:
-    """Identify the records so far; data that carry no model yet are a reason to go on, not an error."""
+def reached(recording: Recording, masses: Masses = None, *, interests: CellConfig | None = None) -> Reached:
+    """Identify the records so far; data that carry no model yet are a reason to go on, not an error.
+
+    ``interests``: whose sizes of interest the records are asked for; ``None``: parameters alone.
+    """
     blocks = len(recording.experiments)
     try:
         model: Model = identify(recording, masses=masses)
@@ -65,7 +88,24 @@ def reached(recording: Recording, masses: Masses = None) -> Reached:
     at = int(np.argmax(relative))
     trusted = bool(model.fit.get("trustworthy", True))
     reason = "" if trusted else "; ".join(model.warnings[:2])
-    return Reached(blocks, names[at], float(relative[at]), trusted, reason)
+    limits: tuple[DetectionLimit, ...] = ()
+    if interests is not None:
+        bare = replace(model.chains, ground_dampers=np.zeros(model.chains.branches))
+        limits = limits_at(interests, settled_about(bare, all_records(recording)), recording)
+    return Reached(blocks, names[at], float(relative[at]), trusted, reason, limits)
+
+
+def judge_of(config: CellConfig, tell: Callable[[Reached], None] | None = None) -> Judge | None:
+    """Who ends the default plan as soon as every parameter is known to 1 % and every cause of interest would
+    show, worked out while the next run moves; ``None`` where the config asks for experiments of its own."""
+
+    def needs_more(recording: Recording) -> bool:
+        found = reached(recording, interests=config)
+        if tell is not None and found.worst:
+            tell(found)
+        return not found.meets(UNCERTAINTY)
+
+    return None if config.experiments else Judge(needs_more, is_awaited=False)
 
 
 def measure_to_goal(
@@ -83,21 +123,15 @@ def measure_to_goal(
     """
     seen: list[Reached] = []
 
-    def judge(recording: Recording) -> Reached:
-        found = reached(recording)
-        seen.append(found)
+    def needs_more(recording: Recording) -> bool:
+        seen.append(reached(recording))
         if tell is not None:
-            tell(found)
-        return found
+            tell(seen[-1])
+        return not seen[-1].meets(design.goal)
 
     result = measure_to_file(
-        config,
-        out,
-        progress=progress,
-        stop=stop,
-        plan=design.plan,
-        go_on=lambda recording: not judge(recording).meets(design.goal),
+        config, out, progress=progress, stop=stop, plan=design.plan, judge=Judge(needs_more)
     )
     if not seen or not seen[-1].meets(design.goal):
-        judge(read_recording(out))
+        needs_more(read_recording(out))
     return result, seen[-1]

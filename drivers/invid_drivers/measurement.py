@@ -24,7 +24,7 @@ from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.connect import connect, is_virtual
-from invid_drivers.filing import Judged
+from invid_drivers.filing import Judge, Judged
 from invid_drivers.readiness import prepare, require_plan
 from invid_drivers.relay import ALL_OFF, measure_in_process
 from invid_drivers.stopping_budgets import Wish, measured_budgets
@@ -86,14 +86,12 @@ def measure_to_file(  # noqa: PLR0913 - what a person may wish of a run
     stop: threading.Event | None = None,
     model: CoupledChains | Belief | None = None,
     plan: Plan | None = None,
-    go_on: Callable[[Recording], bool] | None = None,
+    judge: Judge | None = None,
 ) -> MeasurementResult:
     """Run the config's experiments, or those of ``plan``, and write the recording.
 
-    ``go_on`` is asked after each experiment but the last, with what has been recorded so far, whether
-    the next one is needed; the axes are held meanwhile. ``out`` is not touched before the first
-    experiment begins. Whatever ends the run, the drives are stopped and restored, and what was measured is
-    closed and marked in ``out``.
+    ``judge`` may end the run early. ``out`` is not touched before the first experiment begins. Whatever ends
+    the run, the drives are stopped and restored, and what was measured is closed and marked in ``out``.
 
     Raises
     ------
@@ -105,10 +103,10 @@ def measure_to_file(  # noqa: PLR0913 - what a person may wish of a run
     out, wish = Path(out), Wish(axes, amplitude_scale, model, plan)
     require_plan(config, wish)
     if is_virtual(config):
-        return run_measurement(config, wish, connect(config), out, progress=progress, stop=stop, go_on=go_on)
+        return run_measurement(config, wish, connect(config), out, progress=progress, stop=stop, judge=judge)
     _require_file(out)
     result: MeasurementResult = measure_in_process(
-        config, out, wish, progress=progress, stop=stop, go_on=go_on
+        config, out, wish, progress=progress, stop=stop, judge=judge
     )
     return result
 
@@ -147,13 +145,13 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
     progress: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
     open_sink: Callable[[Recording], tuple[ClosingSink, Sequence[str]]] | None = None,
-    go_on: Callable[[Recording], bool] | None = None,
+    judge: Judge | None = None,
     asked: Callable[[int], bool | None] | None = None,
 ) -> MeasurementResult:
     """The measurement on a connected cell, which is closed at the end.
 
     ``open_sink`` says where samples go instead of into ``out`` and what is to be said of that, and ``asked``
-    who then answers whether the next experiment is needed (see ``Sweep.go_on``); without it ``go_on`` is
+    who then answers whether the next experiment is needed (see ``Sweep.go_on``); without it ``judge`` is
     called in between, which only a cell in virtual time can wait for.
     """
     recorder: ClosingSink | None = None
@@ -171,9 +169,10 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         if open_sink is not None:
             recorder, more = open_sink(header)
             notes += more
-        elif go_on is not None:
-            judged = Judged(out, header, go_on)
-            recorder, asked = Recorder(judged.open, plan.cycle_s, len(plan.axes)), judged.ask
+        elif judge is not None:
+            judged = Judged(out, header, judge)
+            recorder = Recorder(judged.open, plan.cycle_s, len(plan.axes))
+            asked = judged.ask if judge.is_awaited else judged.ask_later()
         else:
             recorder = Recorder(lambda: RecordingWriter(out, header), plan.cycle_s, len(plan.axes))
         permit = measured_budgets(found.config, cell.reports, plan)

@@ -183,7 +183,7 @@ def child_main(fd: int) -> None:
         if number not in answers:
             answers[number] = None
             outbox.put(("ask", number))
-        return answers[number]
+        return answers[number] if task["awaits"] else False not in list(answers.values())
 
     def post() -> None:
         while (message := outbox.get()) is not None:
@@ -209,7 +209,7 @@ def child_main(fd: int) -> None:
             progress=lambda p: outbox.put(("progress", p)),
             stop=stop,
             open_sink=open_sink,
-            asked=ask if task["judged"] else None,
+            asked=None if task["awaits"] is None else ask,
         )
         outbox.put(("result", result))
     except SafetyStop as error:

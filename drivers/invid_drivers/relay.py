@@ -16,10 +16,10 @@ from typing import Any
 
 from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop, left_by, note_left
-from invid.recording import Outcome, Recording
+from invid.recording import Outcome
 from invid.sweep import Progress
 from invid_drivers.cia402.bus import STOPPED_S
-from invid_drivers.filing import Filing, Teller
+from invid_drivers.filing import Filing, Judge, Teller
 from invid_drivers.readiness import known_after_death
 from invid_drivers.stopping_budgets import Wish
 
@@ -46,11 +46,11 @@ def measure_in_process(
     *,
     progress: Callable[[Progress], None] | None,
     stop: threading.Event | None,
-    go_on: Callable[[Recording], bool] | None = None,
+    judge: Judge | None = None,
 ) -> Any:
     """Measure with the cycle in a process of its own; return its ``MeasurementResult``.
 
-    ``go_on`` runs here, beside the relay, while the cycle process holds the axes.
+    ``judge`` runs here, beside the relay.
     """
     ours, theirs = socket.socketpair()
     with theirs:
@@ -61,7 +61,7 @@ def measure_in_process(
             stdout=subprocess.DEVNULL,
         )
     connection = Connection(ours.detach())
-    relay = Relay(Filing(out, go_on), stop, progress)
+    relay = Relay(Filing(out, judge), stop, progress)
     try:
         connection.send(
             {
@@ -69,7 +69,7 @@ def measure_in_process(
                 "config": config.model_dump(mode="python"),
                 "out": str(out),
                 "wish": wish,
-                "judged": go_on is not None,
+                "awaits": None if judge is None else judge.is_awaited,
             }
         )
         result = relay.run(connection)

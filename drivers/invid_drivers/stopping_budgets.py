@@ -18,6 +18,7 @@ from invid.planning.forecast import lower_torque
 from invid.planning.shortest_runs import shortest_runs
 from invid.planning.stopping_distance import (
     LEAST_EXCITATION,
+    ROUNDING,
     Permitted,
     StoppingBudget,
     StoppingFacts,
@@ -116,6 +117,11 @@ def plan_within(config: CellConfig, reports: Sequence[DriveReport] | None, wish:
     shares = torque_shares(tighter, facts, asked.tolist(), _inertia(config, first))
     if min(shares) < 1.0:
         first = made(tighter, shares)
+        # of what the limits had left of it: where they bind less now, a share of what was asked for is more
+        over = np.maximum(first.peak_torque / np.maximum(asked * shares, 1e-300), 1.0)
+        if over.max() > 1.0 / ROUNDING:
+            shares = tuple((shares / over).tolist())
+            first = made(tighter, shares)
     budgets = budgeted(first)
     limited = permitted(tighter, budgets)
     found = first if limited is tighter or plan is not None else made(limited, shares)

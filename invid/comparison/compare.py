@@ -18,12 +18,7 @@ import numpy as np
 
 from invid.comparison.baseline import MINIMUM_RUNS, pool_agreeing, pool_models
 from invid.comparison.baseline import repeatability as measured_repeatability
-from invid.comparison.causes import (
-    cause_sentences,
-    compare_causes,
-    variance_factors,
-    with_cause_verdicts,
-)
+from invid.comparison.causes import cause_sentences, compare_causes, variance_factors, with_cause_verdicts
 from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
 from invid.comparison.named import named_change

@@ -1,16 +1,8 @@
 """The cell's configuration."""
 
-from invid.config.experiments import (
-    ChirpSpec,
-    ConstantVelocitySpec,
-    MultisineSpec,
-    SteppedSineSpec,
-)
+from invid.config.experiments import ChirpSpec, ConstantVelocitySpec, MultisineSpec, SteppedSineSpec
 from invid.config.load import load_config, parse_config
-from invid.config.schema import (
-    AxisConfig,
-    CellConfig,
-)
+from invid.config.schema import AxisConfig, CellConfig
 
 __all__ = [
     "AxisConfig",

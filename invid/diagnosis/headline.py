@@ -23,15 +23,7 @@ from invid.wording.clauses import (
     group_clause,
 )
 from invid.wording.expectation import answer_clause
-from invid.wording.statement import (
-    ENGLISH,
-    LANGUAGES,
-    Clause,
-    Listed,
-    Statement,
-    say,
-    say_sentence,
-)
+from invid.wording.statement import ENGLISH, LANGUAGES, Clause, Listed, Statement, say, say_sentence
 
 NAMELESS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 """Verdicts on a model that leaves something without a name."""

@@ -15,9 +15,9 @@ from invid.diagnosis.outcome import (
     share_among_rivals,
 )
 from invid.diagnosis.thresholds import COMPETES, FLOOR, NAMED, UNSIZED
+from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE, CATALOGUE
-from invid.effects.supposed.large_motion import LoadFriction
 from invid.errors import InputError
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.worth import NUMBER
@@ -71,7 +71,7 @@ def diagnose_trajectory(
         explained=explained,
         left=None if near or not (found or missing) else _describe_residual(a, residual),
         warnings=extended.warnings,
-        details=figures_of(a, extended),
+        details=figures_of(a),
     )
     return limit_unfinished_search(result) if a.is_cut_short else result
 
@@ -137,7 +137,7 @@ def _rivals(a: Analysis, cause: search.Cause, bare: Fit) -> list[tuple[float, Al
     ]
     fits = [(t, search.with_term(a.rows, bare, t)) for t in search.leaders(a.rows, bare, others)]
     out = [(t.cause, place_of(t, a.recording.axes), f) for t, f in fits]
-    if isinstance(cause.terms[0].law, LoadFriction):
+    if isinstance(cause.terms[0].law, LoadFrictionLaw):
         # On one way a load that follows the pose is a law of position, and any other such law is like it.
         place = place_of(cause.terms[0], a.recording.axes)
         out += [(NAMELESS, place, f) for f in law_fits(a.rows, bare, axis, ("position", ""))]
@@ -159,7 +159,7 @@ def _plain_effect(a: Analysis, cause: search.Cause) -> tuple[EffectTerm, tuple[s
         return effect_of_cause(a.rows, final, of, a.recording.axes, linear=a.recording.linear)
 
     effect = effect_in(a.final, cause)
-    if isinstance(cause.terms[0].law, LoadFriction):
+    if isinstance(cause.terms[0].law, LoadFrictionLaw):
         counted = "weight and inertia" if effect.value("inertia_counts") else "weight"
         return effect, (f"The load is the joint's {counted}.",)
     bend = {n: p for n, p in effect.parameters.items() if n.startswith("low_speed")}

@@ -7,7 +7,7 @@ coordinates) contributes Wᵀ b f; what it does to the inner coordinates is q = 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -97,6 +97,8 @@ class Effect:
     family: str = ""
     home: Literal["motor", "end", "spring", "axis", "base"] = "motor"
     """Place of the effect in a model that does not state one."""
+    stands: ClassVar[tuple[Callable[[ChainStructure], list[Place]], ...] | None] = None
+    """Kinds of places where it may sit (``invid.model.place``); none where no search of chains asks."""
     over: str = ""
     """Quantity over which its missing torque is drawn (``invid.effects.curve``); "" where it has no such
     picture."""
@@ -129,8 +131,8 @@ class Effect:
                 setattr(cls, name, value)
 
     def places(self, structure: ChainStructure) -> list[Place]:
-        """All places where it may sit."""
-        raise NotImplementedError
+        """All places where it may sit: those of ``stands``, each once."""
+        return list(dict.fromkeys(p for places in self.stands or () for p in places(structure)))
 
     def known(self, term: EffectTerm) -> Self:
         """The law with what a model states of it beyond its parameters."""

@@ -198,7 +198,7 @@ def _check_parameters(effect: Effect, refuse: Refuse) -> None:
 
 def _check_methods(effect: Effect, where: str, refuse: Refuse) -> None:
     """Refuse an effect whose places or law are missing, fail, or return what cannot be used."""
-    if type(effect).places is Effect.places:
+    if type(effect).places is Effect.places and effect.stands is None:
         refuse("places", f"places is missing; {_PLACES}")
     if isinstance(effect, MotionEffect) and type(effect).resistance is MotionEffect.resistance:
         refuse("resistance", "resistance is missing; write def resistance(self, motion, shape): return the "

@@ -94,21 +94,13 @@ FURTHER_MASSES = "further masses"
 """What a spent budget leaves out without which the number of masses is open, in the words of the warning."""
 
 
-def begin(
-    bench: Bench,
-    structure: Structure,
-    kept: Bench | None = None,
-    known: Known = NOTHING,
-) -> Supposed:
+def begin(bench: Bench, structure: Structure, kept: Bench | None = None, known: Known = NOTHING) -> Supposed:
     """The fit of a structure with friction at the motors, from the first start at home, else the lowest."""
     return brought_home(_lowest(bench, structure, kept, known))
 
 
 def begin_with_modes(
-    bench: Bench,
-    structure: Structure,
-    kept: Bench | None = None,
-    known: Known = NOTHING,
+    bench: Bench, structure: Structure, kept: Bench | None = None, known: Known = NOTHING
 ) -> Supposed:
     """The same of a structure whose loads may have a mode, of chains that are astray.
 

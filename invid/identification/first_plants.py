@@ -19,6 +19,7 @@ from invid.identification.own_stiffness import follow
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.numerics.arrays import Float64, Int64
+from invid.numerics.linear_algebra import least_squares, real_rows
 from invid.signals.band import apparent_inertia, hann
 from invid.signals.record import Record
 
@@ -93,13 +94,7 @@ def total_inertias(stacks: Sequence[Stack], tops: Sequence[float]) -> Float64:
                 )
                 right.append(torque[k, use, m])
         if rows:
-            columns, target = np.concatenate(rows), np.concatenate(right)
-            columns, target = (
-                np.concatenate((columns.real, columns.imag)),
-                np.concatenate((target.real, target.imag)),
-            )
-            unit = np.linalg.norm(columns, axis=0) + 1e-300
-            out[m] = (np.linalg.lstsq(columns / unit, target, rcond=None)[0] / unit)[0]
+            out[m] = least_squares(real_rows(np.concatenate(rows)), real_rows(np.concatenate(right)))[0]
     least: Float64 = np.maximum(out, 1e-3 * np.abs(out).max())
     return least
 

@@ -87,15 +87,13 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
     built, covariance = chains_covariance(end, axes, open_part)
     known, values = parameter_vector(built)
     band = _band(recording)
-    blind = blind_directions(built, known, values, covariance, band)
+    unseen, sentences = blind_directions(
+        built, dict(zip(known, values.tolist(), strict=True)), covariance, band
+    )
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    std = {n: np.nan if n in blind.unseen else float(d) for n, d in zip(known, deviation, strict=True)}
-    doubts = [*_short_experiments(recording), *(Doubt(DoubtCode.UNSEEN, said) for said in blind.sentences)]
-    said = [
-        *(d.text for d in doubts),
-        *hold_warnings(end, open_part, recording),
-        *_lag_warnings(end, axes),
-    ]
+    std = {n: np.nan if n in unseen else float(d) for n, d in zip(known, deviation, strict=True)}
+    doubts = [*_short_experiments(recording), *(Doubt(DoubtCode.UNSEEN, said) for said in sentences)]
+    said = [*(d.text for d in doubts), *hold_warnings(end, open_part, recording), *_lag_warnings(end, axes)]
     return Model(
         robot=recording.robot,
         method="refined",
@@ -108,7 +106,7 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
         parameter_names=known,
         fit={
             **doubt_facts(doubts),
-            "unseen": list(blind.sentences),
+            "unseen": list(sentences),
             **_facts(end, axes, axis_missing(end)),
             "band_hz": list(band),
             **_timing(end, axes),

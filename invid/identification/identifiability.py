@@ -2,95 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
 from invid.model.chains import CoupledChains
 from invid.model.forward import resonances
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Float64, Int64
 
 _WORDS = {"mass": "m", "spring": "K", "damper": "D"}
 
 
-@dataclass(frozen=True)
-class Unidentifiable:
-    """Parameters that the data do not determine, and sentences about them."""
-
-    LIMIT: ClassVar[float] = 0.25
-    """Relative standard deviation above which a mass or spring is not known: ±3σ then spans a factor
-    of seven. Couplings are judged against the geometric mean of the masses they join."""
-
-    unseen: frozenset[str]
-    sentences: tuple[str, ...]
+LIMIT = 0.25
+"""Relative standard deviation above which a mass or spring is not known: ±3σ then spans a factor of seven.
+Couplings are judged against the geometric mean of the masses they join."""
 
 
 def blind_directions(
-    chains: CoupledChains,
-    names: Sequence[str],
-    values: Float64,
-    covariance: Float64,
-    band_hz: tuple[float, float],
-) -> Unidentifiable:
-    """Directions of parameter space (masses, springs, couplings) that the data do not determine."""
-    scale = np.array([_scale(chains, n, v) for n, v in zip(names, values, strict=True)])
-    is_judged = np.array([".damper." not in n for n in names])
+    chains: CoupledChains, known: Mapping[str, float], covariance: Float64, band_hz: tuple[float, float]
+) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Parameters that the data do not determine, and a sentence for every direction of large variance.
+
+    ``known`` are all parameters by name in the order of ``covariance``; of dampers is said only what is not
+    seen at all.
+    """
+    names = list(known)
+    scale = np.array([_scale(chains, n, v) for n, v in known.items()])
     relative = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale
-    undetermined = [int(k) for k in np.flatnonzero(is_judged & ~(relative < Unidentifiable.LIMIT))]
-    sentences: list[str] = []
-    if undetermined:
-        sentences += _direction_sentences(chains, names, covariance, scale, undetermined, band_hz)
-    unseen_at_all = [int(k) for k in np.flatnonzero(~np.isfinite(relative))]
-    sentences += [
-        f"{_symbol(names[k])}: not seen by these data at all" for k in unseen_at_all if not is_judged[k]
-    ]
-    unseen = frozenset(names[k] for k in [*undetermined, *unseen_at_all])
-    return Unidentifiable(unseen, tuple(sentences))
+    is_judged = np.array([".damper." not in n for n in names])
+    loose = np.flatnonzero(is_judged & ~(relative < LIMIT))
+    unseen = np.flatnonzero(~np.isfinite(relative))
+    sentences = _direction_sentences(names, covariance, scale, loose, _advice(chains, band_hz))
+    sentences += [f"{_symbol(names[k])}: not seen by these data at all" for k in unseen if not is_judged[k]]
+    return frozenset(names[k] for k in (*loose, *unseen)), tuple(sentences)
 
 
 def _direction_sentences(
-    chains: CoupledChains,
-    names: Sequence[str],
-    covariance: Float64,
-    scale: Float64,
-    open_: Sequence[int],
-    band_hz: tuple[float, float],
+    names: Sequence[str], covariance: Float64, scale: Float64, loose: Int64, advice: str
 ) -> list[str]:
-    """One sentence for every direction of large variance."""
-    advice = _advice(chains, band_hz)
-    lost = [k for k in open_ if not np.isfinite(covariance[k, k])]
-    out = [f"{_symbol(names[k])}: not seen by these data; {advice}" for k in lost]
-    rest = np.array([k for k in open_ if np.isfinite(covariance[k, k])], dtype=int)
+    is_lost = ~np.isfinite(np.diag(covariance)[loose])
+    out = [f"{_symbol(names[k])}: not seen by these data; {advice}" for k in loose[is_lost]]
+    rest = loose[~is_lost]
     if rest.size == 0:
         return out
-    block = covariance[np.ix_(rest, rest)] / scale[rest][:, None] / scale[rest]
-    size, vectors = np.linalg.eigh(block)
+    size, vectors = np.linalg.eigh(covariance[np.ix_(rest, rest)] / scale[rest][:, None] / scale[rest])
     covered: set[int] = set()
     for at in np.argsort(size)[::-1]:
-        if size[at] < Unidentifiable.LIMIT**2 or len(covered) == rest.size:
+        if size[at] < LIMIT**2 or len(covered) == rest.size:
             break
         vector = vectors[:, at]
         members = [int(k) for k in np.flatnonzero(np.abs(vector) > 0.3 * np.abs(vector).max())]
-        if all(m in covered for m in members):
+        if covered.issuperset(members):
             continue
         covered |= set(members)
         labels = [_symbol(names[rest[m]]) for m in members]
-        error = np.sqrt(size[at])
+        error = _percent(np.sqrt(size[at]))
         if len(members) == 1:
             m = rest[members[0]]
-            out.append(
-                f"{labels[0]}: known to ±{_percent(np.sqrt(covariance[m, m]) / scale[m])} only; {advice}"
-            )
+            error = _percent(np.sqrt(covariance[m, m]) / scale[m])
+            out.append(f"{labels[0]}: known to ±{error} only; {advice}")
         elif len(members) == 2:
-            same = vector[members[0]] * vector[members[1]] > 0
-            relation = "ratio" if same else "product"
-            out.append(
-                f"{labels[0]} and {labels[1]}: only as a {relation} (±{_percent(error)} each); {advice}"
-            )
+            relation = "ratio" if vector[members[0]] * vector[members[1]] > 0 else "product"
+            out.append(f"{labels[0]} and {labels[1]}: only as a {relation} (±{error} each); {advice}")
         else:
-            out.append(f"{', '.join(labels)}: only in combination (±{_percent(error)}); {advice}")
+            out.append(f"{', '.join(labels)}: only in combination (±{error}); {advice}")
     return out
 
 
@@ -109,12 +85,10 @@ def _advice(chains: CoupledChains, band_hz: tuple[float, float]) -> str:
 
 
 def _scale(chains: CoupledChains, name: str, value: float) -> float:
-    if name.endswith(".coupling"):
-        pair = name.removesuffix(".coupling")
-        for i, a in enumerate(chains.axes):
-            for j, b in enumerate(chains.axes):
-                if f"{a}-{b}" == pair:
-                    return float(np.sqrt(chains.masses[i][-1] * chains.masses[j][-1]))
+    pair = name.removesuffix(".coupling")
+    for (a, one), (b, other) in product(zip(chains.axes, chains.masses, strict=True), repeat=2):
+        if pair != name and pair == f"{a}-{b}":
+            return float(np.sqrt(one[-1] * other[-1]))
     return max(abs(value), 1e-300)
 
 

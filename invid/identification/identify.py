@@ -17,7 +17,7 @@ from invid.identification.paper_model import paper_model, widen_by_method_error
 from invid.identification.stated_inertia import against_stated
 from invid.inverse import PaperResult, identify_paper
 from invid.model.document import Model
-from invid.modes.pole_search import search_modes
+from invid.modes.pole_search import NoisyRecord, search_modes
 from invid.modes.settle import settled_frf
 from invid.numerics import budget
 from invid.recording.model import Recording, Role
@@ -116,25 +116,18 @@ def _identify_by_paper(
     Held torque acts later than recorded; modes are searched on the records, under their noise, before they
     are fitted to the FRF matrix.
     """
-    found = search_modes(spectra, sizes)
-    start = None
-    if found is not None:
-        start, _, delay = found
-        spectra = [
-            replace(s, torque=s.torque * np.exp(-1j * s.omega * delay)[:, None], staircase=0.0 * s.staircase)
-            for s in spectra
-        ]
-    measured = settled_frf(spectra, sizes, _measured_frf(spectra))
+    start, delay = search_modes([NoisyRecord.of_spectra(s) for s in spectra], sizes)
+    spectra = [
+        replace(s, torque=s.torque * np.exp(-1j * s.omega * delay)[:, None], staircase=0.0 * s.staircase)
+        for s in spectra
+    ]
+    measured = settled_frf(spectra, start, _measured_frf(spectra))
     if measured.frequency_hz.size == 0:
         raise NotIdentifiableError("no frequency at which all axes are excited: the FRF matrix is incomplete")
-    data = (measured.frequency_hz, measured.frf, measured.variance)
     try:
-        try:
-            result = identify_paper(*data, sizes, axes=axes, start=start)
-        except NotIdentifiableError:
-            if start is None:
-                raise
-            result = identify_paper(*data, sizes, axes=axes)
+        result = identify_paper(
+            measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes, start=start
+        )
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         raise NotIdentifiableError(f"the paper's method failed on these data: {error}") from None
     return widen_by_method_error(result, measured), measured

@@ -1,4 +1,4 @@
-"""Records to fit, and what is kept out of every fit to validate it: a table, of which the first row counts.
+"""Records to fit, and what is kept out of every fit to validate it.
 
 Experiments with role 'validate' are kept out; without any a record more than the plant needs, else the last
 period of each, else every fifth line.
@@ -6,7 +6,7 @@ period of each, else every fifth line.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,6 +22,8 @@ FIFTH = 5
 """Every so many lines one is kept out."""
 LEAST_LINES = 12
 """Lines an axis from which anything is fitted: two masses with friction and timing have ten numbers."""
+
+MISSING = "no validation experiment (role 'validate')"
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +53,13 @@ def records_of(recording: Recording, *, by_period: bool = False) -> Split:
     parts = _Parts(recording, experiments, by_period)
     if not parts.train:
         raise InputError(f"{recording.source}: no experiment with role 'identify'")
-    row = next(r for r in VALIDATION if r.applies(parts))
-    fitted, kept = row.split(parts)
+    fitted, kept, said = _split(parts)
     lines = sum(r.used.size for r in fitted)
     if lines < LEAST_LINES * recording.axis_count:
         raise NotIdentifiableError(
             f"{recording.source}: the records hold {lines} lines to {parts.band:.3g} Hz, and the unknowns of "
             f"a machine take {LEAST_LINES} an axis: record for longer, lengthen the period, or widen the band"
         )
-    said = row.sentence(parts)
     known = _with_holds([*fitted, *kept], parts)  # of one machine: what one record shows holds for all
     fitted, kept = known[: len(fitted)], known[len(fitted) :]
     return Split(tuple(fitted), tuple(kept), tuple(warnings), (said,) if said else ())
@@ -158,87 +158,40 @@ def _periods_of(e: Experiment) -> list[Experiment]:
     return [e.cut(slice(max(first - 1, 0), first + e.period_samples)) for first in starts]
 
 
-@dataclass(frozen=True)
-class _Row:
-    name: str
-    applies: Callable[[_Parts], bool]
-    split: Callable[[_Parts], tuple[list[Record], list[Record]]]
-    sentence: Callable[[_Parts], str | None]
-
-
 def _drives_all(e: Experiment) -> bool:
     return not 0 <= e.excited_axis < e.hold_gain.size or e.hold_gain.size == 1
 
 
-def _has_spare(parts: _Parts) -> bool:
-    """Whether there is a record more than the linear plant needs: each axis once, or M of all at once."""
-    motors = parts.recording.axis_count
-    return len(parts.shaken) > motors and any(_drives_all(e) for e in parts.shaken)
-
-
-def _keep_spare(parts: _Parts) -> tuple[list[Record], list[Record]]:
-    return (
-        parts.records([e for e in parts.train if e is not parts.spare]),
-        parts.records([parts.spare]),
-    )
-
-
-def _has_periods(parts: _Parts) -> bool:
-    return bool(parts.shaken) and all(e.period_samples and e.periods >= 2 for e in parts.shaken)
-
-
-def _keep_last_period(parts: _Parts) -> tuple[list[Record], list[Record]]:
-    moves = [e for e in parts.train if e.kind is Kind.CONSTANT_VELOCITY]
-    begin = [e.cut(slice(None, e.samples - e.period_samples + 1)) for e in parts.shaken]
-    last = [e.cut(slice(e.samples - e.period_samples - 1, None)) for e in parts.shaken]
-    return parts.records([*begin, *moves]), parts.records(last)
-
-
-def _keep_fifth_lines(parts: _Parts) -> tuple[list[Record], list[Record]]:
+def _split(parts: _Parts) -> tuple[list[Record], list[Record], str | None]:
+    """Records to fit, records kept out, and what is said where those are a stopgap."""
+    if parts.validate:
+        return parts.records(parts.train), parts.records(parts.validate), None
+    shaken = parts.shaken
+    # One more than the linear plant needs: each axis once, or M of all at once.
+    if len(shaken) > parts.recording.axis_count and any(_drives_all(e) for e in shaken):
+        said = (
+            f"no validation experiment (role 'validate'): experiment {parts.spare.key} is kept out of every "
+            "fit instead; record one with another realisation and amplitude"
+        )
+        rest = parts.records([e for e in parts.train if e is not parts.spare])
+        return rest, parts.records([parts.spare]), said
+    if shaken and all(e.period_samples and e.periods >= 2 for e in shaken):
+        moves = [e for e in parts.train if e.kind is Kind.CONSTANT_VELOCITY]
+        begin = [e.cut(slice(None, e.samples - e.period_samples + 1)) for e in shaken]
+        last = [e.cut(slice(e.samples - e.period_samples - 1, None)) for e in shaken]
+        said = (
+            f"{MISSING}: the last period of each experiment is kept out of every fit instead, which repeats "
+            "the same motion; record one with another realisation"
+        )
+        return parts.records([*begin, *moves]), parts.records(last), said
     fitted, kept = [], []
     for record in parts.records(parts.train):
         number = np.arange(record.used.size)
         # The mean is one line: it is in both, or a constant torque would be worth nothing in one.
         fitted.append(replace(record, used=record.used[number % FIFTH != FIFTH - 1]))
         kept.append(replace(record, used=record.used[(number % FIFTH == FIFTH - 1) | (record.used == 0)]))
-    return fitted, kept
-
-
-MISSING = "no validation experiment (role 'validate')"
-
-VALIDATION: tuple[_Row, ...] = (
-    _Row(
-        "role",
-        lambda parts: bool(parts.validate),
-        lambda parts: (parts.records(parts.train), parts.records(parts.validate)),
-        lambda parts: None,
-    ),
-    _Row(
-        "spare record",
-        _has_spare,
-        _keep_spare,
-        lambda parts: (
-            f"no validation experiment (role 'validate'): experiment {parts.spare.key} is kept out of every "
-            "fit instead; record one with another realisation and amplitude"
-        ),
-    ),
-    _Row(
-        "last period",
-        _has_periods,
-        _keep_last_period,
-        lambda parts: (
-            f"{MISSING}: the last period of each experiment is kept out of every fit instead, which "
-            "repeats the same motion; record one with another realisation"
-        ),
-    ),
-    _Row(
-        "fifth line",
-        lambda parts: True,
-        _keep_fifth_lines,
-        lambda parts: (
-            f"{MISSING} and no whole period to spare: every fifth line is kept out of every fit "
-            "instead; record an experiment of its own for validation"
-        ),
-    ),
-)
-"""What is kept out; the first row whose condition holds counts."""
+    said = (
+        f"{MISSING} and no whole period to spare: every fifth line is kept out of every fit instead; record "
+        "an experiment of its own for validation"
+    )
+    return fitted, kept, said

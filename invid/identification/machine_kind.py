@@ -46,10 +46,7 @@ class MachineKind:
 
 
 def machine_kind(
-    recording: Recording,
-    masses: Sequence[int] | str | None,
-    chains: Callable[[], Begun],
-    share: float = 1.0,
+    recording: Recording, masses: Sequence[int] | str | None, chains: Callable[[], Begun], share: float = 1.0
 ) -> MachineKind:
     """Rigid axes or chains; ``chains`` identifies them as chains, with ``masses`` as requested.
 
@@ -134,24 +131,15 @@ def rigid_model(recording: Recording, kind: MachineKind) -> Model:
 
 def rigid_missed_share(analysis: Analysis) -> float:
     """Rms share of the torque that rigid axes miss beyond noise on held-out rows, of the worst axis."""
-    return _worst_share(_rigid_powers(analysis))
+    left, power = _rigid_powers(analysis).T
+    return float(np.sqrt(np.max(left / np.maximum(power, 1e-300))))
 
 
 def _rigid_powers(analysis: Analysis) -> Float64:
     """(M, 2) power that is missing on rows kept out, beyond noise, and that of the torque."""
-    rows, floor = analysis.rows, row_floor(analysis)
-    left = analysis.final.held_out**2 - floor
-    out = np.zeros((rows.axes, 2))
-    for i in range(rows.axes):
-        axis_rows = rows.judged & (rows.axis == i)
-        out[i] = max(float(left[axis_rows].sum()), 0.0), float(np.sum(rows.torque[axis_rows] ** 2))
-    return out
-
-
-def _worst_share(powers: Float64) -> float:
-    """Largest missed share (rms) of an axis; (M, 2) missing and total powers."""
-    left, power = powers.T
-    return float(np.sqrt(np.max(np.maximum(left, 0.0) / np.maximum(power, 1e-300))))
+    rows, left = analysis.rows, analysis.final.held_out**2 - row_floor(analysis)
+    sums = [np.bincount(rows.axis[rows.judged], x[rows.judged], rows.axes) for x in (left, rows.torque**2)]
+    return np.maximum(np.stack(sums, axis=1), 0.0)
 
 
 def _share_text(missed: float) -> str:

@@ -1,8 +1,9 @@
 """Chains that follow a motor's own stiffness |Z|, from many starts at once.
 
-    Z_i = −ω² m_i + κ_i Z_{i+1}/(κ_i + Z_{i+1}),   κ_i = k_i + jω c_i,
+    Z_i = −ω² m_i + κ_i Z_{i+1}/(κ_i + Z_{i+1}),   κ_i = k_i + jω c_i,   Z = Z_1 + jω d,
 
-with Σ √((ln|Z|/|Z measured|)² + ε²) as the loss: what friction and the other axes' modes bend on a few lines
+with d of the motor's friction (for random phases the best linear friction is viscous, dry friction too) and
+Σ √((ln|Z|/|Z measured|)² + ε²) as the loss: what friction and the other axes' modes bend on a few lines
 counts by its size alone.
 """
 
@@ -16,6 +17,8 @@ ROUNDED = 0.005
 """ε: deviations of the logarithm below which the loss is a parabola; friction bends more, noise less."""
 LOSS = 3e-2
 """Damping ratio of a spring at the start: blunt, so that a mode is felt from afar."""
+RUBBING = 0.1
+"""Motor's friction at the start over the stiffness, at the middle line."""
 LOOSE = 1e-3
 """Curvature of the prior of each number's logarithm, in lines: holds what the lines do not show."""
 ITERATIONS, LARGEST_STEP = 40, 0.5
@@ -27,7 +30,7 @@ def follow(omega: Float64, size: Float64, start: Float64) -> tuple[Float64, Floa
     """(S, 2n − 1) masses and springs that follow |Z| = ``size`` (F,) on ``omega`` best about each ``start``
     (S, 2n − 1), and their loss (S,), a mean over the lines."""
     level = np.log(size)
-    x = _with_dampers(np.log(start))
+    x = _with_dampers(np.log(start), np.log(RUBBING * np.median(size / omega)))
     centre = x.copy()
     damping = np.full(len(x), FIRST)
     miss, slope = _miss(omega, level, x)
@@ -52,11 +55,11 @@ def follow(omega: Float64, size: Float64, start: Float64) -> tuple[Float64, Floa
     return np.exp(x[:, : start.shape[1]]), loss / omega.size
 
 
-def _with_dampers(x: Float64) -> Float64:
+def _with_dampers(x: Float64, friction: float) -> Float64:
     masses = (x.shape[1] + 1) // 2
     mass, spring = np.exp(x[:, :masses]), np.exp(x[:, masses:])
     damper = 2 * LOSS * np.sqrt(spring / (1 / mass[:, :-1] + 1 / mass[:, 1:]))
-    return np.concatenate((x, np.log(damper)), axis=1)
+    return np.concatenate((x, np.log(damper), np.full((len(x), 1), friction)), axis=1)
 
 
 def _loss(miss: Float64, off: Float64) -> Float64:
@@ -70,9 +73,9 @@ def _miss(omega: Float64, level: Float64, x: Float64) -> tuple[Float64, Float64]
     Z = uᵀD u with the motion u of all masses for a motor's motion of one, which is stationary: a mass adds
     −ω² u², a spring the square of what it is bent.
     """
-    masses = (x.shape[1] + 2) // 3
+    masses = (x.shape[1] + 1) // 3
     values = np.exp(x)[:, :, None]
-    mass, spring, damper = np.split(values, (masses, 2 * masses - 1), axis=1)
+    mass, spring, damper, friction = np.split(values, (masses, 2 * masses - 1, 3 * masses - 2), axis=1)
     inertia: Complex128 = -(omega**2) * mass + 0j
     link = spring + 1j * omega * damper
     beyond = inertia[:, -1]
@@ -80,7 +83,10 @@ def _miss(omega: Float64, level: Float64, x: Float64) -> tuple[Float64, Float64]
     for i in range(masses - 2, -1, -1):
         passed.append(link[:, i] / (link[:, i] + beyond))
         beyond = inertia[:, i] + passed[-1] * beyond
+    rubbed = 1j * omega * friction
+    whole = beyond + rubbed[:, 0]
     motion = np.cumprod(np.stack((np.ones_like(beyond), *passed[::-1]), axis=1), axis=1)
     bent = motion[:, :-1] - motion[:, 1:]
-    parts = np.concatenate((inertia * motion**2, spring * bent**2, 1j * omega * damper * bent**2), axis=1)
-    return np.log(np.abs(beyond)) - level, (parts / beyond[:, None]).real.transpose(0, 2, 1)
+    parts = (inertia * motion**2, spring * bent**2, 1j * omega * damper * bent**2, rubbed)
+    slope = np.concatenate(parts, axis=1) / whole[:, None]
+    return np.log(np.abs(whole)) - level, slope.real.transpose(0, 2, 1)

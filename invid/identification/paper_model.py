@@ -8,7 +8,7 @@ import numpy as np
 
 from invid.errors import InvidError
 from invid.identification.fitted_model import provenance_of
-from invid.identification.identifiability import Unidentifiable
+from invid.identification.identifiability import LIMIT
 from invid.inverse import PaperResult, identify_paper
 from invid.model.document import Model, parameter_vector, std_by_name
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts
@@ -18,12 +18,7 @@ from invid.recording.model import Recording
 from invid.signals.frf import FrfMatrix
 
 
-def paper_model(
-    recording: Recording,
-    paper: PaperResult,
-    measured: FrfMatrix,
-    warnings: list[str],
-) -> Model:
+def paper_model(recording: Recording, paper: PaperResult, measured: FrfMatrix, warnings: list[str]) -> Model:
     """The model of the paper's route alone."""
     chains = paper.chains
     names_all, values = parameter_vector(chains)
@@ -34,7 +29,7 @@ def paper_model(
     for name, value, error in zip(names_all, values, std, strict=True):
         if ".damper." in name or ".coupling" in name:
             continue
-        if not np.isfinite(error) or error > Unidentifiable.LIMIT * abs(value):
+        if not np.isfinite(error) or error > LIMIT * abs(value):
             said = f"{name}: {value:.4g} ± {error:.2g} is not known; measure longer or use refined"
             doubts.append(Doubt(DoubtCode.UNSEEN, said))
             warnings.append(said)

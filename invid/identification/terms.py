@@ -11,6 +11,7 @@ from invid.effects.units import unit_of
 from invid.identification.quantities import Quantities, axis_and_element
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.worth import FRICTION
 from invid.model.document import EffectTerm
 from invid.numerics.arrays import Float64
 
@@ -29,13 +30,7 @@ class TermWriter:
     def _unit(self, cause: str, parameter: str) -> str | None:
         return unit_of(BY_CAUSE[cause].parameters.get(parameter, "ratio"), self.linear)
 
-    def term(
-        self,
-        cause: str,
-        axis: int,
-        sizes: Sizes,
-        **place: str,
-    ) -> EffectTerm:
+    def term(self, cause: str, axis: int, sizes: Sizes, **place: str) -> EffectTerm:
         """A cause's term, its parameters functions of what was fitted."""
         parameters = {
             name: self.known.estimate(size, indices, self._unit(cause, name))
@@ -52,26 +47,17 @@ class TermWriter:
             for part in placed.law.beside
         }
         parts = parts - named
-        dry, rise, viscous = (self.known.coefficient((p, motor)) for p in (Part.DRY, Part.RISE, Part.VISCOUS))
-        out = []
-        if Part.RISE in parts and rise is not None:  # at its bound, there is none to have a velocity
+        at = {part: self.known.coefficient((part, motor)) for part in parts | {Part.DRY}}
+        dry, rise = at[Part.DRY], at.get(Part.RISE)
+        found: dict[str, Sizes] = {}
+        if rise is not None:  # at its bound, there is none to have a velocity
             velocity = self.known.shape((Part.DRY, motor, "stribeck"))
-            sizes: Sizes = {
+            found["stribeck_friction"] = {
                 "static": (lambda v: float(v[0] + v[1]), [dry, rise]),
                 "coulomb": (lambda v: float(v[0]), [dry]),
                 "velocity": (lambda v: float(np.exp(v[0])), [velocity]),
             }
-            out.append(self.term("stribeck_friction", motor, sizes, element="mass 1"))
-        elif Part.DRY in parts:
-            out.append(
-                self.term("coulomb_friction", motor, {"torque": (lambda v: v[0], [dry])}, element="mass 1")
-            )
-        if Part.VISCOUS in parts:
-            sizes = {"coefficient": (lambda v: v[0], [viscous])}
-            out.append(self.term("viscous_friction", motor, sizes, element="mass 1"))
-        if Part.OFFSET in parts:
-            offset = self.known.coefficient((Part.OFFSET, motor))
-            out.append(
-                self.term("torque_offset", motor, {"torque": (lambda v: v[0], [offset])}, element="mass 1")
-            )
-        return out
+        for part, cause in reversed(FRICTION):
+            if part in parts and part is not Part.RISE and not (part is Part.DRY and rise is not None):
+                found[cause] = {BY_CAUSE[cause].main: (lambda v: float(v[0]), [at[part]])}
+        return [self.term(cause, motor, sizes, element="mass 1") for cause, sizes in found.items()]

@@ -101,17 +101,6 @@ class Consequence:
     source: str | None = None
     measures: Mapping[str, float] = field(default_factory=dict)
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "grade": str(self.grade),
-            "share_of_rated_torque": self.share_of_rated_torque,
-            "text": self.text,
-            "reason": self.reason,
-            "source": self.source,
-            "measures": dict(self.measures),
-        }
-
 
 SURE = 0.9
 """Confidence from which a cause is named without reserve: a contested one has at most 0.89 (the contract)."""
@@ -263,21 +252,12 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             **effect_to_json(f.effect),
             "confidence": f.confidence,
             "gain": {"held_out": {"before": f.before, "after": f.after}, "fraction": f.fraction},
-            "alternatives": [
-                {
-                    "cause": a.cause,
-                    "axis": a.axis,
-                    "element": a.element,
-                    "other_axis": a.other_axis,
-                    "after": a.after,
-                }
-                for a in f.alternatives
-            ],
+            "alternatives": [asdict(a) for a in f.alternatives],
             "separating_experiment": None
             if f.separating_experiment is None
             else dict(f.separating_experiment),
             "sentence": f.sentence,
-            "consequence": None if f.consequence is None else f.consequence.to_json(),
+            "consequence": None if f.consequence is None else asdict(f.consequence),
         }
 
     return {

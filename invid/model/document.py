@@ -309,22 +309,16 @@ def model_to_json(model: Model) -> dict[str, Any]:
     chains, std = model.chains, model.std
     branches = []
     for i, axis in enumerate(chains.axes):
-        branch: dict[str, Any] = {
-            "axis": axis,
-            "masses": [_estimate(v, s) for v, s in zip(chains.masses[i], std.masses[i], strict=True)],
-            "springs": [_estimate(v, s) for v, s in zip(chains.springs[i], std.springs[i], strict=True)],
-            "dampers": [_estimate(v, s) for v, s in zip(chains.dampers[i], std.dampers[i], strict=True)],
-        }
+        branch: dict[str, Any] = {"axis": axis}
+        for kind in ("masses", "springs", "dampers"):
+            values = zip(getattr(chains, kind)[i], getattr(std, kind)[i], strict=True)
+            branch[kind] = [_estimate(v, s) for v, s in values]
         if chains.ground_springs[i] != 0:
             branch["ground_spring"] = _estimate(chains.ground_springs[i], std.ground_springs[i])
         branches.append(branch)
     couplings = [
-        {
-            "between": [chains.axes[i], chains.axes[j]],
-            **_estimate(chains.couplings[i, j], std.couplings[i, j]),
-        }
-        for i in range(chains.branches)
-        for j in range(i + 1, chains.branches)
+        {"between": [a, b], **_estimate(chains.couplings[i, j], std.couplings[i, j])}
+        for (i, a), (j, b) in combinations(enumerate(chains.axes), 2)
     ]
     document: dict[str, Any] = {
         **model.attributes,
@@ -523,49 +517,41 @@ def save_model(model: Model, path: Path) -> None:
 
 def std_by_name(chains: CoupledChains, std: Mapping[str, float]) -> ChainStd:
     """Standard deviations in the shapes of ``chains``; NaN for names that ``std`` does not have."""
-    masses, springs, dampers, couplings, ground = _shaped(chains, std)
+
+    def column(kind: str, parts: tuple[Float64, ...]) -> tuple[Float64, ...]:
+        return tuple(
+            frozen_float([std.get(f"{axis}.{kind}.{q + 1}", np.nan) for q in range(part.size)])
+            for axis, part in zip(chains.axes, parts, strict=True)
+        )
+
+    couplings = np.full((chains.branches, chains.branches), np.nan)
+    for (i, a), (j, b) in combinations(enumerate(chains.axes), 2):
+        couplings[i, j] = couplings[j, i] = std.get(f"{a}-{b}.coupling", np.nan)
     return ChainStd(
-        masses=masses, springs=springs, dampers=dampers, couplings=couplings, ground_springs=ground
+        masses=column("mass", chains.masses),
+        springs=column("spring", chains.springs),
+        dampers=column("damper", chains.dampers),
+        couplings=frozen_float(couplings),
+        ground_springs=frozen_float([std.get(f"{a}.ground_spring", np.nan) for a in chains.axes]),
     )
 
 
 def chains_by_name(chains: CoupledChains, values: Mapping[str, float]) -> CoupledChains:
     """``chains`` with the parameters named in ``values``; the others stay as they are."""
-    masses, springs, dampers, couplings, ground = _shaped(chains, values)
+
+    named = std_by_name(chains, values)  # the same shapes
 
     def filled(new: Float64, old: Float64) -> Float64:
         return frozen_float(np.where(np.isnan(new), old, new))
 
+    def column(new: tuple[Float64, ...], old: tuple[Float64, ...]) -> tuple[Float64, ...]:
+        return tuple(map(filled, new, old))
+
     return replace(
         chains,
-        masses=tuple(filled(n, o) for n, o in zip(masses, chains.masses, strict=True)),
-        springs=tuple(filled(n, o) for n, o in zip(springs, chains.springs, strict=True)),
-        dampers=tuple(filled(n, o) for n, o in zip(dampers, chains.dampers, strict=True)),
-        couplings=filled(couplings, chains.couplings),
-        ground_springs=filled(ground, chains.ground_springs),
-    )
-
-
-def _shaped(
-    chains: CoupledChains, named: Mapping[str, float]
-) -> tuple[tuple[Float64, ...], tuple[Float64, ...], tuple[Float64, ...], Float64, Float64]:
-    """Masses, springs, dampers, couplings, springs to ground; NaN where not named."""
-
-    def column(kind: str, parts: tuple[Float64, ...]) -> tuple[Float64, ...]:
-        return tuple(
-            frozen_float([named.get(f"{axis}.{kind}.{q + 1}", np.nan) for q in range(part.size)])
-            for axis, part in zip(chains.axes, parts, strict=True)
-        )
-
-    couplings = np.full((chains.branches, chains.branches), np.nan)
-    for i, a in enumerate(chains.axes):
-        for j in range(i + 1, chains.branches):
-            value = named.get(f"{a}-{chains.axes[j]}.coupling", np.nan)
-            couplings[i, j] = couplings[j, i] = value
-    return (
-        column("mass", chains.masses),
-        column("spring", chains.springs),
-        column("damper", chains.dampers),
-        frozen_float(couplings),
-        frozen_float([named.get(f"{a}.ground_spring", np.nan) for a in chains.axes]),
+        masses=column(named.masses, chains.masses),
+        springs=column(named.springs, chains.springs),
+        dampers=column(named.dampers, chains.dampers),
+        couplings=filled(named.couplings, chains.couplings),
+        ground_springs=filled(named.ground_springs, chains.ground_springs),
     )

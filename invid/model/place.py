@@ -32,10 +32,7 @@ class Place:
         if self.kind == "spring":
             return ((first + self.number - 1, 1.0), (first + self.number, -1.0))
         if self.kind == "pair":
-            return (
-                (int(structure.end_dofs[self.axis]), 1.0),
-                (int(structure.end_dofs[self.other]), -1.0),
-            )
+            return ((int(structure.end_dofs[self.axis]), 1.0), (int(structure.end_dofs[self.other]), -1.0))
         if self.kind == "base":  # all loads alike, by a unit vector
             weight = structure.motors**-0.5
             return tuple((int(at), weight) for at in structure.end_dofs)

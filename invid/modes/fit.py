@@ -1,33 +1,21 @@
-"""Modal fit of an FRF matrix: vector-fitted poles, then weighted least squares over all modes."""
+"""Modal fit of an FRF matrix: poles of a rational fit, then weighted least squares over all modes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from invid.errors import NotIdentifiableError
 from invid.modes.data import FrfData, checked_data
-from invid.modes.least_squares import (
-    ModalFit,
-    levenberg,
-    misfit,
-    noise_chi2,
-    normal_equations,
-    reduced_chi2,
-    robust_cost,
-)
-from invid.modes.model import Modes, high_gain_pairs, mode_shape_functions, pairs
-from invid.modes.poles import STARTING_DAMPING, pole_candidates, residue_start
-from invid.numerics import budget
+from invid.modes.least_squares import ModalFit, levenberg, misfit, noise_chi2, normal_equations, reduced_chi2
+from invid.modes.model import Modes, high_gain_pairs, pairs
+from invid.modes.pole_search import NoisyRecord, search_modes
 
-_GOOD = 2.0
-"""χ²/dof at which the search for poles ends: no other start can do more than halve it."""
-_MODEL_ERRORS = (0.0, 0.02, 0.1)
-"""Relative model errors the pole search is tried with: friction makes the FRF wrong by more than its
-noise, and then noise weights alone would spend every pole on the lowest lines."""
+_MODEL_ERROR = 0.02
+"""Relative model error that the start is fitted with: friction makes the FRF wrong by more than its noise,
+and then noise weights alone would spend every pole on the lowest lines."""
 
 
 def fit_modes(
@@ -61,31 +49,8 @@ def fit_modes(
         Fewer lines than unknowns.
     """
     data = checked_data(frequency_hz, frf, frf_variance, masses)
-    best: tuple[float, ModalFit] | None = None
-    if start is not None:
-        return _finish(data, _from(data, start))
-    for model_error, order in _attempts(data):
-        weight = data.weight(model_error)
-        for poles in pole_candidates(data, weight, order):
-            if best is not None and budget.is_spent():
-                break
-            fit = levenberg(data, weight, residue_start(data, weight, poles), 20)
-            if data.modes and noise_chi2(data, fit) > _GOOD:
-                fit = levenberg(data, weight, replace(fit, lag=np.zeros(fit.shapes.shape)), 20)
-            # candidates are compared under one weight that no candidate was favoured by
-            cost = robust_cost(data, fit)
-            if best is None or cost < best[0]:
-                best = (cost, fit)
-        if best is not None and noise_chi2(data, best[1]) < _GOOD:
-            break
-    if best is not None and data.modes and noise_chi2(data, best[1]) > _GOOD:
-        best = _moved_to_the_misfit(data, best)
-    if best is None:
-        raise NotIdentifiableError("modal fit: no start converged; measure longer or raise the amplitude")
-    return _finish(data, best[1])
-
-
-def _from(data: FrfData, start: Modes) -> ModalFit:
+    if start is None:
+        start, _ = search_modes(_columns(data), data.masses)
     rows, columns = pairs(data.count)
     allowed = high_gain_pairs(data.masses)
     fit = ModalFit(
@@ -95,51 +60,18 @@ def _from(data: FrfData, start: Modes) -> ModalFit:
         start.high_gain[rows[allowed], columns[allowed]],
         start.friction[rows, columns],
     )
-    return levenberg(data, data.weight(_MODEL_ERRORS[1]), fit, 20)
+    return _finish(data, levenberg(data, data.weight(_MODEL_ERROR), fit, 20))
 
 
-def _attempts(data: FrfData) -> Iterator[tuple[float, int]]:
-    """Model error and number of searched poles of one attempt after another."""
-    for model_error in _MODEL_ERRORS:
-        yield model_error, data.modes
-    # equal or symmetric branches share poles: fewer of them, with residues of higher rank
-    chain = max(data.masses) - 1
-    tried = {data.modes - 1, data.modes - 2, data.modes - chain, 2 * chain, chain}
-    for order in sorted(tried, reverse=True):
-        if 0 < order < data.modes:
-            yield _MODEL_ERRORS[0], order
-
-
-def _moved_to_the_misfit(data: FrfData, best: tuple[float, ModalFit]) -> tuple[float, ModalFit]:
-    """Try the weakest mode where the misfit is largest: a missed peak is found there."""
-    weight = data.weight(0.01)
+def _columns(data: FrfData) -> list[NoisyRecord]:
+    """The columns of the FRF matrix as the records of one motor's torque each."""
+    whole, variance = np.zeros((2, data.w.size, data.count, data.count), dtype=complex)
     rows, columns = pairs(data.count)
-    tried: list[float] = []
-    for _ in range(4):
-        if budget.is_spent():
-            break
-        fit = best[1]
-        excess = np.sum((weight * misfit(data, fit)) ** 2, axis=1)
-        excess = np.convolve(excess, np.ones(3) / 3, mode="same")
-        for known in tried:
-            excess[np.abs(np.log(data.w / known)) < 0.02] = 0.0
-        target = float(data.w[int(np.argmax(excess))])
-        tried.append(target)
-        functions = mode_shape_functions(data.w, fit.omega, fit.damping)
-        energy = np.einsum("fp,fr->rp", weight**2, np.abs(functions) ** 2)
-        strength = np.sum(energy * (fit.shapes[:, rows] * fit.shapes[:, columns]) ** 2, axis=1)
-        poles = (fit.omega * (-np.minimum(fit.damping, 0.5) + 1j)).astype(np.complex128)
-        for weakest in np.argsort(strength)[:2]:
-            moved = poles.copy()
-            moved[weakest] = target * (-STARTING_DAMPING + 1j)
-            fresh = residue_start(data, weight, moved)
-            fresh = levenberg(data, weight, replace(fresh, lag=np.zeros(fresh.shapes.shape)), 30)
-            cost = robust_cost(data, fresh)
-            if cost < best[0]:
-                best = (cost, fresh)
-        if noise_chi2(data, best[1]) < _GOOD:
-            break
-    return best
+    for i, j in ((rows, columns), (columns, rows)):
+        whole[:, i, j], variance[:, i, j] = data.g, data.variance
+    return [
+        NoisyRecord.of_column(data.w, whole[:, :, j], variance[:, :, j].real, j) for j in range(data.count)
+    ]
 
 
 def _with_complex_modes(data: FrfData, fit: ModalFit) -> ModalFit:

@@ -8,8 +8,16 @@ import numpy as np
 
 from invid.modes.data import FrfData
 from invid.modes.model import high_gain_pairs, lag_functions, mode_shape_functions, pairs
+from invid.numerics import budget
 from invid.numerics.arrays import Bool, Complex128, Float64
-from invid.numerics.levenberg_marquardt import Parabola, minimise
+
+LARGEST_STEP = 0.7
+"""Largest step of a logarithm in one iteration (a factor of two): unguarded steps overflow."""
+FIRST, LEAST, FROM, LESS, MORE, TRIALS = 1e-3, 1e-12, 1e-6, 1.0 / 8.0, 10.0, 8
+"""Damping of parameters scaled to unit columns: at the start, its least, where it begins again after a step
+that did not go down, its factors, and how many are tried."""
+GAIN = 1e-6
+"""Share of the cost that an iteration has to take for another to follow (numerical)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,44 +136,35 @@ def _cost(data: FrfData, weight: Float64, fit: ModalFit, allowed: Bool) -> float
 def levenberg(data: FrfData, weight: Float64, start: ModalFit, iterations: int = 60) -> ModalFit:
     """Levenberg–Marquardt from ``start`` under ``weight`` (F, P); resonances and damping in logarithms."""
     allowed = high_gain_pairs(data.masses)
-    n = start.omega.size
-    limited = np.arange(_pack(start).size) < 2 * n
-
-    def at(x: Float64) -> _Point:
-        fit = _unpack(x, start)
-        return _Point(x, fit, _cost(data, weight, fit, allowed))
-
-    def parabola(here: _Point) -> Parabola:
-        _, gradient, normal = normal_equations(data, weight, here.fit, allowed)
-        return Parabola.of_normal(normal, gradient)
-
-    def moved(here: _Point, step: Float64, _: float) -> _Point:
-        trial = here.x + step
-        trial[n : 2 * n] = np.clip(trial[n : 2 * n], np.log(1e-7), np.log(2.0))
-        return at(trial)
-
-    begun = at(_pack(start))
-    return minimise(begun, parabola, moved, limited=limited, iterations=iterations, gain=1e-6).point.fit
-
-
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """A modal fit of the search."""
-
-    x: Float64
-    fit: ModalFit
-    cost: float
+    n, x, damping = start.omega.size, _pack(start), FIRST
+    cost = _cost(data, weight, start, allowed)
+    for _ in range(iterations):
+        if budget.is_left_out("fits to their end"):
+            break
+        _, gradient, normal = normal_equations(data, weight, _unpack(x, start), allowed)
+        unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        curvature, axes = np.linalg.eigh(normal / unit[:, None] / unit)
+        curvature = np.maximum(curvature, 1e-14 * curvature[-1])
+        before = cost
+        for _ in range(TRIALS):
+            step = -(axes @ (axes.T @ (gradient / unit) / (curvature + damping))) / unit
+            step *= min(1.0, LARGEST_STEP / max(float(np.abs(step[: 2 * n]).max(initial=0.0)), 1e-300))
+            trial = x + step
+            trial[n : 2 * n] = np.clip(trial[n : 2 * n], *np.log((1e-7, 2.0)))
+            tried = _cost(data, weight, _unpack(trial, start), allowed)
+            if tried < cost:
+                x, cost, damping = trial, tried, max(damping * LESS, LEAST)
+                break
+            damping = max(damping, FROM) * MORE
+        if before - cost <= GAIN * before:
+            break
+    return _unpack(x, start)
 
 
 def misfit(data: FrfData, fit: ModalFit) -> Float64:
     """(F, P) magnitude of what the fit leaves."""
     difference: Float64 = np.abs(model_response(data, fit, high_gain_pairs(data.masses)) - data.g)
     return difference
-
-
-def robust_cost(data: FrfData, fit: ModalFit) -> float:
-    """Mean log misfit relative to the response: comparable between fits made under any weights."""
-    return float(np.mean(np.log1p((data.weight(0.01) * misfit(data, fit)) ** 2)))
 
 
 def reduced_chi2(data: FrfData, weight: Float64, fit: ModalFit) -> float:

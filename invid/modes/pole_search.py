@@ -11,26 +11,27 @@ significant first (Wald statistic of its residues), and the rest relocated each 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from invid.modes import Modes
+from invid.errors import NotIdentifiableError
+from invid.modes.model import Modes
 from invid.modes.rational_fit import (
     TRUSTED,
     Record,
     columns_of,
     even_poles,
     fractions,
+    modes_of,
     project_out_transients,
     record_of,
     relocate_once,
     residues_of,
-    sample_modes,
 )
 from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.parallel import parallel_map
-from invid.signals.frf import FrfMatrix
 from invid.signals.spectra import LineSpectra
 
 SPARE = 4
@@ -40,41 +41,69 @@ DELAYS = (0.5, 0.0)
 ROUNDS = 3
 """Weights re-evaluated so often for each number of poles."""
 MOST = 4e9
-"""Operations a search may take (some seconds); larger plants go without."""
+"""Operations a search with all spare poles may take (some seconds); larger plants have one."""
 
 
-def search_modes(
-    spectra: Sequence[LineSpectra], masses: Sequence[int], *, model_error: float = 0.0
-) -> tuple[Modes, FrfMatrix, float] | None:
-    """Modes and G on a grid that resolves them, weak modes included, and how much later than recorded the
-    torque acts [s]; ``None`` where it fails or is too long.
+@dataclass(frozen=True, eq=False)
+class NoisyRecord:
+    """Lines of one experiment, or of one column of an FRF matrix.
 
-    A start for the fit: the modes carry no covariance. Uses about ``MOST_LINES`` lines of each record.
+    ``noise`` (F, 2M) or (2M,) is the power of position's and torque's noise on them, ``step`` [s] the
+    sampling interval of a torque that may be held over it, 0 of none.
+    """
 
-    ``model_error``: relative error of the spectra beyond their noise (friction).
+    lines: Record
+    noise: Float64
+    step: float = 0.0
+
+    @classmethod
+    def of_spectra(cls, s: LineSpectra) -> NoisyRecord:
+        """The lines of an experiment that carry something, ``MOST_LINES`` at most."""
+        return cls(record_of(s, TRUSTED), s.floor, 1.0 / s.sample_rate_hz)
+
+    @classmethod
+    def of_column(cls, omega: Float64, column: Complex128, variance: Float64, motor: int) -> NoisyRecord:
+        """A column (F, M) of an FRF matrix: the answer to one motor's torque of one."""
+        torque = np.zeros(column.shape, dtype=np.complex128)
+        torque[:, motor] = 1.0
+        acceleration = -(omega**2)[:, None] * column
+        level = np.abs(acceleration) ** 2
+        spread = variance * (omega**4)[:, None] + TRUSTED**2 * (level + 0.0025 * level.mean(axis=0)) + 1e-300
+        lines: Record = (omega, acceleration, torque, 1.0 / np.sqrt(spread), False)
+        return cls(lines, np.concatenate((variance, np.zeros(column.shape)), axis=1))
+
+
+def search_modes(records: Sequence[NoisyRecord], masses: Sequence[int]) -> tuple[Modes, float]:
+    """Modes, weak ones included, and how much later than recorded the torque acts [s].
+
+    A start for the fit: the modes carry no covariance.
+
+    Raises
+    ------
+    NotIdentifiableError
+        There is no finite set of as many poles.
     """
     modes = sum(masses) - len(masses)
-    if modes == 0:
-        return None
-    search = _Search(spectra, model_error)
-    spare = SPARE if search.operations(modes + SPARE) * (SPARE + 1) < MOST else 1
-    if search.operations(modes + spare) * (spare + 1) > 3 * MOST:
-        return None
-    found = search.best(spare, modes)
+    search = _Search(records)
+    if not modes:
+        poles = np.zeros(0, dtype=np.complex128)
+        residues = residues_of(search.raw, poles, search.motors, search.scale)
+        return modes_of(poles, residues, search.scale, tuple(masses)), 0.0
+    spare = 1 if search.operations(modes + SPARE) * (SPARE + 1) > MOST else SPARE
+    found = search.best(spare, modes, DELAYS if any(r.step for r in records) else DELAYS[-1:])
     if found is None:
-        return None
+        raise NotIdentifiableError("modal fit: no start converged; measure longer or raise the amplitude")
     delay, _, poles, residues = found
-    sampled = sample_modes(poles, residues, search.scale, tuple(masses), search.band)
-    return (*sampled, delay / spectra[0].sample_rate_hz)
+    found_modes = modes_of(poles * search.scale, residues, search.scale, tuple(masses))
+    return found_modes, delay * records[0].step
 
 
 class _Search:
     """The records of one search and what a set of poles costs on them."""
 
-    def __init__(self, spectra: Sequence[LineSpectra], model_error: float) -> None:
-        self.spectra, self.model_error = spectra, model_error
-        self.motors = spectra[0].axis_count
-        self.raw = [record_of(s, TRUSTED) for s in spectra]
+    def __init__(self, records: Sequence[NoisyRecord]) -> None:
+        self.records, self.raw = records, [r.lines for r in records]
+        self.motors: int = self.raw[0][1].shape[1]
         self.rows = 2 * sum(w.size for w, *_ in self.raw)
         low, high = min(float(w[0]) for w, *_ in self.raw), max(float(w[-1]) for w, *_ in self.raw)
         self.band, self.scale = (low, high), float(np.sqrt(low * high))
@@ -86,9 +115,11 @@ class _Search:
         width = (self.motors + 1) * (2 * poles + 1)
         return 2.0 * self.motors * self.rows * width**2 * 5 * ROUNDS
 
-    def best(self, spare: int, modes: int) -> tuple[float, float, Complex128, Float64] | None:
+    def best(
+        self, spare: int, modes: int, delays: Sequence[float]
+    ) -> tuple[float, float, Complex128, Float64] | None:
         """Delay [samples], cost, poles and residues of the delay that leaves least."""
-        runs = zip(DELAYS, parallel_map(lambda d: self.run(spare, modes, d), DELAYS), strict=True)
+        runs = zip(delays, parallel_map(lambda d: self.run(spare, modes, d), delays), strict=True)
         found = [(delay, *run) for delay, run in runs if run is not None]
         return min(found, key=lambda f: f[1], default=None)
 
@@ -100,7 +131,7 @@ class _Search:
         residues = residues_of(self.raw, first, self.motors, self.scale)
         model = (first, residues)
         poles = even_poles(*self.band, modes + spare, self.scale)
-        while not budget.is_spent():
+        while True:
             for _ in range(ROUNDS):
                 data = self.weighted(delay, *model)
                 fresh = self._relocated(data, poles, 5)
@@ -115,12 +146,11 @@ class _Search:
             if poles.size == modes:
                 return cost, poles, residues
             poles = np.delete(poles, int(np.argmin(significance)))
-        return None
 
     def _relocated(self, data: Sequence[Record], poles: Complex128, times: int) -> Complex128 | None:
         for _ in range(times):
             if budget.is_spent():
-                return None
+                break
             with np.errstate(all="ignore"):
                 fresh = relocate_once(data, poles, self.motors, self.scale)
             if fresh is None or not np.isfinite(fresh).all():
@@ -134,12 +164,13 @@ class _Search:
     def weighted(self, delay: float, poles: Complex128, residues: Float64) -> list[Record]:
         """The records with each line's noise under the FRF given, torque ``delay`` samples late."""
         out: list[Record] = []
-        for s, (w, acceleration, torque, _, transient) in zip(self.spectra, self.raw, strict=True):
+        for record, (w, acceleration, torque, _, transient) in zip(self.records, self.raw, strict=True):
             gain = np.abs(np.einsum("fn,nij->fij", fractions(w / self.scale, poles), residues)) ** 2
-            variance = (w**4)[:, None] * s.floor[: self.motors] + gain @ s.floor[self.motors :]
-            variance = variance + (self.model_error * np.abs(acceleration)) ** 2 + 1e-300
+            noise = np.broadcast_to(record.noise, (w.size, 2 * self.motors))
+            by_torque = np.einsum("fij,fj->fi", gain, noise[:, self.motors :])
+            variance = (w**4)[:, None] * noise[:, : self.motors] + by_torque + 1e-300
             # ``record_of`` has taken a quarter of a sample already.
-            turn = np.exp(-1j * w * (delay - 0.25) / s.sample_rate_hz)[:, None]
+            turn = np.exp(-1j * w * (delay - 0.25) * record.step)[:, None]
             out.append((w, acceleration, torque * turn, 1.0 / np.sqrt(variance), transient))
         return out
 

@@ -13,11 +13,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from invid.modes import Modes
-from invid.modes.model import high_gain_pairs, pairs
+from invid.modes.model import Modes, high_gain_pairs, pairs
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.numerics.linear_algebra import eigenvalues, least_squares, real_rows
-from invid.signals.frf import FrfMatrix
 from invid.signals.spectra import FEW_LINES, LineSpectra
 
 TRUSTED = 0.02
@@ -32,21 +30,6 @@ def even_poles(low: float, high: float, count: int, scale: float) -> Complex128:
     """(count,) lightly damped poles evenly between two frequencies [rad/s], over ``scale``."""
     poles: Complex128 = np.linspace(low, high, count + 2)[1:-1] / scale * np.complex128(-DAMPING + 1j)
     return poles
-
-
-def sample_modes(
-    poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...], band: tuple[float, float]
-) -> tuple[Modes, FrfMatrix]:
-    """The modes and G between ``band`` [rad/s], on lines that resolve every mode."""
-    low, high = band
-    found = modes_of(poles * scale, residues, scale, masses)
-    inside = found.omega[(found.omega > low) & (found.omega < high)]
-    near = np.concatenate([inside * x for x in (0.97, 0.985, 0.995, 1.0, 1.005, 1.015, 1.03)])
-    grid = np.unique(np.concatenate((np.linspace(low, high, 80), near, np.geomspace(low, high, 20))))
-    grid = grid[(grid >= low) & (grid <= high)]
-    basis = fractions(grid / scale, poles)
-    g = np.einsum("fn,nij->fij", basis, residues) / -(grid**2)[:, None, None]
-    return found, FrfMatrix(grid / 2 / np.pi, g, (TRUSTED * np.abs(g)) ** 2 + 1e-300)
 
 
 def modes_of(poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...]) -> Modes:

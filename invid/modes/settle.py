@@ -29,33 +29,34 @@ _MODEL_ERROR = 0.03
 """Relative error granted to the smoothed FRF when the transients are weighed; empirical (case study)."""
 
 
-def settled_frf(spectra: Sequence[LineSpectra], masses: Sequence[int], measured: FrfMatrix) -> FrfMatrix:
+def settled_frf(spectra: Sequence[LineSpectra], modes: Modes, measured: FrfMatrix) -> FrfMatrix:
     """The FRF matrix of ``spectra`` with the transients of unsettled records taken out.
 
     Parameters
     ----------
+    modes
+        To start from.
     measured
         A first FRF matrix, blunted by transients or by smoothing; returned where nothing is to be
         settled, or where the modes cannot be found in it.
     """
     if not any(s.transient for s in spectra):
         return measured
-    before = np.zeros(0)
+    modes = fit_modes(measured.frequency_hz, measured.frf, measured.variance, modes.masses)
     for _ in range(_ROUNDS):
         try:
-            modes = fit_modes(measured.frequency_hz, measured.frf, measured.variance, masses)
             settled = [settled_spectra(s, modes) for s in spectra]
             found = frf_matrix(settled)
             if found.frequency_hz.size < 2 * modes.omega.size + 2:
                 found = local_frf_matrix(settled)
+            if found.frequency_hz.size < 2 * modes.omega.size + 2:
+                return measured
+            measured, before = found, modes.omega
+            modes = fit_modes(found.frequency_hz, found.frf, found.variance, modes.masses)
         except (InvidError, np.linalg.LinAlgError):
             return measured
-        if found.frequency_hz.size < 2 * modes.omega.size + 2:
-            return measured
-        measured = found
-        if before.size and np.max(np.abs(modes.omega / before - 1), initial=0.0) < _SAME:
+        if np.max(np.abs(modes.omega / before - 1), initial=0.0) < _SAME:
             break
-        before = modes.omega
     return measured
 
 

@@ -1,1 +1,1 @@
-"""Arrays, distributions, fixed points, parallel map: knows no robot."""
+"""Arrays, budgets, distributions, parallel map: knows no robot."""

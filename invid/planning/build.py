@@ -7,13 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.config import (
-    CellConfig,
-    ChirpSpec,
-    ConstantVelocitySpec,
-    MultisineSpec,
-    SteppedSineSpec,
-)
+from invid.config import CellConfig, ChirpSpec, ConstantVelocitySpec, MultisineSpec, SteppedSineSpec
 from invid.config.experiments import ExperimentSpec
 from invid.errors import ConfigError, InputError
 from invid.model.chains import CoupledChains

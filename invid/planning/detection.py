@@ -17,6 +17,7 @@ from invid.diagnosis.unknown_forces.limits import Screen
 from invid.diagnosis.unknown_forces.scoring import spot_at
 from invid.effects.registry import effects
 from invid.effects.units import unit_of
+from invid.identification.fitted_model import chains_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.parameters import ChainStructure
@@ -24,6 +25,7 @@ from invid.model.place import Place
 from invid.planning.belief import Belief
 from invid.planning.expected_covariance import Noise, fit_about
 from invid.planning.model import PlannedExperiment
+from invid.recording.model import Recording
 
 FRICTION = ((Part.DRY, "coulomb_friction", "torque"), (Part.VISCOUS, "viscous_friction", "coefficient"))
 
@@ -60,17 +62,22 @@ class DetectionLimit:
 def detection_limits(
     config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief, noise: Noise
 ) -> tuple[DetectionLimit, ...]:
-    """Limits of dry and viscous friction of each motor, free play of its springs and a mode on its load.
+    """What planned experiments would show on the believed plant."""
+    return limits_at(config, *fit_about(config, experiments, belief, noise))
+
+
+def limits_at(config: CellConfig, now: Supposed, recording: Recording) -> tuple[DetectionLimit, ...]:
+    """Limits of dry and viscous friction of each motor, free play of its springs and a mode on its load, in a
+    recording that ``now`` fits.
 
     A mode shows at some frequencies better than at others: its limit is the median over those that a
     diagnosis asks for.
     """
-    now, recording = fit_about(config, experiments, belief, noise)
     # A search leaves out what rises at slow speed before it asks what friction is worth.
     rises = {(Part.RISE, motor) for motor in range(len(config.axes))}
     plain = replace(now.hypothesis, absent=now.hypothesis.absent | rises)
     now = now.refit(plain, iterations=0).smoothed().refit(iterations=0)
-    screen = Screen(now, recording)
+    screen, (chains, _) = Screen(now, recording), chains_of(now, recording.axes)
     found: list[DetectionLimit] = []
     for axis, settings in enumerate(config.axes):
         rated = settings.rated_torque or settings.limits.torque
@@ -79,7 +86,7 @@ def detection_limits(
             "coulomb_friction": wanted.dry_friction * rated,
             "viscous_friction": wanted.viscous_friction * rated / settings.limits.velocity,
             "backlash": wanted.free_play,
-            "extra_mode": wanted.mode * float(belief.inertia[axis]),
+            "extra_mode": wanted.mode * float(chains.masses[axis].sum()),
         }
         sizes = {cause: _of_friction(now, screen, (part, axis), name) for part, cause, name in FRICTION}
         sizes["backlash"] = max(_of_play(screen, axis), default=np.nan)

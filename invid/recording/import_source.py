@@ -15,13 +15,7 @@ from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.clock import count_slots
 from invid.recording.hdf5 import FORMAT, read_recording
 from invid.recording.import_map import ImportMap, Source
-from invid.recording.importer import (
-    Import,
-    assign,
-    files_inside,
-    import_files,
-    named_files,
-)
+from invid.recording.importer import Import, assign, files_inside, import_files, named_files
 from invid.recording.model import Experiment, Recording
 from invid.recording.readers.kinds import read_table
 from invid.recording.spool import is_spool

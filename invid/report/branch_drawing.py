@@ -298,10 +298,7 @@ def _legend(model: Model, where: Places, said: Mapping[str, str]) -> tuple[str, 
 
 
 def description(
-    model: Model,
-    marks: Sequence[Mark],
-    changes: Mapping[tuple[str, int, int], str],
-    said: Mapping[str, str],
+    model: Model, marks: Sequence[Mark], changes: Mapping[tuple[str, int, int], str], said: Mapping[str, str]
 ) -> list[str]:
     """Return the drawing in sentences, one an axis, one a coupling and one a finding."""
     chains, std, unit = model.chains, model.std, units(model.linear)

@@ -17,13 +17,7 @@ from invid.model.document import EffectTerm, Model
 from invid.model.forward import frf, resonances
 from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Recording, Role
-from invid.report.spectra_data import (
-    MissingTorque,
-    binned_floor,
-    binned_torque,
-    line_numbers,
-    missing_torque,
-)
+from invid.report.spectra_data import MissingTorque, binned_floor, binned_torque, line_numbers, missing_torque
 from invid.signals.frf import frf_matrix
 from invid.signals.spectra import LineSpectra, all_spectra
 

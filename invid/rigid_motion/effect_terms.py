@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from invid.effects.catalogue.asymmetric_friction import AsymmetricAtMotor
 from invid.effects.registry import BY_CAUSE
-from invid.effects.supposed.friction import AsymmetricAtMotor
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.motor_laws import Part

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from invid.effects.supposed.large_motion import LoadFriction
+from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.value import bounded_minimum
 from invid.numerics.arrays import Bool, Float64
@@ -182,7 +182,7 @@ def load_terms(rows: Rows, current: Fit) -> list[Term]:
     return [t for t in found if t is not None and _load_variation(rows, t) > LEAST_VARIATION]
 
 
-def _loaded(current: Fit, law: LoadFriction, axis: int) -> Term | None:
+def _loaded(current: Fit, law: LoadFrictionLaw, axis: int) -> Term | None:
     inertial = (Base.INERTIA, Base.COUPLING, Base.CONFIGURATION, Part.OFFSET) if law.whole else ()
     acting = [t for t in current.terms if axis in t.axes and t.law in (GRAVITY, *inertial)]
     load = tuple((t, tuple(float(v) for v in current.of(t)[0])) for t in acting)
@@ -209,7 +209,7 @@ def settled(rows: Rows, terms: list[Term]) -> Fit:
 
 
 def _reloaded(term: Term, current: Fit) -> Term:
-    if not isinstance(term.law, LoadFriction):
+    if not isinstance(term.law, LoadFrictionLaw):
         return term
     return replace(term, load=(_loaded(current, term.law, term.axis) or term).load)
 

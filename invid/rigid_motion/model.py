@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -92,11 +93,9 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
     except ModelError as error:
         warnings.append(f"inertia couplings left out: {error}")
         chains = CoupledChains.build([[m] for m in mass], [[] for _ in mass], axes=recording.axes)
-    unknown = ChainStd.unknown(chains)
-    std_of = ChainStd(
+    std_of = replace(
+        ChainStd.unknown(chains),
         masses=tuple(frozen_float([s]) for s in mass_std),
-        springs=unknown.springs,
-        dampers=unknown.dampers,
         couplings=frozen_float(coupling_std),
         ground_springs=frozen_float(spring_std),
     )

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy
 
 from invid.errors import InvidError
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.numerics.arrays import Float64
 from invid.recording.model import Kind, Recording
 from invid.rigid_motion.fit import axis_powers, fit_terms
 from invid.rigid_motion.rows import Rows
@@ -15,15 +13,10 @@ from invid.rigid_motion.terms import GRAVITY, Base, Term, base_terms, extent, fi
 from invid.signals.motion_record import find_band, prepare_rows
 from invid.signals.timebase import resample_uniformly
 
-LEAST_COHERENCE = 0.8
-"""Coherence above which a response is believed; of 15 averages, noise reaches 0.3 once in a hundred."""
-PROMINENCE = 1.1
-"""ln of the factor by which a resonance stands out of the response (3); empirical: friction makes none."""
 LEAST_RIGID_SHARE = 0.8
 """Share of the torque, on rows kept out, that inertia, friction and gravity of a rigid axis make at
 least. Empirical: 0.97 and more on the moves of three machines, 0.67 and less on the worst axis of ten chains
-that noise or a stepped sine shook. A resonance seldom stands out of such records: it is narrower than the
-lines they have."""
+that noise or a stepped sine shook."""
 
 SHAKING_RATE = 4.0
 """Reversals of velocity a second from which an axis is shaken, not moved. Empirical: at most 1.8 on the moves
@@ -39,9 +32,9 @@ LEAST_WEIGHED = 1.0
 def is_trajectory(recording: Recording) -> bool:
     """Whether a recording is a motion for a rigid model with gravity, friction or a spring to ground.
 
-    That is: velocity without position; moves and constant velocities without a visible resonance that are no
-    shaking, or whose torque rigid axes explain, or of several axes that turn and are stated to be one mass
-    each; and any record whose motor has no rigid mode. Periodic and swept excitation of a free axis is not.
+    That is: velocity without position; moves and constant velocities that are no shaking, or whose torque
+    rigid axes explain, or of several axes that turn and are stated to be one mass each; and any record whose
+    motor has no rigid mode. Periodic and swept excitation of a free axis is not.
     """
     experiments = recording.experiments
     if any(e.attributes.get("position_source") == "integrated_velocity" for e in experiments):
@@ -57,8 +50,6 @@ def is_trajectory(recording: Recording) -> bool:
                 return True
             if grounded_axes(recording):
                 return True
-            if is_resonance_visible(recording):
-                return False
             # Chains of one mass cannot hold an inertia that varies with the pose of another axis.
             if recording.masses_per_axis is not None and recording.axis_count > 1 and not recording.linear:
                 return True
@@ -69,34 +60,6 @@ def is_trajectory(recording: Recording) -> bool:
     except InvidError:
         # Too short or too uneven even to look at: the chain diagnosis says what is missing.
         return False
-
-
-def is_resonance_visible(recording: Recording) -> bool:
-    """Whether the response from torque to acceleration of some axis has a significant peak.
-
-    It must appear in both halves of the record at the same place: peaks that friction makes of single moves
-    do not.
-    """
-    longest = max((e for e in recording.experiments if e.kind is Kind.OTHER), key=lambda e: e.samples)
-    even = resample_uniformly(longest)
-    if even.samples < 512:
-        return False
-    acceleration = np.diff(even.position, 2, axis=0) / even.step**2
-    torque = even.torque[1:-1]
-    half_length = acceleration.shape[0] // 2
-    for i in range(recording.axis_count):
-        whole = _peak_frequencies(torque[:, i], acceleration[:, i], even.step)
-        if whole.size == 0:
-            continue
-        halves = [
-            _peak_frequencies(torque[part, i], acceleration[part, i], even.step, acceleration.shape[0] // 8)
-            for part in (slice(None, half_length), slice(half_length, None))
-        ]
-        separate = 2.0 * 8 / (acceleration.shape[0] * even.step)
-        for peak in whole:
-            if all((np.abs(half - peak) < max(separate, 0.05 * peak)).any() for half in halves):
-                return True
-    return False
 
 
 def reversal_rate(recording: Recording) -> float:
@@ -124,23 +87,6 @@ def rigid_torque_share(recording: Recording) -> float:
     every = np.ones(rows.torque.size, dtype=np.bool_)
     left, power = (axis_powers(rows, every, x) for x in (remainder, rows.torque))
     return float(np.min(1.0 - left / np.where(power > 0, power, np.inf)))
-
-
-def _peak_frequencies(torque: Float64, acceleration: Float64, step: float, length: int = 0) -> Float64:
-    """Frequencies [Hz] of the peaks that stand out of the response where it is coherent."""
-    length = length or acceleration.size // 8
-    frequency, cross = scipy.signal.csd(torque, acceleration, 1 / step, nperseg=length)
-    _, pa = scipy.signal.welch(acceleration, 1 / step, nperseg=length)
-    _, pt = scipy.signal.welch(torque, 1 / step, nperseg=length)
-    coherence = np.abs(cross) ** 2 / np.maximum(pa * pt, 1e-300)
-    response = np.log(np.maximum(np.abs(cross) / np.maximum(pt, 1e-300), 1e-300))
-    coherent = (coherence > LEAST_COHERENCE) & (frequency > 0)
-    if coherent.sum() < 8:
-        return np.zeros(0)
-    peaks = scipy.signal.find_peaks(response[coherent], prominence=PROMINENCE, width=2)[0]
-    inner = peaks[(peaks > 2) & (peaks < int(coherent.sum()) - 3)]
-    found: Float64 = frequency[coherent][inner]
-    return found
 
 
 def grounded_axes(recording: Recording) -> set[int]:

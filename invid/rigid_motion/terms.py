@@ -12,12 +12,14 @@ from enum import Enum
 
 import numpy as np
 
-from invid.effects.supposed.friction import AsymmetricAtMotor
-from invid.effects.supposed.large_motion import LoadFriction, LowSpeed, QuadraticStiffness
+from invid.effects.catalogue.asymmetric_friction import AsymmetricAtMotor, LowSpeed
+from invid.effects.catalogue.cogging import CoggingLaw
+from invid.effects.catalogue.cubic_stiffness import CubicStiffnessLaw
+from invid.effects.catalogue.gravity import GravityLaw
+from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
+from invid.effects.large_motion.quadratic_stiffness import QuadraticStiffnessLaw
 from invid.effects.supposed.law import Shape, SpotMotion, SupposedLaw
-from invid.effects.supposed.motors import Cogging, Gravity
 from invid.effects.supposed.of_effect import EffectLaw
-from invid.effects.supposed.springs import CubicStiffness
 from invid.effects.supposed_laws import supposed_laws
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part, force
 from invid.likelihood.unknown_forces.worth import FRICTION
@@ -45,10 +47,10 @@ class Base(Enum):
     DELAY = "torque_delay"
 
 
-GRAVITY, COGGING, BY_DIRECTION = Gravity(), Cogging(), AsymmetricAtMotor()
+GRAVITY, COGGING, BY_DIRECTION = GravityLaw(), CoggingLaw(), AsymmetricAtMotor()
 RISE, BEND, ANY_BEND = LowSpeed(0.0), LowSpeed(-np.inf, -np.inf), LowSpeed(-np.inf)
-SPRINGS = (CubicStiffness(), QuadraticStiffness())
-LOADS = (LoadFriction(whole=False), LoadFriction(whole=True))
+SPRINGS = (CubicStiffnessLaw(), QuadraticStiffnessLaw())
+LOADS = (LoadFrictionLaw(whole=False), LoadFrictionLaw(whole=True))
 CAUSES = dict(FRICTION)
 ONE_MASS = ChainStructure((1,), ("axis",), viscous=False)
 
@@ -268,7 +270,7 @@ def fits_beside(term: Term, there: Term) -> bool:
         return True
     if term.law in (GRAVITY, Part.OFFSET):
         return there.law not in (GRAVITY, Part.OFFSET)
-    if isinstance(term.law, LoadFriction):
-        return not isinstance(there.law, LoadFriction)
+    if isinstance(term.law, LoadFrictionLaw):
+        return not isinstance(there.law, LoadFrictionLaw)
     is_bend_of_bend = {term.law, there.law} == {RISE, BEND}
     return not is_bend_of_bend and (term.label != there.label or term.law is COGGING)

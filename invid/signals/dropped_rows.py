@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import uniform_filter1d
+import scipy
 from scipy.special import erfinv
 
 from invid.numerics.arrays import Bool, Float64
@@ -55,11 +54,16 @@ def _repeated_rows(e: Experiment, axis: int) -> tuple[Bool, Float64, Float64]:
     both: Bool = same_p & same_t
     window = max(min(int(e.sample_rate_hz), both.size // 4), 8)
 
+    first = np.arange(both.size) - window // 2
+    edges = np.clip((first, first + window), 0, both.size)
+
+    def nearby(flags: Bool) -> Float64:
+        counted: Float64 = np.diff(np.concatenate(([0.0], np.cumsum(flags)))[edges], axis=0)[0]
+        return counted
+
     def chance_nearby(flags: Bool) -> Float64:
         # Share of repeats of one channel among the rows that do not repeat as a whole.
-        alone = uniform_filter1d((flags & ~both).astype(float), window, mode="constant")
-        rest = uniform_filter1d((~both).astype(float), window, mode="constant")
-        out: Float64 = alone / np.maximum(rest, 1.0 / window)
+        out: Float64 = nearby(flags & ~both) / np.maximum(nearby(~both), 1.0)
         return out
 
     p, t = chance_nearby(same_p), chance_nearby(same_t)
@@ -168,5 +172,5 @@ def interpolate_dropped_rows(recording: Recording, dropped: Sequence[DroppedRows
 
 
 def _interpolate(time: Float64, values: Float64, kept: np.ndarray, at: np.ndarray) -> Float64:
-    out: Float64 = CubicSpline(time[kept], values[kept])(time[at])
+    out: Float64 = scipy.interpolate.CubicSpline(time[kept], values[kept])(time[at])
     return out

@@ -57,6 +57,11 @@ class SmoothMotion:
     velocity: Float64
     step: float
 
+    @cached_property
+    def acceleration(self) -> Float64:
+        """(k + 1, M) derivative of the velocity."""
+        return np.asarray(np.gradient(self.velocity, self.step, axis=0), dtype=np.float64)
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
@@ -195,7 +200,8 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     frequency: Float64 = np.fft.rfftfreq(count, step).astype(np.float64)
     spectrum = transform(torque, np.arange(frequency.size))
     excited = max(excited_band(experiment, frequency, spectrum), top_hz or 0.0)
-    quiet = _quiet_lines(frequency, step, excited, periods)
+    excited_lines = np.round(experiment.frequencies_hz * span).astype(np.int64)
+    quiet = _quiet_lines(frequency, step, excited, (periods, excited_lines))
     torque_noise = _level(spectrum[quiet])
     counts = _counts(position) if resolution is None else np.asarray(resolution, dtype=float)
     rounding = _rounding(position, step, counts) * 4.0 / count
@@ -251,7 +257,7 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
         jump=jump,
         motion=motion,
         torque_wave=torque,
-        excited=np.round(experiment.frequencies_hz * span).astype(np.int64),
+        excited=excited_lines,
         periods=periods,
         top_hz=top,
         command=command,
@@ -274,15 +280,21 @@ def _driven(experiment: Experiment, motors: int) -> np.ndarray:
     return np.arange(motors) == axis if 0 <= axis < motors else np.ones(motors, dtype=bool)
 
 
-def _quiet_lines(frequency: Float64, step: float, top: float, periods: int) -> Int64:
-    """Lines on which nothing but the sensors is seen.
+def _quiet_lines(frequency: Float64, step: float, top: float, motion: tuple[int, Int64]) -> Int64:
+    """Lines on which nothing but the sensors is seen; ``motion``: its periods, and the excited lines.
 
     The rounding of a periodic motion repeats with it and lies on the lines of the period: there it is read.
+    Motion on odd lines alone returns reversed after half a period, and so does its rounding: most of it lies
+    on odd lines.
     """
+    periods, excited = motion
     low = min(max(QUIET_BAND[0] / step, WIDE * top), 0.3 / step)
     quiet = (frequency > low) & (frequency < QUIET_BAND[1] / step)
-    if periods > 1:
-        quiet &= np.arange(frequency.size) % periods == 0
+    number = np.arange(frequency.size)
+    if periods and excited.size and np.all(excited % (2 * periods) == periods):
+        quiet &= number % (2 * periods) == periods
+    elif periods > 1:
+        quiet &= number % periods == 0
     return np.flatnonzero(quiet)
 
 

@@ -4,13 +4,12 @@ frequency."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.distributions import f_isf
-from invid.numerics.levenberg_marquardt import Parabola, minimise
 from invid.numerics.linear_algebra import real_rows
 from invid.signals.spectra import LineSpectra
 
@@ -67,7 +66,9 @@ def find_smooth_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, 
     for size in np.quantile(stiffness, (0.05, 0.25, 0.5)):
         for share in DAMPING_STARTS:
             begun = np.array([size * min(share, 1.0), size * min(1.0 / share, 1.0) / np.median(omega)])
-            found = _minimise_roughness(parts, begun)
+            found = np.exp(
+                scipy.optimize.least_squares(lambda x: _roughness(parts, np.exp(x)), np.log(begun)).x
+            )
             roughness = _roughness(parts, found)
             if roughness @ roughness < best @ best:
                 best, law = roughness, found
@@ -125,36 +126,3 @@ def _roughness(parts: Sequence[RecordLines], law: Float64) -> Float64:
         out.append(2.0 * ((1.0 - share) * size[:-2] + share * size[2:] - size[1:-1]))
     result: Float64 = np.concatenate(out)
     return result
-
-
-def _minimise_roughness(parts: Sequence[RecordLines], begun: Float64) -> Float64:
-    """Levenberg–Marquardt on the roughness over the logarithms of P and D."""
-
-    def gains_at(x: Float64) -> LogGains:
-        rough = _roughness(parts, np.exp(x))
-        return LogGains(x, rough, float(rough @ rough))
-
-    def parabola(here: LogGains) -> Parabola:
-        steps = 1e-4 * np.eye(2)
-        columns = [(gains_at(here.x + step).roughness - here.roughness) / 1e-4 for step in steps]
-        return Parabola.of_rows(np.stack(columns, axis=1), here.roughness)
-
-    found = minimise(
-        gains_at(np.log(begun)),
-        parabola,
-        lambda here, step, _: gains_at(here.x + step),
-        limited=np.ones(2, dtype=bool),
-        iterations=40,
-        gain=1e-6,
-    )
-    result: Float64 = np.exp(found.point.x)
-    return result
-
-
-@dataclass(frozen=True, eq=False)
-class LogGains:
-    """Logarithms of P and D, and their residual."""
-
-    x: Float64
-    roughness: Float64
-    cost: float

@@ -17,14 +17,7 @@ from invid.numerics.arrays import Bool, Complex128, Float64, frozen, frozen_floa
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.recording.plausibility import held_sentence
 from invid.signals.encoder_interpolation import position_steps
-from invid.signals.lines import (
-    band_of,
-    driven_axes,
-    excited_lines,
-    held_torque,
-    highest_excited,
-    known_lines,
-)
+from invid.signals.lines import band_of, driven_axes, excited_lines, held_torque, highest_excited, known_lines
 from invid.signals.noise import (
     ENOUGH,
     NoisePlateau,

@@ -12,7 +12,6 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -113,36 +112,6 @@ def simulate_motion(model: Model, recording: Recording) -> Recording:
     simulated = [_simulate_experiment(model, e) for e in recording.experiments]
     attributes = {**recording.attributes, "simulated_by": "invid simulate", "model_robot": model.robot}
     return replace(recording, experiments=tuple(simulated), attributes=attributes)
-
-
-def errors_of(model: Model, recording: Recording) -> list[dict[str, Any]]:
-    """Errors of the simulation against the record, for closed loops and springs to ground."""
-    grounded = bool(np.all(model.chains.ground_springs > 0))
-    found = []
-    for experiment in recording.experiments:
-        loop = closed_loop(experiment)
-        if loop is None and not grounded:
-            continue
-        try:
-            answer = _simulate_experiment(model, experiment)
-        except InputError as error:
-            found.append({"key": experiment.key, "role": str(experiment.role), "failed": str(error)})
-            continue
-        entry: dict[str, Any] = {
-            "key": experiment.key,
-            "role": str(experiment.role),
-            "loop": "open" if loop is None else "closed",
-            "position": {},
-            "torque": {},
-        }
-        for i, axis in enumerate(recording.axes):
-            for name in ("position", "torque") if loop is not None else ("position",):
-                told, model_says = getattr(experiment, name)[:, i], getattr(answer, name)[:, i]
-                size = _rms(told) if name == "torque" else _rms(told - told.mean())
-                rms = _rms(model_says - told)
-                entry[name][axis] = {"rms": rms, "percent": 100 * rms / size if size > 0 else None}
-        found.append(entry)
-    return found
 
 
 def _simulate_experiment(model: Model, experiment: Experiment) -> Experiment:

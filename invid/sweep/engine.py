@@ -86,7 +86,6 @@ class Sweep:
         self._total_s = self.plan.duration_s
         self._torque = np.ones(len(self.plan.axes))
         self._slower: set[int] = set()
-        self._forecast = self.plan.forecast
 
     def _stated_inertia(self) -> list[tuple[float, str] | None]:
         """Rigid inertia of each axis [kg·m² or kg] and who says it."""
@@ -121,7 +120,7 @@ class Sweep:
                     case Step.TRIAL:
                         self._lower_torque()
                         self._rehearsal.try_amplitude(self.plan.trials[phase.number])
-                        self._forecast = self._rehearsal.forecast()
+                        self._motion.forecast = self._rehearsal.forecast()
                         recorded = self.plan.trials[phase.number].recorded_share > 0
                         if recorded and self._enough(-1 - phase.number):
                             self._total_s = self._motion.done_s
@@ -149,7 +148,7 @@ class Sweep:
             scale=float(self._rehearsal.scales.min(initial=1.0) * self._torque.min()),
             inertia={self.plan.axes[i]: m for i, m in self._motion.inertia.items()},
             statistics=self._motion.watching.bounds.statistics,
-            forecast=self._forecast,
+            forecast=self._motion.forecast,
             warnings=tuple(self.warnings),
             measured_s=measured_s,
         )
@@ -268,6 +267,6 @@ class Sweep:
                 else None,
                 fraction=done / self._total_s if self._total_s > 0 else 1.0,
                 eta_s=max(self._total_s - done, 0.0),
-                forecast=self._forecast,
+                forecast=self._motion.forecast,
             )
         )

@@ -94,6 +94,8 @@ class Motion:
         report: Callable[[float], None],
     ) -> None:
         self.plan, self.config, self.cell = plan, config, cell
+        self.forecast = plan.forecast
+        """What is announced now: before the trials by the plan, after them by what they measured."""
         self.stop, self.report = stop, report
         count = len(config.axes)
         self.count = count
@@ -467,7 +469,7 @@ class Motion:
             lowest = CATCH_HZ
             if self.by_offset(i):
                 continue
-            most = CATCH_SHARE * self.plan.forecast[i].peak_torque
+            most = CATCH_SHARE * self.forecast[i].peak_torque
             while f.gains.stiffness * away + f.gains.damping * speed > most and lowest > CATCH_LEAST_HZ:
                 lowest /= 2
                 inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0

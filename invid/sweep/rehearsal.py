@@ -9,6 +9,7 @@ import numpy as np
 
 from invid.numerics.arrays import Float64
 from invid.planning.forecast import (
+    DRIVE_HOLDS_HZ,
     MOST_GROWTH,
     QUANTITIES,
     READING_NOISE,
@@ -17,12 +18,7 @@ from invid.planning.forecast import (
     limits_of,
 )
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
-from invid.planning.phases import (
-    excerpt,
-    highest_frequency,
-    lowest_frequency,
-    trial_shares,
-)
+from invid.planning.phases import excerpt, highest_frequency, lowest_frequency, trial_shares
 from invid.recording.model import Kind
 from invid.sweep.motion import Log, Motion, RowSink, joined
 from invid.sweep.ports import Sink
@@ -233,12 +229,25 @@ class Rehearsal:
         if not self.bounds.any() or all(f.basis == "model" for f in plan.forecast):
             return plan.forecast
         bounds = self.bounds.copy()
+        bounds[2] = np.maximum(bounds[2], self._taken_over())
         bounds[2] += READING_NOISE * np.array(self._motion.cell.rated_torque)
         bounds = np.maximum(bounds, self._motion.watching.bounds.peaks)
         for e in plan.experiments:
             if e.kind is Kind.CONSTANT_VELOCITY:  # follows its path, with what torque that takes
                 bounds[:, list(e.excited)] = told[:, list(e.excited)]
         return announced(config, np.minimum(bounds, told), "trial")
+
+    def _taken_over(self) -> Float64:
+        """(M,) torque with which a drive takes over an axis that stands half a count off its place."""
+        motion, stiffest = self._motion, (2 * np.pi * DRIVE_HOLDS_HZ[-1]) ** 2
+        return np.array(
+            [
+                abs(motion.bias[i]) + 0.5 * motion.cell.resolution[i] * motion.inertia.get(i, 0.0) * stiffest
+                if axis.hold.mode == "drive" and motion.cell.can_hold[i]
+                else 0.0
+                for i, axis in enumerate(motion.config.axes)
+            ]
+        )
 
     def _try_share(self, trial: Trial, step: int, share: float, *, moves: bool) -> Seen:
         """Play an excerpt at a share of its amplitude and return what it did; ``moves``: whether it
@@ -276,7 +285,8 @@ class Rehearsal:
             self._sink.end()
         rest = motion.rest(excited)
         kept = joined([opening, body, ending, rest])
-        motion.learn(experiment, kept)
+        if experiment.kind is not Kind.CHIRP or experiment.cycles == trial.experiment.cycles:
+            motion.learn(experiment, kept)  # the half of a sweep tells nothing of its other lines
         led = np.zeros_like(kept.position) if path is None else _until(path, len(kept.position))
         travel, velocity = np.zeros(motion.count), np.zeros(motion.count)
         early = np.zeros((2, motion.count))

@@ -55,6 +55,8 @@ LATE_TRIALS = 20
 so that a few in which a computer is busy with something else do not end it; each trial is as small as the
 others and the axis is caught after it. Empirical: a machine on which one SYNC in twenty comes late spoils one
 doublet in three."""
+DRIFTS = 8
+"""Doublets of which drifting took an axis further than one may, before that is taken for their motion."""
 LEAST_COUNTS = 5
 """Less than this after the longest doublet, and the axis did not move."""
 LEAST_STEPS = 2.0
@@ -76,6 +78,8 @@ class Trial:
 
     response: trials.Response
     log: Log
+    drifted: float
+    """Way in the quiet before it."""
 
 
 class SignTrial:
@@ -124,7 +128,9 @@ class SignTrial:
         shown = self._shown_over_foretold(last.response, length)
         branch = self._branch(last.log) if shown is not None else self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
-        known = self._stated[0] if self._stated is not None else last.response.inertia
+        # what swings behind it moves an axis as well: no axis is lighter than its first mass
+        known = max(last.response.inertia, last.response.first_mass)
+        known = self._stated[0] if self._stated is not None else known
         known *= max(1.0, shown or 1.0)  # a heavier load than the model's takes longer to stop
         friction = amplitude
         if branch is not None:  # as the fit shows it, but no less than a drive's friction at rest may be
@@ -165,7 +171,8 @@ class SignTrial:
         still = came.sum() >= trials.SIDE_ROWS and bool(np.ptp(torque[came]) == 0)
         if amplitude >= SEEN_SHARE * self._rated:
             self._still.append(still)
-        return Trial(found, kept)
+        before = kept.position[: quiet + 1, axis]
+        return Trial(found, kept, float(abs(before[-1] - before[0])))
 
     def _passed_on(self, kept: Log) -> bool:
         """Return whether held axes answer: an axis that stands passes nothing on, so its encoder is stuck.
@@ -197,6 +204,17 @@ class SignTrial:
         self._motion.centre({self._axis}, lowest=CATCH_HZ)
         self._motion.until_still({self._axis}, SIGN_CATCH_S)
 
+    def _hold_again(self) -> None:
+        """Let an axis of which nobody knows how heavy it is be held for a while: what swung behind it when it
+        was let go moves it.
+        """
+        motion, done = self._motion, self._motion.done_s
+        if motion.cell.can_hold[self._axis]:
+            motion.change(motion.resting_modes(), [f for f in self._others if f.axis != self._axis])
+            motion.play(None, round(SIGN_CATCH_S / motion.plan.cycle_s))
+            motion.change(self._modes, self._others)
+        motion.done_s = done  # no part of the plan
+
     def _grow(self) -> tuple[float, float, Trial]:
         """Play stronger, then longer, then again stronger doublets until the axis has moved; return the
         last amplitude, length and trial.
@@ -210,12 +228,18 @@ class SignTrial:
         least = LEAST_STEPS / 1000 * self._rated
         shares = [s for s in FIRST_SHARES if s == 1.0 or s * self._amplitude >= least]
         amplitude, length = shares.pop(0) * self._amplitude, SIGN_FIRST_S
-        doubted = asleep = False
+        doubted = asleep = answered = False
+        drifts = 0
         while True:
             trial = self._play(amplitude, length)
             found = trial.response
             if found.late:
                 self._spoil(found)
+                continue
+            drifting = self._stated is None and trial.drifted >= LEAST_COUNTS * self._count
+            if drifting and length == SIGN_FIRST_S and found.displacement > far and drifts < DRIFTS:
+                drifts += 1
+                self._hold_again()
                 continue
             if shares and found.displacement <= far:
                 amplitude = shares.pop(0) * self._amplitude
@@ -240,7 +264,10 @@ class SignTrial:
             if found.displacement > far:
                 break
             if found.displacement < ONE_COUNT * self._count and self._passed_on(trial.log):
-                break
+                # light axes feel a heavy one that moves by less than a count: twice as long it shows
+                if answered:
+                    break
+                answered = True
             longer = self._next_length(length, found.displacement)
             unseen = found.displacement < LEAST_COUNTS * self._count
             way = self._free_way(amplitude, longer) if unseen else 0.0
@@ -305,6 +332,12 @@ class SignTrial:
             axis=self._settings.name,
         )
 
+    def _require_repeat(self, amplitude: float, length: float) -> None:
+        """Require that what moved an axis moves it again: friction may hold it under less torque."""
+        while (again := self._play(amplitude, length).response).late:
+            self._spoil(again)
+        self._require_motion(again, amplitude, length)
+
     def _ignored(self) -> str:
         """Return what the drive says of a target that did nothing."""
         if not self._motion.watching.words.ignores(self._axis):
@@ -335,6 +368,7 @@ class SignTrial:
         window = self._settings.limits.position
         slow = max(self._amplitude * SLOW_SHARE, LEAST_STEPS / 1000 * self._rated)
         slow = min(amplitude, slow)
+        moved = length
         branch = self._branch(last.log)
         for _ in range(SLOW_TRIALS):
             inertia = branch.inertia if branch is not None else last.response.inertia
@@ -350,8 +384,9 @@ class SignTrial:
             if trial.response.late:
                 self._spoil(trial.response)
                 continue
-            if branch is not None:  # more than friction took of a stronger one: its encoder stands
-                self._require_motion(trial.response, slow, next_length)
+            if trial.response.displacement < LEAST_COUNTS * self._count:
+                self._require_repeat(amplitude, moved)
+                break
             last, length = trial, next_length
             branch = self._branch(last.log)
         seen = branch.inertia if branch is not None else last.response.inertia
@@ -418,12 +453,11 @@ class SignTrial:
         if self._stated is None:
             return
         stated, source = self._stated
-        jump = found.mobility + trials.DECISIVE * found.mobility_std
         said = compare(
             self._settings.name,
             stated,
             source,
-            first_mass=1.0 / jump if found.mobility > 0 and np.isfinite(jump) else 0.0,
+            first_mass=found.first_mass,
             branch=branch,
             unit="kg" if self._motion.config.linear else "kg·m²",
         )

@@ -66,6 +66,12 @@ class Response:
         return self.torque_slope < OPPOSITE
 
     @property
+    def first_mass(self) -> float:
+        """Return the lightest first mass that the jumps of acceleration allow; 0: they tell nothing."""
+        jump = self.mobility + DECISIVE * self.mobility_std
+        return 1.0 / jump if self.mobility > 0 and np.isfinite(jump) else 0.0
+
+    @property
     def late(self) -> bool:
         """Return whether the computer or the answers were too late for a verdict on this doublet."""
         return self.late_edges > 0 and self.edges < LEAST_EDGES

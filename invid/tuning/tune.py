@@ -137,11 +137,7 @@ def tune_model(
     forward = [feedforward(model, plant, i, float(inertia[i]), found.open_terms) for i in range(len(gains))]
     after = [AxisLoop(g, f, s) for g, f, s in zip(gains, forward, shapers, strict=True)]
     old = [
-        (before or {}).get(name)
-        or AxisLoop(
-            untuned(plant, i, float(inertia[i]), timing),
-            NONE,
-        )
+        (before or {}).get(name) or AxisLoop(untuned(plant, i, float(inertia[i]), timing), NONE)
         for i, name in enumerate(model.axes)
     ]
     margins_before = worst_margins(fresh, tuple(a.gains for a in old), timing, PROMISE)
@@ -261,10 +257,7 @@ def _repairs(
         without = _without(model, [term])
         plant = linear_plant(without)
         free = [
-            replace(
-                loop,
-                feedforward=feedforward(without, plant, i, loop.feedforward.inertia, ()),
-            )
+            replace(loop, feedforward=feedforward(without, plant, i, loop.feedforward.inertia, ()))
             for i, loop in enumerate(loops)
         ]
         then = move_figures(run_loops(without, free, command, timing), command)

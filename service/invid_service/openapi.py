@@ -78,6 +78,7 @@ EXAMPLES: dict[str, Any] = {
         "most_s": None,
         "cause": None,
         "found": [],
+        "known": None,
         "recorded": True,
         "error": {
             "code": "bus",

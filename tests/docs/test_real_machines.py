@@ -8,7 +8,10 @@ import re
 import pytest
 from pages import ROOT, run_page
 
+from benchmarks.diagnosis.rigid_figures import friction_models, simulation_error
+from invid import read_recording
 from invid.model.document import model_from_json
+from invid.recording import Recording
 
 pytestmark = pytest.mark.campaign
 
@@ -22,7 +25,8 @@ def results(tmp_path_factory) -> dict[str, dict]:
     where = tmp_path_factory.mktemp("real")
     for ran in run_page(PAGE, where):
         assert set(ran.statuses) == {0}, ran.step.commands
-    return {p.stem: json.loads(p.read_text(encoding="utf-8")) for p in where.glob("*.json")}
+    found = {p.stem: json.loads(p.read_text(encoding="utf-8")) for p in where.glob("*.json")}
+    return {**found, "where": where}
 
 
 def parameters(document: dict, cause: str, axis: str | None = None) -> dict[str, float]:
@@ -32,9 +36,9 @@ def parameters(document: dict, cause: str, axis: str | None = None) -> dict[str,
     raise AssertionError(f"{cause} is not named: {[f['cause'] for f in document['findings']]}")
 
 
-def simulated(document: dict, key: str, quantity: str) -> dict:
-    entry = next(e for e in document["details"]["simulation"] if e["key"] == key)
-    return next(iter(entry[quantity].values()))
+def recording_of(results: dict, name: str) -> Recording:
+    """The recording that the page imported for a diagnosis."""
+    return read_recording(results["where"] / f"{name}.h5")
 
 
 def error(document: dict, part: str) -> float:
@@ -53,15 +57,15 @@ def test_the_ball_screw_has_friction_that_differs_by_direction(results):
     assert found["viscous_negative"] == pytest.approx(240.424, rel=0.03)
     assert found["coulomb_positive"] == pytest.approx(20.144, rel=0.03)
     assert found["coulomb_negative"] == pytest.approx(20.628, rel=0.03)
-    rung = next(r for r in screw["details"]["ladder"] if r["friction"] == "coulomb + viscous + offset")
-    symmetric = {k: next(iter(v.values()))["value"] for k, v in rung["parameters"].items()}
+    symmetric = next(friction_models(recording_of(results, "screw")))["parameters"]
     assert symmetric["carriage.inertia"] == pytest.approx(95.1089, rel=0.01)
     assert symmetric["carriage.viscous_friction"] == pytest.approx(203.5034, rel=0.01)
     assert symmetric["carriage.coulomb_friction"] == pytest.approx(20.3935, rel=0.01)
     assert symmetric["carriage.torque_offset"] == pytest.approx(-3.1648, rel=0.01)
     assert error(screw, "fit") < 3.2
     assert error(screw, "held_out") < 5.982
-    assert simulated(screw, "001", "torque")["percent"] < 5.0
+    model = model_from_json(screw["model"])
+    assert simulation_error(model, recording_of(results, "screw"), "001", "torque")[1] < 5.0
     # The sentence that people read has the law for both directions as well.
     assert "one law for both directions" in screw["sentences"][0]
 
@@ -70,21 +74,22 @@ def test_the_oscillator_has_a_spring_that_hardens(results):
     oscillator = results["oscillator"]
     assert parameters(oscillator, "cubic_stiffness")["coefficient"] > 0
     assert abs(parameters(oscillator, "quadratic_stiffness")["coefficient"]) < 0.1
+    model, recording = model_from_json(oscillator["model"]), recording_of(results, "oscillator")
     for key, most in (("001", 0.94e-3), ("002", 1.0e-3)):
-        assert simulated(oscillator, key, "position")["rms"] < most
+        assert simulation_error(model, recording, key, "position")[0] < most
 
 
 def test_screw_drive_1_sticks_before_it_slides(results):
     found = parameters(results["drive1"], "stribeck_friction")
     assert found["static"] > found["coulomb"] > 0
-    assert 1e3 * results["drive1"]["details"]["ladder"][-1]["fit_rms"] < 0.04
+    assert 1e3 * list(friction_models(recording_of(results, "drive1")))[-1]["fit_rms"] < 0.04
     std = results["drive1"]["findings"][0]["parameters"]["velocity"]["std"]
     assert 0 < std < found["velocity"]
 
 
 def test_screw_drive_3_differs_by_direction_at_low_speed(results):
     parameters(results["drive3"], "asymmetric_friction")
-    assert 1e3 * results["drive3"]["details"]["ladder"][-1]["fit_rms"] < 0.03
+    assert 1e3 * list(friction_models(recording_of(results, "drive3")))[-1]["fit_rms"] < 0.03
     effect = next(e for e in results["drive3"]["model"]["effects"] if e["cause"] == "asymmetric_friction")
     assert "low_speed_velocity" in effect["parameters"]
 

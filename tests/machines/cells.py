@@ -102,6 +102,11 @@ def draw(seed: int) -> Drawn:
     return Drawn(config, model, amplitude)
 
 
+def by_default(drawn: Drawn) -> Drawn:
+    """The cell with the default plan, of which nobody knows more than its config says."""
+    return Drawn(drawn.config.model_copy(update={"experiments": []}), None, 1.0)
+
+
 def _chain(rng: np.random.Generator) -> tuple[Float64, list[float], list[float]]:
     size = int(rng.integers(1, 4))
     masses = 10 ** rng.uniform(-1, 1.5) * rng.dirichlet(np.full(size, 8.0))
@@ -168,6 +173,8 @@ class Truth:
     error: str | None = None
     after: tuple[AxisForecast, ...] = ()
     scale: float = 1.0
+    shares: list[float] = field(default_factory=list)
+    """Of its amplitude, of each experiment that was recorded."""
     warnings: tuple[str, ...] = ()
 
     def ratios(self) -> Float64:
@@ -189,7 +196,11 @@ def _bounds(forecast: Sequence[AxisForecast]) -> Float64:
 
 
 class _Sink:
-    def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None: ...
+    def __init__(self) -> None:
+        self.shares: list[float] = []
+
+    def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
+        self.shares.append(scale)
 
     def row(self, sample: Sample, demand: Sequence[float]) -> None: ...
 
@@ -226,7 +237,9 @@ def run(drawn: Drawn, until: str = "") -> Truth:
         return sample
 
     cell.exchange = watched  # type: ignore[method-assign]
-    sweep = Sweep(plan, config, cell, _Sink())
+    sink = _Sink()
+    truth.shares = sink.shares
+    sweep = Sweep(plan, config, cell, sink)
     try:
         cell.check()
         result = sweep.run()

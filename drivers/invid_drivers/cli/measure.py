@@ -33,7 +33,7 @@ from invid_drivers.cli.expectation import (
     limits_text,
     noise_of,
 )
-from invid_drivers.goal import Reached, measure_to_goal
+from invid_drivers.goal import Reached, judge_of, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 from invid_drivers.readiness import ask_drives
 from invid_drivers.screening import screen_cell, screening_plan
@@ -256,8 +256,7 @@ def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) 
     note(f"invid measure: {design.sentence}")
 
     def tell(found: Reached) -> None:
-        worst = f"{found.worst} at {found.relative:.2g}" if found.worst else found.reason
-        note(f"  after {found.blocks} block{'s' * (found.blocks > 1)}: {worst}")
+        note(f"  after {found.blocks} block{'s' * (found.blocks > 1)}: {found.sentence}")
 
     with stop_on_signals() as stop:
         result, found = measure_to_goal(cell, design, out, progress=ProgressLine(), stop=stop, tell=tell)
@@ -399,6 +398,7 @@ def register(app: typer.Typer) -> None:
                 progress=ProgressLine(),
                 stop=stop,
                 model=known,
+                judge=judge_of(cell, lambda found: note(f"  so far: {found.sentence}")),
             )
         emit(result.to_json(), result_text(result), as_json=as_json)
         return EXIT_OK

@@ -22,12 +22,12 @@ from invid.diagnosis.unknown_forces.machine_search import ElasticSearch
 from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.resonances import mode_answer, top
 from invid.diagnosis.unknown_forces.scoring import spot_at, spots_of
+from invid.effects.catalogue.backlash import BacklashLaw
+from invid.effects.catalogue.coulomb_friction import InnerDry
+from invid.effects.catalogue.torque_saturation import TorqueSaturationLaw
 from invid.effects.effect import Effect
 from invid.effects.registry import effects
-from invid.effects.supposed.friction import InnerDry
 from invid.effects.supposed.law import Shape, SupposedLaw
-from invid.effects.supposed.motors import TorqueSaturation
-from invid.effects.supposed.springs import Backlash
 from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
@@ -189,7 +189,7 @@ class Screen:
     def of_law(self, law: SupposedLaw, spot: Spot, main: str) -> Iterator[Limit | None]:
         """Limits of a law at its shapes."""
         shapes = law.shapes(self.end.motions.flat(spot))
-        if isinstance(law, Backlash | TorqueSaturation):
+        if isinstance(law, BacklashLaw | TorqueSaturationLaw):
             yield self._of_knee(law, spot, main)
             return
         for shape in shapes:
@@ -217,7 +217,7 @@ class Screen:
     def _of_knee(self, law: SupposedLaw, spot: Spot, main: str) -> Limit | None:
         """The smallest (or, of a limit of the torque, the largest) knee on the grid that is seen."""
         shapes = law.shapes(self.end.motions.flat(spot))
-        shapes = sorted(shapes, reverse=isinstance(law, TorqueSaturation))
+        shapes = sorted(shapes, reverse=isinstance(law, TorqueSaturationLaw))
         return _crossing(main, [(float(np.exp(s[0])), self._fall_of_knee(law, spot, s)) for s in shapes])
 
     def _fall_of_knee(self, law: SupposedLaw, spot: Spot, shape: Shape) -> float:
@@ -368,7 +368,7 @@ def _why_never(effect: Effect, place: Place, screen: Screen) -> str | None:
         if bent == 0.0:
             return "the spring was never loaded"
         carried = min(abs(float(e.torque[:, axis].mean())) for e in recording.experiments)
-        if carried > bent and any(isinstance(law, Backlash) for law in laws):
+        if carried > bent and any(isinstance(law, BacklashLaw) for law in laws):
             return "it was never unloaded"
     is_dry = any(isinstance(law, InnerDry) for law in laws) or (Part.RISE, effect.cause) in FRICTION
     if is_dry and not screen.reverses(spot):

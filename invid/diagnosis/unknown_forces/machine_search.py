@@ -10,11 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from invid.diagnosis.unknown_forces.backward import first_order_worths, worths
-from invid.diagnosis.unknown_forces.left_over import (
-    PlaceForce,
-    at_their_places,
-    place_forces,
-)
+from invid.diagnosis.unknown_forces.left_over import PlaceForce, at_their_places, place_forces
 from invid.diagnosis.unknown_forces.nameless import add_laws
 from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
 from invid.diagnosis.unknown_forces.structures import additions_of, without

@@ -13,17 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.thresholds import EXPLAINED, FLOOR
+from invid.diagnosis.thresholds import COMPETES, EXPLAINED, FLOOR
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_of
 from invid.diagnosis.unknown_forces.projected_rows import Rows
-from invid.effects.laws.empirical_law import (
-    KNOTS,
-    EmpiricalLaw,
-    is_known,
-    is_like_law,
-    knots_of,
-    most_knots,
-)
+from invid.diagnosis.unknown_forces.scoring import score
+from invid.effects.laws.empirical_law import KNOTS, EmpiricalLaw, is_known, is_like_law, knots_of, most_knots
 from invid.effects.motion_effect import OF_RATE, PAIRS
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.identification.missing_torque import axis_missing
@@ -55,12 +49,37 @@ class Choice:
 
 
 def add_laws(now: Supposed, forces: Sequence[PlaceForce]) -> Supposed | None:
-    """The fit with a law at one place of each axis on which something is sure to act; ``None``: none."""
+    """The fit with a law at one place of each axis on which something is sure to act, and for viscous
+    friction that is none; ``None``: none."""
     start, structure = now, now.hypothesis.structure
-    for axis in sorted({place_of(structure, f.spot)[0] for f in forces if f.is_sure}):
-        found = _law_on(now, axis)
-        now = now if found is None else found
+    sure = {place_of(structure, f.spot)[0] for f in forces if f.is_sure}
+    for axis in range(structure.motors):
+        curved = _drag_for_damper(now, axis)
+        if axis in sure and (curved is now or not _is_at_noise(curved, axis)):
+            curved = _law_on(now, axis) or curved
+        now = curved
     return None if now is start else now
+
+
+def drag(now: Supposed, motor: int) -> PlacedLaw:
+    """Resistance v·|v| of a motor, of which viscous friction is the mean at one amplitude."""
+    spot = Spot(Where.MOTOR, motor)
+    knots = knots_of([m.velocity for m in now.motions.flat(spot)]) or [-1.0, 1.0]
+    square = np.array([[v * abs(v)] for v in knots])
+    return PlacedLaw(SmoothLaw(EmpiricalLaw("velocity", knots, square)), spot)
+
+
+def _drag_for_damper(now: Supposed, motor: int) -> Supposed:
+    """The fit with a drag for a motor's viscous friction, where it is better by more than chance."""
+    key, placed = (Part.VISCOUS, motor), drag(now, motor)
+    names = [c.name for c in now.fit.problem.columns]
+    is_curved = any(p.spot == placed.spot and isinstance(p.law, SmoothLaw) for p in now.hypothesis.laws)
+    if is_curved or not now.fit.value.coefficients[names.index(key)]:
+        return now
+    if score(now, [placed])[0] < COMPETES:  # beside the damper it would do better still
+        return now
+    found = _with_law(now, replace(now.hypothesis, absent=now.hypothesis.absent | {key}), placed)
+    return found if sum(role_falls(now, found)) > COMPETES else now
 
 
 def _law_on(now: Supposed, axis: int) -> Supposed | None:

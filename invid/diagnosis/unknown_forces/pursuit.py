@@ -10,7 +10,9 @@ import numpy as np
 from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import ALIKE, candidates, own_share, score
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
-from invid.effects.supposed_laws import SUPPOSED, Backlash, SupposedLaw
+from invid.effects.catalogue.backlash import BacklashLaw
+from invid.effects.supposed.law import SupposedLaw
+from invid.effects.supposed_laws import SUPPOSED
 from invid.identification.late_drives import late_drives
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
@@ -88,7 +90,7 @@ def is_sound(found: Supposed) -> bool:
     for placed in found.hypothesis.laws:
         if (placed.law.reads or placed.law.scales) and _is_at_bound(found, placed):
             return False
-        if not isinstance(placed.law, Backlash):
+        if not isinstance(placed.law, BacklashLaw):
             continue
         number = placed.spot.number
         size = found.fit.value.coefficients[names.index((*placed.key, 0))] / springs[number]

@@ -10,9 +10,10 @@ import numpy as np
 from invid.diagnosis.outcome import share_among_rivals
 from invid.diagnosis.thresholds import COMPETES, EXPLAINED
 from invid.diagnosis.unknown_forces.left_over import PlaceForce
+from invid.diagnosis.unknown_forces.nameless import drag
 from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound, try_law
-from invid.diagnosis.unknown_forces.scoring import score, spots_of
+from invid.diagnosis.unknown_forces.scoring import column_fall, score, spots_of
 from invid.diagnosis.unknown_forces.structures import Base, Mode
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE
@@ -87,7 +88,7 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
     own = next((p for p in end.hypothesis.laws if p.key == worth.key), None)
     price = Rows(end).price
     rivals: list[tuple[str, Spot, float, Supposed]] = []
-    for placed in _within_reach(less, own, _candidates(end, worth, pursued, linear=linear)):
+    for placed in _within_reach(less, own or worth.key, _candidates(end, worth, pursued, linear=linear)):
         if budget.is_left_out(WHAT):
             break
         more = price * (_numbers(placed) - (1 if own is None else _numbers(own)))
@@ -161,6 +162,8 @@ def _candidates(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) 
         and not (isinstance(worth.key, tuple) and (law.cause, worth.key[0]) in friction)
         for shape in law.shapes(end.motions.flat(spot))
     ]
+    if isinstance(worth.key, tuple) and worth.key[0] is Part.VISCOUS:
+        out.append(drag(end, worth.key[1]))
     return out + [
         rival.placed
         for won, rival in pursued.rivals
@@ -177,18 +180,17 @@ def _spot_of(key: Hashable) -> Spot | None:
     return Spot(Where.MOTOR, int(key[1])) if isinstance(key[0], Part) else None
 
 
-def _within_reach(less: Supposed, own: PlacedLaw | None, looked: Sequence[PlacedLaw]) -> list[PlacedLaw]:
-    """The best shape of each law whose score, where a cause was taken out, comes near its own (or that of the
-    best where it is no law), the best first."""
+def _within_reach(less: Supposed, own: PlacedLaw | Hashable, looked: Sequence[PlacedLaw]) -> list[PlacedLaw]:
+    """The best shape of each law whose score, where a cause was taken out, comes near its ``own`` (a law, or
+    the name of its column), the best first."""
     if not looked:
         return []
-    falls = score(less, [*looked, *([] if own is None else [own])])
     best: dict[Hashable, tuple[float, PlacedLaw]] = {}
-    for fall, placed in zip(falls, looked, strict=False):
+    for fall, placed in zip(score(less, looked), looked, strict=True):
         if fall > best.get(placed.key, (0.0, placed))[0]:
             best[placed.key] = float(fall), placed
     ordered = sorted(best.values(), key=lambda b: -b[0])
-    least = REACH * float(falls.max() if own is None else falls[-1])
+    least = REACH * (float(score(less, [own])[0]) if isinstance(own, PlacedLaw) else column_fall(less, own))
     return [placed for fall, placed in ordered[:TRIED] if fall > least]
 
 

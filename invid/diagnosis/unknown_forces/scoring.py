@@ -3,14 +3,15 @@ order."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from invid.diagnosis.unknown_forces.projected_rows import law_rows
-from invid.effects.supposed_laws import SupposedLaw
+from invid.effects.supposed.law import SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed
@@ -112,6 +113,14 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
         own, pull = background.beside(law_rows(now, placed))
         out.append(bounded_fall(own, pull, placed.law.limits(now.motions.flat(placed.spot))))
     return np.array(out)
+
+
+def column_fall(now: Supposed, name: Hashable) -> float:
+    """The same by a motor's friction that is held at zero."""
+    number = [c.name for c in now.fit.problem.columns].index(name)
+    rows = [w.laws[..., number].reshape(-1, 1) for w in now.fit.value.work]
+    low = -np.inf if name in {(Part.OFFSET, m) for m in range(now.hypothesis.structure.motors)} else 0.0
+    return bounded_fall(*Background.of(now).beside(rows), [(low, np.inf)])
 
 
 def own_share(found: Supposed, placed: PlacedLaw) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_of
-from invid.effects.supposed_laws import SpotMotion
+from invid.effects.supposed.law import SpotMotion
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.smoother import SmoothedStack

@@ -23,12 +23,7 @@ import numpy as np
 
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedBase, Element, ModelPlace
-from invid.effects.laws.moving_base import (
-    SHARE,
-    load_inertia,
-    moved_by_base,
-    shares_of,
-)
+from invid.effects.laws.moving_base import SHARE, load_inertia, moved_by_base, shares_of
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_base
 from invid.model.document import EffectTerm
 from invid.model.parameters import ChainStructure

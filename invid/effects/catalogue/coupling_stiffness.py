@@ -9,8 +9,7 @@ from invid.effects.elements import AddedSpring, Element, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_tie
 from invid.errors import ModelError
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, pair_places
+from invid.model.place import pair_places
 from invid.numerics.arrays import Float64
 
 
@@ -22,14 +21,12 @@ class CouplingStiffness(Effect):
     check = "Look for a cable, hose, belt or common base that ties the two axes together."
     separating = Experiment("lines", "a slow move of one axis while the other is held")
     family = "structure"
+    stands = (pair_places,)
     looks_like = ("extra_mode",)
     home = "axis"
     over = "deflection"
     sizes = (Size(RESONANCE, resonance_change(with_tie)),)
     numbers = (Parameter("stiffness", "stiffness", low=0.0),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return pair_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return p["stiffness"] * x

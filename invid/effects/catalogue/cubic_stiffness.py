@@ -8,8 +8,8 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, GroundSpring, Law, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import STIFFENING_SOURCE, STIFFER, Size, stiffening
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, spring_places
+from invid.effects.supposed.law import Shape, SpotMotion, SupposedLaw
+from invid.model.place import spring_places
 from invid.numerics.arrays import Float64
 
 
@@ -21,14 +21,12 @@ class CubicStiffness(Effect):
     check = "Check gear, belt or coupling for preload and wear; identify at the amplitude the axis works at."
     separating = Experiment("amplitudes", "a second amplitude of the same excitation")
     family = "spring"
+    stands = (spring_places,)
     looks_like = ("backlash", "spring_hysteresis")
     home = "spring"
     over = "deflection"
     sizes = (Size(STIFFER, stiffening, 1.0, 2.0, STIFFENING_SOURCE),)
     numbers = (Parameter("coefficient", "cubic"),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return spring_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["coefficient"] * x**3
@@ -39,3 +37,13 @@ class CubicStiffness(Effect):
             return [GroundSpring(at.axis, 3, at.value("coefficient"))]
         a, b, _, _ = at.spring()
         return [ForceLaw(Law.CUBIC, a, b, (at.value("coefficient"),))]
+
+
+class CubicStiffnessLaw(SupposedLaw):
+    """A spring that hardens (or softens) with the third power of its deflection."""
+
+    effect, main = CubicStiffness(), "coefficient"
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        cube: Float64 = (motion.position**3)[:, None]
+        return cube

@@ -8,8 +8,6 @@ from typing import ClassVar
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, RepeatedRows
 from invid.effects.sizes import SAMPLES, Size, size
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place
 
 
 class DroppedSamples(Effect):
@@ -20,14 +18,12 @@ class DroppedSamples(Effect):
     check = "Check the bus load, the SYNC period and the PDO mapping of the axis."
     separating = Experiment("hand", "record the timestamps of every frame")
     family = "sampling"
+    stands = ()
     home = "axis"
     in_samples = True
     sizes = (Size(SAMPLES, size("fraction")),)
     parameters: ClassVar[Mapping[str, str]] = {"fraction": "ratio"}
     main = "fraction"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return []
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [RepeatedRows(at.value("fraction"))]

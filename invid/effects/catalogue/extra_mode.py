@@ -8,8 +8,7 @@ from typing import ClassVar
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedMass, Element, ModelPlace
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_mode
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, mass_places
+from invid.model.place import mass_places
 
 
 class ExtraMode(Effect):
@@ -20,6 +19,7 @@ class ExtraMode(Effect):
     check = "Look for a flexible attachment: a tool, a cable carrier, a loose foot or cover."
     separating = Experiment("lines", "a finer and wider grid of frequencies around the resonance")
     family = "structure"
+    stands = (mass_places,)
     looks_like = ("coupling_stiffness", "viscous_friction")
     home = "end"
     optional: ClassVar[Mapping[str, float]] = {"damping_ratio": 0.01}
@@ -30,9 +30,6 @@ class ExtraMode(Effect):
         "damping_ratio": "ratio",
     }
     main = "mass"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return mass_places(structure)
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         ratio = at.optional("damping_ratio", self.optional["damping_ratio"])

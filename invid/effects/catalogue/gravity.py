@@ -10,8 +10,8 @@ import numpy as np
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import CarriedWeight, Element, ForceLaw, Law, ModelPlace
 from invid.effects.sizes import AT_LOAD, GRAVITY, RATED_SOURCE, Size, sag, share
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, end_places, motor_places
+from invid.effects.supposed.law import SinusoidLaw
+from invid.model.place import end_places, motor_places
 from invid.numerics.arrays import Float64
 
 
@@ -26,21 +26,15 @@ class Gravity(Effect):
         "the same motion around positions far apart: gravity changes with position, an offset does not",
     )
     family = "position"
+    # A motor may carry weight itself (a counterweight, a pulley) before its springs.
+    stands = (end_places, motor_places)
     looks_like = ("torque_offset", "cogging")
     home = "end"
     over = "position"
-    sizes = (
-        Size(GRAVITY, share("torque"), 1.0, 1.0, RATED_SOURCE, linear=True),
-        Size(AT_LOAD, sag),
-    )
+    sizes = (Size(GRAVITY, share("torque"), 1.0, 1.0, RATED_SOURCE, linear=True), Size(AT_LOAD, sag))
     parameters: ClassVar[Mapping[str, str]] = {"torque": "torque", "angle": "angle"}
     rotary = True
     main = "torque"
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        # A motor that carries weight itself (a counterweight, a pulley) before its springs.
-        ends = end_places(structure)
-        return [*ends, *(p for p in motor_places(structure) if p not in ends)]
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sin(x + p["angle"])
@@ -51,3 +45,13 @@ class Gravity(Effect):
         if at.rigid and at.term.other_axis is not None:
             return [CarriedWeight(torque * np.cos(angle), torque * np.sin(angle))]
         return [ForceLaw(Law.SINE, at.mass(at.last), -1, (torque, 1.0, angle))]
+
+
+class GravityLaw(SinusoidLaw):
+    """A torque of one cycle a revolution at a load or a motor.
+
+    On a small motion it is a constant torque and a spring to ground: it takes the place of the first.
+    """
+
+    effect, phase = Gravity(), "angle"
+    covers = frozenset({"offset"})

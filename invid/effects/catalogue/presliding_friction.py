@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from invid.effects.catalogue.coulomb_friction import InnerDry
 from invid.effects.effect import Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.slider import SliderEffect
+from invid.effects.laws.slider import SliderEffect, SliderLaw
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, share
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, mass_places
+from invid.effects.supposed.law import AtMotor, InnerLaw
+from invid.model.place import mass_places
 
 
 class PreslidingFriction(SliderEffect):
@@ -20,12 +21,24 @@ class PreslidingFriction(SliderEffect):
     check = "Check seals, bearings' preload and the brake's lining: the contact springs before it slides."
     separating = Experiment("speeds", "small motions around many positions, and slow moves that reverse")
     family = "friction"
+    stands = (mass_places,)
     looks_like = ("coulomb_friction", "stribeck_friction", "spring_hysteresis")
     over, path = "position", True
     sizes = (Size(FRICTION, share("torque"), 0.15, 0.30, JOINT_SOURCE),)
 
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return mass_places(structure)
-
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [ForceLaw(Law.SLIDER, at.mass(), -1, (at.positive("stiffness"), abs(at.value("torque"))))]
+
+
+class PreslidingAtMotor(AtMotor, SliderLaw):
+    """Dry friction of a motor that yields elastically before it slides."""
+
+    effect = PreslidingFriction()
+    covers = frozenset({"dry", "rise"})
+
+
+class InnerPresliding(InnerLaw, SliderLaw):
+    """The same of a mass behind the motor."""
+
+    effect = PreslidingFriction()
+    contains = (InnerDry,)

@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedDamper, Element, ModelPlace
 from invid.effects.parameter import Parameter
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place
 from invid.numerics.arrays import Float64
 
 
@@ -20,13 +18,11 @@ class SpringDamping(Effect):
     check = "Check the gear's grease and its elastomer parts."
     separating = Experiment("hand", "none needed: the linear fit contains it")
     family = "linear"
+    # The damper beside every spring is fitted with the linear parameters: nothing is left to name.
+    stands = ()
     home = "spring"
     over = "deflection rate"
     numbers = (Parameter("coefficient", "damping", low=0.0),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        # The damper beside every spring is fitted with the linear parameters: nothing is left to name.
-        return []
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return p["coefficient"] * x

@@ -6,18 +6,9 @@ from collections.abc import Sequence
 
 from invid.effects.effect import Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.slider import SliderEffect
-from invid.effects.sizes import (
-    ARCMIN,
-    HYSTERESIS_SOURCE,
-    LOST,
-    SPRING_FRICTION,
-    Size,
-    lost_motion,
-    share,
-)
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, spring_places
+from invid.effects.laws.slider import SliderEffect, SliderLaw
+from invid.effects.sizes import ARCMIN, HYSTERESIS_SOURCE, LOST, SPRING_FRICTION, Size, lost_motion, share
+from invid.model.place import spring_places
 
 
 class SpringHysteresis(SliderEffect):
@@ -30,6 +21,7 @@ class SpringHysteresis(SliderEffect):
         "amplitudes", "a second amplitude with the motor held: the loop's width does not grow with amplitude"
     )
     family = "spring"
+    stands = (spring_places,)
     looks_like = ("backlash", "cubic_stiffness", "presliding_friction")
     home = "spring"
     over, path = "deflection", True
@@ -38,9 +30,12 @@ class SpringHysteresis(SliderEffect):
         Size(SPRING_FRICTION, share("torque")),
     )
 
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return spring_places(structure)
-
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         a, b, _, _ = at.spring()
         return [ForceLaw(Law.PAIR_SLIDER, a, b, (at.positive("stiffness"), abs(at.value("torque"))))]
+
+
+class SpringHysteresisLaw(SliderLaw):
+    """A slider beside a spring."""
+
+    effect = SpringHysteresis()

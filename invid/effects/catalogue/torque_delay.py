@@ -8,8 +8,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import LATE, Size, size
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, axis_places
+from invid.model.place import axis_places
 from invid.numerics.arrays import Float64
 
 
@@ -23,14 +22,12 @@ class TorqueDelay(Effect):
         "band", "a wider band: a delay's phase grows with frequency and its gain stays one"
     )
     family = "actuator_dynamics"
+    stands = (axis_places,)
     looks_like = ("torque_lag",)
     home = "axis"
     over = "torque rate"
     sizes = (Size(LATE, size("delay")),)
     numbers = (Parameter("delay", "time", linear=False, logarithmic=False),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return axis_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return p["delay"] * x

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import CONSTANT_SOURCE, SCALE, Size, scale_error
+from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
 from invid.numerics.arrays import Float64
@@ -42,3 +45,19 @@ class TorqueGain(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [TorqueChannel(at.axis, gain=at.value("gain"))]
+
+
+class TorqueGainLaw(SupposedLaw):
+    """More or less torque acts than is recorded, by a share of it."""
+
+    effect = TorqueGain()
+    scales = True
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return np.zeros((motion.position.size, 1))
+
+    def limits(self, motions: Sequence[SpotMotion]) -> Bounds:
+        return [(-0.5, 1.0)]
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return {"gain": 1.0 + float(coefficients[0])}

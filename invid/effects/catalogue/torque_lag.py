@@ -8,8 +8,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import LATE, Size, size
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, axis_places
+from invid.model.place import axis_places
 from invid.numerics.arrays import Float64
 
 
@@ -21,14 +20,12 @@ class TorqueLag(Effect):
     check = "Check the bandwidth of the drive's current loop and its torque filters."
     separating = Experiment("band", "a wider band: a lag loses amplitude with frequency, a delay does not")
     family = "actuator_dynamics"
+    stands = (axis_places,)
     looks_like = ("torque_delay",)
     home = "axis"
     over = "torque rate"
     sizes = (Size(LATE, size("time_constant")),)
     numbers = (Parameter("time_constant", "time", linear=False),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return axis_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return p["time_constant"] * x

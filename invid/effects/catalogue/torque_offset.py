@@ -10,8 +10,7 @@ from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import OFFSET, Size, share
-from invid.model.parameters import ChainStructure
-from invid.model.place import Place, motor_places
+from invid.model.place import motor_places
 from invid.numerics.arrays import Float64
 
 
@@ -26,13 +25,11 @@ class TorqueOffset(Effect):
         "the same motion around positions far apart: gravity changes with position, an offset does not",
     )
     family = "constant"
+    stands = (motor_places,)
     looks_like = ("gravity", "asymmetric_friction")
     over = "velocity"
     sizes = (Size(OFFSET, share("torque")),)
     numbers = (Parameter("torque", "torque"),)
-
-    def places(self, structure: ChainStructure) -> list[Place]:
-        return motor_places(structure)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return np.full_like(x, p["torque"])

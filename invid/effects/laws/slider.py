@@ -2,45 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from invid.effects.effect import Effect
+from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw, extent
 from invid.numerics.arrays import Float64
-from invid.numerics.compiled import compiled
-
-
-@compiled
-def _slide(x: np.ndarray, most: float, passes: int, start: float) -> np.ndarray:
-    out = np.empty(x.size)
-    z, last = start, x[0]
-    for _ in range(passes):
-        for k in range(x.size):
-            z = min(max(z + x[k] - last, -most), most)
-            last = x[k]
-            out[k] = z
-    return out
-
 
 MOST_OPEN = 0.01
 """Distance between start and end, over the range of the motion, up to which a record counts as periodic.
 Empirical: after two settled periods a thousandth is left; a record from rest may end anywhere."""
 
 
-def is_closed_motion(x: Float64) -> bool:
-    """Return whether a motion (n,) ends so near its start that it counts as periodic."""
-    return abs(float(x[-1] - x[0])) < MOST_OPEN * float(np.ptp(x))
+def slide(x: Float64, most: float, *, periodic: bool) -> Float64:
+    """(n,) displacement of a slider that slides at ``most``: the periodic state, or from rest.
 
-
-def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Float64:
-    """(n,) displacement of a slider that slides at ``most``: the periodic state, or from ``start``·``most``.
-
-    A record that still settles a little has the state of its last period at its start, not that of rest.
+    A record that still settles a little has the state of its last period at its start, not that of rest. From
+    one reversal to the next the slider follows or slides.
     """
-    passes = 2 if periodic or is_closed_motion(x) else 1
-    out: Float64 = _slide(np.ascontiguousarray(x), most, passes, start * most)
+    steps = np.diff(x)
+    turns = np.concatenate(([0], np.flatnonzero(steps[1:] * steps[:-1] <= 0.0) + 1))
+    is_closed = abs(float(x[-1] - x[0])) < MOST_OPEN * float(np.ptp(x))
+    z, last, at_turns = 0.0, float(x[0]), list[float]()
+    for _ in range(2 if periodic or is_closed else 1):
+        at_turns = []
+        for place in x[turns].tolist():
+            z, last = min(max(z + place - last, -most), most), place
+            at_turns.append(z)
+        z, last = min(max(z + float(x[-1]) - last, -most), most), float(x[-1])
+    part = np.searchsorted(turns, np.arange(x.size), side="right") - 1
+    out: Float64 = np.clip(np.array(at_turns)[part] + x - x[turns][part], -most, most)
     return out
 
 
@@ -53,4 +46,29 @@ class SliderEffect(Effect):
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         most = p["torque"] / p["stiffness"]
         # A path walked twice; the second time is drawn.
-        return p["stiffness"] * _slide(np.ascontiguousarray(x), most, 2, 0.0)
+        return p["stiffness"] * slide(x, most, periodic=True)
+
+
+class SliderLaw(SupposedLaw):
+    """A spring that slides at its limit; shape ln(deflection at which it slides).
+
+    The coefficient is the torque at which it slides.
+    """
+
+    low = (0.0,)
+
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        most = float(np.exp(shape[0]))
+        return slide(motion.position, most, periodic=False)[:, None] / most
+
+    def shapes(self, motions: Sequence[SpotMotion]) -> list[Shape]:
+        size = extent([m.position - m.position.mean() for m in motions], 0.9)
+        return [(float(np.log(size * share)),) for share in (0.03, 0.1, 0.3)]
+
+    def bounds(self, motions: Sequence[SpotMotion]) -> Bounds:
+        size = extent([m.position - m.position.mean() for m in motions], 0.9)
+        return [(float(np.log(1e-3 * size)), float(np.log(size)))]
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        torque = float(coefficients[0])
+        return {"stiffness": torque / float(np.exp(shape[0])), "torque": torque}

@@ -134,6 +134,20 @@ class SupposedLaw(ABC):
         return []
 
 
+class AtMotor(SupposedLaw):
+    """A law of motors."""
+
+    def places(self, chains: ChainStructure) -> list[Place]:
+        return [p for p in self.effect.places(chains) if p.number == 1]
+
+
+class InnerLaw(SupposedLaw):
+    """A law of masses behind motors."""
+
+    def places(self, chains: ChainStructure) -> list[Place]:
+        return [p for p in self.effect.places(chains) if p.number > 1]
+
+
 def extent(values: Sequence[Float64], share: float) -> float:
     """Size that a share of all values stays below."""
     return float(np.quantile(np.abs(np.concatenate(list(values))), share))
@@ -144,17 +158,33 @@ def travel(motions: Sequence[SpotMotion]) -> float:
     return extent([m.position - m.position.mean() for m in motions], 0.98)
 
 
-def ripple_stride(motion: SpotMotion, cycles: float) -> int:
-    """Instants within which so many cycles a revolution turn by ``TURN``, ``SMOOTH`` at most."""
-    return int(np.clip(TURN / (cycles * max(motion.fastest, 1e-300)), 1, SMOOTH))
+class SinusoidLaw(SupposedLaw):
+    """A sinusoid of position, of one cycle a revolution or as many as the exponential of its shape.
 
+    Of sine·sin(x) + cosine·cos(x) the parameters are those of main·sin(x + phase).
+    """
 
-def sinusoid(position: Float64, cycles: float) -> Float64:
-    """(k, 2) sine and cosine of so many cycles a revolution."""
-    return np.stack((np.sin(cycles * position), np.cos(cycles * position)), axis=1)
+    low = (-np.inf, -np.inf)
+    phase = "phase"
 
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        """Instants within which the sinusoid turns by ``TURN``, ``SMOOTH`` at most."""
+        return int(np.clip(TURN / (float(np.exp(sum(shape))) * max(motion.fastest, 1e-300)), 1, SMOOTH))
 
-def amplitude_and_phase(coefficients: Float64) -> tuple[float, float]:
-    """Of sine·sin(x) + cosine·cos(x) as amplitude·sin(x + phase)."""
-    sine, cosine = coefficients[:2]
-    return float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))
+    def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
+        return self.sinusoid(motion.position, shape)
+
+    @staticmethod
+    def sinusoid(position: Float64, shape: Shape) -> Float64:
+        """(k, 2) sine and cosine."""
+        turned = float(np.exp(sum(shape))) * position
+        return np.stack((np.sin(turned), np.cos(turned)), axis=1)
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        sine, cosine = (float(c) for c in coefficients[:2])
+        cycles = dict(zip(("cycles_per_rev",), np.exp(shape).tolist(), strict=False))
+        return {
+            self.main: float(np.hypot(sine, cosine)),
+            **cycles,
+            self.phase: float(np.arctan2(cosine, sine)),
+        }

@@ -1,8 +1,10 @@
 """Friction of every motor, in the first hypothesis of every fit: laws of measured motion.
 
-    f = torque·tanh(v/w) + (rise)·exp(−(v/v_s)²)·tanh(v/w) + viscous·v + offset
+    f = (torque + rise·exp(−(u/v_s)²))·tanh(u/w) + viscous·v + offset,    u = v + T·v̇
 
-w is the width over which dry friction turns round, v_s the Stribeck velocity.
+w is the width over which dry friction turns round, v_s the Stribeck velocity, T the lead of the turn: a soft
+contact that holds the motor bears its inertia as well, and turns before the motor does (MuJoCo's
+``frictionloss`` by 10 ms).
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Column
 from invid.numerics.arrays import Complex128, Float64
+from invid.signals.record import Record
 
 
 class Part(Enum):
@@ -31,10 +34,11 @@ class Part(Enum):
 
 @dataclass(frozen=True)
 class FrictionShape:
-    """Width of dry friction's turn and Stribeck velocity [rad/s or m/s]."""
+    """Width of dry friction's turn and Stribeck velocity [rad/s or m/s], and the turn's lead [s]."""
 
     width: float
     stribeck: float
+    lead: float = 0.0
 
 
 WIDTH, STRIBECK = 0.0067, 0.13
@@ -79,22 +83,29 @@ class MotorLaws:
         key = (motor, part, shaped)
         if key not in self._lines:
             self._lines[key] = tuple(
-                np.array([r.lines(force(part, r.motion.velocity[:, motor], shape)) for r in s.records])
-                for s in self.stacks
+                np.array([r.lines(_force_in(r, motor, part, shape)) for r in s.records]) for s in self.stacks
             )
         return self._lines[key]
 
     def wide(self, motor: int, part: Part, shape: FrictionShape, number: int) -> Complex128:
         """(R, A) of one stack on all its lines."""
         records = self.stacks[number].records
-        return np.array([r.wide_lines(force(part, r.motion.velocity[:, motor], shape)) for r in records])
+        return np.array([r.wide_lines(_force_in(r, motor, part, shape)) for r in records])
 
 
-def force(part: Part, velocity: Float64, shape: FrictionShape) -> Float64:
+def _force_in(record: Record, motor: int, part: Part, shape: FrictionShape) -> Float64:
+    motion = record.motion
+    return force(part, motion.velocity[:, motor], shape, motion.acceleration[:, motor])
+
+
+def force(
+    part: Part, velocity: Float64, shape: FrictionShape, acceleration: Float64 | float = 0.0
+) -> Float64:
     """(k,) of a part for a coefficient of one."""
     if part is Part.VISCOUS:
         return velocity
     if part is Part.OFFSET:
         return np.ones(velocity.size)
-    turn: Float64 = np.tanh(velocity / shape.width)
-    return turn if part is Part.DRY else np.exp(-((velocity / shape.stribeck) ** 2)) * turn
+    held = velocity + shape.lead * acceleration
+    turn: Float64 = np.tanh(held / shape.width)
+    return turn if part is Part.DRY else np.exp(-((held / shape.stribeck) ** 2)) * turn

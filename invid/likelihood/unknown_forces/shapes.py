@@ -26,9 +26,12 @@ APART = 4.0
 form of the turn (physical: at four widths tanh has turned)."""
 FALL = 0.5
 """Predicted fall of −2 ln L below which shapes stay."""
-FRICTION_STEP = 0.05
+FRICTION_STEP, LEAD_STEP = 0.05, 0.01
 SHARE_OF_RANGE = 0.01
 """Largest step of a shape for its derivative, over the range between its bounds."""
+LATEST_LEAD = 0.4
+"""Largest lead of dry friction's turn in periods of the highest line: beyond it friction would follow the
+acceleration alone. A turn that lags is presliding, a cause of its own."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +63,13 @@ def shapes_of(now: Supposed) -> list[ShapeAt]:
         if dry or rise:
             low, high = (b * speed[motor] for b in WIDTH_BOUNDS)
             high = min(high, now.hypothesis.friction[motor].stribeck / APART) if rise else high
-            out.append(_friction_shape(motor, "width", vector, (min(low, high), high)))
+            out.append(_friction_shape(motor, "width", vector, _logs(min(low, high), high)))
+            top = max(r.top_hz for s in now.bench.stacks for r in s.records)
+            out.append(_friction_shape(motor, "lead", vector, (0.0, LATEST_LEAD), top))
         if rise:
             low, high = (b * speed[motor] for b in STRIBECK_BOUNDS)
             low = max(low, APART * now.hypothesis.friction[motor].width)
-            out.append(_friction_shape(motor, "stribeck", vector, (low, max(low, high))))
+            out.append(_friction_shape(motor, "stribeck", vector, _logs(low, max(low, high))))
     for k, placed in enumerate(now.hypothesis.laws):
         bounds = placed.law.bounds(now.motions.flat(placed.spot))
         for i, (low, high) in enumerate(bounds):
@@ -78,13 +83,24 @@ def _speeds(now: Supposed) -> Float64:
     return out
 
 
-def _friction_shape(motor: int, name: str, vector: Float64, bounds: tuple[float, float]) -> ShapeAt:
+def _logs(low: float, high: float) -> tuple[float, float]:
+    return float(np.log(low)), float(np.log(high))
+
+
+def _friction_shape(
+    motor: int, name: str, vector: Float64, bounds: tuple[float, float], times: float = 0.0
+) -> ShapeAt:
+    """The shape as a logarithm, or where it may be zero ``times`` something."""
+    step = LEAD_STEP if times else FRICTION_STEP
+
     def get(h: Hypothesis) -> float:
-        return float(np.log(getattr(h.friction[motor], name)))
+        own = float(getattr(h.friction[motor], name))
+        return own * times if times else float(np.log(own))
 
     def put(h: Hypothesis, value: float) -> Hypothesis:
         shapes = list(h.friction)
-        shapes[motor] = replace(shapes[motor], **{name: float(np.exp(value))})
+        own = value / times if times else float(np.exp(value))
+        shapes[motor] = replace(shapes[motor], **{name: own})
         return replace(h, friction=tuple(shapes))
 
     def slope(now: Supposed) -> list[Complex128]:
@@ -92,19 +108,11 @@ def _friction_shape(motor: int, name: str, vector: Float64, bounds: tuple[float,
         value = now.fit.value.coefficients
         out = []
         for sign in (1.0, -1.0):
-            shape = put(now.hypothesis, get(now.hypothesis) + sign * FRICTION_STEP).friction[motor]
+            shape = put(now.hypothesis, get(now.hypothesis) + sign * step).friction[motor]
             out.append(_friction_force(now, motor, shape, names, value))
-        return [(a - b) / (2 * FRICTION_STEP) for a, b in zip(*out, strict=True)]
+        return [(a - b) / (2 * step) for a, b in zip(*out, strict=True)]
 
-    return ShapeAt(
-        (Part.DRY, motor, name),
-        get,
-        put,
-        slope,
-        vector,
-        float(np.log(bounds[0])),
-        float(np.log(bounds[1])),
-    )
+    return ShapeAt((Part.DRY, motor, name), get, put, slope, vector, *bounds)
 
 
 def _friction_force(
@@ -157,18 +165,19 @@ def scan_friction(now: Supposed) -> Supposed:
         if budget.is_left_out("fits to their end"):
             break
         first = hypothesis.friction[motor]
-        for width in WIDTH_GRID:
-            for share in STRIBECK_GRID:
-                shapes = list(hypothesis.friction)
-                wide = float(np.clip(first.width * width, *(b * speed[motor] for b in WIDTH_BOUNDS)))
-                if share * speed[motor] < APART * wide:
-                    continue
-                shapes[motor] = FrictionShape(wide, share * speed[motor])
-                trial = replace(hypothesis, friction=tuple(shapes))
-                problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
-                total = evaluate(problem, now.numbers).total
-                if total < best - 2.0 * FALL:
-                    best, hypothesis = total, trial
+        low, high = (b * speed[motor] for b in WIDTH_BOUNDS)
+        widths = [float(np.clip(first.width * w, low, high)) for w in WIDTH_GRID]
+        grid = [FrictionShape(w, s * speed[motor], first.lead) for w in widths for s in STRIBECK_GRID]
+        for shape in grid:
+            if shape.stribeck < APART * shape.width:
+                continue
+            shapes = list(hypothesis.friction)
+            shapes[motor] = shape
+            trial = replace(hypothesis, friction=tuple(shapes))
+            problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
+            total = evaluate(problem, now.numbers).total
+            if total < best - 2.0 * FALL:
+                best, hypothesis = total, trial
     return now.refit(hypothesis) if hypothesis is not now.hypothesis else now
 
 

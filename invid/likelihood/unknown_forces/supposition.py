@@ -9,7 +9,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from invid.effects.supposed_laws import Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed.law import Shape, SpotMotion, SupposedLaw
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours

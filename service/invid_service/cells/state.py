@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field
 from invid_service.auth import Reader
 from invid_service.cells.registry import Cell
 from invid_service.context import Context
+from invid_service.jobs.protocol import Known
 from invid_service.jobs.schema import FoundCause, polling_headers
 from invid_service.jobs.states import IDLE, OCCUPYING, State
 from invid_service.problems import EVERYWHERE, RETRY_AFTER
@@ -66,6 +67,8 @@ class CellState(CellNow):
     """What the analysis weighs now."""
     most_s: float | None = None
     found: list[FoundCause] = []
+    """As of the run."""
+    known: Known | None = None
     """As of the run."""
 
 
@@ -121,6 +124,7 @@ def state_of(service: Service, cell: Cell) -> CellState:
             cause=run.progress.cause,
             most_s=run.progress.most_s,
             found=[FoundCause.model_validate(f) for f in run.progress.found],
+            known=run.progress.known,
         )
     can_start = service.can_start.of(cell.id, lambda: service.readiness(cell))
     return CellState(**now, status="unknown" if can_start is None else "ready" if can_start else "not_ready")

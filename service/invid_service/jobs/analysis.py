@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from invid.api import diagnose, identify
@@ -147,7 +147,7 @@ def summary_of(finding: Finding) -> dict[str, Any]:
         "element": finding.effect.element,
         "other_axis": finding.effect.other_axis,
         "sentence": finding.sentence,
-        "consequence": None if means is None else means.to_json(),
+        "consequence": None if means is None else asdict(means),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -12,13 +13,14 @@ from invid.model.document import model_from_json
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid_drivers.foretelling import sensor_noise
+from invid_drivers.goal import Reached, judge_of
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.readiness import ask_drives, loads_to_support, support_sentence
 from invid_drivers.screening import screening_plan
 from invid_drivers.stopping_budgets import Wish
 from invid_service.jobs.analysis_progress import BEGINS
 from invid_service.jobs.line import Line, plain
-from invid_service.jobs.protocol import Job, Measured, Planned, Progress, Running
+from invid_service.jobs.protocol import Job, Known, Measured, Planned, Progress, Running
 
 _SETTLED_S = 2.0
 """Robot time after which the pace of the motion so far says how long the rest takes."""
@@ -65,7 +67,11 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     line.tell(Running())
     target = job.folder / "recording.h5"
 
-    pace = Pace()
+    pace, known = Pace(), list[Known]()
+
+    def tell(found: Reached) -> None:
+        if found.trustworthy and math.isfinite(found.relative):
+            known.append(Known(relative_std=found.relative, shown=found.shown, asked=len(found.limits)))
 
     def progress(p: Any) -> None:
         left = pace.left(float(p.eta_s))
@@ -78,6 +84,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
                 frequency=p.frequency,
                 eta_s=None if after is None else left + after,
                 motion_left_s=left,
+                known=known[-1] if known else None,
             )
         )
 
@@ -90,6 +97,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
         stop=line.stop,
         model=model,
         plan=short,
+        judge=None if short else judge_of(config, tell),
     )
     line.check_stop()
     seen: dict[str, Any] = plain(result.to_json())

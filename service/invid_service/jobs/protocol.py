@@ -79,6 +79,18 @@ class Running(_Message):
     type: Literal["running"] = "running"
 
 
+class Known(BaseModel):
+    """What the runs of a measurement that still moves tell so far."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    relative_std: float = Field(ge=0)
+    """Of the mass, spring or coupling that is known worst."""
+    shown: int = Field(ge=0)
+    """Causes that would show at their size of interest."""
+    asked: int = Field(ge=0)
+    """Causes that are of interest."""
+
+
 class Progress(_Message):
     """How far a run is."""
 
@@ -94,6 +106,7 @@ class Progress(_Message):
     """What the analysis weighs."""
     most_s: float | None = None
     found: tuple[dict[str, Any], ...] = ()
+    known: Known | None = None
 
     @property
     def place(self) -> tuple[float, str, str | None]:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, progress_of
-from invid_service.jobs.protocol import ErrorInfo
+from invid_service.jobs.protocol import ErrorInfo, Known
 from invid_service.jobs.stated_change import StatedChange
 from invid_service.jobs.states import ENDED, State
 from invid_service.jobs.stops import EMPTY
@@ -163,6 +163,8 @@ class Identification(BaseModel):
     """What the analysis weighs now; its axis is ``axis``."""
     found: list[FoundCause]
     """What the analysis found so far; it still looks."""
+    known: Known | None
+    """What the runs so far tell, while the next one moves: the measurement ends when that is enough."""
     error: ErrorInfo | None
     recorded: bool | None
     """Whether a run that has ended left a recording, to be worked out by ``analysis``; ``null`` in lists, and

@@ -88,3 +88,13 @@ def test_a_cause_in_a_file_of_its_own_is_found_by_its_law() -> None:
     assert (finding.axis, finding.element) == ("A2", "mass 1")
     assert finding.parameters["coefficient"].value == pytest.approx(12.0, rel=0.05)
     assert finding.parameters["coefficient"].unit == "N·m·s²/rad²"
+
+
+@pytest.mark.campaign
+def test_a_drag_of_the_square_of_the_speed_is_no_viscous_friction() -> None:
+    """Seen at one amplitude it is nearly that: it was named so, beside Stribeck friction, at 0.999."""
+    plant = ChainPlant(drag=(0.0, 1.5), viscous=(1.1, 0.0))
+    result = diagnose_elastic(begin_elastic(plant.recording(42), plant.sizes))
+    causes = {(f.cause, f.axis) for f in result.findings}
+    assert {c for c, axis in causes if axis == "A2"} == {"coulomb_friction", "empirical_law"}
+    assert ("viscous_friction", "A1") in causes

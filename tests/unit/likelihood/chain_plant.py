@@ -17,7 +17,7 @@ RATE, PERIOD, PERIODS = 500.0, 2048, 3
 
 
 @njit(cache=True)
-def _forces(q, v, motors, pairs, springs, friction, out):
+def _forces(q, v, tau, inverse, motors, pairs, springs, friction, out):
     out[:] = 0.0
     for s in range(pairs.shape[0]):
         a, b = pairs[s, 0], pairs[s, 1]
@@ -31,7 +31,13 @@ def _forces(q, v, motors, pairs, springs, friction, out):
     for m in range(motors.size):
         speed = v[motors[m]]
         resists = friction[m, 1] + friction[m, 3] * abs(speed)
-        out[motors[m]] -= friction[m, 0] * np.tanh(speed / 2e-3) + resists * speed + friction[m, 2]
+        out[motors[m]] += tau[m] - resists * speed - friction[m, 2]
+        lead = friction[m, 4]
+        if lead:  # a soft contact that holds the motor: it bears what would speed it up as well
+            held = speed + lead * out[motors[m]] * inverse[motors[m], motors[m]]
+            out[motors[m]] -= friction[m, 0] * min(max(held / 5e-3, -1.0), 1.0)
+        else:
+            out[motors[m]] -= friction[m, 0] * np.tanh(speed / 2e-3)
 
 
 @njit(cache=True)
@@ -55,9 +61,7 @@ def _march(torque, hold, inverse, motors, pairs, springs, friction, step, sub):
                 back = kq[stage - 1] * (share[stage] * h) if stage else np.zeros(n)
                 slow = kv[stage - 1] * (share[stage] * h) if stage else np.zeros(n)
                 kq[stage] = v + slow
-                _forces(q + back, v + slow, motors, pairs, springs, friction, f)
-                for m in range(motors.size):
-                    f[motors[m]] += tau[m]
+                _forces(q + back, v + slow, tau, inverse, motors, pairs, springs, friction, f)
                 kv[stage] = inverse @ f
             q = q + h * (kq[0] + 2 * kq[1] + 2 * kq[2] + kq[3]) / 6
             v = v + h * (kv[0] + 2 * kv[1] + 2 * kv[2] + kv[3]) / 6
@@ -75,6 +79,7 @@ class ChainPlant:
     viscous: tuple[float, ...] = (1.1, 2.0)
     offset: tuple[float, ...] = (0.0, 0.0)
     drag: tuple[float, ...] = (0.0, 0.0)
+    lead: tuple[float, ...] = (0.0, 0.0)
     gaps: dict[int, float] = field(default_factory=dict)
     cubes: dict[int, float] = field(default_factory=dict)
     noise: float = 0.05
@@ -117,7 +122,7 @@ class ChainPlant:
         excitation = np.zeros((PERIOD * PERIODS, 2))
         excitation[:, axis] = np.tile(wave * level / wave.std(), PERIODS)
         hold = np.where(np.arange(2) == axis, 40.0, 400.0)
-        friction = np.stack((self.dry, self.viscous, self.offset, self.drag), axis=1)
+        friction = np.stack((self.dry, self.viscous, self.offset, self.drag, self.lead), axis=1)
         position, torque = _march(
             excitation, hold, np.linalg.inv(inertia), first[:-1].astype(np.int64), np.array(pairs),
             np.array(springs), friction, 1 / RATE, 8,

@@ -10,8 +10,9 @@ import pytest
 from unit.likelihood.chain_plant import RATE, ChainPlant
 
 from invid.likelihood.unknown_forces.forces import Where
-from invid.likelihood.unknown_forces.motor_laws import first_shapes
+from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.shapes import reshape
 from invid.likelihood.unknown_forces.slope import slope
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import (
@@ -38,9 +39,9 @@ def true_values(plant: ChainPlant) -> np.ndarray:
 
 
 @cache
-def fitted(gap: float = 0.0, seed: int = 3) -> tuple[ChainPlant, Supposed]:
+def fitted(gap: float = 0.0, seed: int = 3, lead: float = 0.0) -> tuple[ChainPlant, Supposed]:
     """The first fit, from a start a tenth off in every number."""
-    plant = ChainPlant(gaps={0: gap} if gap else {})
+    plant = ChainPlant(gaps={0: gap} if gap else {}, lead=(lead, lead))
     recording = plant.recording(seed)
     records = [make_record(e, recording.encoder_resolution) for e in recording.experiments]
     fitted_ones = [r for r in records if r.role is Role.IDENTIFY]
@@ -101,6 +102,19 @@ def test_a_plant_with_friction_is_found_within_its_deviations():
     plant, found = fitted()
     assert np.sqrt(np.mean(errors(plant, found) ** 2)) < 2.0
     assert found.inner_strength < 0.02
+
+
+def test_friction_that_bears_inertia_while_it_holds_leads_by_its_time_and_leaves_no_force():
+    """A simulator's soft contact: taken for friction of velocity alone it left 0.2 N·m at the motors, and
+    modes and a base were named for it."""
+    plant, found = fitted(lead=0.01)
+    found = reshape(reshape(found))
+    for motor, shape in enumerate(found.hypothesis.friction):
+        assert shape.lead == pytest.approx(0.01, rel=0.05)
+        names = [c.name for c in found.fit.problem.columns]
+        dry = found.fit.value.coefficients[names.index((Part.DRY, motor))]
+        assert dry == pytest.approx(plant.dry[motor], rel=0.05)
+    assert found.strength[0][0] < 0.08
 
 
 def test_free_play_does_not_bias_the_plant_and_shows_where_it_is():

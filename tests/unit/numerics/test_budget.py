@@ -140,9 +140,10 @@ def test_a_budget_counts_processor_time_and_that_of_helpers_and_waits_no_longer_
 def test_the_first_run_after_an_installation_says_that_it_compiles(tmp_path: Path, fresh: bool) -> None:
     """With an empty cache, and with the one that this run then filled."""
     script = (
-        "import numpy as np, time\nfrom invid.effects.laws.slider import slide\nfrom invid.numerics.budget "
-        "import Budget, use_budget\nwith use_budget(Budget(None, time.monotonic, lambda p: print(p))):\n    "
-        "slide(np.linspace(-1.0, 1.0, 100), 0.5, periodic=False)\n"
+        "import numpy as np, time\nfrom invid.numerics.budget import Budget, use_budget\n"
+        "from invid.rigid_motion.rows import innovations\n"
+        "with use_budget(Budget(None, time.monotonic, lambda p: print(p))):\n"
+        "    innovations(np.ones((9, 1)), np.full(9, 0.5), 0.1)\n"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     for _ in range(1 if fresh else 2):

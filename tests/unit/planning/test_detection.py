@@ -6,8 +6,10 @@ from invid.config import CellConfig
 from invid.planning import make_plan
 from invid.planning.belief import Belief
 from invid.planning.detection import DetectionLimit, detection_limits
+from invid.planning.expected_covariance import fit_about
 from invid.planning.shortest_runs import shortest_runs
 from invid_drivers.foretelling import sensor_noise
+from invid_drivers.goal import reached
 
 
 @pytest.fixture(scope="module")
@@ -47,3 +49,18 @@ def test_runs_are_no_longer_than_what_is_of_interest_asks_for(cell: CellConfig, 
     assert seconds(**coarse) == 5.0
     assert 5.0 < seconds(**(coarse | {"viscous_friction": 0.0065})) < 10.5
     assert seconds(**(coarse | {"viscous_friction": 0.001})) == 10.5
+
+
+@pytest.mark.campaign
+def test_records_show_about_what_was_foretold_of_them(
+    limits: dict[tuple[str, str], DetectionLimit], cell: CellConfig, belief: Belief
+) -> None:
+    plan = make_plan(cell, model=belief)
+    _, recording = fit_about(cell, plan.recorded, belief, sensor_noise(cell))
+    found = reached(recording, (3, 3, 3), interests=cell)
+    assert found.trustworthy
+    for limit in found.limits:
+        assert 0.5 < limit.size / limits[limit.cause, limit.axis].size < 2.0
+    assert found.shown == sum(limit.is_met for limit in found.limits)
+    assert found.meets(0.01) == (found.shown == len(found.limits))
+    assert not found.meets(1e-6)

@@ -6,14 +6,14 @@ import { and, named, phase, t } from "./texts.js";
 // No more exact than it is known.
 const coarse = (s) => (s < 20 ? s : Math.ceil(s / (s < 100 ? 5 : 30)) * (s < 100 ? 5 : 30));
 
-/** @param {Pick<Now, "run" | "state" | "progress" | "cause" | "axis" | "phase" | "frequency" | "eta_s" | "motion_left_s" | "most_s" | "found">} c */
+/** @param {Pick<Now, "run" | "state" | "progress" | "cause" | "axis" | "phase" | "frequency" | "eta_s" | "motion_left_s" | "most_s" | "found" | "known">} c */
 export function showProgress(c) {
   $("bar").value = c.progress;
   const what = c.cause ? [t(c.axis ? "progress.weighing_on" : "progress.weighing", { cause: named("cause", c.cause), axis: c.axis })]
     : [phase(c.phase), c.axis && !c.phase.includes(c.axis) && t("progress.axis", { axis: c.axis }), c.frequency && `${fmt(c.frequency, 3)} Hz`];
   const parts = [t("progress.percent", { n: Math.round(c.progress * 100), what: what.filter(Boolean).join(", ") })];
   write("phase", [...parts, ...left(c)].join(", "));
-  write("found-so-far", c.state === "analysing" && c.found.length ? t("progress.found", { what: foundSoFar(c.found) }) : "");
+  write("found-so-far", c.state === "analysing" && c.found.length ? t("progress.found", { what: foundSoFar(c.found) }) : c.known ? t("progress.known", known(c.known)) : "");
 }
 
 // How long it will take, in words; none where that is not known.
@@ -31,6 +31,8 @@ function foundSoFar(found) {
   for (const { cause, axis, other_axis } of found) axes.set(cause, new Set([...(axes.get(cause) ?? []), other_axis ? `${axis}–${other_axis}` : axis]));
   return and([...axes].map(([cause, on]) => t("progress.found_on", { cause: named("cause", cause), axes: and([...on]) })));
 }
+
+const known = ({ relative_std, shown, asked }) => ({ percent: fmt(100 * relative_std, 2), shown, asked });
 
 function write(id, text) {
   if ($(id).textContent !== text) $(id).textContent = text;
