@@ -211,7 +211,7 @@ def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingP
         reasons.append(f"{len(records)} records under different names: one experiment each")
     document: dict[str, Any] = {"format": FORMAT, "format_version": 1, "robot": path.stem}
     if "pdos" in table.notes:
-        document["source"] = {"pdos": table.notes["pdos"]}
+        document["source"] = {k: table.notes[k] for k in ("sync_id", "pdos")}
         reasons.extend(table.notes["reasons"])
         unsure.append("which field of the PDOs is what, and its unit: name position and torque by hand")
     elif table.notes:

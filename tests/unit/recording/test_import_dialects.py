@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import struct
 import zipfile
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import can
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -224,3 +226,23 @@ def test_a_row_of_units_with_a_name_of_its_own_and_a_zip_with_a_readme_are_read(
     assert run(["import", str(tmp_path / "log.zip"), "--suggest", "--json"]) == 0
     (axis,) = json.loads(capsys.readouterr().out)["map"]["axes"]
     assert axis["position"] == {"column": "position", "unit": "mrad"}
+
+
+def test_a_log_of_can_fd_without_sync_gets_a_map_that_reads_it(tmp_path, capsys):
+    path, record = tmp_path / "fd.asc", tmp_path / "r.h5"
+    counts, permille = np.rint(1e6 * POSITION).astype(int), np.rint(1e3 * TORQUE).astype(int)
+    with can.Logger(str(path)) as log:
+        for t, q, u in zip(TIME.tolist(), counts.tolist(), permille.tolist(), strict=True):
+            data = struct.pack("<Hhi8x", 0x1237, u, q)
+            log(can.Message(t, 0x183, is_extended_id=False, is_fd=True, data=data, channel=0))
+    assert run(["import", str(path), "--suggest", "--json"]) == 0
+    chart = json.loads(capsys.readouterr().out)["map"]
+    position = {"column": "x183_byte4", "unit": "counts", "per_count": 1e-6}
+    torque = {"column": "x183_byte2", "unit": "permille"}
+    chart["motion"] = "rotary"
+    chart["axes"] = [{"name": "A1", "rated_torque": 1.0, "position": position, "torque": torque}]
+    (tmp_path / "map.json").write_text(json.dumps(chart))
+    assert run(["import", str(path), "--map", str(tmp_path / "map.json"), "-o", str(record)]) == 0
+    found = read_recording(record).experiments[0]
+    assert found.position[:, 0] == pytest.approx(POSITION, abs=1e-6)
+    assert found.torque[:, 0] == pytest.approx(TORQUE, abs=1e-3)
