@@ -32,7 +32,7 @@ from invid.recording.units import (
 
 _WORDS = {
     "time": (
-        r"(time|t|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros|"
+        r"(time|t|ts|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros|"
         r"tiempo)$|.*(时间|時間|時刻)"
     ),
     "demand": (
@@ -40,13 +40,15 @@ _WORDS = {
         r".*(给定|指令|目标|目標|设定)"
     ),
     "velocity": (
-        r"(vel|velocity|speed|omega|dq|qd|rpm|vitesse|velocidad)|.*(drehzahl|geschwindigkeit|速度|转速|回転数)"
+        r"(vel|speed|omega|dq|qd|qvel|rpm|vitesse)|.*(drehzahl|geschwindigkeit|速度|转速|回転数|속도|скорость)"
     ),
     "torque": (
         r"(tau|torque|trq|force|iq|current|effort|vir|couple|par$|corriente|courant|coppia)|"
-        r".*(moment|strom|力矩|扭矩|转矩|电流|トルク|電流)"
+        r".*(moment|strom|力矩|扭矩|转矩|电流|トルク|電流|토크|момент)"
     ),
-    "position": (r"(pos|theta|angle|phi|enc|encoder|q|qm|joint|ángulo)|.*(position|winkel|位置|角度)"),
+    "position": (
+        r"(pos|theta|angle|phi|enc|q|qm|joint|ángulo|lage(?!r))|.*(position|winkel|位置|角度|위치|각도|положение|угол)"
+    ),
 }
 """How words of a name begin; a compound's last part says what it is."""
 _ASIDE = {"act", "actual", "meas", "measured", "msr", "joint", "joints", "state", "states", "data", "value"}
@@ -388,7 +390,7 @@ def _rank(name: str) -> int:
     words = set(_words(name))
     if words & {"act", "actual", "meas", "measured", "mot", "motor", "m", "qm", "msr"}:
         return 1
-    return -1 if words & {"err", "error", "ref", "qg", "rel", "ff", "calc", "model"} else 0
+    return -1 if words & {"err", "error", "ref", "qg", "rel", "ff", "calc", "model", "ext", "external"} else 0
 
 
 def _worth(name: str, table: Table, tool: str | None) -> tuple[bool, int]:
@@ -428,6 +430,8 @@ def _unit_in_name(name: str) -> str | None:
     if (per := re.search(r"_(deg|rad)_per_s$", bare.lower())) is not None:
         return candidates[0] if candidates else f"{per[1]}/s"
     last = re.split(r"[_ ]", bare)[-1] if re.search(r"[_ ]", bare) or _is_named_time(bare) else ""
+    if (over := re.fullmatch(r"[^/]+/([^/]+)", bare)) is not None:
+        return candidates[0] if candidates else over[1] if normal_unit(over[1]) in _UNITS else None
     last = {"ticks": "counts", "nm": "N·m"}.get(last.lower(), last)
     # 'in' and 'min' are words before they are inches and minutes, and so is a capital after a blank.
     if normal_unit(last) in _UNITS - {"in", "min"} and ("_" in bare or len(last) > 1 or last.islower()):

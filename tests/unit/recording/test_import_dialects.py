@@ -131,6 +131,8 @@ def test_an_offset_is_what_the_log_shows_at_zero(tmp_path):
         ("Temps (s),Position (rad),Couple (N.m)", (1, 1, 1)),
         ("Time in ms,r482: Encoder position value [rad],r80: Actual torque value [Nm]", (1e3, 1, 1)),
         ("millis,angle_mrad,torque_mNm", (1e3, 1e3, 1e3)),
+        ("t/ms,q1/mrad,tau1/Nm", (1e3, 1e3, 1)),
+        ("время,положение [rad],момент [mNm]", (1, 1, 1e3)),
     ],
 )
 def test_quantities_are_known_in_other_tongues_and_units_where_names_end(tmp_path, capsys, names, scales):
@@ -246,3 +248,15 @@ def test_a_log_of_can_fd_without_sync_gets_a_map_that_reads_it(tmp_path, capsys)
     found = read_recording(record).experiments[0]
     assert found.position[:, 0] == pytest.approx(POSITION, abs=1e-6)
     assert found.torque[:, 0] == pytest.approx(TORQUE, abs=1e-3)
+
+
+def test_signs_of_units_alone_and_printed_minus_signs_are_read_and_outer_torque_is_not_the_drives(
+    tmp_path, capsys
+):
+    rows = np.column_stack([1e6 * TIME, np.degrees(POSITION), 0 * TIME + 0.1, TORQUE])
+    lines = [",".join(f"{v:.9f}" for v in r) for r in rows]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time [µs],angle [°],tau_ext,tau", *lines]) + "\n", "cp1252")
+    taken(path, capsys)
+    path.write_text("\n".join(["time [µs],angle [°],tau_ext,tau", *lines]).replace("-", "−") + "\n", "utf-8")
+    taken(path, capsys)
