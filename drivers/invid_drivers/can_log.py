@@ -66,7 +66,7 @@ def _read(path: Path, source: Source, beside: Path | None) -> Table:
         pdos += mapped
     guessed = first_pdos(path, source.sync_id) if not pdos else None
     if guessed is not None:
-        pdos = list(guessed.pdos)
+        pdos, source = list(guessed.pdos), source.model_copy(update={"sync_id": guessed.sync_id})
     if not pdos:
         raise InputError(
             f"{path}: a CAN log needs 'pdos' (or 'eds' and 'nodes') in the map's 'source': which identifier "
@@ -82,7 +82,7 @@ def _read(path: Path, source: Source, beside: Path | None) -> Table:
     if guessed is None:
         return table
     said = {"pdos": [p.model_dump(exclude_none=True) for p in pdos], "reasons": list(guessed.reasons)}
-    return replace(table, notes={**table.notes, **said})
+    return replace(table, notes={**table.notes, **said, "sync_id": guessed.sync_id})
 
 
 @dataclass
@@ -336,6 +336,6 @@ def _layout(pdo: Pdo, byte_order: str | None) -> Layout:
         form = struct.Struct((">" if order == "big" else "<") + code)
         layout.append((signal.name, form, bits // 8))
         bits += 8 * size
-    if bits > 64:
-        raise InputError(f"map: PDO 0x{pdo.id:X}: its signals take {bits} bits; a frame has 64")
+    if bits > 512:
+        raise InputError(f"map: PDO 0x{pdo.id:X}: its signals take {bits} bits; a frame of CAN FD has 512")
     return layout

@@ -24,14 +24,17 @@ class Guess:
 
     pdos: tuple[Pdo, ...]
     reasons: tuple[str, ...]
+    sync_id: int | None
+    """None where the log has no SYNC."""
 
 
 def guess_pdos(frames: Mapping[int, Sequence[bytes]], sync_id: int | None) -> Guess:
-    """PDOs among ``frames`` (payloads by identifier) that come about as often as SYNC."""
-    cycles = len(frames.get(sync_id, ())) if sync_id is not None else 0
-    if cycles == 0:
-        return Guess((), ())
-    pdos, reasons = [], []
+    """PDOs among ``frames`` (payloads by identifier) that come about as often as SYNC, or the commonest."""
+    if sync_id not in frames:
+        sync_id = None
+    counted = [sync_id] if sync_id is not None else [i for i in frames if _pdo_of(i) is not None]
+    cycles = max((len(frames[i]) for i in counted), default=1)
+    pdos, reasons = [], [] if sync_id is not None else ["no SYNC: a row at each frame of the first PDO"]
     for identifier in sorted(frames):
         payloads = frames[identifier]
         length = min((len(p) for p in payloads), default=0)
@@ -44,7 +47,7 @@ def guess_pdos(frames: Mapping[int, Sequence[bytes]], sync_id: int | None) -> Gu
         pdos.append(Pdo(id=identifier, direction="to_drive" if to_drive else "from_drive", signals=signals))
         kind = "RPDO" if to_drive else "TPDO"
         reasons.append(f"0x{identifier:X} is {kind} {number} of node {node} by its number: {', '.join(said)}")
-    return Guess(tuple(pdos), tuple(reasons))
+    return Guess(tuple(pdos), tuple(reasons), sync_id)
 
 
 def _pdo_of(identifier: int) -> tuple[int, int, bool] | None:

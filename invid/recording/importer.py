@@ -20,7 +20,8 @@ from invid.recording.clock import StampsRead, read_stamps
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs, held_rows, with_sign
-from invid.recording.readers.kinds import is_document, read_table
+from invid.recording.readers.file_kind import is_document
+from invid.recording.readers.kinds import read_table
 from invid.recording.tables import BrokenRow, SparseRows, Table, good_rows, on_clock, slowest_rows
 from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
 

@@ -32,13 +32,25 @@ from invid.recording.units import (
 
 _WORDS = {
     "time": (
-        r"^(time|t|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros)$"
+        r"(time|t|ts|timestamps?|zeit|zeitstempel|clock|stamps?|datetime|date|utc|epoch|elapsed|millis|micros|"
+        r"tiempo)$|.*(时间|時間|時刻)"
     ),
-    "demand": r"(ref|cmd|command|demand|target|setpoint|set|des|desired|soll|goal)",
-    "velocity": r"(vel|velocity|speed|omega|dq|qd|rpm|drehzahl)",
-    "torque": r"(tau|torque|trq|moment|drehmoment|force|iq|current|strom|effort|vir)",
-    "position": r"(pos|position|theta|angle|phi|winkel|enc|encoder|q|qm|joint)",
+    "demand": (
+        r"(ref|cmd|command|demand|target|setpoint|set|des|desired|soll|goal|consigne)|"
+        r".*(给定|指令|目标|目標|设定)"
+    ),
+    "velocity": (
+        r"(vel|speed|omega|dq|qd|qvel|rpm|vitesse)|.*(drehzahl|geschwindigkeit|速度|转速|回転数|속도|скорость)"
+    ),
+    "torque": (
+        r"(tau|torque|trq|force|iq|current|effort|vir|couple|par$|corriente|courant|coppia)|"
+        r".*(moment|strom|力矩|扭矩|转矩|电流|トルク|電流|토크|момент)"
+    ),
+    "position": (
+        r"(pos|theta|angle|phi|enc|q|qm|joint|ángulo|lage(?!r))|.*(position|winkel|位置|角度|위치|각도|положение|угол)"
+    ),
 }
+"""How words of a name begin; a compound's last part says what it is."""
 _ASIDE = {"act", "actual", "meas", "measured", "msr", "joint", "joints", "state", "states", "data", "value"}
 _UNITS = {u for table in FACTORS.values() for u in table} | {*BY_MACHINE, *BY_TORQUE_CONSTANT}
 _VOLTS = {"voltage", "volt", "volts", "spannung", "pwm", "duty"}
@@ -201,7 +213,7 @@ def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingP
         reasons.append(f"{len(records)} records under different names: one experiment each")
     document: dict[str, Any] = {"format": FORMAT, "format_version": 1, "robot": path.stem}
     if "pdos" in table.notes:
-        document["source"] = {"pdos": table.notes["pdos"]}
+        document["source"] = {k: table.notes[k] for k in ("sync_id", "pdos")}
         reasons.extend(table.notes["reasons"])
         unsure.append("which field of the PDOs is what, and its unit: name position and torque by hand")
     elif table.notes:
@@ -209,7 +221,7 @@ def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingP
         document["source"] = kept
         reasons.append("the file is delimited text: " + ", ".join(f"{k} {v!r}" for k, v in kept.items()))
         if table.units:
-            document["source"]["names"] = list(table.columns)
+            document["source"]["names"] = [n for n in table.columns if n not in table.added]
     if source:
         document["source"] = {**document.get("source", {}), **source}
     document["time"], time_column = _time(table, reasons, unsure, asked)
@@ -340,7 +352,7 @@ def _clock(whole: Mapping[str, Float64], table: Table) -> str | None:
     stamps = [n for n in named if n in in_time or n in table.stamped or not is_count(whole[n])]
     # What is called time and does not rise is refused by name, not passed over for what happens to rise.
     last = [n for n in named if re.match(_WORDS["time"], _words(n)[-1])]
-    for candidates in (stamps, in_time, last or free):
+    for candidates in ([*stamps, *(n for n in in_time if n not in stamps)], last or free):
         best = best_clock(whole[n] for n in candidates)
         if best is not None:
             return candidates[best]
@@ -370,7 +382,7 @@ def _rates(rise: float) -> str:
 def _words(name: str) -> list[str]:
     bare = re.sub(r"[\[(].*?[\])]", " ", name)
     bare = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", bare)  # ActPosition is two words
-    return [w for w in re.split(r"[^a-zA-Zäöü]+", bare.lower()) if w]
+    return [w for w in re.split(r"[\W\d_]+", bare.lower()) if w]
 
 
 def _rank(name: str) -> int:
@@ -378,7 +390,7 @@ def _rank(name: str) -> int:
     words = set(_words(name))
     if words & {"act", "actual", "meas", "measured", "mot", "motor", "m", "qm", "msr"}:
         return 1
-    return -1 if words & {"err", "error", "ref", "qg", "rel", "ff", "calc", "model"} else 0
+    return -1 if words & {"err", "error", "ref", "qg", "rel", "ff", "calc", "model", "ext", "external"} else 0
 
 
 def _worth(name: str, table: Table, tool: str | None) -> tuple[bool, int]:
@@ -400,7 +412,9 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
         return known.quantity
     # The q-axis of a motor is its current, not a joint's coordinate.
     words = _words(name)
-    if words and re.match(_WORDS["time"], words[-1]):
+    if words and (re.match(_WORDS["time"], words[-1]) or words[:2] == ["time", "of"]):
+        return None
+    if any(w.startswith(("temp", "温")) for w in words):
         return None
     words = [w for w, after in zip_longest(words, words[1:]) if (w, after) != ("q", "axis")]
     for quantity in ("velocity", "torque", "position"):
@@ -412,16 +426,16 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
 def _unit_in_name(name: str) -> str | None:
     bracket = re.findall(r"[\[(]\s*([^\])]+?)\s*[\])]", name)
     candidates = [b for b in bracket if not b.isdigit() and b != _entry_of(name)]
-    lowered = name.lower()
-    for suffix, unit in (
-        ("deg_per_s", "deg/s"), ("rad_per_s", "rad/s"), ("_rpm", "rpm"), ("_deg", "deg"), ("_rad", "rad"),
-        ("_counts", "counts"), ("_ticks", "counts"), ("_permille", "permille"), ("_percent", "%"),
-        ("_nm", "N·m"), ("_ms", "ms"), ("_us", "us"), ("_mm", "mm"), ("_m", "m"), ("_n", "N"), ("_s", "s"),
-        ("_a", "A"), ("_v", "V"),
-    ):  # fmt: skip
-        if re.sub(r"\[\d+\]$", "", lowered).endswith(suffix):
-            candidates.append(unit)
-            break
+    bare = re.sub(r"[\[(].*?[\])]", "", name).rstrip()
+    if (per := re.search(r"_(deg|rad)_per_s$", bare.lower())) is not None:
+        return candidates[0] if candidates else f"{per[1]}/s"
+    last = re.split(r"[_ ]", bare)[-1] if re.search(r"[_ ]", bare) or _is_named_time(bare) else ""
+    if (over := re.fullmatch(r"[^/]+/([^/]+)", bare)) is not None:
+        return candidates[0] if candidates else over[1] if normal_unit(over[1]) in _UNITS else None
+    last = {"ticks": "counts", "nm": "N·m"}.get(last.lower(), last)
+    # 'in' and 'min' are words before they are inches and minutes, and so is a capital after a blank.
+    if normal_unit(last) in _UNITS - {"in", "min"} and ("_" in bare or len(last) > 1 or last.islower()):
+        candidates.append(last)
     return candidates[0] if candidates else None
 
 
@@ -457,7 +471,11 @@ def _axes(
             doubt = f"both {one!r} and {other!r} look like {slot}: {one!r} was taken"
             if doubt not in unsure:
                 unsure.append(doubt)
-    base = 0 if "0" in groups else 1
+    if not any(map(_is_whole, groups.values())):
+        groups = _as_one(groups)
+    # A second column of the same name is numbered 1.
+    twice = all(k in groups and _is_whole(groups[k]) for k in ("", "1"))
+    base = 0 if "0" in groups or twice else 1
     numbered = all(not k or k.isdigit() for k in groups)
     named: dict[str, _Axis] = {}
     for key in sorted(groups, key=lambda k: int(k) if k else -1) if numbered else groups:
@@ -478,6 +496,19 @@ def _axes(
     return named
 
 
+def _as_one(groups: Mapping[str, _Axis]) -> dict[str, _Axis]:
+    """One axis where numbers in names, those of a drive's parameters, leave none with torque and motion."""
+    one = _Axis()
+    for axis in groups.values():
+        for slot in ("position", "velocity", "torque", "torque_demand"):
+            if (name := getattr(axis, slot)) is not None:
+                if getattr(one, slot) is not None:
+                    return dict(groups)
+                setattr(one, slot, name)
+        one.others += axis.others
+    return {"": one}
+
+
 def _is_demand(words: Sequence[str]) -> bool:
     """Whether the words of a name say what was asked for; ``tau_J_d`` and ``q_d`` are Franka's."""
     return any(re.match(_WORDS["demand"], w) for w in words) or words[-1:] in (["d"], ["sp"])
@@ -486,7 +517,9 @@ def _is_demand(words: Sequence[str]) -> bool:
 def _entry_of(name: str) -> str:
     """The name or number of a list's entry, ``position[elbow]``; a unit stands in brackets too."""
     bracket = re.findall(r"\S\[([^\]\[]+)\]$", name)
-    return str(bracket[0]) if bracket and normal_unit(bracket[0]) not in _UNITS else ""
+    # A list of a topic's messages has no unit, whatever its joints are called; nor is one written [a].
+    is_topic = re.match(r"/\S+\.\w+\[", name) is not None or bracket[:1] in (["a"], ["v"])
+    return str(bracket[0]) if bracket and (is_topic or normal_unit(bracket[0]) not in _UNITS) else ""
 
 
 def _joint_of(name: str, joints: Collection[str]) -> str:
@@ -631,7 +664,9 @@ def _is_whole_numbers(column: Float64) -> bool:
 
 
 def _is_current(name: str) -> bool:
-    return bool({"iq", "current", "currents", "strom", "amps", "amp"} & set(_words(name)))
+    return any(
+        re.match(r"(iq|currents?|amps?|courant|corriente)$|.*(strom|电流|電流)$", w) for w in _words(name)
+    )
 
 
 def _said(name: str, table: Table) -> str:
@@ -650,6 +685,10 @@ def _unit(name: str, quantity: str, table: Table, tool: str | None) -> tuple[str
     return {"position": "rad", "velocity": "rad/s", "torque": "N·m"}[quantity], False
 
 
+_LONGEST = 1 << 20
+"""Samples that are looked at for a period: four of a minute at 4 kHz."""
+
+
 def find_period(values: Float64) -> int:
     """Samples after which a signal repeats at least four times over; 0 where it does not.
 
@@ -657,10 +696,10 @@ def find_period(values: Float64) -> int:
     98 % of the power. That bound is empirical: a measured multisine with 5 % noise reaches 99.7 %; moves
     repeated under closed loop with friction reach 95 %, and are not periodic in the sense of spectra.
     """
-    n = values.size
+    n = min(values.size, _LONGEST)
     if n < 64:
         return 0
-    x = values - values.mean()
+    x = values[:n] - values[:n].mean()
     power = float(np.mean(x**2))
     if power <= 0:
         return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -49,6 +50,8 @@ class Table:
         What the reader found out about the file, in words, for ``--suggest``.
     remarks
         What was assumed of the file, in words, for the warnings of an import.
+    added
+        Columns that the file has in parts only.
     sums
         Time column → its stamps added up over everything the file stamps, where rows are only some of it.
     """
@@ -66,6 +69,7 @@ class Table:
     reasons: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     sums: Mapping[str, Float64] = field(default_factory=dict)
+    added: frozenset[str] = frozenset()
 
     def column(self, key: str | int) -> Float64:
         """One column by name or index; InputError lists what there is."""
@@ -81,6 +85,24 @@ class Table:
                 return self.columns[close[0]]
             raise InputError(f"{self.name}: no column {key!r}; found {shorten(names)}")
         return self.columns[key]
+
+
+def with_whole_stamps(table: Table) -> Table:
+    """The table with ``stamp`` [s] beside each ``stamp.sec`` and ``stamp.nanosec``, as ROS writes them."""
+    columns, units = dict(table.columns), dict(table.units)
+    for name, whole in table.columns.items():
+        found = re.fullmatch(r"(.*?)[._/]?(s|secs?|seconds)", name)
+        stem = found[1] if found else ""
+        for part in (f"{name[: len(name) - len(found[2])]}{n}" for n in _NANO) if found else ():
+            if part in table.columns and stem not in table.columns and table.columns[part].size == whole.size:
+                columns[stem or "stamp"] = frozen_float(whole + 1e-9 * table.columns[part])
+                units[stem or "stamp"] = "s"
+    return replace(
+        table, columns=columns, units=units, added=frozenset(columns.keys() - table.columns.keys())
+    )
+
+
+_NANO = ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds", "ns")
 
 
 def shorten(names: list[str], most: int = 24) -> str:
@@ -278,6 +300,8 @@ def on_clock(table: Table, time: str, needed: Sequence[str]) -> tuple[Table, tup
         there, values = there[good], values[good]
         keep &= (instants >= there[0]) & (instants <= there[-1])
         brought[name] = np.interp(instants, there, values)
+        if np.array_equal(there, instants):
+            continue
         remarks.append(
             f"{name!r} was sampled at instants of its own ({clock!r}, {_interval(there)}); it was "
             f"interpolated to those of {time!r} ({_interval(instants)})"

@@ -151,7 +151,7 @@ def decode_text(raw: bytes, encoding: str | None, where: str) -> tuple[str, str]
         except (UnicodeDecodeError, LookupError):
             continue
         if "\0" not in text[:10_000]:
-            return text, guess
+            return text.replace("\u2212", "-"), guess  # a minus as it is printed
     raise InputError(
         f"{where}: is no text that can be read as {encoding or 'UTF-8 or what else is usual'}; where it is "
         "text, name its 'encoding' in the map's 'source', else its 'kind'"
@@ -163,6 +163,8 @@ def _likely(raw: bytes) -> str:
     if head.count(0) > len(head) // 8:
         # A zero in every other byte: UTF-16 of letters that ASCII has, without its mark.
         return "utf_16_be" if head[::2].count(0) > head[1::2].count(0) else "utf_16_le"
+    if re.search(rb"[\x80-\xff]{2}", head) is None:
+        return "cp1252"  # [µs] and [°] alone: what needs two bytes a letter has them in words
     # Few letters beyond ASCII tell hardly anything; where several fit alike the first, the commonest, is
     # taken.
     best = from_bytes(head, cp_isolation=_CANDIDATES).best()

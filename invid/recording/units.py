@@ -59,13 +59,16 @@ BY_MACHINE = ("counts", *BY_TORQUE_CONSTANT, *BY_RATED_TORQUE)
 """Units that do not say whether an axis is rotary or linear."""
 
 _SPELLINGS = {
-    "nm": "N·m", "n*m": "N·m", "n.m": "N·m", "n m": "N·m", "newtonmeter": "N·m",
+    "nm": "N·m", "n*m": "N·m", "n.m": "N·m", "n m": "N·m", "n-m": "N·m", "newtonmeter": "N·m",
+    "newton meter": "N·m", "newton meters": "N·m", "newton-meter": "N·m", "newton metre": "N·m",
     "mnm": "mN·m", "ncm": "N·cm", "nmm": "N·mm", "knm": "kN·m",
-    "µs": "us", "μs": "us", "usec": "us", "sec": "s", "seconds": "s", "msec": "ms",
+    "µs": "us", "μs": "us", "usec": "us", "sec": "s", "second": "s", "seconds": "s", "msec": "ms",
+    "millis": "ms", "milliseconds": "ms", "micros": "us", "microseconds": "us", "秒": "s", "毫秒": "ms",
     "degree": "deg", "degrees": "deg", "°": "deg", "°/s": "deg/s", "deg_per_s": "deg/s",
-    "1/min": "rpm", "min-1": "rpm", "u/min": "rpm", "radians": "rad", "rad_per_s": "rad/s",
+    "1/min": "rpm", "min-1": "rpm", "u/min": "rpm", "radian": "rad", "radians": "rad", "rad_per_s": "rad/s",
+    "grad": "deg", "grad/s": "deg/s", "度": "deg", "弧度": "rad", "r/min": "rpm", "转/分": "rpm",
     "µm": "um", "μm": "um", "ampere": "A", "a": "A", "volt": "V", "v": "V",
-    "percent": "%", "per mille": "permille", "‰": "permille", "per_mille": "permille",
+    "percent": "%", "per mille": "permille", "‰": "permille", "0.1%": "permille", "per_mille": "permille",
     "count": "counts", "inc": "counts", "cnt": "counts", "qc": "counts",
     "cnt/s": "counts", "cnt/sec": "counts", "inc/s": "counts", "counts/s": "counts", "ma": "mA",
     "turn": "rev", "turn/s": "rev/s", "turns/s": "rev/s", "turns": "rev",

@@ -52,9 +52,16 @@ def read_parquet_table(path: Path) -> Table:
     except Exception as error:  # pyarrow raises its own, OSError, ValueError, KeyError by kind of damage
         raise InputError(f"{path}: cannot be read as Parquet: {first_line(error)}") from None
     columns, units = {}, {}
+    while any(pyarrow.types.is_struct(kind) for kind in table.schema.types):
+        table = table.flatten()
     for name in table.column_names:
         values = table.column(name)
         kind = str(values.type)
+        if pyarrow.types.is_list(values.type) or pyarrow.types.is_fixed_size_list(values.type):
+            lengths = set(values.combine_chunks().value_lengths().to_pylist())
+            if len(lengths) == 1 and None not in lengths:
+                entries = np.asarray(values.combine_chunks().flatten())
+                columns.update(channels(name, entries.reshape(len(values), -1)))
         if kind.startswith(("int", "uint", "float", "double", "halffloat", "decimal")):
             columns[name] = frozen_float(np.asarray(values.to_numpy(), dtype=np.float64))
         elif kind.startswith(("timestamp", "duration")):

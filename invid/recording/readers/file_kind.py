@@ -83,3 +83,17 @@ class RefusedKind(FileKind):
     def __call__(self, path: Path, source: Source, *, beside: Path | None = None) -> Table:
         """Refuse the file by name."""
         raise InputError(f"{path}: is {self.name}, which is not read: {self.way}")
+
+
+def is_document(path: Path) -> bool:
+    """Whether a file is about the records, or a program, and none of them: by its name."""
+    return bool(_DOCUMENT.search(path.name))
+
+
+_DOCUMENT = re.compile(
+    # README.txt, LICENSE, notes.md, plot_results.m, robot.urdf, config.yaml, photo.jpg, .DS_Store
+    r"^(readme|licen[cs]e|changelog|notes?|citation|authors|makefile)(\.\w+)?$|^\.|"
+    r"\.(md|rst|pdf|docx?|pptx?|html?|tex|bib|png|jpe?g|svg|gif|mp4|py|m|mlx|ipynb|sh|bat|ps1|c|cpp|h|"
+    r"ya?ml|json|toml|ini|cfg|xml|urdf|xacro|dbc|eds|dcf|pyc|license)$",
+    re.IGNORECASE,
+)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.metadata import entry_points
@@ -20,7 +19,7 @@ from invid.recording.readers.packed_file import NumpyFile, PackedFile, SqliteFil
 from invid.recording.readers.serial_monitor import LabelledFile, SerialMonitorFile
 from invid.recording.readers.tdms_table import read_tdms_table
 from invid.recording.readers.text_table import read_text_table
-from invid.recording.tables import Table
+from invid.recording.tables import Table, with_whole_stamps
 
 READERS = "invid.readers"
 """Entry point group of further ``FileKind`` instances, from packages above the core, by their names."""
@@ -70,7 +69,7 @@ def _can_log(path: Path, source: Source, *, beside: Path | None = None) -> Table
 
 def read_table(path: Path, source: Source, *, beside: Path | None = None) -> Table:
     """The columns of one file; its kind from the map, else by its first bytes, its head, its ending."""
-    return kind_of(path, source)(path, source, beside=beside)
+    return with_whole_stamps(kind_of(path, source)(path, source, beside=beside))
 
 
 def kind_of(path: Path, source: Source) -> FileKind:
@@ -80,20 +79,6 @@ def kind_of(path: Path, source: Source) -> FileKind:
     if source.kind is not None and not isinstance(best, _PACKED):
         return next((k for k in _KINDS if k.name == source.kind), None) or _further(source.kind)
     return best if best.evidence(start) else _TEXT
-
-
-def is_document(path: Path) -> bool:
-    """Whether a file is about the records, or a program, and none of them: by its name."""
-    return bool(_DOCUMENT.search(path.name))
-
-
-_DOCUMENT = re.compile(
-    # README.txt, LICENSE, notes.md, plot_results.m, robot.urdf, config.yaml, photo.jpg, .DS_Store
-    r"^(readme|licen[cs]e|changelog|notes?|citation|authors|makefile)(\.\w+)?$|^\.|"
-    r"\.(md|rst|pdf|docx?|pptx?|html?|tex|bib|png|jpe?g|svg|gif|mp4|py|m|mlx|ipynb|sh|bat|ps1|c|cpp|h|"
-    r"ya?ml|json|toml|ini|cfg|xml|urdf|xacro|dbc|eds|dcf|pyc|license)$",
-    re.IGNORECASE,
-)
 
 
 @cache
@@ -142,6 +127,10 @@ _KINDS: tuple[FileKind, ...] = (
         starts=(b"ULog\x01\x12\x35",), endings=(".ulg",),
     ),
     RefusedKind(
+        "a TwinCAT Scope project", "export it there as CSV (Scope: Export, CSV), or with TC3ScopeExportTool",
+        endings=(".svdx", ".tcscopex", ".svd"),
+    ),
+    RefusedKind(
         "a Python pickle", "it runs code as it is loaded; there, DataFrame.to_csv or np.savez it",
         starts=(b"\x80\x02", b"\x80\x03", b"\x80\x04\x95", b"\x80\x05\x95"), endings=(".pkl", ".pickle"),
     ),
@@ -163,7 +152,8 @@ _KINDS: tuple[FileKind, ...] = (
     ),
     RefusedKind(
         # {"time": [0, 0.001], "position": [0.1, 0.2]}
-        "JSON", "write it as CSV (Python: pandas.read_json(file).to_csv('record.csv', index=False))",
+        "JSON", "write it as CSV (Python: pandas.read_json(file).to_csv('record.csv', index=False); "
+        "lines=True where each line is an object)",
         header=r"\A\s*[\[{]\s*[\[{\"\]}]",
     ),
     LvmFile(),

@@ -30,7 +30,8 @@ def main(source: Path, out: Path) -> None:
                 _take(file, index, found)
     except Exception as error:  # by kind of damage: MdfException, struct.error, ValueError, …
         found["error"] = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-    out.write_bytes(pickle.dumps(found))
+    with out.open("wb") as stream:
+        pickle.dump(found, stream, protocol=5)
 
 
 def _take(file: Any, index: int, found: dict[str, Any]) -> None:

@@ -28,7 +28,8 @@ def read_mdf_table(path: Path) -> Table:
             subprocess.run(
                 command, check=True, timeout=TIME_LIMIT, capture_output=True, stdin=subprocess.DEVNULL
             )
-            found = pickle.loads(out.read_bytes())
+            with out.open("rb") as stream:
+                found = pickle.load(stream)
         except subprocess.TimeoutExpired:
             raise InputError(f"{path}: reading it as MDF took more than {TIME_LIMIT:.0f} s") from None
         except (subprocess.CalledProcessError, OSError):

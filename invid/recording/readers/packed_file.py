@@ -20,7 +20,7 @@ import numpy as np
 from invid.errors import ChoiceNeeded, InputError
 from invid.recording.import_map import Source
 from invid.recording.readers.binary_table import MAX_VALUES, channels, finish, first_line
-from invid.recording.readers.file_kind import FileKind
+from invid.recording.readers.file_kind import FileKind, is_document
 from invid.recording.tables import Table
 
 MAX_BYTES = 4_000_000_000
@@ -64,6 +64,7 @@ class ZipArchive(FileKind):
         try:
             archive = zipfile.ZipFile(path)
             names = [n for n in archive.namelist() if not n.endswith("/") and "__MACOSX" not in n]
+            records = [n for n in names if not is_document(Path(n))]
         except _DAMAGE as error:
             raise InputError(f"{path}: cannot be read as a ZIP archive: {first_line(error)}") from None
         with archive:
@@ -72,13 +73,13 @@ class ZipArchive(FileKind):
             for member, said in _INSIDE.items():
                 if any(n == member or n.startswith(member) for n in names):
                     raise InputError(f"{path}: is {said}")
-            if len(names) != 1:
+            if len(records) != 1:
                 shown = ", ".join(names[:4]) + (", …" if len(names) > 4 else "")
                 raise InputError(
                     f"{path}: is a ZIP archive of {len(names)} files ({shown}): unpack it and give the files "
                     "or their folder"
                 )
-            with _unpacked(path, Path(names[0]).name, lambda: archive.open(names[0])) as inside:
+            with _unpacked(path, Path(records[0]).name, lambda: archive.open(records[0])) as inside:
                 return _as_of(path, inside, self._read, source, beside)
 
 

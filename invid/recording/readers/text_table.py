@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import import_module
 from importlib.util import find_spec
@@ -31,26 +30,87 @@ SELDOM = 0.01
 """Share of rows with one cell more from which the others have left it blank: as many may be broken."""
 WORDS = 0.9
 """Share of rows with a word from which a column holds words, and no row is broken by one."""
-_AT_ONCE = 500_000
-"""Lines that are made numbers at once: more take more memory and no less time."""
+_BLOCK = 1 << 20
+"""Bytes that are read at once: more take more memory and no less time."""
 _FAILED = 1000
 """Cells that could not be read and are kept to find out why."""
 _OF_JOINTS = re.compile(r"(^|[^a-z])(joint_?)?names?_?\d*$|^joint$")
+_LIST = re.compile(r"\"?\[([-+.\deE, ]+)\]\"?")
+"""A list in a cell, ``"[0.1, 0.2]"``."""
 _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
 
 
 def read_text_table(path: Path, source: Source) -> Table:
     """Columns of a text file; what ``source`` leaves open is found out and noted."""
+    plain = _plain_table(path, source)
+    if plain is not None:
+        return plain
     text, encoding = read_text(path, source.encoding)
     lines = text.splitlines()
     del text  # as large as the file
     return table_of_lines(path, lines, source, encoding)
 
 
+def _plain_table(path: Path, source: Source) -> Table | None:
+    """Columns of a large file whose every row is plain numbers, in blocks, as its head and middle say to
+    read it; ``None`` for another file."""
+    size = path.stat().st_size
+    if size < 2 * _BLOCK or find_spec("pyarrow") is None:
+        return None
+    with path.open("rb") as raw:
+        head = raw.read(_BLOCK).rpartition(b"\n")[0]
+        raw.seek(size // 2)
+        middle = raw.read(_BLOCK).partition(b"\n")[2].rpartition(b"\n")[0]
+    try:
+        text, encoding = decode_text(head + b"\n" + middle, source.encoding, str(path))
+        sample = table_of_lines(path, text.replace("\r", "").split("\n"), source, encoding)
+    except InputError:
+        return None  # said of the whole file
+    if sample.lines is None or sample.stamped or sample.broken or "thousands" in sample.notes:
+        return None
+    first, form = int(sample.lines[0]) - 1, (sample.notes["delimiter"], sample.notes["decimal"])
+    data = _numbers_of(path, first, len(sample.columns), form)
+    if data is None:
+        return None
+    numbers = np.arange(first + 1, first + 1 + data.shape[1], dtype=np.int64)
+    return replace(sample, columns=dict(zip(sample.columns, data, strict=True)), lines=numbers)
+
+
+def _numbers_of(path: Path, first: int, width: int, form: tuple[str, str]) -> Float64 | None:
+    """(width, rows) plain numbers of the lines from ``first``; ``None`` where one is something else."""
+    delimiter, decimal = form
+    if delimiter == " ":
+        return None
+    rows, last = -first, b""
+    with path.open("rb") as raw:
+        while block := raw.read(_BLOCK):
+            rows, last = rows + block.count(b"\n"), block[-1:]
+    data, at = np.empty((width, rows + (last != b"\n"))), 0
+    arrow, names = import_module("pyarrow.csv"), [str(i) for i in range(width)]
+    try:
+        for batch in arrow.open_csv(
+            path,
+            read_options=arrow.ReadOptions(
+                column_names=names, skip_rows=first, use_threads=False, block_size=_BLOCK
+            ),
+            parse_options=arrow.ParseOptions(delimiter=delimiter, quote_char=False, ignore_empty_lines=False),
+            convert_options=arrow.ConvertOptions(
+                column_types=dict.fromkeys(names, "float64"), decimal_point=decimal, null_values=[]
+            ),
+        ):
+            for column, values in zip(data, batch.columns, strict=True):
+                column[at : at + batch.num_rows] = values
+            at += batch.num_rows
+    except ValueError:
+        return None
+    return data if at == data.shape[1] else None
+
+
 def table_of_lines(path: Path, lines: list[str], source: Source, encoding: str = "utf-8") -> Table:
     """Columns of the lines of a text file."""
     if source.header_lines is None and source.names is None and is_scope_export(lines):
         return read_scope_export(str(path), lines, _split, _scope_number)
+    lines = _lists_written_out(lines)
     numbered = _Numbered(lines, _lines_kept(lines, source.header_lines))
     if not len(numbered):
         raise InputError(f"{path}: holds no row of data; is it the right file?")
@@ -72,6 +132,7 @@ def table_of_lines(path: Path, lines: list[str], source: Source, encoding: str =
     body = _Body(numbered[start:], delimiter, width)
     data, broken, form = body.parse(form, source, path)
     names, units = _names(header, delimiter, data, source.names, path)
+    _one_joint_a_column(names, numbered[start:], delimiter, path)
     stamped = _timestamps(data, [_cells(line, delimiter) for _, line in body.lines[:5]])
     units |= {names[i]: "s" for i in stamped}
     said = {"delimiter": delimiter, "decimal": form.decimal, "header_lines": int(numbered.at[start])}
@@ -86,7 +147,6 @@ def table_of_lines(path: Path, lines: list[str], source: Source, encoding: str =
         broken=broken,
         units=units,
         stamped=frozenset(names[i] for i in stamped),
-        remarks=tuple(_joints_that_change(names, numbered[start:], delimiter)),
     )
 
 
@@ -99,18 +159,35 @@ def _lines_kept(lines: list[str], header_lines: int | None) -> Int64:
     return np.fromiter(kept, np.int64)
 
 
-def _joints_that_change(names: list[str], body: _Numbered, delimiter: str) -> Iterator[str]:
-    """Sentences on columns that name the joint of a row, and name several."""
+def _one_joint_a_column(names: list[str], body: _Numbered, delimiter: str, path: Path) -> None:
+    """InputError where a column names the joint of a row, and names several."""
     at = [i for i, n in enumerate(names) if _OF_JOINTS.search(n.lower())]
     rows = [_cells(line, delimiter) for _, line in body[:_FAILED]] if at else []
     for i in at:
         said = Counter(r[i] for r in rows if len(r) == len(names) and not _is_value(r[i]) and r[i])
         if len(said) > 1:
             shown = ", ".join(sorted(said)[:4])
-            yield (
-                f"{names[i]!r} changes from row to row ({shown}): the numbers beside it are of several "
-                "joints in one column; write a table with a column a joint, or give the MCAP"
+            raise InputError(
+                f"{path}: {names[i]!r} changes from row to row ({shown}): the numbers beside it are of "
+                "several joints in one column; write a table with a column a joint (pandas: "
+                f"df.pivot(index=…, columns={names[i]!r}), each time once), or give the MCAP"
             )
+
+
+def _lists_written_out(lines: list[str]) -> list[str]:
+    """Lines with a cell an entry where cells hold lists, each named by its place."""
+    first = next((line for line in lines[1:50] if _LIST.search(line)), None)
+    if first is None:
+        return lines
+    delimiter = ";" if lines[0].count(";") > lines[0].count(",") else ","
+    header, cells = _split(lines[0], delimiter), _split(first, delimiter)
+    named = [
+        [f"{name}[{i}]" for i in range(len(found[1].replace(",", " ").split()))] if found else [name]
+        for name, cell in zip(header, cells, strict=False)
+        if (found := _LIST.fullmatch(cell)) or True
+    ]
+    apart = [_LIST.sub(lambda m: delimiter.join(m[1].replace(",", " ").split()), line) for line in lines[1:]]
+    return [delimiter.join(n for group in named for n in group), *apart]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +214,7 @@ class _Numbered:
 
 
 def _middle(numbered: _Numbered) -> _Numbered:
-    return numbered[400:][len(numbered) // 2 :][:400]
+    return numbered[len(numbered) // 2 :][:400]
 
 
 def _timestamps(data: Float64, sample: list[list[str]]) -> list[int]:
@@ -202,7 +279,7 @@ def _is_value(cell: str) -> bool:
 
 def _find_delimiter(numbered: _Numbered, decimal: str | None) -> str:
     """The separator that splits the body into the most columns of numbers, evenly."""
-    body = [line for _, line in numbered[len(numbered) // 2 :][:400]]
+    body = _middle(numbered).texts()
     best, best_score = ",", -1.0
     for delimiter in _DELIMITERS:
         rows = [_cells(line, delimiter) for line in body]
@@ -270,6 +347,9 @@ def _names(
         if len(cells) == width and any(c and not NUMBER.match(c) for c in cells):
             candidates.append(cells)
     units: list[str] = []
+    # The row of units may have its own name in the first cell.
+    if candidates and re.fullmatch(r"units?|einheit(en)?", candidates[-1][0].lower()):
+        candidates[-1][0] = ""
     if len(candidates) >= 2 and _all_units(candidates[-1]):
         units = candidates.pop()
     names = candidates[-1] if candidates else [""] * width
@@ -319,32 +399,15 @@ class _Body:
         """
         if form.thousands is not None or (form.decimal == "," and self.delimiter == ","):
             return None
-        parts = [self.lines[i : i + _AT_ONCE] for i in range(0, len(self.lines), _AT_ONCE)]
+        lines = self.lines.texts()
+        if form.decimal == ",":
+            lines = [line.replace(",", ".") for line in lines]
+        delimiter = None if self.delimiter == " " else self.delimiter
         try:
-            data = np.concatenate([self._numbers(part, form.decimal) for part in parts])
+            data = np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
         except ValueError:
             return None
-        return data if data.shape == (len(self.lines), self.width) else None
-
-    def _numbers(self, part: _Numbered, decimal: str) -> Float64:
-        """(n, columns); ValueError for whatever is no plain number."""
-        if self.delimiter != " " and find_spec("pyarrow") is not None:
-            # numpy takes seven times as long.
-            arrow = import_module("pyarrow.csv")
-            names = [str(i) for i in range(self.width)]
-            text = "\n".join(part.texts()).encode()
-            table = arrow.read_csv(
-                io.BytesIO(text),
-                read_options=arrow.ReadOptions(column_names=names, use_threads=False),
-                parse_options=arrow.ParseOptions(delimiter=self.delimiter),
-                convert_options=arrow.ConvertOptions(
-                    column_types=dict.fromkeys(names, "float64"), decimal_point=decimal, null_values=[]
-                ),
-            )
-            return np.column_stack([table[n].to_numpy() for n in names])
-        lines = [line.replace(",", ".") if decimal == "," else line for line in part.texts()]
-        delimiter = None if self.delimiter == " " else self.delimiter
-        return np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
+        return data if data.shape == (len(lines), self.width) else None
 
     def _cell_by_cell(
         self, form: NumberFormat, name: str

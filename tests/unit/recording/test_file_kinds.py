@@ -143,14 +143,33 @@ def test_a_document_in_the_folder_stops_no_import(tmp_path, capsys, beside):
 
 
 @pytest.mark.parametrize(("delimiter", "decimal"), [(",", "."), (";", ","), ("\t", ".")])
-def test_a_table_is_the_same_without_pyarrow(tmp_path, monkeypatch, delimiter, decimal):
+def test_a_table_is_the_same_in_blocks_and_as_a_whole(tmp_path, monkeypatch, delimiter, decimal):
     rows = np.column_stack([TIME, ANGLE, TORQUE])
     lines = [delimiter.join(f"{v:.9g}".replace(".", decimal) for v in row) for row in rows]
     path = tmp_path / "a.csv"
     path.write_text("\n".join([delimiter.join(["time", "position", "torque"]), *lines]))
-    with_it = read_table(path, Source())
-    monkeypatch.setattr("invid.recording.readers.text_table.find_spec", lambda name: None)
-    without = read_table(path, Source())
-    assert list(with_it.columns) == list(without.columns) == ["time", "position", "torque"]
-    for name, numbers in with_it.columns.items():
-        np.testing.assert_array_equal(numbers, without.columns[name])
+    reader = "invid.recording.readers.text_table"
+    with monkeypatch.context() as blocks:
+        blocks.setattr(f"{reader}._BLOCK", path.stat().st_size // 5)
+        blocks.delattr(f"{reader}.read_text")  # what holds a whole file
+        parts = read_table(path, Source())
+    monkeypatch.setattr(f"{reader}.find_spec", lambda name: None)
+    whole = read_table(path, Source())
+    assert list(parts.columns) == list(whole.columns) == ["time", "position", "torque"]
+    np.testing.assert_array_equal(parts.lines, whole.lines)
+    for name, numbers in parts.columns.items():
+        np.testing.assert_array_equal(numbers, whole.columns[name])
+
+
+@pytest.mark.parametrize("odd", ["# a remark", "", "0.5;;", "NaN;1;x", "1;2;3;4"])
+def test_a_row_that_is_no_plain_numbers_is_found_in_a_file_of_blocks(tmp_path, monkeypatch, odd):
+    rows = [f"{t:.3f};{q:.6f};{u:.6f}" for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)]
+    rows.insert(len(rows) // 3, odd)
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time;position;torque", *rows]) + "\n")
+    whole = read_table(path, Source())
+    monkeypatch.setattr("invid.recording.readers.text_table._BLOCK", path.stat().st_size // 9)
+    parts = read_table(path, Source())
+    assert parts.broken == whole.broken
+    for name, numbers in parts.columns.items():
+        np.testing.assert_array_equal(numbers, whole.columns[name])

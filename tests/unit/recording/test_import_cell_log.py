@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import can
@@ -171,6 +172,12 @@ def test_a_log_without_a_map_is_shown_as_pdos_with_the_fields_that_move(logged, 
 
 def test_a_log_without_sync_or_pdos_is_refused_with_the_identifiers_it_has(tmp_path, capsys):
     log = tmp_path / "c.log"
-    log.write_text("\n".join(line for line in frames(50) if " 080#" not in line) + "\n", encoding="utf-8")
+    bare = [line for line in frames(50) if " 080#" not in line]
+    log.write_text("\n".join(bare) + "\n", encoding="utf-8")
+    assert run(["import", "--suggest", str(log)]) == 0
+    assert "no SYNC" in capsys.readouterr().out
+    log.write_text(
+        "\n".join(re.sub(r" [0-9A-F]{3}#", " 705#", line) for line in bare) + "\n", encoding="utf-8"
+    )
     assert run(["import", "--suggest", str(log)]) == 2
-    assert "0x185" in capsys.readouterr().err
+    assert "0x705" in capsys.readouterr().err

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import struct
+import zipfile
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import can
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -116,3 +120,143 @@ def test_an_offset_is_what_the_log_shows_at_zero(tmp_path):
     assert run(["import", str(log), "--map", str(chart), "-o", str(tmp_path / "r.h5")]) == 0
     found = read_recording(tmp_path / "r.h5").experiments[0]
     assert found.position[:, 0] == pytest.approx(-3.0 * (POSITION - 2.0), abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("names", "scales"),
+    [
+        ("时间(ms),关节1位置(mrad),关节1力矩(N·m)", (1e3, 1e3, 1)),
+        ("時刻[s],角度[rad],トルク[mNm]", (1, 1, 1e3)),
+        ("tiempo,posición,par", (1, 1, 1)),
+        ("Temps (s),Position (rad),Couple (N.m)", (1, 1, 1)),
+        ("Time in ms,r482: Encoder position value [rad],r80: Actual torque value [Nm]", (1e3, 1, 1)),
+        ("millis,angle_mrad,torque_mNm", (1e3, 1e3, 1e3)),
+        ("t/ms,q1/mrad,tau1/Nm", (1e3, 1e3, 1)),
+        ("время,положение [rad],момент [mNm]", (1, 1, 1e3)),
+    ],
+)
+def test_quantities_are_known_in_other_tongues_and_units_where_names_end(tmp_path, capsys, names, scales):
+    rows = np.column_stack([TIME, POSITION, TORQUE]) * scales
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([names, *(",".join(f"{v:.9f}" for v in r) for r in rows)]) + "\n")
+    taken(path, capsys)
+
+
+def test_what_was_asked_for_is_told_from_what_was_measured_in_a_compound(tmp_path, capsys):
+    rows = np.column_stack([TIME, -TORQUE, POSITION, TORQUE])
+    path = tmp_path / "log.csv"
+    names = "Zeit;Sollmoment [Nm];Istposition [rad];Istmoment [Nm]"
+    lines = [names, *(";".join(f"{v:.9f}".replace(".", ",") for v in r) for r in rows)]
+    path.write_text("\n".join(lines), "cp1252")
+    taken(path, capsys)
+
+
+def test_columns_of_one_name_and_lists_in_cells_are_joints(tmp_path, capsys):
+    twice, lists = ["time,pos,torque,pos,torque"], ["time,position,effort"]
+    for t, q, u in zip(TIME, POSITION, TORQUE, strict=True):
+        twice.append(f"{t:.4f},{q:.9f},{u:.9f},{2 * q:.9f},{3 * u:.9f}")
+        lists.append(f'{t:.4f},"[{q:.9f}, {2 * q:.9f}]","[{u:.9f}, {3 * u:.9f}]"')
+    for name, lines in (("twice.csv", twice), ("lists.csv", lists)):
+        path = tmp_path / name
+        path.write_text("\n".join(lines) + "\n")
+        taken(path, capsys)
+        found = read_recording(tmp_path / "record.h5").experiments[0]
+        assert found.position[:, 1] == pytest.approx(2 * POSITION, abs=1e-6)
+        assert found.torque[:, 1] == pytest.approx(3 * TORQUE, abs=1e-6)
+
+
+def test_a_row_a_joint_is_refused(tmp_path, capsys):
+    path = tmp_path / "long.csv"
+    rows = [f"{t:.3f},{j},{q:.6f},{q:.6f}" for t, q in zip(TIME, POSITION, strict=True) for j in ("a", "b")]
+    path.write_text("\n".join(["time,name,position,effort", *rows]))
+    assert run(["import", str(path), "--suggest"]) == 2
+    assert "pivot" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shape", ["lists", "struct"])
+def test_lists_and_structs_of_parquet_are_columns(tmp_path, capsys, shape):
+    if shape == "lists":
+        kind = pa.list_(pa.float64())
+        columns = {n: pa.array([[x] * 2 for x in v], kind) for n, v in (("q", POSITION), ("tau", TORQUE))}
+    else:
+        rows = [{"position": q, "effort": u} for q, u in zip(POSITION, TORQUE, strict=True)]
+        columns = {"state": pa.array(rows)}
+    path = tmp_path / "a.parquet"
+    pq.write_table(pa.table({"time": TIME, **columns}), path)
+    taken(path, capsys)
+
+
+def test_a_scope_export_with_a_clock_a_channel_takes_no_clock_for_a_position(tmp_path, capsys):
+    lines = ["Name\tActTorque\tName\tActPos", "SampleTime[ms]\t4\tSampleTime[ms]\t4"]
+    lines += ["Unit\tNm\tUnit\trad", ""]
+    lines += [
+        f"{1e3 * t:g}\t{u:.9f}\t{1e3 * t:g}\t{q:.9f}" for t, q, u in zip(TIME, POSITION, TORQUE, strict=True)
+    ]
+    path = tmp_path / "scope.csv"
+    path.write_text("\n".join(lines) + "\n")
+    taken(path, capsys)
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("names", "clocks"),
+    [
+        ("header.stamp.sec,header.stamp.nanosec", lambda t: (1.7e9 + t // 1, 1e9 * (t % 1))),
+        (
+            "pc_time,device_us",
+            lambda t: (1.7e9 + t + 0.003 * np.sin(1e4 * t), (1e6 * t + 2**32 - 9e4) % 2**32),
+        ),
+        ("logged_at,stamp_ns", lambda t: (1.7e9 + t + 0.003 * np.sin(1e4 * t), 1.7e18 + 1e9 * t)),
+    ],
+)
+def test_the_evenest_of_two_clocks_is_taken_in_whatever_parts_it_is(tmp_path, capsys, names, clocks):
+    one, other = (np.rint(1e6 * c) / 1e6 for c in clocks(TIME + 0.9))
+    lines = [f"{names},position,torque"]
+    for row in zip(one, other, POSITION, TORQUE, strict=True):
+        lines.append("{:.6f},{:.0f},{:.9f},{:.9f}".format(*row))
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines) + "\n")
+    taken(path, capsys)
+
+
+def test_a_row_of_units_with_a_name_of_its_own_and_a_zip_with_a_readme_are_read(tmp_path, capsys):
+    lines = ["Name,position,torque", "Unit,mrad,Nm", ""]
+    lines += [f"{k},{1e3 * q:.9f},{u:.9f}" for k, (q, u) in enumerate(zip(POSITION, TORQUE, strict=True))]
+    with zipfile.ZipFile(tmp_path / "log.zip", "w") as archive:
+        archive.writestr("log.csv", "\n".join(lines) + "\n")
+        archive.writestr("README.txt", "Measured on Monday.")
+    assert run(["import", str(tmp_path / "log.zip"), "--suggest", "--json"]) == 0
+    (axis,) = json.loads(capsys.readouterr().out)["map"]["axes"]
+    assert axis["position"] == {"column": "position", "unit": "mrad"}
+
+
+def test_a_log_of_can_fd_without_sync_gets_a_map_that_reads_it(tmp_path, capsys):
+    path, record = tmp_path / "fd.asc", tmp_path / "r.h5"
+    counts, permille = np.rint(1e6 * POSITION).astype(int), np.rint(1e3 * TORQUE).astype(int)
+    with can.Logger(str(path)) as log:
+        for t, q, u in zip(TIME.tolist(), counts.tolist(), permille.tolist(), strict=True):
+            data = struct.pack("<Hhi8x", 0x1237, u, q)
+            log(can.Message(t, 0x183, is_extended_id=False, is_fd=True, data=data, channel=0))
+    assert run(["import", str(path), "--suggest", "--json"]) == 0
+    chart = json.loads(capsys.readouterr().out)["map"]
+    position = {"column": "x183_byte4", "unit": "counts", "per_count": 1e-6}
+    torque = {"column": "x183_byte2", "unit": "permille"}
+    chart["motion"] = "rotary"
+    chart["axes"] = [{"name": "A1", "rated_torque": 1.0, "position": position, "torque": torque}]
+    (tmp_path / "map.json").write_text(json.dumps(chart))
+    assert run(["import", str(path), "--map", str(tmp_path / "map.json"), "-o", str(record)]) == 0
+    found = read_recording(record).experiments[0]
+    assert found.position[:, 0] == pytest.approx(POSITION, abs=1e-6)
+    assert found.torque[:, 0] == pytest.approx(TORQUE, abs=1e-3)
+
+
+def test_signs_of_units_alone_and_printed_minus_signs_are_read_and_outer_torque_is_not_the_drives(
+    tmp_path, capsys
+):
+    rows = np.column_stack([1e6 * TIME, np.degrees(POSITION), 0 * TIME + 0.1, TORQUE])
+    lines = [",".join(f"{v:.9f}" for v in r) for r in rows]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time [µs],angle [°],tau_ext,tau", *lines]) + "\n", "cp1252")
+    taken(path, capsys)
+    path.write_text("\n".join(["time [µs],angle [°],tau_ext,tau", *lines]).replace("-", "−") + "\n", "utf-8")
+    taken(path, capsys)

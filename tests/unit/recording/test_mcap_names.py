@@ -12,6 +12,7 @@ from mcap.writer import Writer
 from invid.errors import InputError
 from invid.recording.import_map import Source
 from invid.recording.readers.kinds import read_table
+from invid.recording.suggest import suggest
 
 N = 400
 TIME = np.arange(N) * 1e-3
@@ -52,3 +53,11 @@ def test_joints_that_change_their_order_are_read_by_name(tmp_path):
         np.testing.assert_allclose(table.columns[f"/js.position[{joint}]"], angle(joint))
     with pytest.raises(InputError, match="elbow"):
         table.column("/js.position[0]")
+
+
+def test_joints_called_as_units_are_joints(tmp_path):
+    path = bag(tmp_path / "a.mcap", [("/js", logged(k), state(k, ["a", "m"])) for k in range(N)])
+    axes = suggest(read_table(path, Source()), path).document["axes"]
+    assert [(x["name"], x["position"]["unit"], x["torque"]["unit"]) for x in axes] == [
+        ("a", "rad", "N·m"), ("m", "rad", "N·m"),
+    ]  # fmt: skip

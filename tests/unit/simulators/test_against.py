@@ -88,7 +88,10 @@ def test_a_missing_cause_is_named_and_stands_in_the_copy_as_an_element_of_mujoco
     cause = {"plastic": "spring_hysteresis", "cogging": "cogging"}[kind]
     assert [m["cause"] for m in found["missing"]] == [cause]
     assert found["cannot_hold"] == []
-    assert found["held_out"]["after"] < 1.3 < found["held_out"]["before"]
+    # The cell's hold works inside its drive, which no recording tells from one held over the sample: its
+    # motor's mass is known to 0.2 %, where the springs' constants are to 0.01 %, which shows above 10 Hz.
+    most = 1.3 if kind == "cogging" else 0.01 * found["held_out"]["before"]
+    assert found["held_out"]["after"] < most < found["held_out"]["before"]
     element = {"plastic": "springyield=", "cogging": 'input="none"'}[kind]
     assert element in (tmp_path / "mended.xml").read_text()
     loaded = invid.load_diagnosis(tmp_path / "d.json").against
