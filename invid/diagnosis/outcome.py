@@ -9,7 +9,7 @@ the torque is not to be trusted, and the first warning says so.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -137,79 +137,77 @@ def floors_left(residual: AxisResidual) -> float:
     return residual.after / max(residual.floor, 1e-300)
 
 
-def verdict_of(
-    residual: Sequence[AxisResidual], explained: float | None, *, named: bool, missing: bool, complete: bool
-) -> Verdict:
-    """The verdict; ``missing``: the null test rejects the model without causes, ``complete``: nothing is left
-    beside the named causes."""
-    if not named:
-        return Verdict.UNEXPLAINED if missing else Verdict.CONSISTENT
-    is_enough = explained is None or explained >= EXPLAINED
-    return (
-        Verdict.EXPLAINED
-        if complete and is_enough and axis_above_floor(residual) is None
-        else Verdict.PARTLY_EXPLAINED
-    )
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a search says of a record beside its causes.
+
+    Attributes
+    ----------
+    missing, complete
+        Whether the null test rejects the model without causes, and whether nothing is left beside the named.
+    explained
+        ``explained_share``; ``None`` where nothing is named.
+    left
+        What is left in words, where the search knows more of it than its size.
+    opening
+        Sentences before those of findings.
+    """
+
+    missing: bool
+    complete: bool
+    explained: float | None
+    left: Unexplained | None = None
+    opening: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def verdict(self, residual: Sequence[AxisResidual], *, named: bool) -> Verdict:
+        """The verdict on axes of these residuals, with or without causes."""
+        if not named:
+            return Verdict.UNEXPLAINED if self.missing else Verdict.CONSISTENT
+        is_enough = self.explained is None or self.explained >= EXPLAINED
+        is_whole = self.complete and is_enough and axis_above_floor(residual) is None
+        return Verdict.EXPLAINED if is_whole else Verdict.PARTLY_EXPLAINED
 
 
-def assemble_diagnosis(  # noqa: PLR0913 - the parts of a document
+def assemble_diagnosis(
     recording: Recording,
     residual: Sequence[AxisResidual],
     findings: Sequence[Finding],
     model: Model,
-    *,
-    missing: bool,
-    complete: bool,
-    explained: float | None,
-    left: Unexplained | None = None,
-    opening: Sequence[str] = (),
-    consistent_sentence: str = "The model explains the measurement to within its noise: nothing is missing.",
-    closing: Sequence[str] = (),
-    warnings: Sequence[str] = (),
-    details: Mapping[str, Any] | None = None,
+    outcome: Outcome,
 ) -> Diagnosis:
-    """The diagnosis of verdict, residuals, findings and sentences.
-
-    Parameters
-    ----------
-    missing, complete, explained
-        See ``verdict_of``.
-    left
-        What is left in words, where the caller knows more of it than its size.
-    opening, consistent_sentence, closing
-        Sentences before those of findings, the one of a consistent record, and those at the end.
-    """
+    """The diagnosis of verdict, residuals, findings and sentences."""
     laws = [f for f in findings if f.effect.table is not None]
     findings = [
         replace(f, confidence=min(f.confidence, _most_beside(f, laws), CONTESTED if f.alternatives else 1.0))
         for f in findings
     ]
-    complete, missing = complete and not laws, missing or bool(laws)
-    verdict = verdict_of(residual, explained, named=bool(findings), missing=missing, complete=complete)
+    if laws:
+        outcome = replace(outcome, complete=False, missing=True, left=_with_law(outcome.left, laws[0]))
+    verdict, left = outcome.verdict(residual, named=bool(findings)), outcome.left
+    closing: tuple[str, ...] = ()
     small = None if laws or verdict is not Verdict.PARTLY_EXPLAINED else small_remainder(residual, recording)
     if small is not None:
-        verdict, left = Verdict.EXPLAINED, None
-        closing = (small, *closing)
-    if laws:
-        left = _with_law(left, laws[0])
+        verdict, left, closing = Verdict.EXPLAINED, None, (small,)
     if verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED) and left is None:
-        left = describe_remainder(residual, explained)
-    sentences = [*opening, *(f.sentence for f in findings)]
+        left = describe_remainder(residual, outcome.explained)
+    sentences = [*outcome.opening, *(f.sentence for f in findings)]
     if verdict is Verdict.CONSISTENT:
-        sentences.append(consistent_sentence)
+        sentences.append("The model explains the measurement to within its noise: nothing is missing.")
     if left is not None:
         sentences.append(left.sentence)
     open_sizes = _unknown_sizes(findings)
     result = Diagnosis(
         verdict=verdict,
         residual=tuple(residual),
-        explained_fraction=explained,
+        explained_fraction=outcome.explained,
         findings=tuple(findings),
         unexplained=left,
         model=replace(model, warnings=tuple(dict.fromkeys([*model.warnings, *open_sizes]))),
-        warnings=tuple(dict.fromkeys([*warnings, *open_sizes])),
+        warnings=tuple(dict.fromkeys([*outcome.warnings, *open_sizes])),
         sentences=tuple(dict.fromkeys([*sentences, *closing])),
-        details={} if details is None else details,
+        details=outcome.details,
     )
     return _mark_untrusted(result, recording)
 

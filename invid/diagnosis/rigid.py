@@ -6,6 +6,7 @@ import numpy as np
 
 from invid.diagnosis.outcome import (
     Cause,
+    Outcome,
     assemble_diagnosis,
     axis_above_floor,
     explained_share,
@@ -60,12 +61,7 @@ def diagnose_trajectory(
     )
     causes = sorted(_causes(a, found, explained or 0.0), key=lambda c: c.after - c.before)
     sizes = extended.chains.masses_per_branch
-    result = assemble_diagnosis(
-        recording,
-        residual,
-        # Each was tested against the model without it on rows kept out: it stands on its own evidence.
-        [finding_of(c, explained or 0.0, sizes, recording.axes, at_noise=near, own=True) for c in causes],
-        extended,
+    outcome = Outcome(
         missing=missing,
         complete=True,
         explained=explained,
@@ -73,6 +69,10 @@ def diagnose_trajectory(
         warnings=extended.warnings,
         details=figures_of(a),
     )
+    # Each was tested against the model without it on rows kept out: it stands on its own evidence.
+    share, axes = explained or 0.0, recording.axes
+    findings = [finding_of(c, share, sizes, axes, at_noise=near, own=True) for c in causes]
+    result = assemble_diagnosis(recording, residual, findings, extended, outcome)
     return limit_unfinished_search(result) if a.is_cut_short else result
 
 

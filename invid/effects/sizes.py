@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from invid.effects.laws.moving_base import load_inertia, moved_by_base
+from invid.effects.laws.moving_base import moved_by_base
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm
 from invid.model.forward import resonances
@@ -185,7 +185,7 @@ def with_mode(term: EffectTerm, machine: Machine) -> tuple[Float64, Float64]:
 
 
 def with_base(term: EffectTerm, machine: Machine) -> tuple[Float64, Float64]:
-    chains, inertia = machine.chains, load_inertia(machine.chains)
+    chains, inertia = machine.chains, machine.chains.end_mass_matrix
     total, force = moved_by_base({name: e.value for name, e in term.parameters.items()}, inertia)
     k, m = (scipy.linalg.block_diag(part, own) for part, own in (
         (chains.stiffness_matrix, term.value("stiffness")), (chains.mass_matrix, total)

@@ -56,7 +56,7 @@ class CoupledChains:
     axes: tuple[str, ...] = ()
 
     @classmethod
-    def build(  # noqa: PLR0913 - the parameters of the model
+    def build(
         cls,
         masses: Sequence[npt.ArrayLike],
         springs: Sequence[npt.ArrayLike],
@@ -64,7 +64,6 @@ class CoupledChains:
         couplings: npt.ArrayLike | None = None,
         *,
         ground_springs: npt.ArrayLike | None = None,
-        ground_dampers: npt.ArrayLike | None = None,
         axes: Sequence[str] | None = None,
     ) -> CoupledChains:
         """Checked constructor from anything array-like."""
@@ -77,7 +76,6 @@ class CoupledChains:
             else tuple(frozen_float(np.asarray(d, dtype=float).reshape(-1)) for d in dampers),
             couplings=frozen_float(np.zeros((count, count)) if couplings is None else couplings),
             ground_springs=frozen_float(np.zeros(count) if ground_springs is None else ground_springs),
-            ground_dampers=frozen_float(np.zeros(count) if ground_dampers is None else ground_dampers),
             axes=tuple(axes) if axes is not None else (),
         )
 

@@ -54,8 +54,6 @@ class Modes:
         Joint covariance of [log ω, log ζ, φ row by row, A_H entries, B entries, χ row by row].
     lag
         (n, M) χ; zero where the data do not ask for complex modes.
-    chi2, dof
-        Weighted squared residual (with the FRF's own variance) and its degrees of freedom.
     model_error
         Relative FRF error that had to be added to the noise for χ²/dof = 1; 0 where noise suffices.
     """
@@ -67,8 +65,6 @@ class Modes:
     friction: Float64
     masses: tuple[int, ...]
     covariance: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
-    chi2: float = 0.0
-    dof: int = 1
     model_error: float = 0.0
     lag: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
 

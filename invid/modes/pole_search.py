@@ -73,10 +73,12 @@ class NoisyRecord:
         return cls(lines, np.concatenate((variance, np.zeros(column.shape)), axis=1))
 
 
-def search_modes(records: Sequence[NoisyRecord], masses: Sequence[int]) -> tuple[Modes, float]:
+def search_modes(
+    records: Sequence[NoisyRecord], masses: Sequence[int], *, shared: bool = False
+) -> tuple[Modes, float]:
     """Modes, weak ones included, and how much later than recorded the torque acts [s].
 
-    A start for the fit: the modes carry no covariance.
+    A start for the fit: the modes carry no covariance. ``shared``: some have one pole (``modes_of``).
 
     Raises
     ------
@@ -94,7 +96,7 @@ def search_modes(records: Sequence[NoisyRecord], masses: Sequence[int]) -> tuple
     if found is None:
         raise NotIdentifiableError("modal fit: no start converged; measure longer or raise the amplitude")
     delay, _, poles, residues = found
-    found_modes = modes_of(poles * search.scale, residues, search.scale, tuple(masses))
+    found_modes = modes_of(poles * search.scale, residues, search.scale, tuple(masses), shared=shared)
     return found_modes, delay * records[0].step
 
 

@@ -23,6 +23,8 @@ TRUSTED = 0.02
 LEAST_DAMPING = 1e-9
 """Of a pole between rounds; finer than any band of lines can tell from none."""
 DAMPING = 0.01
+SPLIT = 1e-9
+"""Relative distance of starting resonances (numerical)."""
 MOST_LINES = 300
 
 
@@ -32,21 +34,33 @@ def even_poles(low: float, high: float, count: int, scale: float) -> Complex128:
     return poles
 
 
-def modes_of(poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...]) -> Modes:
+def modes_of(
+    poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...], *, shared: bool = False
+) -> Modes:
     """Mass-normalised motor shapes from the residues of the acceleration.
 
     Near a pole −ω²G ≈ c/(jω − p) with c real coefficients a + jb of the basis; the receptance has the
-    residue c/p², and φφᵀ = Re(2j·ω_d·c/p²), of which the leading eigenvector is kept.
+    residue c/p², and φφᵀ = Re(2j·ω_d·c/p²), of which the leading eigenvector is kept. Where branches are
+    equal (``shared``) modes share poles, and of the eigenvectors of all poles those are kept that swing most.
     """
     count, motors = poles.size, len(masses)
     omega = np.abs(poles)
     damping = np.clip(-poles.real / omega, 1e-4, 0.3)
-    shapes = np.zeros((count, motors))
+    strength = np.zeros((count, motors))
+    every = np.zeros((count, motors, motors))
     for r in range(count):
         c = (residues[r] + 1j * residues[count + r]) * scale
         product = (2j * poles[r].imag * c / poles[r] ** 2).real
         size, vectors = np.linalg.eigh(0.5 * (product + product.T))
-        shapes[r] = np.sqrt(max(float(size[-1]), 0.0)) * vectors[:, -1]
+        every[r] = (np.sqrt(np.maximum(size, 0.0)) * vectors).T
+        strength[r] = np.maximum(size, 0.0) ** 2 / (damping[r] * omega[r] ** 3)
+    if not shared:
+        strength[:, :-1] = -1.0
+    at, own = np.unravel_index(
+        np.sort(np.argsort(strength, axis=None)[strength.size - count :]), strength.shape
+    )
+    # Modes that share a pole must not start at exactly one point.
+    omega, damping, shapes = omega[at] * (1.0 + SPLIT * np.arange(count)), damping[at], every[at, own]
     high = residues[2 * count]
     rows, columns = pairs(motors)
     allowed = high_gain_pairs(masses)

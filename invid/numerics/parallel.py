@@ -10,9 +10,10 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from invid.numerics import budget
 
@@ -45,7 +46,7 @@ def parallel_map(run: Callable[[A], B], items: Sequence[A], known: Sequence[obje
         numbers = _numbered(len(items))
     except OSError:  # no more files
         return [run(item) for item in items]
-    caller = os.getpid()
+    calls = _Calls(run, items, numbers, known, os.getpid())
     working: list[tuple[BaseProcess, Connection]] = []
     with budget.use_helpers(helpers + 1):
         try:
@@ -56,8 +57,7 @@ def parallel_map(run: Callable[[A], B], items: Sequence[A], known: Sequence[obje
                     break
                 # A helper with the caller's ends open would never learn that the caller is gone.
                 idle = [mine, *(m for _, m in working)]
-                arguments = (run, items, numbers, known, theirs, idle, caller)
-                process = context.Process(target=_help, args=arguments, daemon=True)
+                process = context.Process(target=_help, args=(calls, theirs, idle), daemon=True)
                 try:
                     process.start()
                 except OSError:
@@ -66,7 +66,7 @@ def parallel_map(run: Callable[[A], B], items: Sequence[A], known: Sequence[obje
                 finally:
                     theirs.close()
                 working.append((process, mine))
-            done = _taken(run, items, numbers)
+            done = calls.taken(helps=False)
             for _, answer in working:
                 done.update(_received(answer, known))
         finally:
@@ -96,28 +96,28 @@ def _cores() -> int:
     return min(MOST, len(os.sched_getaffinity(0)))
 
 
-def _taken(
-    run: Callable[[A], B], items: Sequence[A], numbers: int, caller: int | None = None
-) -> dict[int, B]:
-    """Return the answers to the calls that nobody else took; a helper ends where its ``caller`` is gone."""
-    done = {}
-    while number := os.read(numbers, _NUMBER):
-        if caller is not None and os.getppid() != caller:
-            os._exit(1)
-        k = int.from_bytes(number, "little")
-        done[k] = run(items[k])
-    return done
+@dataclass(frozen=True, eq=False)
+class _Calls(Generic[A, B]):
+    """Calls that whoever is free takes: a pipe has the numbers of those that nobody took."""
+
+    run: Callable[[A], B]
+    items: Sequence[A]
+    numbers: int
+    known: Sequence[object]
+    caller: int
+
+    def taken(self, *, helps: bool) -> dict[int, B]:
+        """Return the answers to the calls that nobody else took; a helper ends where its caller is gone."""
+        done = {}
+        while number := os.read(self.numbers, _NUMBER):
+            if helps and os.getppid() != self.caller:
+                os._exit(1)
+            k = int.from_bytes(number, "little")
+            done[k] = self.run(self.items[k])
+        return done
 
 
-def _help(  # noqa: PLR0913 - all that a forked helper knows
-    run: Callable[[A], B],
-    items: Sequence[A],
-    numbers: int,
-    known: Sequence[object],
-    answer: Connection,
-    idle: Sequence[Connection],
-    caller: int,
-) -> None:
+def _help(calls: _Calls[A, B], answer: Connection, idle: Sequence[Connection]) -> None:
     """Work as a helper: take calls, and say nothing where one fails."""
     signal.signal(signal.SIGINT, lambda *_: budget.stop())  # Ctrl-C: the caller wants what there is
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -126,7 +126,7 @@ def _help(  # noqa: PLR0913 - all that a forked helper knows
         end.close()
     try:
         packed = io.BytesIO()
-        _Pickler(packed, known).dump(_taken(run, items, numbers, caller))
+        _Pickler(packed, calls.known).dump(calls.taken(helps=True))
         answer.send_bytes(packed.getbuffer())
     except Exception:
         os._exit(1)

@@ -8,7 +8,7 @@ points, together with the boundary terms that the fit adds (``transient``) is ex
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -282,20 +282,11 @@ def _periodic_spectra(
         excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, period * data.step)
     else:
         excited = known[band]
-    return _assemble(
-        experiment,
-        data,
-        hz[band],
-        mean[band],
-        covariance,
-        excited,
-        periods=used,
-        transient=not settling.settled,
-        wave=np.concatenate((position.mean(0), torque[first:].mean(0)), axis=1),
-        span=used * period * data.step,
-        floor=np.maximum(np.maximum(own, step**2 / 12 * 4 / period / used), 1e-300),
-        warnings=warnings,
-    )
+    floor = np.maximum(np.maximum(own, step**2 / 12 * 4 / period / used), 1e-300)
+    lines = _Lines(hz[band], mean[band], covariance, excited, floor)
+    wave = np.concatenate((position.mean(0), torque[first:].mean(0)), axis=1)
+    found = _assemble(experiment, lines, wave, data.step, used)
+    return replace(found, transient=not settling.settled, warnings=tuple(warnings))
 
 
 def _whole_spectra(
@@ -333,20 +324,8 @@ def _whole_spectra(
         rounding[:, :motors] = np.maximum(rounding[:, :motors], floor[:motors] * drift)
     covariance = flat_covariance(np.maximum(floor, rounding), int(band.sum()))
     excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, count * data.step)
-    return _assemble(
-        experiment,
-        data,
-        hz[band],
-        mean[band],
-        covariance,
-        excited,
-        periods=1,
-        transient=True,
-        wave=wave[:count],
-        span=count * data.step,
-        floor=floor,
-        warnings=warnings,
-    )
+    lines = _Lines(hz[band], mean[band], covariance, excited, floor)
+    return replace(_assemble(experiment, lines, wave[:count], data.step, 1), warnings=tuple(warnings))
 
 
 def is_integrated_velocity(experiment: Experiment) -> bool:
@@ -423,26 +402,22 @@ def _windowed_spectrum(values: Float64, lines: int) -> Complex128:
     return _amplitudes([values * window], lines)[:, 0]
 
 
-def _assemble(  # noqa: PLR0913 - the fields of LineSpectra
-    experiment: Experiment,
-    data: UniformRecord,
-    hz: Float64,
-    mean: Complex128,
-    covariance: Complex128,
-    excited: Bool,
-    *,
-    periods: int,
-    transient: bool,
-    wave: Float64,
-    span: float,
-    floor: Float64,
-    warnings: list[str],
-) -> LineSpectra:
-    motors = data.position.shape[1]
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """What the lines of the band hold, as in ``LineSpectra``; ``mean`` (F, 2M) are both channels."""
 
-    driven = driven_axes(
-        experiment.excited_axis, mean[:, :motors], mean[:, motors:], 2 * np.pi * hz, excited, floor
-    )
+    hz: Float64
+    mean: Complex128
+    covariance: Complex128
+    excited: Bool
+    floor: Float64
+
+
+def _assemble(experiment: Experiment, lines: _Lines, wave: Float64, step: float, periods: int) -> LineSpectra:
+    """The spectra of a record that does not repeat; ``wave`` (n, 2M) is its period or all of it."""
+    motors, omega = wave.shape[1] // 2, 2 * np.pi * lines.hz
+    position, torque = lines.mean[:, :motors], lines.mean[:, motors:]
+    driven = driven_axes(experiment.excited_axis, position, torque, omega, lines.excited, lines.floor)
 
     def fixed(values: Complex128) -> Complex128:
         return frozen(values, np.complex128)  # type: ignore[return-value]
@@ -450,20 +425,19 @@ def _assemble(  # noqa: PLR0913 - the fields of LineSpectra
     return LineSpectra(
         key=experiment.key,
         role=experiment.role,
-        frequency_hz=frozen_float(hz),
-        position=fixed(mean[:, :motors]),
-        torque=fixed(mean[:, motors:]),
-        covariance=fixed(covariance),
-        excited=frozen(excited, np.bool_),  # type: ignore[arg-type]
+        frequency_hz=frozen_float(lines.hz),
+        position=fixed(position),
+        torque=fixed(torque),
+        covariance=fixed(lines.covariance),
+        excited=frozen(lines.excited, np.bool_),  # type: ignore[arg-type]
         periods=periods,
-        sample_rate_hz=1.0 / data.step,
-        transient=transient,
-        time=frozen_float(np.arange(wave.shape[0]) * data.step),
+        sample_rate_hz=1.0 / step,
+        transient=True,
+        time=frozen_float(np.arange(wave.shape[0]) * step),
         position_wave=frozen_float(wave[:, :motors]),
         torque_wave=frozen_float(wave[:, motors:]),
-        warnings=tuple(warnings),
-        span_s=span,
+        span_s=periods * wave.shape[0] * step,
         driven=frozen(driven, np.bool_),  # type: ignore[arg-type]
         staircase=frozen_float(held_torque(experiment)),
-        floor=frozen_float(floor),
+        floor=frozen_float(lines.floor),
     )

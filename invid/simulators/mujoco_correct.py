@@ -30,7 +30,6 @@ from invid.effects.elements import (
     StaticLaw,
     TorqueChannel,
 )
-from invid.effects.laws.dry_friction import ROUNDING
 from invid.errors import ModelError
 from invid.exchange.linear_plant import effect_name
 from invid.model.chains import CoupledChains
@@ -57,6 +56,9 @@ SOFT = 0.01
 """Impedance of friction that gives way: its share of inertia more while it does."""
 STIFF_BRISTLE = 1e-4
 """Deflection [rad or m] at which a bristle slides, for friction with a Stribeck curve and no presliding."""
+ROUNDING = "rounding"
+"""Further parameter of friction in a model: the velocity over which its sign changes, tanh(v/rounding)
+[rad/s or m/s]."""
 _NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
 NO_PLAY = 1e-6
 """Share of its play that a joint keeps where the machine has none: MuJoCo takes no limits without room."""

@@ -6,6 +6,7 @@ Units stand in the keys. For a linear axis read N for Nm and m for rad: both spe
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any, Literal
 
 from pydantic import AliasChoices, Field, ValidationError, field_validator, model_validator
@@ -14,6 +15,7 @@ from invid.config.experiments import Strict
 from invid.config.schema import CellConfig
 from invid.errors import ConfigError, ModelError
 from invid.model.chains import CoupledChains, case_study
+from invid.numerics.arrays import frozen_float
 from invid_drivers.simulated.faults import FaultConfig
 from invid_drivers.simulated.vendors import PROFILES
 
@@ -257,7 +259,7 @@ def truth(config: CellConfig) -> CoupledChains:
     simulation = simulation_of(config)
     plant = simulation.plant
     names = [axis.name for axis in config.axes]
-    viscous = [simulation.axis(name).friction.viscous for name in names]
+    viscous = frozen_float([simulation.axis(name).friction.viscous for name in names])
     if plant.case_study:
         paper = case_study(damping_ratio=plant.damping_ratio)
         if len(names) != paper.branches:
@@ -265,9 +267,7 @@ def truth(config: CellConfig) -> CoupledChains:
                 f"config of {config.robot!r}: simulation.plant.case_study has {paper.branches} axes, "
                 f"the cell has {len(names)}"
             )
-        return CoupledChains.build(
-            paper.masses, paper.springs, paper.dampers, paper.couplings, ground_dampers=viscous, axes=names
-        )
+        return replace(paper, ground_dampers=viscous, axes=tuple(names))
     by_axis = {branch.axis: branch for branch in plant.branches}
     if sorted(by_axis) != sorted(names) or len(plant.branches) != len(names):
         raise ConfigError(
@@ -277,14 +277,9 @@ def truth(config: CellConfig) -> CoupledChains:
     branches = [by_axis[name] for name in names]
     try:
         couplings = _coupling_matrix(plant.couplings, names)
-        return CoupledChains.build(
-            [b.masses for b in branches],
-            [b.springs for b in branches],
-            [b.dampers or _dampers(b, plant.damping_ratio) for b in branches],
-            couplings,
-            ground_dampers=viscous,
-            axes=names,
-        )
+        dampers = [b.dampers or _dampers(b, plant.damping_ratio) for b in branches]
+        parts = [b.masses for b in branches], [b.springs for b in branches], dampers
+        return replace(CoupledChains.build(*parts, couplings, axes=names), ground_dampers=viscous)
     except ModelError as error:
         raise ConfigError(f"config of {config.robot!r}: simulation.plant: {error}") from None
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from invid.diagnosis.outcome import (
     Cause,
+    Outcome,
     assemble_diagnosis,
     explained_share,
     finding_of,
@@ -73,11 +74,7 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
         left = Unexplained(
             recording.axes[0], (), (), f"Whether anything is missing is not told: {doubt.text}."
         )
-    result = assemble_diagnosis(
-        recording,
-        residual,
-        findings,
-        model,
+    outcome = Outcome(
         missing=bool(findings) or bool(sure) or bool(tones) or doubt is not None,
         complete=not sure and not tones,
         explained=explained if findings else None,
@@ -92,6 +89,7 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
         ],
         details={"linear_model": model_to_json(model_of(found.bare, (), recording))},
     )
+    result = assemble_diagnosis(recording, residual, findings, model, outcome)
     result = doubt_floors(replace(result, forces=forces_at(found.bare, found.end, recording)), recording)
     if found.is_cut_short:
         return limit_unfinished_search(result)

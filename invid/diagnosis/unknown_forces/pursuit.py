@@ -16,7 +16,7 @@ from invid.effects.supposed_laws import SUPPOSED
 from invid.identification.late_drives import late_drives
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Kind
-from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, scan_law
+from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, with_law
 from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed
 from invid.likelihood.unknown_forces.worth import LEAST_FITTED, NUMBER, pays, role_falls
 from invid.numerics import budget
@@ -108,16 +108,6 @@ def _is_at_bound(found: Supposed, placed: PlacedLaw) -> bool:
     """Whether a coefficient of a law is at its bound."""
     names = [c.name for c in found.fit.problem.columns]
     return not all(found.fit.value.free[names.index((*placed.key, i))] for i in range(len(placed.law.low)))
-
-
-def try_law(now: Supposed, placed: PlacedLaw) -> Supposed:
-    """The hypothesis with one law more, its shape and all numbers at their best."""
-    found = now.refit(now.hypothesis.plus(placed), iterations=5)
-    found = scan_law(found, len(found.hypothesis.laws) - 1)
-    for _ in range(2):
-        found = reshape(found, 2)
-        found = found.renewed(5) if placed.needs_fit else found
-    return found
 
 
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
@@ -220,7 +210,7 @@ def pursue(
             if placed.key in tried or budget.is_left_out("further causes"):
                 continue
             tried.add(placed.key)
-            found = try_law(now, placed)
+            found = with_law(now, placed)
             if is_sound(found) and own_share(found, found.hypothesis.laws[-1]) > ALIKE:
                 trials.append(Trial(placed.law.cause, placed.spot, found, now, placed))
         best = max((t.fall for t in trials), default=0.0)

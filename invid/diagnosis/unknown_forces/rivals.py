@@ -12,7 +12,7 @@ from invid.diagnosis.thresholds import COMPETES, EXPLAINED
 from invid.diagnosis.unknown_forces.left_over import PlaceForce
 from invid.diagnosis.unknown_forces.nameless import drag
 from invid.diagnosis.unknown_forces.projected_rows import Rows
-from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound, try_law
+from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound
 from invid.diagnosis.unknown_forces.scoring import column_fall, score, spots_of
 from invid.diagnosis.unknown_forces.structures import Base, Mode
 from invid.effects.laws.empirical_law import NAMELESS
@@ -22,6 +22,7 @@ from invid.identification.missing_torque import axis_missing
 from invid.identification.quantities import axis_and_element
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.shapes import with_law
 from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, PlacedLaw, Supposed
 from invid.likelihood.unknown_forces.worth import FRICTION, Worth, role_falls
 from invid.model.diagnosis_document import Alternative
@@ -92,7 +93,7 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
         if budget.is_left_out(WHAT):
             break
         more = price * (_numbers(placed) - (1 if own is None else _numbers(own)))
-        rivals.append((placed.law.cause, placed.spot, more, try_law(less, placed)))
+        rivals.append((placed.law.cause, placed.spot, more, with_law(less, placed)))
     if isinstance(worth.key, tuple) and isinstance(worth.key[0], Channel):
         channel, axis = worth.key
         other = next(c for c in Channel if c is not channel)

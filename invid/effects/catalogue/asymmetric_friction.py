@@ -12,7 +12,6 @@ from invid.effects.catalogue.stribeck_friction import StribeckFriction
 from invid.effects.catalogue.viscous_friction import InnerViscous
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.dry_friction import stribeck_decay
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, asymmetric_share
 from invid.effects.supposed.law import AtMotor, Shape, SpotMotion, SupposedLaw
 from invid.model.place import mass_places
@@ -115,5 +114,5 @@ class LowSpeed(SupposedLaw):
         self.low = low
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
-        slow = stribeck_decay(motion.velocity, (float(np.exp(shape[0])), shape[1]))
+        slow = np.exp(-((np.abs(motion.velocity) / np.exp(shape[0])) ** shape[1]))
         return np.stack((slow * np.sign(motion.velocity), slow), axis=1)[:, : len(self.low)]

@@ -23,7 +23,7 @@ import numpy as np
 
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import AddedBase, Element, ModelPlace
-from invid.effects.laws.moving_base import SHARE, load_inertia, moved_by_base, shares_of
+from invid.effects.laws.moving_base import SHARE, moved_by_base, shares_of
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_base
 from invid.model.document import EffectTerm
 from invid.model.parameters import ChainStructure
@@ -68,7 +68,7 @@ class BaseCompliance(Effect):
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         chains = at.chains
-        inertia = load_inertia(chains)
+        inertia = chains.end_mass_matrix
         p = {name: e.value for name, e in at.term.parameters.items()}
         p |= {"mass": at.positive("mass"), "stiffness": at.positive("stiffness")}
         total, force = moved_by_base(p, inertia)

@@ -11,18 +11,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from invid.model.chains import CoupledChains
 from invid.numerics.arrays import Float64
 
 SHARE = "share_"
 """Beginning of the name of a share; the number of the axis, from 1, follows."""
-
-
-def load_inertia(chains: CoupledChains) -> Float64:
-    """(M, M) inertia of the final masses with their couplings."""
-    ends = chains.end_dofs
-    out: Float64 = chains.mass_matrix[np.ix_(ends, ends)]
-    return out
 
 
 def shares_of(p: Mapping[str, float], axes: int) -> Float64:

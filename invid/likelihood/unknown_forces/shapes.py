@@ -12,7 +12,7 @@ import numpy as np
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.slope import number_rows, whitened_rows
-from invid.likelihood.unknown_forces.supposition import Hypothesis, Supposed, vector_of
+from invid.likelihood.unknown_forces.supposition import Hypothesis, PlacedLaw, Supposed, vector_of
 from invid.likelihood.unknown_forces.value import along, evaluate
 from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64, Int64
@@ -200,6 +200,16 @@ def scan_law(now: Supposed, number: int) -> Supposed:
         now = now.refit(best[1], iterations=3)
         placed = now.hypothesis.laws[number]
     return now
+
+
+def with_law(now: Supposed, placed: PlacedLaw) -> Supposed:
+    """The hypothesis with one law more, its shape and all numbers at their best."""
+    found = now.refit(now.hypothesis.plus(placed), iterations=5)
+    found = scan_law(found, len(found.hypothesis.laws) - 1)
+    for _ in range(2):
+        found = reshape(found, 2)
+        found = found.renewed(5) if placed.needs_fit else found
+    return found
 
 
 def reshape(now: Supposed, rounds: int = 4) -> Supposed:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from invid.diagnosis.consequence import grade_consequences
-from invid.diagnosis.outcome import assemble_diagnosis
+from invid.diagnosis.outcome import Outcome, assemble_diagnosis
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import (
     Alternative,
@@ -147,11 +147,13 @@ def concluded(start: Diagnosis, recording: Recording) -> Diagnosis:
             start.residual,
             start.findings,
             start.model,
-            missing=True,
-            complete=True,
-            explained=start.explained_fraction,
-            left=start.unexplained,
-            warnings=start.warnings,
+            Outcome(
+                missing=True,
+                complete=True,
+                explained=start.explained_fraction,
+                left=start.unexplained,
+                warnings=start.warnings,
+            ),
         ),
         recording,
     )

@@ -22,7 +22,7 @@ from test_consequence_grades import term
 
 from invid.cli.app import run
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.outcome import Cause, assemble_diagnosis, finding_of
+from invid.diagnosis.outcome import Cause, Outcome, assemble_diagnosis, finding_of
 from invid.model.diagnosis_document import (
     Alternative,
     Verdict,
@@ -89,9 +89,7 @@ def test_no_document_says_more_than_its_numbers_carry(
         start.residual,
         start.findings if named else (),
         start.model,
-        missing=missing,
-        complete=complete,
-        explained=share,
+        Outcome(missing=missing, complete=complete, explained=share),
     )
     if named:
         kept = complete and (share is None or share >= 0.9) and floors <= 1.2
@@ -131,9 +129,7 @@ def test_what_is_left_below_two_thousandths_of_rated_torque_is_explained_and_sai
         start.residual,
         start.findings,
         start.model,
-        missing=True,
-        complete=False,
-        explained=0.7,
+        Outcome(missing=True, complete=False, explained=0.7),
     )
     assert result.verdict is (Verdict.EXPLAINED if small else Verdict.PARTLY_EXPLAINED)
     assert (result.unexplained is None) == small
@@ -146,7 +142,11 @@ def test_a_size_that_the_data_do_not_tell_comes_with_what_would() -> None:
     open_speed = {**finding.effect.parameters, "velocity": Estimate(1.0, None, "rad/s")}
     found = replace(finding, effect=replace(finding.effect, parameters=open_speed))
     result = assemble_diagnosis(
-        plain_recording(), start.residual, [found], start.model, missing=True, complete=True, explained=1.0
+        plain_recording(),
+        start.residual,
+        [found],
+        start.model,
+        Outcome(missing=True, complete=True, explained=1.0),
     )
     assert broken(diagnosis_to_json(result), plain_recording()) == []
     assert any("do not tell its velocity; slow constant-velocity moves" in w for w in result.warnings)
@@ -161,9 +161,7 @@ def test_a_document_that_broke_them_would_be_found() -> None:
             start.residual,
             start.findings,
             start.model,
-            missing=True,
-            complete=True,
-            explained=1.0,
+            Outcome(missing=True, complete=True, explained=1.0),
         )
     )
     assert broken(good, plain_recording(rated=False)) == []

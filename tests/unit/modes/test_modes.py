@@ -51,3 +51,8 @@ def test_the_case_study_is_identified_within_one_per_cent_at_half_a_per_cent_noi
     assert result.warnings == ()
     dampers = np.concatenate(result.chains.dampers) / np.concatenate(truth.dampers)
     assert np.all((dampers > 0.7) & (dampers < 1.4))
+
+
+def test_modes_of_equal_branches_share_their_poles() -> None:
+    truth = CoupledChains.build([[1.0, 2.0, 3.0]] * 2, [[1000.0, 2000.0]] * 2)
+    assert largest_error(identify_paper(*measured(truth), (3, 3)).chains, truth) < 0.01
