@@ -37,6 +37,7 @@ from invid_drivers.goal import measure_to_goal
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.screening import screen_cell
 from invid_drivers.simulated import truth
+from invid_drivers.stopping_budgets import Wish
 
 CONFIG = Path(__file__).parents[2] / "configs" / "case-study.yaml"
 GOAL = 0.01
@@ -162,7 +163,7 @@ def stepped(config: CellConfig, path: Path) -> Run:
     and speed lifted; plan and fit start at the truth."""
     changed = stepped_config(config.simulation["seed"], FREQUENCIES, 0.5 * make_plan(config).peak_torque)
     try:
-        seconds = measure_to_file(changed, path, model=truth(config)).duration_s
+        seconds = measure_to_file(changed, path, Wish(model=truth(config))).duration_s
     except InvidError as error:
         print(f"    {error}"[:150])
         return Run(float("inf"), float("inf"), 0, 0)

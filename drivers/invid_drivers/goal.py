@@ -24,6 +24,7 @@ from invid.recording import Recording, read_recording
 from invid.sweep import Progress
 from invid_drivers.filing import Judge
 from invid_drivers.measurement import MeasurementResult, measure_to_file
+from invid_drivers.stopping_budgets import Wish
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def measure_to_goal(
         return not seen[-1].meets(design.goal)
 
     result = measure_to_file(
-        config, out, progress=progress, stop=stop, plan=design.plan, judge=Judge(needs_more)
+        config, out, Wish(plan=design.plan), progress=progress, stop=stop, judge=Judge(needs_more)
     )
     if not seen or not seen[-1].meets(design.goal):
         needs_more(read_recording(out))

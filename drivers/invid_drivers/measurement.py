@@ -14,10 +14,8 @@ import yaml
 
 from invid.config import CellConfig
 from invid.errors import ConfigError, DriveError, InvidError, SafetyStop, left_by, note_left
-from invid.model.chains import CoupledChains
 from invid.numerics.arrays import frozen_float
 from invid.planning import AxisForecast, Plan
-from invid.planning.belief import Belief
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.recording.writer import require_room
 from invid.sweep import Progress, Sink, Sweep, SweepResult
@@ -76,19 +74,16 @@ class MeasurementResult:
         }
 
 
-def measure_to_file(  # noqa: PLR0913 - what a person may wish of a run
+def measure_to_file(
     config: CellConfig,
     out: Path,
+    wish: Wish = Wish(),
     *,
-    axes: Sequence[str] | None = None,
-    amplitude_scale: float = 1.0,
     progress: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
-    model: CoupledChains | Belief | None = None,
-    plan: Plan | None = None,
     judge: Judge | None = None,
 ) -> MeasurementResult:
-    """Run the config's experiments, or those of ``plan``, and write the recording.
+    """Run the config's experiments, or those that are wished for, and write the recording.
 
     ``judge`` may end the run early. ``out`` is not touched before the first experiment begins. Whatever ends
     the run, the drives are stopped and restored, and what was measured is closed and marked in ``out``.
@@ -100,7 +95,7 @@ def measure_to_file(  # noqa: PLR0913 - what a person may wish of a run
     SafetyStop, DriveError, BusError
         The measurement ended early; the recording so far is in ``out``.
     """
-    out, wish = Path(out), Wish(axes, amplitude_scale, model, plan)
+    out = Path(out)
     require_plan(config, wish)
     if is_virtual(config):
         return run_measurement(config, wish, connect(config), out, progress=progress, stop=stop, judge=judge)

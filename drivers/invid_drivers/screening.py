@@ -17,6 +17,7 @@ from invid.planning.goal import GoalPlan, GoalWish, plan_for_goal
 from invid.recording import read_recording
 from invid.sweep import Progress
 from invid_drivers.measurement import MeasurementResult, measure_to_file
+from invid_drivers.stopping_budgets import Wish
 
 SCREEN_GOAL = 0.01
 """Relative uncertainty that the record is laid out for: a change of a few per cent is then seen (a
@@ -58,5 +59,5 @@ def screen_cell(
 ) -> ScreenedCell:
     """Measure for seconds and compare with the accepted model."""
     design = screening_plan(config, from_model(model, config), noise)
-    result = measure_to_file(config, out, progress=progress, stop=stop, plan=design.plan)
+    result = measure_to_file(config, out, Wish(plan=design.plan), progress=progress, stop=stop)
     return ScreenedCell(result, screen(read_recording(out), model))

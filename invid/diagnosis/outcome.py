@@ -77,7 +77,8 @@ def finding_of(
     the true cause may then be another. ``own``: the cause stands on its own evidence, whatever share of all
     that was missing is explained.
     """
-    sure = 1.0 if own else 0.55 + 0.45 * _confidence_ramp(explained)
+    ramp = float(np.clip((explained - NAMED) / (0.995 - NAMED), 0.0, 1.0))
+    sure = 1.0 if own else 0.55 + 0.45 * ramp
     confidence = float(np.clip(cause.share * sure, 0.01, 0.999))
     # A law without a name may be that of a cause which nobody has thought of.
     if cause.alternatives or cause.doubts or not at_noise or cause.effect.cause == NAMELESS:
@@ -95,10 +96,6 @@ def finding_of(
         separating_experiment=separating_experiment_of(cause.effect, cause.alternatives),
         sentence=" ".join([sentence, *cause.remarks, *cause.doubts]),
     )
-
-
-def _confidence_ramp(explained: float) -> float:
-    return float(np.clip((explained - NAMED) / (0.995 - NAMED), 0.0, 1.0))
 
 
 def separating_experiment_of(term: EffectTerm, rivals: Sequence[Alternative]) -> dict[str, object] | None:

@@ -73,7 +73,7 @@ lies within the limit unless it is the same axis that is near one."""
 SPREAD_CLIMB = 1.4
 """Usual motion of runs from rest, which begin where an axis drifts least, over that of a climb with
 every line on all axes. Empirical (``benchmarks/planning/bench_spread.py``, 50 cells of one to four axes):
-travel goes beyond it in 4, to 1.8 at most, velocity in 1; what is announced was exceeded in none."""
+travel goes beyond it in 3, to 1.8 at most, velocity in 1; what is announced was exceeded in none."""
 SPREAD_TORQUE = 1.25
 """The same for the torque, most of which is the excitation itself."""
 SPREAD_SWEEP = (1.5, 2.0, 1.5)

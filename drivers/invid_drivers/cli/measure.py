@@ -383,21 +383,18 @@ def register(app: typer.Typer) -> None:
             out = _required(out)
             confirm(cell, confirmed=confirmed)
             return run_design(cell, design, out, as_json=as_json)
+        wish = Wish(chosen, amplitude, known)
         if dry_run:
-            return tell_plan(
-                cell, Wish(chosen, amplitude, known), belief, noise_of(cell, noise_from), as_json=as_json
-            )
+            return tell_plan(cell, wish, belief, noise_of(cell, noise_from), as_json=as_json)
         out = _required(out)
         confirm(cell, confirmed=confirmed)
         with stop_on_signals() as stop:
             result = measure_to_file(
                 cell,
                 out,
-                axes=chosen,
-                amplitude_scale=amplitude,
+                wish,
                 progress=ProgressLine(),
                 stop=stop,
-                model=known,
                 judge=judge_of(cell, lambda found: note(f"  so far: {found.sentence}")),
             )
         emit(result.to_json(), result_text(result), as_json=as_json)

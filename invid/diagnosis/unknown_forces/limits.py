@@ -188,11 +188,10 @@ class Screen:
 
     def of_law(self, law: SupposedLaw, spot: Spot, main: str) -> Iterator[Limit | None]:
         """Limits of a law at its shapes."""
-        shapes = law.shapes(self.end.motions.flat(spot))
         if isinstance(law, BacklashLaw | TorqueSaturationLaw):
             yield self._of_knee(law, spot, main)
             return
-        for shape in shapes:
+        for shape in law.shapes(self.end.motions.flat(spot)):
             placed = PlacedLaw(law, spot, shape)
             left, felt = self.rows.of_law(placed), self.rows.felt_of(placed)
             seen, direction = _least_seen(left, only_last=bool(law.contains))

@@ -6,7 +6,7 @@ left, and a stage that it ends leaves what was found so far.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from invid.diagnosis.unknown_forces.backward import first_order_worths, worths
@@ -70,20 +70,17 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     is_cut_short = CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
         budget.tell("weighing each cause", 0.0)
-        found, weighed = budget.or_else(
-            "what each cause is worth", lambda: _weighed(with_masses_seen(pursued.end)), None
-        ) or _by_first_order(pursued.end)
+        found, weighed = _weighed(pursued.end, with_masses_seen)
     budget.tell("what is left", 0.85)
     named = budget.or_else("what is left at each place", lambda: at_their_places(weighed), weighed)
+    named = named.kept_settled()
     bare = without_causes(named)
     nothing: tuple[PlaceForce, ...] = ()
     forces_named = budget.or_else("what is left at each place", lambda: place_forces(named, bare), nothing)
     end, forces = named, forces_named
     with_law = budget.or_else("a law without a name", lambda: add_laws(named, forces_named), None)
     if with_law is not None:
-        found, end = budget.or_else(
-            "what each cause is worth", lambda: _weighed(with_law), None
-        ) or _by_first_order(with_law)
+        found, end = _weighed(with_law, Supposed.kept_settled)
         forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), nothing)
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
@@ -114,15 +111,17 @@ def found_so_far(now: Supposed, axes: Sequence[str]) -> list[budget.Found]:
     return out
 
 
-def _weighed(now: Supposed) -> tuple[tuple[Worth, ...], Supposed]:
-    """What each cause is worth, and the fit with those that pay."""
-    found = tuple(worths(now))
-    return found, only(now, found)
+def _weighed(now: Supposed, ready: Callable[[Supposed], Supposed]) -> tuple[tuple[Worth, ...], Supposed]:
+    """What each cause is worth once all is ``ready``, and the fit with those that pay; to first order, with
+    all that was found, where the budget allows no more."""
 
+    def weigh() -> tuple[tuple[Worth, ...], Supposed]:
+        whole = ready(now)
+        found = tuple(worths(whole))
+        return found, only(whole, found)
 
-def _by_first_order(now: Supposed) -> tuple[tuple[Worth, ...], Supposed]:
-    """The same without a fit: worth to first order, and the fit with all that was found."""
-    return tuple(first_order_worths(now)), now
+    told = budget.or_else("what each cause is worth", weigh, None)
+    return told or (tuple(first_order_worths(now)), now)
 
 
 def only(now: Supposed, found: Sequence[Worth]) -> Supposed:

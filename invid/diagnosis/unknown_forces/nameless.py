@@ -101,7 +101,7 @@ def _choices(now: Supposed, axis: int, quantities: Sequence[tuple[str, str]]) ->
         for spot in now.fit.problem.spots.spots:
             at, element, other = place_of(structure, spot)
             is_of_chain = other is None and element.startswith(("mass", "spring"))
-            if at != axis or not is_of_chain or (over in AT_SPRING) is not _is_between(spot):
+            if at != axis or not is_of_chain or (over in AT_SPRING) is not (spot.where is Where.SPRING):
                 continue
             budget.check()
             instead = _instead(now, spot, over)
@@ -111,10 +111,6 @@ def _choices(now: Supposed, axis: int, quantities: Sequence[tuple[str, str]]) ->
                     out.append(replace(chosen, worth=chosen.worth - (base.total - now.total)))
                     break
     return sorted(out, key=lambda c: -c.worth)
-
-
-def _is_between(spot: Spot) -> bool:
-    return spot.where is Where.SPRING
 
 
 def _instead(now: Supposed, spot: Spot, over: str) -> Hypothesis | None:
@@ -155,7 +151,7 @@ def _choose(rows: Rows, quantities: tuple[str, str], spot: Spot, most: int) -> C
 
     straight = law.straight()
     shapes, x = parts_without(straight)
-    if not _is_between(spot):  # a spring's straight lines are its stiffness, its damper and its load
+    if spot.where is not Where.SPRING:  # a spring's straight lines are its stiffness, its damper and its load
         if not x.size:
             shapes, x = parts_without(straight[:, :0])
         shapes, x = parts_without(straight[:, _is_undone(columns @ straight, straight, shapes @ x)])

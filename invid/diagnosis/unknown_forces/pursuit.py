@@ -119,7 +119,7 @@ def settle(now: Supposed, rounds: int = 5) -> Supposed:
             now = moved
         if gained < 4.0:
             break
-    return now
+    return now.kept_settled()
 
 
 def try_channels(now: Supposed) -> list[Trial]:

@@ -93,7 +93,7 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
         if budget.is_left_out(WHAT):
             break
         more = price * (_numbers(placed) - (1 if own is None else _numbers(own)))
-        rivals.append((placed.law.cause, placed.spot, more, with_law(less, placed)))
+        rivals.append((placed.law.cause, placed.spot, more, with_law(less, placed).kept_settled()))
     if isinstance(worth.key, tuple) and isinstance(worth.key[0], Channel):
         channel, axis = worth.key
         other = next(c for c in Channel if c is not channel)
@@ -101,16 +101,12 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
         swapped = replace(swapped, absent=swapped.absent - {(Channel.DELAY, axis)})
         found = less.refit(swapped, iterations=15)
         rivals.append((other.value, Spot(Where.MOTOR, axis), 0.0, found))
-    return [
-        _Rival(
-            cause,
-            spot,
-            sum(role_falls(found, end)) + more,
-            float(np.sqrt((axis_missing(found).missing ** 2).mean())),
-        )
-        for cause, spot, more, found in rivals
-        if is_sound(found)
-    ]
+    return [_rival((cause, spot), found, end, more) for cause, spot, more, found in rivals if is_sound(found)]
+
+
+def _rival(named: tuple[str, Spot], found: Supposed, than: Supposed, more: float = 0.0) -> _Rival:
+    missing = float(np.sqrt((axis_missing(found).missing ** 2).mean()))
+    return _Rival(*named, sum(role_falls(found, than)) + more, missing)
 
 
 def _numbers(placed: PlacedLaw) -> int:
@@ -120,12 +116,7 @@ def _numbers(placed: PlacedLaw) -> int:
 def _in_the_search(worth: Worth, pursued: Pursued) -> list[_Rival]:
     """Rivals of a structure, as far as they were behind when it was taken."""
     return [
-        _Rival(
-            rival.cause,
-            rival.spot,
-            sum(role_falls(rival.found, taken.found)),
-            float(np.sqrt((axis_missing(rival.found).missing ** 2).mean())),
-        )
+        _rival((rival.cause, rival.spot), rival.found, taken.found)
         for taken, rival in pursued.rivals
         if taken.cause == worth.cause and taken.placed is None and rival.cause != worth.cause
     ]

@@ -1,10 +1,8 @@
 """Unknown forces: where something may act that no law names, and how strong it is there.
 
 At every place p (a unit vector or a difference of two, b_p) acts a force of zero mean and power q_p·g(ω), g
-one of
-``COLOURS``. In the covariance of the motors' missing torque it adds q_p g H_p H_pᴴ with H_p = V b_p: noise
-of the
-right place and colour, so that what is not modelled neither biases the plant nor speaks for a wrong cause.
+one of ``colours``. In the covariance of the motors' missing torque it adds q_p g H_p H_pᴴ with H_p = V b_p:
+noise of the right place and colour. What is not modelled biases no plant then, and speaks for no wrong cause.
 """
 
 from __future__ import annotations

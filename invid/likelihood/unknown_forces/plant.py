@@ -291,9 +291,8 @@ class Condensed:
     """The plant as the motors see it on F lines.
 
     ``receptance`` (F, n, n): X, inverse of D over the inner coordinates, zero elsewhere. ``motion`` (F, M,
-    n):
-    V = [I, −D_mi X], what a force at any coordinate asks of the motors, and (transposed) how every coordinate
-    moves with them. ``stiffness`` (F, M, M): Z = V D_·m.
+    n): V = [I, −D_mi X], what a force at any coordinate asks of the motors, and (transposed) how every
+    coordinate moves with them. ``stiffness`` (F, M, M): Z = V D_·m.
     """
 
     receptance: Complex128

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from invid.effects.supposed.law import Shape
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.slope import number_rows, whitened_rows
@@ -87,38 +88,45 @@ def _logs(low: float, high: float) -> tuple[float, float]:
     return float(np.log(low)), float(np.log(high))
 
 
+def _with_friction(was: Hypothesis, motor: int, shape: FrictionShape) -> Hypothesis:
+    return replace(was, friction=(*was.friction[:motor], shape, *was.friction[motor + 1 :]))
+
+
+def _with_shape(was: Hypothesis, number: int, shape: Shape) -> Hypothesis:
+    law = replace(was.laws[number], shape=shape)
+    return replace(was, laws=(*was.laws[:number], law, *was.laws[number + 1 :]))
+
+
+def _central(force: Callable[[float], list[Complex128]], step: float) -> list[Complex128]:
+    return [(a - b) / (2 * step) for a, b in zip(force(step), force(-step), strict=True)]
+
+
 def _friction_shape(
     motor: int, name: str, vector: Float64, bounds: tuple[float, float], times: float = 0.0
 ) -> ShapeAt:
     """The shape as a logarithm, or where it may be zero ``times`` something."""
-    step = LEAD_STEP if times else FRICTION_STEP
 
     def get(h: Hypothesis) -> float:
         own = float(getattr(h.friction[motor], name))
         return own * times if times else float(np.log(own))
 
     def put(h: Hypothesis, value: float) -> Hypothesis:
-        shapes = list(h.friction)
         own = value / times if times else float(np.exp(value))
-        shapes[motor] = replace(shapes[motor], **{name: own})
-        return replace(h, friction=tuple(shapes))
+        return _with_friction(h, motor, replace(h.friction[motor], **{name: own}))
 
     def slope(now: Supposed) -> list[Complex128]:
-        names = [c.name for c in now.fit.problem.columns]
-        value = now.fit.value.coefficients
-        out = []
-        for sign in (1.0, -1.0):
-            shape = put(now.hypothesis, get(now.hypothesis) + sign * step).friction[motor]
-            out.append(_friction_force(now, motor, shape, names, value))
-        return [(a - b) / (2 * step) for a, b in zip(*out, strict=True)]
+        at = get(now.hypothesis)
+        return _central(
+            lambda s: _friction_force(now, motor, put(now.hypothesis, at + s).friction[motor]),
+            LEAD_STEP if times else FRICTION_STEP,
+        )
 
     return ShapeAt((Part.DRY, motor, name), get, put, slope, vector, *bounds)
 
 
-def _friction_force(
-    now: Supposed, motor: int, shape: FrictionShape, names: list[object], value: Float64
-) -> list[Complex128]:
-    parts = [(p, value[names.index((p, motor))]) for p in (Part.DRY, Part.RISE)]
+def _friction_force(now: Supposed, motor: int, shape: FrictionShape) -> list[Complex128]:
+    sizes = dict(zip((c.name for c in now.fit.problem.columns), now.fit.value.coefficients, strict=True))
+    parts = [(p, sizes[p, motor]) for p in (Part.DRY, Part.RISE)]
     lines = [[size * s for s in now.bench.motor_laws.lines(motor, p, shape)] for p, size in parts if size]
     return [np.sum(stack, axis=0) for stack in zip(*lines, strict=True)]
 
@@ -130,26 +138,22 @@ def _law_shape(
         return h.laws[number].shape[shape]
 
     def put(h: Hypothesis, value: float) -> Hypothesis:
-        laws = list(h.laws)
-        moved = list(laws[number].shape)
-        moved[shape] = value
-        laws[number] = replace(laws[number], shape=tuple(moved))
-        return replace(h, laws=tuple(laws))
+        was = h.laws[number].shape
+        return _with_shape(h, number, (*was[:shape], value, *was[shape + 1 :]))
 
     def slope(now: Supposed) -> list[Complex128]:
-        placed = now.hypothesis.laws[number]
-        step = min(placed.law.shape_step, SHARE_OF_RANGE * (bounds[1] - bounds[0]))
+        placed, at = now.hypothesis.laws[number], get(now.hypothesis)
         first = [c.name for c in now.fit.problem.columns].index((*placed.key, 0))
         value = now.fit.value.coefficients[first : first + len(placed.law.low)]
-        out = []
-        for sign in (1.0, -1.0):
-            at = put(now.hypothesis, get(now.hypothesis) + sign * step).laws[number].shape
-            out.append([lines @ value for lines in now.bench.law_lines(placed, now.motions, at)])
-        return [(a - b) / (2 * step) for a, b in zip(*out, strict=True)]
 
-    return ShapeAt(
-        (number, shape), get, put, slope, vector_of(structure, now.hypothesis.laws[number].spot), *bounds
-    )
+        def force(step: float) -> list[Complex128]:
+            moved = put(now.hypothesis, at + step).laws[number].shape
+            return [lines @ value for lines in now.bench.law_lines(placed, now.motions, moved)]
+
+        return _central(force, min(placed.law.shape_step, SHARE_OF_RANGE * (bounds[1] - bounds[0])))
+
+    vector = vector_of(structure, now.hypothesis.laws[number].spot)
+    return ShapeAt((number, shape), get, put, slope, vector, *bounds)
 
 
 STRIBECK_GRID = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0, 4.0)
@@ -171,14 +175,17 @@ def scan_friction(now: Supposed) -> Supposed:
         for shape in grid:
             if shape.stribeck < APART * shape.width:
                 continue
-            shapes = list(hypothesis.friction)
-            shapes[motor] = shape
-            trial = replace(hypothesis, friction=tuple(shapes))
-            problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
-            total = evaluate(problem, now.numbers).total
+            trial = _with_friction(hypothesis, motor, shape)
+            total = _total(now, trial)
             if total < best - 2.0 * FALL:
                 best, hypothesis = total, trial
     return now.refit(hypothesis) if hypothesis is not now.hypothesis else now
+
+
+def _total(now: Supposed, trial: Hypothesis) -> float:
+    """−2 ln L with other shapes, numbers as they are."""
+    problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
+    return evaluate(problem, now.numbers).total
 
 
 def scan_law(now: Supposed, number: int) -> Supposed:
@@ -191,12 +198,8 @@ def scan_law(now: Supposed, number: int) -> Supposed:
         best = now.total, now.hypothesis
         for move in moves:
             moved = [np.clip(s + d, *b) for s, d, b in zip(placed.shape, move, bounds, strict=True)]
-            laws = list(now.hypothesis.laws)
-            laws[number] = replace(placed, shape=tuple(float(s) for s in moved))
-            trial = replace(now.hypothesis, laws=tuple(laws))
-            problem = replace(now.fit.problem, columns=now.bench.columns(trial, now.motions))
-            total = evaluate(problem, now.numbers).total
-            best = min(best, (total, trial), key=lambda b: b[0])
+            trial = _with_shape(now.hypothesis, number, tuple(float(s) for s in moved))
+            best = min(best, (_total(now, trial), trial), key=lambda b: b[0])
         now = now.refit(best[1], iterations=3)
         placed = now.hypothesis.laws[number]
     return now

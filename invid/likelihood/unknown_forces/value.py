@@ -9,11 +9,10 @@ weights w
 
     −2 ln L = 2 Σ w [rᴴS⁻¹r + ln|S|] − 4 Σ w ln|Z + L|.
 
-The last term, L the torque per position of the records' holds, makes it the density of what was measured
-with the
-drives' commands free (restricted likelihood: the contrast r of motion and torque, whose Jacobian by the
-motion is
-Z + L). Without it lines on which the machine answers an unknown force through plant and hold pull Z to zero.
+The last term, L the torque per position of the records' holds, makes it the density of what was measured with
+the drives' commands free (restricted likelihood: the contrast r of motion and torque, whose Jacobian by the
+motion is Z + L). Without it lines on which the machine answers an unknown force through plant and hold pull Z
+to zero.
 
 Ends and coefficients are profiled out: the ends by a QR for each stack, the coefficients, within their
 bounds, by normal equations over all stacks.

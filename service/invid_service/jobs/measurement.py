@@ -53,7 +53,8 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
         accepted = None
     model = None if accepted is None else from_model(accepted, config, source="the accepted model")
     short = _short_plan(config, model, job.amplitude_scale) if job.mode == "screen" else None
-    found = ask_drives(config, Wish(job.axes, job.amplitude_scale, model, short))
+    wish = Wish(job.axes, job.amplitude_scale, model, short)
+    found = ask_drives(config, wish)
     document = {**told_plan(found.plan, job), "budgets": [b.to_json() for b in found.budgets]}
     support = loads_to_support(config)
     document["support"] = {"axes": list(support), "text": support_sentence(support)} if support else None
@@ -91,12 +92,9 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     result = measure_to_file(
         config,
         target,
-        axes=job.axes,
-        amplitude_scale=job.amplitude_scale,
+        wish,
         progress=progress,
         stop=line.stop,
-        model=model,
-        plan=short,
         judge=None if short else judge_of(config, tell),
     )
     line.check_stop()

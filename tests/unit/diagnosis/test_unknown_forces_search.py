@@ -14,7 +14,7 @@ from unit.likelihood.chain_plant import ChainPlant
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
 from invid.effects.registry import registered_effects
 from invid.identification.begun import begin_elastic
-from invid.model.diagnosis_document import Diagnosis
+from invid.model.diagnosis_document import Diagnosis, Verdict
 
 SPRINGS = ("A1", "spring 1"), ("A2", "spring 1"), ("A2", "spring 2")
 DRAG = Path(__file__).parents[2] / "effects" / "quadratic_drag.py"
@@ -63,6 +63,15 @@ def test_free_play_is_found_in_its_spring_with_its_gap(seed: int) -> None:
     assert (finding.axis, finding.element) == SPRINGS[spring]
     assert finding.parameters["gap"].value == pytest.approx(gap, rel=0.05)
     assert finding.confidence > 0.9
+
+
+@pytest.mark.campaign
+def test_beside_free_play_the_records_kept_out_are_smoothed_until_they_stand() -> None:
+    """At six tenths of the amplitude 7.3 floors were left of a gap known to a thousandth."""
+    result, others = found(ChainPlant(gaps={0: 3e-3}), 42)
+    assert others == ["backlash"]
+    assert all(r.after < 3.0 * r.floor for r in result.residual)
+    assert result.verdict is Verdict.EXPLAINED
 
 
 @pytest.mark.campaign

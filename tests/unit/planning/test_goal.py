@@ -17,6 +17,7 @@ from invid_drivers.filing import Judge
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.goal import measure_to_goal
 from invid_drivers.measurement import measure_to_file
+from invid_drivers.stopping_budgets import Wish
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +128,7 @@ def test_whoever_judges_sees_every_finished_experiment_as_it_stands_in_the_file(
 
     blocks = [replace(e, torque=0.5 * e.torque[:1500], record_to=1500) for e in design.plan.experiments]
     plan = replace(design.plan, experiments=tuple(blocks))
-    measure_to_file(cell, path, plan=plan, judge=Judge(go_on, is_awaited))
+    measure_to_file(cell, path, Wish(plan=plan), judge=Judge(go_on, is_awaited))
     written = read_recording(path)
     assert [len(r.experiments) for r in seen] == [1, 2]
     assert len(written.experiments) == recorded
