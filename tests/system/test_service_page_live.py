@@ -14,7 +14,6 @@ import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, Serving, serving
 
-from invid_drivers.simulated import CASE_STUDY
 from invid_service.keys import add_key, revoke_key
 
 pytestmark = [pytest.mark.browser, pytest.mark.service, needs_browser]
@@ -178,16 +177,3 @@ def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) ->
             page.press(page.shown("again"))
             page.wait_text("ready-title", "Ready")
         assert up - began < 60
-
-
-@pytest.mark.campaign
-def test_while_the_default_plan_moves_the_page_says_how_much_is_known(tmp_path: Path) -> None:
-    cell = CASE_STUDY.read_text(encoding="utf-8")
-    with serving(tmp_path, cell=cell) as service, looking(tmp_path, service) as page:
-        (found,) = service.client.get("/api/v1/cells").json()["cells"]
-        location = start(service, found["id"])
-        page.wait_text("found-so-far", "causes would show at the size of interest", timeout=240.0)
-        known = service.client.get(location).json()["known"]
-        assert 0 < known["relative_std"] < 0.01
-        assert 0 < known["shown"] < known["asked"] == 12, "so the third run is needed"
-        picture(page, tmp_path, "known-so-far")
