@@ -17,6 +17,7 @@ from invid.diagnosis.unknown_forces.scoring import column_fall, score, spots_of
 from invid.diagnosis.unknown_forces.structures import Base, Mode
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE
+from invid.effects.supposed.of_effect import SmoothLaw
 from invid.effects.supposed_laws import supposed_laws
 from invid.identification.missing_torque import axis_missing
 from invid.identification.quantities import axis_and_element
@@ -93,6 +94,8 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
         if budget.is_left_out(WHAT):
             break
         more = price * (_numbers(placed) - (1 if own is None else _numbers(own)))
+        # One of many laws that have no name: it has to do as well as the cause that has one.
+        more += COMPETES if isinstance(placed.law, SmoothLaw) else 0.0
         rivals.append((placed.law.cause, placed.spot, more, with_law(less, placed).kept_settled()))
     if isinstance(worth.key, tuple) and isinstance(worth.key[0], Channel):
         channel, axis = worth.key
