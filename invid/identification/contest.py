@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -177,16 +177,8 @@ def _lowest(bench: Bench, structure: Structure, kept: Bench | None, known: Known
     fewer = known.fewer
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
-    plants = [] if known.plant is None else [known.plant]
-    # Where to start may be read from all records: as many as motors tell couplings apart.
-    stacks = (*bench.stacks, *(kept.stacks if kept else ()))
-    plants += fraction_plants(stacks, structure)
-    if not all(closes(r) for s in stacks for r in s.records):
-        plants += fraction_plants(stacks, structure, in_bands=True)
-    if fewer is not None:
-        plants += grown_plants(fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
     lowest, least = None, np.inf
-    for plant in plants:
+    for plant in _starts(bench, structure, kept, known):
         found = _from_plant((bench, kept), hypothesis, plant, TO_THE_END)
         if found is None or found.total >= least:
             continue
@@ -201,6 +193,20 @@ def _lowest(bench: Bench, structure: Structure, kept: Bench | None, known: Known
     if lowest is None:
         raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
     return lowest
+
+
+def _starts(bench: Bench, structure: Structure, kept: Bench | None, known: Known) -> Iterator[Plant]:
+    """What is known, and continued fractions."""
+    if known.plant is not None:
+        yield known.plant
+    # Where to start may be read from all records: as many as motors tell couplings apart.
+    stacks = (*bench.stacks, *(kept.stacks if kept else ()))
+    yield from fraction_plants(stacks, structure)
+    yield from fraction_plants(stacks, structure, rubbing=True)
+    if not all(closes(r) for s in stacks for r in s.records):
+        yield from fraction_plants(stacks, structure, in_bands=True)
+    if known.fewer is not None:
+        yield from grown_plants(known.fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
 
 
 def brought_home(now: Supposed, gapped: Axes = NO_AXES) -> Supposed:

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.polynomial import polynomial
 
-from invid.identification.own_stiffness import follow
+from invid.identification.own_stiffness import RUBBING, SMOOTH, follow
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.numerics.arrays import Float64, Int64
@@ -210,13 +210,17 @@ def _split(mass: Float64, spring: Float64, at: int, stiffness: float) -> Chain:
     return masses, np.insert(spring, at, stiffness * mass[at])
 
 
-def fraction_plants(stacks: Sequence[Stack], structure: Structure, *, in_bands: bool = False) -> list[Plant]:
+def fraction_plants(
+    stacks: Sequence[Stack], structure: Structure, *, in_bands: bool = False, rubbing: bool = False
+) -> list[Plant]:
     """Chains by continued fractions: the best of every axis, then each axis and all at their next best.
 
-    ``in_bands``: of each motor's own stiffness in bands, where the ends of records bend single lines.
+    ``in_bands``: of each motor's own stiffness in bands, where the ends of records bend single lines;
+    ``rubbing``: beside friction of the motor, which a ripple looks like as well.
     """
     chains = [
-        fraction_chains(stacks, m, n, in_bands=in_bands) for m, n in enumerate(chain_lengths(structure))
+        fraction_chains(stacks, m, n, in_bands=in_bands, rubbing=rubbing)
+        for m, n in enumerate(chain_lengths(structure))
     ]
     if not all(chains):
         return []
@@ -234,7 +238,13 @@ def fraction_plants(stacks: Sequence[Stack], structure: Structure, *, in_bands: 
 
 
 def fraction_chains(
-    stacks: Sequence[Stack], motor: int, masses: int, most: int = 4, *, in_bands: bool = False
+    stacks: Sequence[Stack],
+    motor: int,
+    masses: int,
+    most: int = 4,
+    *,
+    in_bands: bool = False,
+    rubbing: bool = False,
 ) -> list[Chain]:
     """Chains whose zeros and poles follow the motor's own stiffness best, the best first."""
     zeros = masses - 1
@@ -260,7 +270,8 @@ def fraction_chains(
         starts += _with_close_pair(chain, grid)
     if not starts:
         return []
-    found, loss = follow(*own_stiffness(stacks, motor, in_bands=in_bands), np.array(starts))
+    own = own_stiffness(stacks, motor, in_bands=in_bands)
+    found, loss = follow(*own, np.array(starts), RUBBING if rubbing else SMOOTH)
     out: list[Float64] = []
     for k in np.argsort(loss):
         if all(np.abs(np.log(found[k] / other)).max() > SAME for other in out):

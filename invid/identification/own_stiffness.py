@@ -17,8 +17,8 @@ ROUNDED = 0.005
 """ε: deviations of the logarithm below which the loss is a parabola; friction bends more, noise less."""
 LOSS = 3e-2
 """Damping ratio of a spring at the start: blunt, so that a mode is felt from afar."""
-RUBBING = 0.1
-"""Motor's friction at the start over the stiffness, at the middle line."""
+SMOOTH, RUBBING = 1e-9, 0.1
+"""Motor's friction at the start over the stiffness, at the middle line: none, or free to be what it is."""
 LOOSE = 1e-3
 """Curvature of the prior of each number's logarithm, in lines: holds what the lines do not show."""
 ITERATIONS, LARGEST_STEP = 40, 0.5
@@ -26,11 +26,13 @@ FIRST, LESS, MORE = 1e-2, 0.3, 5.0
 """Damping of numbers scaled to unit curvature: at the start, and its factors."""
 
 
-def follow(omega: Float64, size: Float64, start: Float64) -> tuple[Float64, Float64]:
+def follow(
+    omega: Float64, size: Float64, start: Float64, friction: float = SMOOTH
+) -> tuple[Float64, Float64]:
     """(S, 2n − 1) masses and springs that follow |Z| = ``size`` (F,) on ``omega`` best about each ``start``
-    (S, 2n − 1), and their loss (S,), a mean over the lines."""
+    (S, 2n − 1), and their loss (S,), a mean over the lines; ``friction``: that of the motor to start from."""
     level = np.log(size)
-    x = _with_dampers(np.log(start), np.log(RUBBING * np.median(size / omega)))
+    x = _with_dampers(np.log(start), np.log(friction * np.median(size / omega)))
     centre = x.copy()
     damping = np.full(len(x), FIRST)
     miss, slope = _miss(omega, level, x)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from invid.identification.own_stiffness import follow
+from invid.identification.own_stiffness import RUBBING, follow
 
 
 @pytest.mark.parametrize("friction", [0.0, 2.0, 15.0])
@@ -18,5 +18,5 @@ def test_a_chain_is_followed_whatever_its_motor_rubs(friction: float) -> None:
         beyond = -(omega**2) * mass + link * beyond / (link + beyond)
     size = np.abs(beyond + 1j * omega * friction)
     start = np.concatenate((masses, springs)) * np.array([1.2, 0.8, 1.1, 0.9, 1.15])
-    found, _ = follow(omega, size, start[None])
+    found, _ = follow(omega, size, start[None], RUBBING)
     assert found[0] == pytest.approx(np.concatenate((masses, springs)), rel=0.05)
