@@ -119,7 +119,7 @@ def column_fall(now: Supposed, name: Hashable) -> float:
     """The same by a motor's friction that is held at zero."""
     number = [c.name for c in now.fit.problem.columns].index(name)
     rows = [w.laws[..., number].reshape(-1, 1) for w in now.fit.value.work]
-    low = -np.inf if name in {(Part.OFFSET, m) for m in range(now.hypothesis.structure.motors)} else 0.0
+    low = -np.inf if isinstance(name, tuple) and name[0] is Part.OFFSET else 0.0
     return bounded_fall(*Background.of(now).beside(rows), [(low, np.inf)])
 
 
