@@ -20,15 +20,14 @@ from invid.identification.first_plants import (
 )
 from invid.identification.own_time import tones_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motions import PlacedLaw, axis_of
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, with_law
 from invid.likelihood.unknown_forces.supposition import (
     Bench,
     Hypothesis,
-    PlacedLaw,
     Supposed,
-    axis_of,
     first_strength,
     suppose,
 )

@@ -32,8 +32,9 @@ from invid.identification.fewer_masses import fewer_masses_warnings
 from invid.identification.fitted_model import model_of
 from invid.identification.missing_torque import AxisMissing, axis_missing
 from invid.identification.own_time import AxisTones, describe_tones
+from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.model.diagnosis_document import AxisResidual, Diagnosis, Unexplained, Verdict
 from invid.model.document import EffectTerm, model_to_json
 from invid.model.doubts import DoubtCode, doubts_of

@@ -31,10 +31,11 @@ from invid.effects.supposed.law import Shape, SupposedLaw
 from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.slope import inner_motion, whitened_rows
-from invid.likelihood.unknown_forces.supposition import Channel, PlacedLaw, Supposed, vector_of
+from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, CONVENTION, EXPECTED_DELAY, HOLD
 from invid.likelihood.unknown_forces.worth import FRICTION, LEAST_FITTED, LEAST_KEPT, PRICE, PRICE_OF_FRICTION
 from invid.model.diagnosis_document import Finding, RuledOut

@@ -22,9 +22,10 @@ from invid.effects.motion_effect import OF_RATE, PAIRS
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.identification.missing_torque import axis_missing
 from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import curvature
-from invid.likelihood.unknown_forces.supposition import Hypothesis, PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.supposition import Hypothesis, Supposed
 from invid.likelihood.unknown_forces.worth import pays, role_falls
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
@@ -170,27 +171,30 @@ def _is_undone(felt: Float64, straight: Float64, law: Float64) -> Bool:
 
 
 def _best(now: Supposed, choices: Sequence[Choice]) -> Supposed | None:
-    """The fit with the best of the leading laws that pays the price of a cause and is known; ``None``."""
-    found = [f for c in choices[:FITTED] for f in _fits(now, c.placed) if pays(*role_falls(now, f))]
-    known = [f for f in found if _is_law_known(f)]
-    return min(known, key=lambda f: f.total, default=None)
+    """The fit with the best of the leading laws, its shapes at their best, where it pays the price of a cause
+    and is known; else ``None``."""
+    found = [_first_fit(now, c.placed) for c in choices[:FITTED]]
+    for first, base in sorted(found, key=lambda f: f[0].total):
+        best = _shaped(first, base)
+        if pays(*role_falls(now, best)) and _is_law_known(best):
+            return best
+    return None
 
 
-def _fits(now: Supposed, placed: PlacedLaw) -> list[Supposed]:
-    """The fit with a law; that with the law instead of what it may stand for, where it does as well."""
-    law = placed.law
-    over = law.law.over if isinstance(law, SmoothLaw) else ""
-    instead = _instead(now, placed.spot, over)
-    beside = _fit_law(now, now.hypothesis, placed)
+def _first_fit(now: Supposed, placed: PlacedLaw) -> tuple[Supposed, Hypothesis]:
+    """The fit with a law, or with the law instead of what it may stand for where it does as well; and the
+    hypothesis without the law."""
+    law, beside = placed.law, _with_law(now, now.hypothesis, placed)
+    instead = _instead(now, placed.spot, law.law.over if isinstance(law, SmoothLaw) else "")
     if instead is None:
-        return [beside]
-    alone = _fit_law(now, instead, placed)
-    return [alone] if alone.total < beside.total + SIMPLER else [beside]
+        return beside, now.hypothesis
+    alone = _with_law(now, instead, placed)
+    return (alone, instead) if alone.total < beside.total + SIMPLER else (beside, now.hypothesis)
 
 
-def _fit_law(now: Supposed, base: Hypothesis, placed: PlacedLaw) -> Supposed:
-    """The joint fit, its shapes chosen anew from where it ends while that is better."""
-    best = _with_law(now, base, placed)
+def _shaped(best: Supposed, base: Hypothesis) -> Supposed:
+    """A fit with a law beside ``base``, its shapes chosen anew from where it ends while that is better."""
+    placed = best.hypothesis.laws[-1]
     for _ in range(ROUNDS):
         budget.check()
         law = best.hypothesis.laws[-1].law

@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
+from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.slope import whitened_rows
-from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed, vector_of
+from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.value import along
 from invid.numerics.arrays import Complex128, Float64
 

@@ -11,10 +11,11 @@ import numpy as np
 from invid.diagnosis.unknown_forces.projected_rows import law_rows
 from invid.effects.supposed.law import SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.shapes import joint_rows
-from invid.likelihood.unknown_forces.supposition import PlacedLaw, Supposed
+from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.value import bounded_minimum
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place

@@ -86,6 +86,8 @@ class SupposedLaw(ABC):
     """Whether its waves are by how much its motor stands beyond its reading, and no force."""
     scales = False
     """Whether it multiplies the torque of its motor, and has no wave of its own."""
+    is_smooth = False
+    """Whether its waves on as few instants as ``stride`` says serve a fit as well as a score."""
     covers: frozenset[str] = frozenset()
     """Parts of the friction of its axis' motor that it takes the place of."""
     beside: tuple[str, ...] = ()

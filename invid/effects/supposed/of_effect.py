@@ -9,7 +9,7 @@ import numpy as np
 from invid.effects.effect import PlaceMotion
 from invid.effects.laws.empirical_law import EmpiricalLaw
 from invid.effects.motion_effect import MotionEffect
-from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed.law import SMOOTH, Bounds, Shape, SpotMotion, SupposedLaw
 from invid.effects.units import unit_of
 from invid.numerics.arrays import Float64
 
@@ -77,9 +77,14 @@ class EffectLaw(SupposedLaw):
 class SmoothLaw(SupposedLaw):
     """A law without a name as the search supposes it: the shapes of a spline, each with its size."""
 
+    is_smooth = True
+
     def __init__(self, law: EmpiricalLaw) -> None:
         self.effect = self.law = law
         self.low = (-np.inf,) * law.splines.shape[1]
+
+    def stride(self, motion: SpotMotion, shape: Shape) -> int:
+        return SMOOTH
 
     def waves(self, motion: SpotMotion, shape: Shape) -> Float64:
         return self.law.resistance(PlaceMotion(motion.position, motion.velocity, motion.time), ())

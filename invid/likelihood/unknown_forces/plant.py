@@ -298,3 +298,7 @@ class Condensed:
     receptance: Complex128
     motion: Complex128
     stiffness: Complex128
+
+    def jumps(self, omega: Float64) -> Complex128:
+        """(F, M, 2n) what the ends of a record ask of the motors: V, then jωV."""
+        return np.concatenate((self.motion, 1j * omega[:, None, None] * self.motion), axis=2)

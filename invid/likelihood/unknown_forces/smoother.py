@@ -12,13 +12,13 @@ from the torque (the paper's peeling, after equation 22). There is no fixed poin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from invid.likelihood.unknown_forces.forces import colours, missing_noise
-from invid.likelihood.unknown_forces.plant import Plant
+from invid.likelihood.unknown_forces.forces import MissingNoise, colours, missing_noise
+from invid.likelihood.unknown_forces.plant import Condensed, Plant
 from invid.likelihood.unknown_forces.slope import ends_of
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
@@ -32,7 +32,7 @@ class SmoothedStack:
     ``lines`` (R, A, n) of every coordinate; ``jump`` (R, n) and ``bend`` (R, n) of its position and
     velocity from a record's start to its end; ``force`` (R, A, P) unknown forces; ``plant`` that of the
     fit. ``missing`` (R, A, M) is the motors' missing torque on all lines, ``sensors`` (A, M) the power that
-    the sensors alone make of it.
+    the sensors alone make of it. ``condensed`` and ``noise``: plant and covariance on the same lines.
     """
 
     stack: Stack
@@ -43,11 +43,36 @@ class SmoothedStack:
     plant: Plant
     missing: Complex128
     sensors: Float64
+    condensed: Condensed
+    noise: MissingNoise
 
     @cached_property
     def grid(self) -> int:
         """Points of the records' grids of motion, less one."""
         return int(self.stack.records[0].motion.position.shape[0] - 1)
+
+    @property
+    def omega(self) -> Float64:
+        """(A,) lines [rad/s]."""
+        return self.stack.records[0].wide
+
+    @cached_property
+    def weight(self) -> Float64:
+        """(A,) one half for the mean, which is real, one elsewhere."""
+        return np.where(self.omega == 0.0, 0.5, 1.0)
+
+    def stride(self, oversampling: int) -> int:
+        """Most instants between two of a grid of time with so many instants a line."""
+        most = max(1, self.grid // (oversampling * self.omega.size))
+        return max(k for k in range(1, most + 1) if self.grid % k == 0)
+
+    def by_ends(self, ends: Float64) -> SmoothedStack:
+        """Motion by the ends (k, 2n) alone, over 2/T, as one record for each."""
+        n = ends.shape[1] // 2
+        pushed = ends[:, None, :n] + 1j * self.omega[:, None] * ends[:, None, n:]
+        lines = -(pushed[..., None, :] @ self.condensed.receptance.transpose(0, 2, 1))[..., 0, :]
+        jump, bend = _jumps(self.plant, ends * self.stack.span / 2.0)
+        return replace(self, lines=lines, jump=jump, bend=bend)
 
     def over_time(self, vector: Float64) -> tuple[Float64, Float64]:
         """(R, k + 1) position and velocity along ``vector`` (n,).
@@ -66,17 +91,16 @@ class SmoothedStack:
         ramp = jump[:, None] * (time - 0.5) + bend[:, None] * span * (time**2 / 2 - time / 2 + 1 / 12)
         slope = jump[:, None] / span + bend[:, None] * (time - 0.5)
         rate = clean * 1j * np.pad(omega, (0, clean.shape[1] - omega.size))
-        where: Float64 = self._wave(clean) + ramp
-        speed: Float64 = self._wave(rate) + slope
+        where: Float64 = self.wave(clean) + ramp
+        speed: Float64 = self.wave(rate) + slope
         return where, speed
 
     def force_over_time(self, place: int) -> Float64:
         """(R, k + 1) unknown force at a place on the grid of motion."""
-        lines = self.force[:, :, place]
-        lines = np.pad(lines, ((0, 0), (0, self.grid // 2 + 1 - lines.shape[1])))
-        return self._wave(lines)
+        return self.wave(self.force[:, :, place])
 
-    def _wave(self, lines: Complex128) -> Float64:
+    def wave(self, lines: Complex128) -> Float64:
+        """(…, k + 1) periodic wave over time of lines (…, A)."""
         wave = np.fft.irfft(lines, self.grid, axis=1) * (self.grid / 2)
         return np.concatenate((wave, wave[:, :1]), axis=1)
 
@@ -119,7 +143,7 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
     ]
     jump, bend = _jumps(numbers.plant, ends * stack.span / 2.0)
     sensors = (np.abs(stiffness) ** 2 * position_noise).sum(axis=2) + stack.torque_noise
-    return SmoothedStack(stack, lines, jump, bend, force, numbers.plant, missing, sensors)
+    return SmoothedStack(stack, lines, jump, bend, force, numbers.plant, missing, sensors, condensed, noise)
 
 
 def _jumps(plant: Plant, ends: Float64) -> tuple[Float64, Float64]:

@@ -9,40 +9,19 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from invid.effects.supposed.law import Shape, SpotMotion, SupposedLaw
+from invid.effects.supposed.law import Shape, SpotMotion
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours
+from invid.likelihood.unknown_forces.motions import Motions, PlacedLaw, axis_of, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws, Part
 from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
-from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.strengths import stronger
 from invid.likelihood.unknown_forces.timing import CONVENTION
 from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.record import Record
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedLaw:
-    """A law at a place with its shape."""
-
-    law: SupposedLaw
-    spot: Spot
-    shape: Shape = ()
-    number: int = 0
-    """Of several of its kind at one place."""
-
-    @property
-    def key(self) -> tuple[str, Spot, int]:
-        """What may stand once."""
-        return self.law.cause, self.spot, self.number
-
-    @property
-    def needs_fit(self) -> bool:
-        """Whether its waves are on motion that a fit has said."""
-        return self.spot.where is not Where.MOTOR or self.law.reads
 
 
 class Channel(Enum):
@@ -81,127 +60,6 @@ class Hypothesis:
         """With one law more, in the place of those that it contains."""
         rest = (p for p in self.laws if p.spot != placed.spot or not isinstance(p.law, placed.law.contains))
         return replace(self, laws=(*rest, placed))
-
-
-class Motions:
-    """Motion at every place of a machine: of motors as measured, elsewhere as smoothed at a fit."""
-
-    def __init__(
-        self, stacks: Sequence[Stack], structure: Structure, smoothed: Sequence[SmoothedStack] = ()
-    ) -> None:
-        self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
-        self._known: dict[Spot, list[list[SpotMotion]]] = {}
-        self.lines: dict[tuple[SupposedLaw, Spot, Shape, int], list[Complex128]] = {}
-
-    def renewed(self, problem: Problem, value: Value, laws: Sequence[PlacedLaw]) -> Motions:
-        """Smoothed at a fit, motors where ``laws`` of their readings say that they stand."""
-        out = Motions(self.stacks, value.numbers.plant.structure, smooth(problem, value))
-        names = [c.name for c in problem.columns]
-        for placed in laws:
-            if placed.law.reads:
-                own = [names.index((*placed.key, i)) for i in range(len(placed.law.low))]
-                out._known[placed.spot] = [
-                    [
-                        _standing(new, placed.law.waves(old, placed.shape) @ value.coefficients[own])
-                        for new, old in zip(*stack, strict=True)
-                    ]
-                    for stack in zip(out.of(placed.spot), self.of(placed.spot), strict=True)
-                ]
-        return out
-
-    def in_structure(self, moved: Correspondence) -> Motions:
-        """The same for another structure, at the places that both have."""
-        out = Motions(self.stacks, moved.new, ())
-        for spot, motion in self._all_known().items():
-            at = moved.spot(spot)
-            if at is not None:
-                out._known[at] = motion
-        for (law, spot, shape, quick), lines in self.lines.items():
-            at = moved.spot(spot)
-            if at is not None:
-                out.lines[law, at, shape, quick] = lines
-        return out
-
-    def _all_known(self) -> dict[Spot, list[list[SpotMotion]]]:
-        if self.smoothed:
-            for spot in Spots.of(self.structure).spots:
-                if spot.where in (Where.MASS, Where.SPRING):
-                    self.of(spot)
-        return dict(self._known)
-
-    def of(self, spot: Spot) -> list[list[SpotMotion]]:
-        """Motion in each record of each stack."""
-        if spot not in self._known:
-            self._known[spot] = [self._of_stack(spot, k) for k in range(len(self.stacks))]
-        return self._known[spot]
-
-    def flat(self, spot: Spot) -> list[SpotMotion]:
-        """Motion in all records."""
-        return [m for stack in self.of(spot) for m in stack]
-
-    def readings(self, motor: Spot) -> list[Float64]:
-        """Position of a motor in all records, as read."""
-        return [r.motion.position[:, motor.number] for stack in self.stacks for r in stack.records]
-
-    def rounding(self, motor: Spot) -> list[Complex128]:
-        """(R, F) of each stack: reading of a motor less its motion, which is smooth. An error of the reading
-        stretches both."""
-        return [
-            stack.position[..., motor.number]
-            - np.array([r.lines(r.motion.position[:, motor.number]) for r in stack.records])
-            for stack in self.stacks
-        ]
-
-    def _of_stack(self, spot: Spot, number: int) -> list[SpotMotion]:
-        records = self.stacks[number].records
-        clocks: list[Float64] = [
-            r.start + r.motion.step * np.arange(r.motion.position.shape[0], dtype=np.float64) for r in records
-        ]
-        if spot.where is Where.MOTOR:
-            i = spot.number
-            own = None
-            if self.smoothed:
-                own = float(self.smoothed[number].plant.of_kind(Kind.MASS)[self.structure.motor[i]])
-            out = []
-            for r, clock in zip(records, clocks, strict=True):
-                q, v = r.motion.position[:, i], r.motion.velocity[:, i]
-                torque = np.interp(
-                    clock - r.start, np.arange(r.torque_wave.shape[0]) * r.step, r.torque_wave[:, i]
-                )
-                out.append(SpotMotion(q, v, q, clock, torque, own=own, origin=r.origin))
-            return out
-        vector = vector_of(self.structure, spot)
-        unit = np.eye(self.structure.coordinates)
-        first = self.structure.links[spot.number][0] if spot.where is Where.SPRING else int(np.argmax(vector))
-        position, velocity = self.smoothed[number].over_time(vector)
-        angle = self.smoothed[number].over_time(unit[first])[0]
-        kind = {Where.SPRING: Kind.SPRING, Where.MASS: Kind.MASS}.get(spot.where)
-        own = None if kind is None else float(self.smoothed[number].plant.of_kind(kind)[spot.number])
-        return [
-            SpotMotion(q, v, a, t, own=own, origin=r.origin)
-            for q, v, a, t, r in zip(position, velocity, angle, clocks, records, strict=True)
-        ]
-
-
-def _standing(reading: SpotMotion, beyond: Float64) -> SpotMotion:
-    """The motion of a motor that stands ``beyond`` (k,) its reading."""
-    position = reading.position + beyond
-    rate = np.gradient(beyond, reading.time[1] - reading.time[0])
-    return replace(reading, position=position, angle=position, velocity=reading.velocity + rate)
-
-
-def axis_of(structure: Structure, spot: Spot) -> int:
-    """The axis of a place, of two loads the first."""
-    if spot.where in (Where.MOTOR, Where.PAIR):
-        return spot.number
-    return structure.axis_of(structure.links[spot.number][0] if spot.where is Where.SPRING else spot.number)
-
-
-def vector_of(structure: Structure, spot: Spot) -> Float64:
-    """(n,) coordinates that a force at a place acts on."""
-    spots = Spots.of(structure)
-    out: Float64 = spots.vectors[:, spots.number[spot]]
-    return out
 
 
 class Bench:
@@ -249,6 +107,7 @@ class Bench:
     ) -> list[Complex128]:
         """(R, F, L) of each stack; ``quick``: on as few instants as its waves allow."""
         at = placed.shape if shape is None else shape
+        quick = quick or placed.law.is_smooth
         key = placed.law, placed.spot, at, quick
         if key not in motions.lines:
 
@@ -357,7 +216,7 @@ class Supposed:
 
     def kept_settled(self) -> Supposed:
         """The same with inner motion of the records kept out smoothed until their value stands: no fit does
-        it, and across a gap each time takes but a tenth of what is wrong."""
+        it."""
         now = self
         for _ in range(KEPT_ROUNDS if any(p.needs_fit for p in self.hypothesis.laws) else 0):
             moved = now._kept_smoothed()

@@ -222,8 +222,7 @@ def _work(problem: Problem, numbers: Numbers, number: int, stretch: Float64) -> 
         (position_noise, stack.torque_noise),
     )
     whitener = noise.whitener * np.sqrt(2.0 * stack.weight)[:, None, None]
-    jumps = np.concatenate((motion, 1j * omega[:, None, None] * motion), axis=2)
-    columns = real_rows((whitener @ jumps)[None])[0]
+    columns = real_rows((whitener @ condensed.jumps(omega))[None])[0]
     length = np.linalg.norm(columns, axis=0) + 1e-300
     basis, triangle = np.linalg.qr(np.vstack((columns / length, TIED * np.eye(length.size))))
     basis = basis[: columns.shape[0]]
