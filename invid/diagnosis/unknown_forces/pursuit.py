@@ -112,9 +112,10 @@ def _is_at_bound(found: Supposed, placed: PlacedLaw) -> bool:
 
 
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
-    """Inner motion, shapes and numbers in turn until the value stands."""
+    """Motion, shapes and numbers in turn until the value stands."""
     for _ in range(rounds):
-        moved = reshape(now.renewed() if any(p.needs_fit for p in now.hypothesis.laws) else now)
+        moved = now.with_agreed_motors()
+        moved = reshape(moved.renewed() if any(p.needs_fit for p in now.hypothesis.laws) else moved)
         gained = now.total - moved.total
         if gained > 0:
             now = moved
@@ -194,7 +195,7 @@ def pursue(
     ``growing``: the number of masses is not known, and chains may become longer.
     """
     rivals: list[tuple[Trial, Trial]] = []
-    now = reshape(scan_friction(now))
+    now = settle(reshape(scan_friction(now)))
     for number in range(rounds):
         tell(now, number / rounds)
         if budget.is_left_out("further causes"):

@@ -74,6 +74,12 @@ class Motions:
                 ]
         return out
 
+    def on(self, stacks: Sequence[Stack]) -> Motions:
+        """The same behind motors that move as in the records of other stacks."""
+        out = Motions(stacks, self.structure, self.smoothed)
+        out._known = {spot: m for spot, m in self._known.items() if spot.where is not Where.MOTOR}
+        return out
+
     def _agreed(
         self, at: tuple[Spot, int], laws: Sequence[tuple[PlacedLaw, Float64]], was: list[list[SpotMotion]]
     ) -> Motions:

@@ -24,6 +24,10 @@ from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
 from invid.numerics.arrays import Complex128, Float64
 
+OVERSAMPLING = 4
+"""Least instants for each line of a grid on which the slope of a law stands: its product with motion on those
+lines reaches twice as far."""
+
 
 @dataclass(frozen=True, eq=False)
 class SmoothedStack:
@@ -61,12 +65,23 @@ class SmoothedStack:
         """(A,) one half for the mean, which is real, one elsewhere."""
         return np.where(self.omega == 0.0, 0.5, 1.0)
 
-    def stride(self, oversampling: int) -> int:
-        """Most instants between two of a grid of time with so many instants a line."""
-        most = max(1, self.grid // (oversampling * self.omega.size))
+    @cached_property
+    def stride(self) -> int:
+        """Most instants between two of a coarse grid of time with ``OVERSAMPLING`` of them a line."""
+        most = max(1, self.grid // (OVERSAMPLING * self.omega.size))
         return max(k for k in range(1, most + 1) if self.grid % k == 0)
 
-    def by_ends(self, ends: Float64) -> SmoothedStack:
+    def coarse_wave(self, lines: Complex128) -> Float64:
+        """(…, k) wave of lines (…, A) on the coarse grid."""
+        count = self.grid // self.stride
+        return np.asarray(np.fft.irfft(lines, count) * (count / 2), dtype=np.float64)
+
+    def coarse_lines(self, wave: Float64) -> Complex128:
+        """(…, A) lines of a wave on the coarse grid."""
+        lines = np.fft.rfft(wave)[..., : self.omega.size] * (2.0 / wave.shape[-1])
+        return np.asarray(lines, dtype=np.complex128)
+
+    def motion_by_ends(self, ends: Float64) -> SmoothedStack:
         """Motion by the ends (k, 2n) alone, over 2/T, as one record for each."""
         n = ends.shape[1] // 2
         pushed = ends[:, None, :n] + 1j * self.omega[:, None] * ends[:, None, n:]
@@ -101,8 +116,8 @@ class SmoothedStack:
 
     def wave(self, lines: Complex128) -> Float64:
         """(…, k + 1) periodic wave over time of lines (…, A)."""
-        wave = np.fft.irfft(lines, self.grid, axis=1) * (self.grid / 2)
-        return np.concatenate((wave, wave[:, :1]), axis=1)
+        wave = np.fft.irfft(lines, self.grid) * (self.grid / 2)
+        return np.concatenate((wave, wave[..., :1]), axis=-1)
 
 
 def smooth(problem: Problem, value: Value) -> tuple[SmoothedStack, ...]:

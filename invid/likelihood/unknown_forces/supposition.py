@@ -15,7 +15,9 @@ from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours
 from invid.likelihood.unknown_forces.motions import Motions, PlacedLaw, axis_of, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws, Part
+from invid.likelihood.unknown_forces.motor_motion import Friction, agreed_records
 from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
+from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.strengths import stronger
 from invid.likelihood.unknown_forces.timing import CONVENTION
@@ -206,13 +208,37 @@ class Supposed:
         motions = self.motions.renewed(self.fit.problem, self.fit.value, self.hypothesis.laws)
         return replace(self._kept_smoothed(), motions=motions)
 
-    def _kept_smoothed(self) -> Supposed:
-        value, kept = self.kept_value, self.kept_motions
-        if self.kept is None or kept is None or value is None:
+    def with_agreed_motors(self, iterations: int = 8) -> Supposed:
+        """The same on motor motion that agrees with friction as it is found."""
+        sizes = dict(
+            zip((c.name for c in self.fit.problem.columns), self.fit.value.coefficients, strict=True)
+        )
+        friction = [
+            (shape, float(sizes[Part.DRY, m]), float(sizes[Part.RISE, m]))
+            for m, shape in enumerate(self.hypothesis.friction)
+        ]
+        if not any(dry or rise for _, dry, rise in friction):
             return self
-        columns = self.kept.columns(self.hypothesis, kept)
-        problem = replace(self.fit.problem, stacks=self.kept.stacks, columns=columns)
-        return replace(self, kept_motions=kept.renewed(problem, value, self.hypothesis.laws))
+        stacks = _agreed(smooth(self.fit.problem, self.fit.value), friction)
+        now = replace(self, bench=Bench(stacks), motions=self.motions.on(stacks))
+        known = self._kept_problem
+        if known is not None and self.kept_motions is not None:
+            stacks = _agreed(smooth(*known), friction)
+            now = replace(now, kept=Bench(stacks), kept_motions=self.kept_motions.on(stacks))
+        return now.refit(iterations=iterations)
+
+    @property
+    def _kept_problem(self) -> tuple[Problem, Value] | None:
+        if self.kept is None or self.kept_motions is None or self.kept_value is None:
+            return None
+        columns = self.kept.columns(self.hypothesis, self.kept_motions)
+        return replace(self.fit.problem, stacks=self.kept.stacks, columns=columns), self.kept_value
+
+    def _kept_smoothed(self) -> Supposed:
+        known, kept = self._kept_problem, self.kept_motions
+        if known is None or kept is None:
+            return self
+        return replace(self, kept_motions=kept.renewed(*known, self.hypothesis.laws))
 
     def kept_settled(self) -> Supposed:
         """The same with inner motion of the records kept out smoothed until their value stands: no fit does
@@ -273,7 +299,11 @@ class Supposed:
         return max((v for v, s in self.strength if s.where is not Where.MOTOR), default=0.0)
 
 
-KEPT_STEPS, KEPT_ROUNDS = 8, 20
+def _agreed(smoothed: Sequence[SmoothedStack], friction: Friction) -> list[Stack]:
+    return [replace(s.stack, records=agreed_records(s, friction)) for s in smoothed]
+
+
+KEPT_STEPS, KEPT_ROUNDS = 8, 6
 """Steps by which strengths of records kept out are found, and most times that their motion is smoothed."""
 HELD = 1e-9
 """Standard deviation of a number that is held at zero."""

@@ -1,0 +1,151 @@
+"""Motion of the motors that agrees with their friction.
+
+Dry friction turns round within a velocity that the encoder's noise may be as large as, and while a motor
+sticks it follows the law where that is steepest. What the encoder does not tell there the torque does. With
+the motion θ = y + n of a reading y with noise of power C_θ, and missing torque r of covariance S without that
+noise, a step of n minimises
+
+    |n + δn|² by C_θ  +  |r + Z·δn + φ'·jω·δn|² by S,
+
+φ' the slope of friction over time, all else on lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part, force
+from invid.likelihood.unknown_forces.smoother import SmoothedStack
+from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.newton_descent import descend, solve_normal
+from invid.signals.record import Record
+
+Friction = Sequence[tuple[FrictionShape, float, float]]
+"""Shape, dry torque and rise at slow speed of every motor."""
+DIFFERENCE = 0.05
+"""Step of the velocity over the width of the turn for the slope of friction."""
+
+
+def agreed_records(stack: SmoothedStack, friction: Friction) -> tuple[Record, ...]:
+    """The records of a stack with motor motion as readings, torque and friction together have it."""
+    rows = _Rows.of(stack, friction)
+    position, velocity = rows.waves(descend(_At.of(rows, np.zeros_like(rows.beyond))).change)
+    return tuple(
+        replace(r, motion=replace(r.motion, position=r.motion.position + p, velocity=r.motion.velocity + v))
+        for r, p, v in zip(stack.stack.records, position, velocity, strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """``beyond`` (R, A, M): the readings less the records' motion; ``whitener`` (A, M, M) of S; ``deviation``
+    (M,) of a reading's line."""
+
+    stack: SmoothedStack
+    friction: Friction
+    beyond: Complex128
+    whitener: Complex128
+    deviation: Float64
+
+    @classmethod
+    def of(cls, stack: SmoothedStack, friction: Friction) -> _Rows:
+        stiffness, noise = stack.condensed.stiffness, stack.stack.position_noise
+        rest = stack.noise.covariance - (stiffness * noise) @ stiffness.conj().transpose(0, 2, 1)
+        beyond = np.array([r.position - r.wide_lines(r.motion.position) for r in stack.stack.records])
+        whitener = np.asarray(np.linalg.inv(np.linalg.cholesky(rest)), dtype=np.complex128)
+        return cls(stack, friction, beyond, whitener, np.sqrt(np.maximum(noise, 1e-300)))
+
+    def waves(self, change: Complex128) -> tuple[Float64, Float64]:
+        """(R, k + 1, M) position and velocity of a change (R, A, M) over time."""
+        stack, turned = self.stack, change.transpose(0, 2, 1)
+        position, velocity = stack.wave(turned), stack.wave(1j * stack.omega * turned)
+        return position.transpose(0, 2, 1), velocity.transpose(0, 2, 1)
+
+    def turn(self, velocity: Float64) -> tuple[Float64, Float64]:
+        """(k, M) friction that turns with the velocity, and its slope."""
+        out, slopes = np.zeros(velocity.shape), np.zeros(velocity.shape)
+        for m, (shape, dry, rise) in enumerate(self.friction):
+            step = DIFFERENCE * shape.width
+            low, out[:, m], high = (
+                dry * force(Part.DRY, v, shape) + rise * force(Part.RISE, v, shape)
+                for v in (velocity[:, m] - step, velocity[:, m], velocity[:, m] + step)
+            )
+            slopes[:, m] = (high - low) / (2.0 * step)
+        return out, slopes
+
+
+@dataclass(frozen=True, eq=False)
+class _At:
+    """Motion ``change`` (R, A, M) beyond the records': whitened missing torque and noise of the readings
+    (R, A, M), slope of friction (R, M, k)."""
+
+    rows: _Rows
+    change: Complex128
+    missing: Complex128
+    noise: Complex128
+    slope: Float64
+
+    @classmethod
+    def of(cls, rows: _Rows, change: Complex128) -> _At:
+        stack, changed, slopes = rows.stack, [], []
+        for record, more in zip(stack.stack.records, rows.waves(change)[1], strict=True):
+            now, slope = rows.turn(record.motion.velocity + more)
+            changed.append(record.wide_lines(now - rows.turn(record.motion.velocity)[0]))
+            slopes.append(slope[: -1 : stack.stride].T)
+        away = change - rows.beyond
+        missing = stack.missing + (stack.condensed.stiffness @ away[..., None])[..., 0] + np.array(changed)
+        white = (rows.whitener @ missing[..., None])[..., 0]
+        return cls(rows, change, white, away / rows.deviation, np.array(slopes))
+
+    @cached_property
+    def cost(self) -> float:
+        told = (np.abs(self.missing) ** 2 + np.abs(self.noise) ** 2).sum(axis=2)
+        return float((told * self.rows.stack.weight).sum())
+
+    def moved(self, step: Float64) -> _At:
+        return _At.of(self.rows, self.change + self._unpack(step))
+
+    def step(self) -> Float64:
+        deviation = self.rows.deviation
+
+        def normal(values: Float64) -> Float64:
+            u = self._unpack(values)
+            return self._pack(self._felt_back(self._felt(u)) + u / deviation**2)
+
+        return solve_normal(normal, -self._pack(self._felt_back(self.missing) + self.noise / deviation))
+
+    def _felt(self, u: Complex128) -> Complex128:
+        """(R, A, M) whitened torque of a change of motion."""
+        stack, turned = self.rows.stack, u.transpose(0, 2, 1)
+        lost = stack.coarse_lines(self.slope * stack.coarse_wave(1j * stack.omega * turned))
+        pushed = (stack.condensed.stiffness @ u[..., None])[..., 0] + lost.transpose(0, 2, 1)
+        return np.asarray((self.rows.whitener @ pushed[..., None])[..., 0], dtype=np.complex128)
+
+    def _felt_back(self, w: Complex128) -> Complex128:
+        stack = self.rows.stack
+        pulled = (self.rows.whitener.conj().transpose(0, 2, 1) @ w[..., None])[..., 0]
+        lost = stack.coarse_lines(self.slope * stack.coarse_wave(pulled.transpose(0, 2, 1)))
+        back = (stack.condensed.stiffness.conj().transpose(0, 2, 1) @ pulled[..., None])[..., 0]
+        return np.asarray(back + (-1j * stack.omega * lost).transpose(0, 2, 1), dtype=np.complex128)
+
+    @cached_property
+    def _scale(self) -> Float64:
+        """(A, M) root of the diagonal that friction's mean slope makes."""
+        stack, mean = self.rows.stack, self.slope.mean(axis=(0, 2))
+        rubbed = stack.condensed.stiffness + (1j * stack.omega)[:, None, None] * np.diag(mean)
+        own = (np.abs(self.rows.whitener @ rubbed) ** 2).sum(axis=1) + 1.0 / self.rows.deviation**2
+        return np.asarray(np.sqrt(own), dtype=np.float64)
+
+    def _pack(self, pull: Complex128) -> Float64:
+        scaled = pull * np.sqrt(self.rows.stack.weight)[:, None] / self._scale
+        return np.concatenate((scaled.real.ravel(), scaled.imag.ravel()))
+
+    def _unpack(self, values: Float64) -> Complex128:
+        half = values.size // 2
+        change = (values[:half] + 1j * values[half:]).reshape(self.change.shape)
+        root = np.sqrt(self.rows.stack.weight)[:, None]
+        return np.asarray(change / self._scale / root, dtype=np.complex128)
