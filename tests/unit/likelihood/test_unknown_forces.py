@@ -42,9 +42,11 @@ def true_values(plant: ChainPlant) -> np.ndarray:
 
 
 @cache
-def fitted(gap: float = 0.0, seed: int = 3, lead: float = 0.0) -> tuple[ChainPlant, Supposed]:
+def fitted(
+    gap: float = 0.0, seed: int = 3, lead: float = 0.0, dry: tuple[float, float] = (0.4, 0.6)
+) -> tuple[ChainPlant, Supposed]:
     """The first fit, from a start a tenth off in every number."""
-    plant = ChainPlant(gaps={0: gap} if gap else {}, lead=(lead, lead))
+    plant = ChainPlant(gaps={0: gap} if gap else {}, lead=(lead, lead), dry=dry)
     recording = plant.recording(seed)
     records = [make_record(e, recording.encoder_resolution) for e in recording.experiments]
     fitted_ones = [r for r in records if r.role is Role.IDENTIFY]
@@ -142,3 +144,14 @@ def test_motion_across_free_play_agrees_with_it_and_stays_when_it_is_smoothed_ag
     assert found.total < first + 20.0
     assert np.exp(found.hypothesis.laws[-1].shape[0]) == pytest.approx(3e-3, rel=0.01)
     assert found.inner_strength < 0.002
+
+
+def test_motor_motion_agrees_with_friction_where_the_encoder_does_not_tell_it():
+    """Of motors that stick, what the law made of the encoder's counts stood there as an unknown force."""
+    _, found = fitted(dry=(1.0, 1.6))
+    found = reshape(found)
+    agreed = reshape(reshape(found.with_agreed_motors()).with_agreed_motors())
+    assert agreed.total < found.total - 500.0
+    assert agreed.strength[0][0] < 0.2 * found.strength[0][0]
+    assert agreed.with_agreed_motors().total == pytest.approx(agreed.total, abs=20.0)
+    assert [f.width for f in agreed.hypothesis.friction] == pytest.approx([2e-3, 2e-3], rel=0.03)
