@@ -31,11 +31,10 @@ def late_drives(now: Supposed) -> list[LateDrive]:
     for axis in range(motors):
         if any(a == axis for _, a in now.hypothesis.channels):
             continue
-        late = max(
-            (abs(timing.delay[part, axis]) - CONVENTION) / max(deviation[part * motors + axis], 1e-9)
-            for part in (0, 1)
-        )
-        if late < SURELY_LATE:
+        # A drive is late with command and hold alike; the hold's time alone is that of its damping too.
+        weight = 1.0 / np.maximum(deviation[[axis, motors + axis]], 1e-9) ** 2
+        delay = abs(float(weight @ timing.delay[:, axis])) / weight.sum()
+        if (delay - CONVENTION) * np.sqrt(weight.sum()) < SURELY_LATE:
             continue
         without = now.refit(
             replace(now.hypothesis, absent=now.hypothesis.absent | {(Channel.DELAY, axis)}), iterations=15

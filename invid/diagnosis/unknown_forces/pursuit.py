@@ -30,6 +30,10 @@ OWN_STIFFNESS = (0.7, 1.4)
 """Bounds of a gap's coefficient over its spring's stiffness."""
 UNBENT = 0.2
 """Relative deviation of a spring's stiffness from which on no record bends it (empirical)."""
+MOTORS_AGREED = 2
+"""Rounds in which motor motion is made to agree with friction: the third moves nothing (empirical)."""
+NEAR_END = 20.0
+"""Rise of −2 ln L up to which motion that is smoothed anew is that of the same end: numbers moved with it."""
 LOST = 0.2
 """Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
 
@@ -113,8 +117,8 @@ def _is_at_bound(found: Supposed, placed: PlacedLaw) -> bool:
 
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Motion, shapes and numbers in turn until the value stands."""
-    for _ in range(rounds):
-        moved = now.with_agreed_motors()
+    for number in range(rounds):
+        moved = now.with_agreed_motors() if number < MOTORS_AGREED else now
         moved = reshape(moved.renewed() if any(p.needs_fit for p in now.hypothesis.laws) else moved)
         gained = now.total - moved.total
         if gained > 0:
@@ -200,7 +204,10 @@ def pursue(
         tell(now, number / rounds)
         if budget.is_left_out("further causes"):
             break
-        now = now.renewed(3)
+        renewed = now.renewed(3)
+        # Across a law motion may come to rest elsewhere; without one it is only smoothed.
+        if renewed.total < now.total + NEAR_END or not now.motions.smoothed:
+            now = renewed
         looked = candidates(now, laws)
         falls = score(now, looked)
         trials: list[Trial] = []

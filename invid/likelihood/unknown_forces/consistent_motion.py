@@ -97,8 +97,9 @@ class _Rows:
     def of(cls, stack: SmoothedStack, place: int, vector: Float64, law: LawOfMotion) -> _Rows:
         noise, omega = stack.noise, stack.omega
         reach, power = noise.reach[:, :, place], noise.power[:, place]
-        rest = noise.covariance - power[:, None, None] * reach[:, :, None] * reach[:, None].conj()
-        whitener = np.linalg.inv(np.linalg.cholesky(rest))
+        others = noise.power.copy()
+        others[:, place] = 0.0
+        whitener = stack.noise_of(others, stack.stack.position_noise).whitener
         jumps = whitener @ stack.condensed.jumps(omega)
         length = np.sqrt(((np.abs(jumps) ** 2).sum(axis=1) * stack.weight[:, None]).sum(axis=0)) + 1e-300
         unknown = -stack.force[:, :, place]

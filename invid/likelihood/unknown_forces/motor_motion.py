@@ -53,10 +53,9 @@ class _Rows:
 
     @classmethod
     def of(cls, stack: SmoothedStack, friction: Friction) -> _Rows:
-        stiffness, noise = stack.condensed.stiffness, stack.stack.position_noise
-        rest = stack.noise.covariance - (stiffness * noise) @ stiffness.conj().transpose(0, 2, 1)
+        noise = stack.stack.position_noise
         beyond = np.array([r.position - r.wide_lines(r.motion.position) for r in stack.stack.records])
-        whitener = np.asarray(np.linalg.inv(np.linalg.cholesky(rest)), dtype=np.complex128)
+        whitener = stack.noise_of(stack.noise.power, np.zeros(noise.size)).whitener
         return cls(stack, friction, beyond, whitener, np.sqrt(np.maximum(noise, 1e-300)))
 
     def waves(self, change: Complex128) -> tuple[Float64, Float64]:

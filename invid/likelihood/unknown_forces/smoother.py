@@ -81,6 +81,11 @@ class SmoothedStack:
         lines = np.fft.rfft(wave)[..., : self.omega.size] * (2.0 / wave.shape[-1])
         return np.asarray(lines, dtype=np.complex128)
 
+    def noise_of(self, power: Float64, position_noise: Float64) -> MissingNoise:
+        """S with other powers (A, P) of the unknown forces, and noise (M,) of the readings."""
+        sensors = (position_noise, self.stack.torque_noise)
+        return missing_noise(self.condensed.stiffness, self.noise.reach, power, sensors)
+
     def motion_by_ends(self, ends: Float64) -> SmoothedStack:
         """Motion by the ends (k, 2n) alone, over 2/T, as one record for each."""
         n = ends.shape[1] // 2
