@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.effects.catalogue.backlash import BacklashLaw
+from invid.effects.catalogue.cubic_stiffness import CubicStiffnessLaw
 from invid.identification.first_plants import (
     chain_lengths,
     closes,
@@ -93,10 +94,10 @@ class Known:
 NOTHING = Known()
 Axes = frozenset[int]
 NO_AXES: Axes = frozenset()
-GAP = BacklashLaw()
+SPRING_LAWS = (CubicStiffnessLaw(), BacklashLaw())
 TAKEN_UP = 0.85
-"""Unknown force in a spring that free play of it leaves where there is any (empirical, twelve cells of
-another hand: at most 0.70 with play, at least 0.98 where a chain lacks a mode or is astray)."""
+"""Unknown force in a spring that its own law leaves (empirical, nineteen cells of another hand: at most 0.70
+with play and 0.01 with hardening, at least 0.89 where a chain lacks a mode or is astray)."""
 FURTHER_MASSES = "further masses"
 """What a spent budget leaves out without which the number of masses is open, in the words of the warning."""
 
@@ -104,7 +105,7 @@ FURTHER_MASSES = "further masses"
 def begin(bench: Bench, structure: Structure, kept: Bench | None = None, known: Known = NOTHING) -> Supposed:
     """The fit of a structure with friction at the motors, from the first start at home, else the lowest."""
     lowest = _lowest(bench, structure, kept, known)
-    return brought_home(lowest, _gapped(lowest))
+    return brought_home(lowest, _bent(lowest))
 
 
 def begin_with_modes(
@@ -117,11 +118,11 @@ def begin_with_modes(
     """
     lowest = _lowest(bench, structure, kept, known)
     is_lost = lowest.inner_strength > LOST * torque_rms(bench) and not tones_of(lowest)
-    gapped = _gapped(lowest)
-    pool = [lowest, *(_with_modes(lowest, gapped) if is_lost else ())]
+    bent = _bent(lowest)
+    pool = [lowest, *(_with_modes(lowest, bent) if is_lost else ())]
     ends: list[Supposed] = []
     for start in sorted(pool, key=_priced)[:STRUCTURES]:
-        ends.append(brought_home(start, gapped))
+        ends.append(brought_home(start, bent if start is lowest else _bent(start)))
         if is_settled(ends[-1]):
             break
     return _without_idle_modes(min(ends, key=_priced))
@@ -134,11 +135,11 @@ def home_with_a_mode(now: Supposed) -> Supposed | None:
     return _without_idle_modes(min(ends, key=_priced)) if ends else None
 
 
-def _with_modes(now: Supposed, gapped: Axes = NO_AXES) -> list[Supposed]:
-    """First fits of the chains with one mode more, on the load of each that is astray and not ``gapped``."""
+def _with_modes(now: Supposed, bent: Axes = NO_AXES) -> list[Supposed]:
+    """First fits of the chains with one mode more, on the load of each that is astray and not ``bent``."""
     structure, found = now.hypothesis.structure, []
     for axis in _astray(now):
-        if axis in gapped:
+        if axis in bent:
             continue
         if budget.is_left_out("further starts"):
             break
@@ -208,18 +209,18 @@ def _starts(bench: Bench, structure: Structure, kept: Bench | None, known: Known
         yield from grown_plants(known.fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
 
 
-def brought_home(now: Supposed, gapped: Axes = NO_AXES) -> Supposed:
+def brought_home(now: Supposed, bent: Axes = NO_AXES) -> Supposed:
     """The lowest end of random splits of the chains in which something unknown acts, one after another: of
     several together none would come home. Again from what is better: beside a chain at home others follow.
 
-    Those of ``gapped`` axes stay.
+    Those of ``bent`` axes stay.
     """
     rng = np.random.default_rng(1)
     for _ in range(PASSES):
         before = now
         for axis in _astray(now):
             worst = _astray(now).get(axis)
-            if worst is None or axis in gapped or budget.is_left_out("further starts"):
+            if worst is None or axis in bent or budget.is_left_out("further starts"):
                 continue
             now = _split_anew(now, (axis, _masses_before(now.hypothesis.structure, axis, worst)), rng)
         if before.total - now.total < PRICE_OF_MASS or len(_astray(now)) < 2:
@@ -261,21 +262,22 @@ def _masses_before(structure: Structure, axis: int, spot: Spot) -> int:
     return min(at, structure.load[axis]) - structure.motor[axis]
 
 
-def _gapped(now: Supposed) -> Axes:
-    """Axes on which most acts in a spring and free play of that spring takes it up: no other chain explains
-    that, and beside it no start is at home."""
+def _bent(now: Supposed) -> Axes:
+    """Axes on which most acts in a spring and free play or hardening of that spring takes it up: no other
+    chain explains that, and beside it no start is at home."""
     worst = {axis: spot for axis, spot in _astray(now).items() if spot.where is Where.SPRING}
     if worst and not now.motions.smoothed:
         now = now.smoothed()
     before, out = {spot: rms for rms, spot in now.strength}, set()
     for axis, spot in worst.items():
-        shapes = GAP.shapes(now.motions.flat(spot))
-        if budget.is_left_out("further starts") or not shapes:
-            break
-        found = with_law(now, PlacedLaw(GAP, spot, shapes[len(shapes) // 2]))
-        after = {spot: rms for rms, spot in found.strength}
-        if after[spot] < TAKEN_UP * before[spot]:
-            out.add(axis)
+        for law in SPRING_LAWS:
+            shapes = law.shapes(now.motions.flat(spot))
+            if budget.is_left_out("further starts") or not shapes:
+                break
+            found = with_law(now, PlacedLaw(law, spot, shapes[len(shapes) // 2]))
+            if {s: rms for rms, s in found.strength}[spot] < TAKEN_UP * before[spot]:
+                out.add(axis)
+                break
     return frozenset(out)
 
 

@@ -9,9 +9,9 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from invid.numerics.arrays import Float64
 
-STEPS, SHARES = 3, (1.0, 0.5, 0.25)
+STEPS, SHARES = 2, (1.0, 0.5, 0.25)
 """Most steps, and shares of one that are tried."""
-ITERATIONS, TOLERANCE = 40, 1e-2
+ITERATIONS, TOLERANCE = 30, 1e-2
 """Most conjugate gradients of a step, and the share of its right side that they leave."""
 LEFT = 0.3
 """What they leave of it at most: in scaled numbers the sum of squares falls by no more than its square."""
