@@ -9,14 +9,14 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from invid.numerics.arrays import Float64
 
-STEPS, SHARES = 2, (1.0, 0.5, 0.25)
+STEPS, SHARES = 3, (1.0, 0.5, 0.25)
 """Most steps, and shares of one that are tried."""
 ITERATIONS, TOLERANCE = 30, 1e-2
 """Most conjugate gradients of a step, and the share of its right side that they leave."""
 LEFT = 0.3
 """What they leave of it at most: in scaled numbers the sum of squares falls by no more than its square."""
-ARRIVED = 4.0
-"""Fall of the sum of squares below which the steps end: where it is a −2 ln L, two deviations."""
+ARRIVED = 1e-3
+"""Relative fall of the sum of squares below which the steps end: its own scatter is of that size."""
 
 
 class Residual(Protocol):
@@ -48,7 +48,7 @@ def descend(now: R) -> R:
         else:
             break
         gained, now = now.cost - found.cost, found
-        if gained < ARRIVED:
+        if gained < ARRIVED * now.cost:
             break
     return now
 

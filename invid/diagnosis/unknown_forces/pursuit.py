@@ -119,7 +119,10 @@ def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Motion, shapes and numbers in turn until the value stands."""
     for number in range(rounds):
         moved = now.with_agreed_motors() if number < MOTORS_AGREED else now
-        moved = reshape(moved.renewed() if any(p.needs_fit for p in now.hypothesis.laws) else moved)
+        if any(p.needs_fit for p in now.hypothesis.laws):
+            ways = (True,) if moved.motions.is_agreed else (False, True)
+            moved = min((moved.renewed(agreed=a) for a in ways), key=lambda f: f.total)
+        moved = reshape(moved)
         gained = now.total - moved.total
         if gained > 0:
             now = moved

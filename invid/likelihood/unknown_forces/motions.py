@@ -46,22 +46,26 @@ class Motions:
         self, stacks: Sequence[Stack], structure: Structure, smoothed: Sequence[SmoothedStack] = ()
     ) -> None:
         self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
+        self.is_agreed = False  # whether motion across springs agrees with their laws
         self._known: dict[Spot, list[list[SpotMotion]]] = {}
         self.lines: dict[tuple[SupposedLaw, Spot, Shape, int], list[Complex128]] = {}
 
-    def renewed(self, problem: Problem, value: Value, laws: Sequence[PlacedLaw]) -> Motions:
-        """Smoothed at a fit, motors where ``laws`` of their readings say that they stand, other places where
-        the laws of their motion do."""
+    def renewed(
+        self, problem: Problem, value: Value, laws: Sequence[PlacedLaw], *, agreed: bool = False
+    ) -> Motions:
+        """Smoothed at a fit, motors where ``laws`` of their readings say that they stand; ``agreed``: springs
+        where the laws of their motion do, which from far away may come to rest elsewhere."""
         out = Motions(self.stacks, value.numbers.plant.structure, smooth(problem, value))
         names = [c.name for c in problem.columns]
         sized = [
             (p, value.coefficients[names.index((*p.key, 0)) :][: len(p.law.low)])
             for p in laws
-            if p.spot.where is Where.SPRING
+            if agreed and p.spot.where is Where.SPRING
         ]
         for spot in dict.fromkeys(p.spot for p, _ in sized):
             number = problem.spots.number[spot]
             out = out._agreed((spot, number), [(p, c) for p, c in sized if p.spot == spot], self.of(spot))
+        out.is_agreed = agreed
         for placed in laws:
             if placed.law.reads:
                 own = [names.index((*placed.key, i)) for i in range(len(placed.law.low))]
@@ -78,6 +82,7 @@ class Motions:
         """The same behind motors that move as in the records of other stacks."""
         out = Motions(stacks, self.structure, self.smoothed)
         out._known = {spot: m for spot, m in self._known.items() if spot.where is not Where.MOTOR}
+        out.is_agreed = self.is_agreed
         return out
 
     def _agreed(
@@ -101,6 +106,7 @@ class Motions:
     def in_structure(self, moved: Correspondence) -> Motions:
         """The same for another structure, at the places that both have."""
         out = Motions(self.stacks, moved.new, ())
+        out.is_agreed = self.is_agreed
         for spot, motion in self._all_known().items():
             at = moved.spot(spot)
             if at is not None:

@@ -199,14 +199,20 @@ class Supposed:
         start, problem = bounded(start, problem, changed)
         return replace(self, hypothesis=changed, fit=fit(problem, start, iterations))
 
-    def renewed(self, iterations: int = 8) -> Supposed:
+    def renewed(self, iterations: int = 8, *, agreed: bool = False) -> Supposed:
         """The same with inner motion smoothed anew."""
-        return self.smoothed().refit(iterations=iterations)
+        return self.smoothed(agreed=agreed).refit(iterations=iterations)
 
-    def smoothed(self) -> Supposed:
-        """The same on inner motion smoothed at its own fit."""
-        motions = self.motions.renewed(self.fit.problem, self.fit.value, self.hypothesis.laws)
-        return replace(self._kept_smoothed(), motions=motions)
+    def smoothed(self, *, agreed: bool = False) -> Supposed:
+        """The same on inner motion smoothed at its own fit; ``agreed``, or where it was before: that across
+        springs agrees with their laws."""
+        motions = self.motions.renewed(
+            self.fit.problem,
+            self.fit.value,
+            self.hypothesis.laws,
+            agreed=agreed or self.motions.is_agreed,
+        )
+        return replace(self._kept_smoothed(agreed=motions.is_agreed), motions=motions)
 
     def with_agreed_motors(self, iterations: int = 8) -> Supposed:
         """The same on motor motion that agrees with friction as it is found."""
@@ -234,18 +240,18 @@ class Supposed:
         columns = self.kept.columns(self.hypothesis, self.kept_motions)
         return replace(self.fit.problem, stacks=self.kept.stacks, columns=columns), self.kept_value
 
-    def _kept_smoothed(self) -> Supposed:
+    def _kept_smoothed(self, *, agreed: bool) -> Supposed:
         known, kept = self._kept_problem, self.kept_motions
         if known is None or kept is None:
             return self
-        return replace(self, kept_motions=kept.renewed(*known, self.hypothesis.laws))
+        return replace(self, kept_motions=kept.renewed(*known, self.hypothesis.laws, agreed=agreed))
 
     def kept_settled(self) -> Supposed:
         """The same with inner motion of the records kept out smoothed until their value stands: no fit does
         it."""
         now = self
         for _ in range(KEPT_ROUNDS if any(p.needs_fit for p in self.hypothesis.laws) else 0):
-            moved = now._kept_smoothed()
+            moved = min((now._kept_smoothed(agreed=a) for a in (False, True)), key=lambda f: f.kept_total)
             if not moved.kept_total < now.kept_total - 1.0:
                 break
             now = moved

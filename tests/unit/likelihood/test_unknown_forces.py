@@ -138,7 +138,7 @@ def test_motion_across_free_play_agrees_with_it_and_stays_when_it_is_smoothed_ag
     found = with_law(found.smoothed(), play)
     first = found.total
     for _ in range(4):
-        found = reshape(found.renewed(4))
+        found = reshape(found.renewed(4, agreed=True))
     missing = axis_missing(found)
     assert (missing.missing < 1.2 * missing.floor).all()
     assert found.total < first + 20.0
