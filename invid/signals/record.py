@@ -137,7 +137,7 @@ class Record:
     @cached_property
     def weight(self) -> Float64:
         """(F,) one half for the mean, which is real, one elsewhere."""
-        return np.where(self.omega == 0.0, 0.5, 1.0)
+        return line_weight(self.omega)
 
     def stride(self, most: int) -> int:
         """Most instants of the grid of motion, up to ``most``, that divide a period, or the span without
@@ -161,6 +161,11 @@ class Record:
     def wide_lines(self, series: Float64) -> Complex128:
         """(A, …) transform on all lines up to where motion is known."""
         return transform(series, np.arange(self.wide.size), 0)
+
+
+def line_weight(omega: Float64) -> Float64:
+    """(F,) weight of lines: one half for the mean, which is real, one elsewhere."""
+    return np.where(omega == 0.0, 0.5, 1.0)
 
 
 def transform(series: Float64, lines: Int64, periods: int = 0) -> Complex128:

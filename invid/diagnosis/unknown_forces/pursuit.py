@@ -120,7 +120,7 @@ def settle(now: Supposed, rounds: int = 5) -> Supposed:
     for number in range(rounds):
         moved = now.with_agreed_motors() if number < MOTORS_AGREED else now
         if any(p.needs_fit for p in now.hypothesis.laws):
-            ways = (True,) if moved.motions.is_agreed else (False, True)
+            ways = (True,) if moved.motions.is_agreed else moved.ways
             moved = min((moved.renewed(agreed=a) for a in ways), key=lambda f: f.total)
         moved = reshape(moved)
         gained = now.total - moved.total

@@ -147,12 +147,12 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class _At:
-    """The laws after a change: on lines (R, A), and their slopes by position and by velocity (R, k)."""
+    """The motion of each record after a change, and the laws of it on lines (R, A)."""
 
     rows: _Rows
     change: _Change
+    motion: tuple[SpotMotion, ...]
     law: Complex128
-    slopes: tuple[Float64, Float64]
 
     @classmethod
     def of(cls, rows: _Rows, change: _Change) -> _At:
@@ -160,13 +160,21 @@ class _At:
         pushed = -rows.receptance * change.force
         by_force = (stack.wave(pushed), stack.wave(1j * stack.omega * pushed))
         position, velocity = (w + change.ends @ s for w, s in zip(by_force, rows.swing, strict=True))
-        lines, slopes = [], []
-        for record, was, p, v in zip(stack.stack.records, law.smoothed, position, velocity, strict=True):
-            motion = replace(was, position=was.position + p, velocity=was.velocity + v)
-            lines.append(law.lines(record, motion))
-            slopes.append(_slopes(law.resistance, motion.every(stack.stride)))
-        by_position, by_velocity = (np.array(s) for s in zip(*slopes, strict=True))
-        return cls(rows, change, np.array(lines), (by_position, by_velocity))
+        motion = tuple(
+            replace(was, position=was.position + p, velocity=was.velocity + v)
+            for was, p, v in zip(law.smoothed, position, velocity, strict=True)
+        )
+        lines = [law.lines(r, m) for r, m in zip(stack.stack.records, motion, strict=True)]
+        return cls(rows, change, motion, np.array(lines))
+
+    @cached_property
+    def slopes(self) -> tuple[Float64, Float64]:
+        """(R, k) derivatives of the laws by position and by velocity on the coarse grid."""
+        every, resistance = self.rows.stack.stride, self.rows.law.resistance
+        by_position, by_velocity = zip(
+            *(_slopes(resistance, m.every(every)) for m in self.motion), strict=True
+        )
+        return np.array(by_position), np.array(by_velocity)
 
     @cached_property
     def missing(self) -> Complex128:

@@ -40,13 +40,19 @@ class PlacedLaw:
 
 
 class Motions:
-    """Motion at every place of a machine: of motors as measured, elsewhere as smoothed at a fit."""
+    """Motion at every place of a machine: of motors as measured, elsewhere as smoothed at a fit;
+    ``is_agreed``: across springs in agreement with their laws."""
 
     def __init__(
-        self, stacks: Sequence[Stack], structure: Structure, smoothed: Sequence[SmoothedStack] = ()
+        self,
+        stacks: Sequence[Stack],
+        structure: Structure,
+        smoothed: Sequence[SmoothedStack] = (),
+        *,
+        is_agreed: bool = False,
     ) -> None:
         self.stacks, self.structure, self.smoothed = tuple(stacks), structure, tuple(smoothed)
-        self.is_agreed = False  # whether motion across springs agrees with their laws
+        self.is_agreed = is_agreed
         self._known: dict[Spot, list[list[SpotMotion]]] = {}
         self.lines: dict[tuple[SupposedLaw, Spot, Shape, int], list[Complex128]] = {}
 
@@ -55,7 +61,8 @@ class Motions:
     ) -> Motions:
         """Smoothed at a fit, motors where ``laws`` of their readings say that they stand; ``agreed``: springs
         where the laws of their motion do, which from far away may come to rest elsewhere."""
-        out = Motions(self.stacks, value.numbers.plant.structure, smooth(problem, value))
+        structure = value.numbers.plant.structure
+        out = Motions(self.stacks, structure, smooth(problem, value), is_agreed=agreed)
         names = [c.name for c in problem.columns]
         sized = [
             (p, value.coefficients[names.index((*p.key, 0)) :][: len(p.law.low)])
@@ -65,7 +72,6 @@ class Motions:
         for spot in dict.fromkeys(p.spot for p, _ in sized):
             number = problem.spots.number[spot]
             out = out._agreed((spot, number), [(p, c) for p, c in sized if p.spot == spot], self.of(spot))
-        out.is_agreed = agreed
         for placed in laws:
             if placed.law.reads:
                 own = [names.index((*placed.key, i)) for i in range(len(placed.law.low))]
@@ -80,9 +86,8 @@ class Motions:
 
     def on(self, stacks: Sequence[Stack]) -> Motions:
         """The same behind motors that move as in the records of other stacks."""
-        out = Motions(stacks, self.structure, self.smoothed)
+        out = Motions(stacks, self.structure, self.smoothed, is_agreed=self.is_agreed)
         out._known = {spot: m for spot, m in self._known.items() if spot.where is not Where.MOTOR}
-        out.is_agreed = self.is_agreed
         return out
 
     def _agreed(
@@ -101,12 +106,11 @@ class Motions:
             most = min(p.law.stride(now[0], p.shape) if p.law.is_smooth else 1 for p, _ in laws)
             law = LawOfMotion(resistance, now, before, record.stride(most))
             smoothed.append(agree(stack, number, vector, law))
-        return Motions(self.stacks, self.structure, smoothed)
+        return Motions(self.stacks, self.structure, smoothed, is_agreed=True)
 
     def in_structure(self, moved: Correspondence) -> Motions:
         """The same for another structure, at the places that both have."""
-        out = Motions(self.stacks, moved.new, ())
-        out.is_agreed = self.is_agreed
+        out = Motions(self.stacks, moved.new, is_agreed=self.is_agreed)
         for spot, motion in self._all_known().items():
             at = moved.spot(spot)
             if at is not None:

@@ -64,41 +64,58 @@ class _Rows:
         position, velocity = stack.wave(turned), stack.wave(1j * stack.omega * turned)
         return position.transpose(0, 2, 1), velocity.transpose(0, 2, 1)
 
-    def turn(self, velocity: Float64) -> tuple[Float64, Float64]:
-        """(k, M) friction that turns with the velocity, and its slope."""
-        out, slopes = np.zeros(velocity.shape), np.zeros(velocity.shape)
-        for m, (shape, dry, rise) in enumerate(self.friction):
-            step = DIFFERENCE * shape.width
-            low, out[:, m], high = (
-                dry * force(Part.DRY, v, shape) + rise * force(Part.RISE, v, shape)
-                for v in (velocity[:, m] - step, velocity[:, m], velocity[:, m] + step)
-            )
-            slopes[:, m] = (high - low) / (2.0 * step)
-        return out, slopes
+    @cached_property
+    def still(self) -> Complex128:
+        """(R, A, M) friction on the records' own motion."""
+        return self.lines([r.motion.velocity for r in self.stack.stack.records])
+
+    def lines(self, velocity: Sequence[Float64]) -> Complex128:
+        """(R, A, M) friction that turns with the velocity (k + 1, M) of each record."""
+        records = self.stack.stack.records
+        return np.array([r.wide_lines(self.turn(v)) for r, v in zip(records, velocity, strict=True)])
+
+    def turn(self, velocity: Float64) -> Float64:
+        """(k, M) friction that turns with the velocity."""
+        parts = [
+            dry * force(Part.DRY, v, shape) + rise * force(Part.RISE, v, shape)
+            for v, (shape, dry, rise) in zip(velocity.T, self.friction, strict=True)
+        ]
+        return np.stack(parts, axis=1)
+
+    def slope(self, velocity: Float64) -> Float64:
+        """(k, M) its derivative by the velocity."""
+        step = DIFFERENCE * np.array([shape.width for shape, _, _ in self.friction])
+        out: Float64 = (self.turn(velocity + step) - self.turn(velocity - step)) / (2.0 * step)
+        return out
 
 
 @dataclass(frozen=True, eq=False)
 class _At:
-    """Motion ``change`` (R, A, M) beyond the records': whitened missing torque and noise of the readings
-    (R, A, M), slope of friction (R, M, k)."""
+    """Motion ``change`` (R, A, M) beyond the records', with the ``velocity`` (k + 1, M) of each: whitened
+    missing torque and noise of the readings (R, A, M)."""
 
     rows: _Rows
     change: Complex128
+    velocity: tuple[Float64, ...]
     missing: Complex128
     noise: Complex128
-    slope: Float64
 
     @classmethod
     def of(cls, rows: _Rows, change: Complex128) -> _At:
-        stack, changed, slopes = rows.stack, [], []
-        for record, more in zip(stack.stack.records, rows.waves(change)[1], strict=True):
-            now, slope = rows.turn(record.motion.velocity + more)
-            changed.append(record.wide_lines(now - rows.turn(record.motion.velocity)[0]))
-            slopes.append(slope[: -1 : stack.stride].T)
+        stack = rows.stack
+        more = rows.waves(change)[1]
+        velocity = [r.motion.velocity + v for r, v in zip(stack.stack.records, more, strict=True)]
         away = change - rows.beyond
-        missing = stack.missing + (stack.condensed.stiffness @ away[..., None])[..., 0] + np.array(changed)
+        missing = stack.missing + (stack.condensed.stiffness @ away[..., None])[..., 0]
+        missing = missing + rows.lines(velocity) - rows.still
         white = (rows.whitener @ missing[..., None])[..., 0]
-        return cls(rows, change, white, away / rows.deviation, np.array(slopes))
+        return cls(rows, change, tuple(velocity), white, away / rows.deviation)
+
+    @cached_property
+    def slope(self) -> Float64:
+        """(R, M, k) slope of friction on the coarse grid."""
+        every = slice(None, -1, self.rows.stack.stride)
+        return np.array([self.rows.slope(v[every]).T for v in self.velocity])
 
     @cached_property
     def cost(self) -> float:

@@ -126,7 +126,7 @@ def _friction_shape(
 
 
 def _friction_force(now: Supposed, motor: int, shape: FrictionShape) -> list[Complex128]:
-    sizes = dict(zip((c.name for c in now.fit.problem.columns), now.fit.value.coefficients, strict=True))
+    sizes = now.sizes
     parts = [(p, sizes[p, motor]) for p in (Part.DRY, Part.RISE)]
     lines = [[size * s for s in now.bench.motor_laws.lines(motor, p, shape)] for p, size in parts if size]
     return [np.sum(stack, axis=0) for stack in zip(*lines, strict=True)]

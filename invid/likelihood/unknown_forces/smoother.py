@@ -23,6 +23,7 @@ from invid.likelihood.unknown_forces.slope import ends_of
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
 from invid.numerics.arrays import Complex128, Float64
+from invid.signals.record import line_weight
 
 OVERSAMPLING = 4
 """Least instants for each line of a grid on which the slope of a law stands: its product with motion on those
@@ -62,8 +63,8 @@ class SmoothedStack:
 
     @cached_property
     def weight(self) -> Float64:
-        """(A,) one half for the mean, which is real, one elsewhere."""
-        return np.where(self.omega == 0.0, 0.5, 1.0)
+        """(A,) of the lines in sums of squares."""
+        return line_weight(self.omega)
 
     @cached_property
     def stride(self) -> int:
@@ -99,7 +100,7 @@ class SmoothedStack:
 
         The parabola with the record's jumps is taken out of the lines, and put back exactly.
         """
-        omega, span = self.stack.records[0].wide, self.stack.span
+        omega, span = self.omega, self.stack.span
         lines: Complex128 = self.lines @ vector
         jump, bend = self.jump @ vector, self.bend @ vector
         turning = np.where(omega > 0, omega, 1.0)

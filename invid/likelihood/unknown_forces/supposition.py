@@ -164,6 +164,18 @@ class Supposed:
         """The numbers found."""
         return self.fit.numbers
 
+    @property
+    def sizes(self) -> dict[Hashable, float]:
+        """The coefficients found, by the names of their columns."""
+        names = (c.name for c in self.fit.problem.columns)
+        return dict(zip(names, self.fit.value.coefficients.tolist(), strict=True))
+
+    @property
+    def ways(self) -> tuple[bool, ...]:
+        """Ways of ``renewed`` to smooth inner motion: plainly, and where a spring has a law in agreement."""
+        is_bent = any(p.spot.where is Where.SPRING for p in self.hypothesis.laws)
+        return (False, True) if is_bent else (False,)
+
     @cached_property
     def kept_value(self) -> Value | None:
         """−2 ln L of the records kept out, at the numbers and coefficients that were fitted.
@@ -216,11 +228,9 @@ class Supposed:
 
     def with_agreed_motors(self, iterations: int = 8) -> Supposed:
         """The same on motor motion that agrees with friction as it is found."""
-        sizes = dict(
-            zip((c.name for c in self.fit.problem.columns), self.fit.value.coefficients, strict=True)
-        )
+        sizes = self.sizes
         friction = [
-            (shape, float(sizes[Part.DRY, m]), float(sizes[Part.RISE, m]))
+            (shape, sizes[Part.DRY, m], sizes[Part.RISE, m])
             for m, shape in enumerate(self.hypothesis.friction)
         ]
         if not any(dry or rise for _, dry, rise in friction):
@@ -251,7 +261,7 @@ class Supposed:
         it."""
         now = self
         for _ in range(KEPT_ROUNDS if any(p.needs_fit for p in self.hypothesis.laws) else 0):
-            moved = min((now._kept_smoothed(agreed=a) for a in (False, True)), key=lambda f: f.kept_total)
+            moved = min((now._kept_smoothed(agreed=a) for a in self.ways), key=lambda f: f.kept_total)
             if not moved.kept_total < now.kept_total - 1.0:
                 break
             now = moved

@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 
 from invid.diagnosis.diagnose import diagnose
+from invid.identification.identify import identify
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.foreign import make_foreign
+from hidden.generator import make
 
 
 @pytest.mark.campaign
@@ -34,3 +36,21 @@ def test_a_cause_whose_size_is_not_told_from_none_is_not_sure() -> None:
             size = finding.effect.parameters["torque"]
             assert size.std is not None
             assert size.value > 2.0 * size.std or finding.confidence <= 0.5
+
+
+@pytest.mark.campaign
+def test_a_weight_that_a_model_without_weights_does_not_know_leaves_no_spring_to_ground() -> None:
+    """Around its place of rest a weight is a spring; the identification knows no weights."""
+    size = {"torque": 300.0, "angle": 0.4}
+    recording, _ = make("gravity", (0, 1), size, seed=1, masses=(2,), noise=0.003, moves=False)
+    model = identify(recording)
+    found = diagnose(recording, model=model)
+    (finding,) = found.findings
+    assert finding.cause == "gravity"
+    assert found.model.chains.ground_springs[0] == 0.0
+    assert found.model.fit["trustworthy"]
+    for name, true in size.items():
+        estimate = finding.parameters[name]
+        assert estimate.std is not None
+        assert abs(estimate.value - true) < 4.0 * estimate.std
+        assert estimate.std < 0.01 * true
