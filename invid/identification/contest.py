@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -18,6 +18,7 @@ from invid.identification.first_plants import (
     masses_seen,
     random_plants,
     split_plants,
+    with_chain_anew,
 )
 from invid.identification.own_time import tones_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
@@ -25,6 +26,7 @@ from invid.likelihood.unknown_forces.motions import PlacedLaw, axis_of
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, with_law
+from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.supposition import (
     Bench,
     Hypothesis,
@@ -144,8 +146,10 @@ def _with_modes(now: Supposed, bent: Axes = NO_AXES) -> list[Supposed]:
         if budget.is_left_out("further starts"):
             break
         wider = replace(structure, modes=(*structure.modes, structure.load[axis]))
-        with suppress(np.linalg.LinAlgError):
-            found.append(_lowest(now.bench, wider, now.kept, NOTHING))
+        hypothesis = Hypothesis(wider, first_shapes(now.bench.stacks))
+        starts = with_chain_anew(_all_stacks(now.bench, now.kept), now.numbers.plant, wider, axis)
+        lowest = _lowest_of((now.bench, now.kept), hypothesis, starts)
+        found += [lowest] if lowest is not None else []
     return found
 
 
@@ -177,16 +181,7 @@ def _lowest(bench: Bench, structure: Structure, kept: Bench | None, known: Known
     fewer = known.fewer
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
-    lowest, least = None, np.inf
-    for plant in _starts(bench, structure, kept, known):
-        found = _from_plant((bench, kept), hypothesis, plant, TO_THE_END)
-        if found is None or found.total >= least:
-            continue
-        least = found.total
-        # Of the right plant friction's form is all that is left.
-        lowest = found if is_home(found) else reshape(scan_friction(found))
-        if is_home(lowest) or budget.is_left_out("further starts"):
-            break
+    lowest = _lowest_of((bench, kept), hypothesis, _starts(bench, structure, kept, known))
     if lowest is None:
         splits = random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1))
         lowest = _contest((bench, kept), hypothesis, splits)
@@ -195,18 +190,36 @@ def _lowest(bench: Bench, structure: Structure, kept: Bench | None, known: Known
     return lowest
 
 
+def _lowest_of(benches: Benches, hypothesis: Hypothesis, plants: Iterable[Plant]) -> Supposed | None:
+    lowest, least = None, np.inf
+    for plant in plants:
+        found = _from_plant(benches, hypothesis, plant, TO_THE_END)
+        if found is None or found.total >= least:
+            continue
+        least = found.total
+        # Of the right plant friction's form is all that is left.
+        lowest = found if is_home(found) else reshape(scan_friction(found))
+        if is_home(lowest) or budget.is_left_out("further starts"):
+            break
+    return lowest
+
+
 def _starts(bench: Bench, structure: Structure, kept: Bench | None, known: Known) -> Iterator[Plant]:
     """What is known, and continued fractions."""
     if known.plant is not None:
         yield known.plant
-    # Where to start may be read from all records: as many as motors tell couplings apart.
-    stacks = (*bench.stacks, *(kept.stacks if kept else ()))
+    stacks = _all_stacks(bench, kept)
     yield from fraction_plants(stacks, structure)
     yield from fraction_plants(stacks, structure, rubbing=True)
     if not all(closes(r) for s in stacks for r in s.records):
         yield from fraction_plants(stacks, structure, in_bands=True)
     if known.fewer is not None:
         yield from grown_plants(known.fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
+
+
+def _all_stacks(bench: Bench, kept: Bench | None) -> tuple[Stack, ...]:
+    """Where to start may be read from all records: as many as motors tell couplings apart."""
+    return (*bench.stacks, *(kept.stacks if kept else ()))
 
 
 def brought_home(now: Supposed, bent: Axes = NO_AXES) -> Supposed:

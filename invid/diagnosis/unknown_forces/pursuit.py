@@ -9,7 +9,15 @@ import numpy as np
 
 from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import ALIKE, candidates, own_share, score
-from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions, as_mode
+from invid.diagnosis.unknown_forces.structures import (
+    Addition,
+    Base,
+    Mode,
+    add,
+    additions,
+    additions_of,
+    without,
+)
 from invid.effects.catalogue.backlash import BacklashLaw
 from invid.effects.supposed.law import SupposedLaw
 from invid.effects.supposed_laws import SUPPOSED
@@ -17,7 +25,7 @@ from invid.identification.late_drives import late_drives
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.plant import Kind
-from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, with_law
+from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, smoothed_with_shapes, with_law
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.worth import LEAST_FITTED, NUMBER, pays, role_falls
 from invid.numerics import budget
@@ -142,8 +150,7 @@ def try_channels(now: Supposed) -> list[Trial]:
 def try_structures(now: Supposed, least: float, *, growing: bool) -> list[Trial]:
     """A mode, a base, one more mass of a chain, each where a scan over frequency says that it may be.
 
-    What falls by less than a share of ``least``, or of the best of them, is not fitted to its end. The mode
-    of one load is a base as well; so a base has to do better than the mode that is nearest to it.
+    What falls by less than a share of ``least``, or of the best of them, is not fitted to its end.
     """
     looked = Scan(now)
     structure = now.hypothesis.structure
@@ -155,12 +162,27 @@ def try_structures(now: Supposed, least: float, *, growing: bool) -> list[Trial]
         for a, found in known
         if found.total < least
     ]
-    for trial in [t for t in trials if isinstance(t.addition, Base)]:
-        nearest = as_mode(trial.found)
-        if nearest is not None:
-            mode = Mode(nearest.hypothesis.structure.modes[-1])
-            trials.append(Trial(mode.cause, mode.spot(structure), nearest, now, addition=mode))
     return [t for t in trials if t.addition is not None and t.addition.is_real(t.found)]
+
+
+def stand_again(now: Supposed) -> tuple[Supposed, tuple[tuple[Trial, Trial], ...]]:
+    """The fit with the best of every mode, base and what may stand in its place, and its rivals.
+
+    When a part of the structure was taken, what was found since was not known: the mode of one load is a base
+    as well, and starts beside what was missing end elsewhere.
+    """
+    rivals: list[tuple[Trial, Trial]] = []
+    for own in additions_of(now.hypothesis.structure):
+        if budget.is_left_out("further causes"):
+            break
+        less = without(now, own)
+        taken = Trial(own.cause, own.spot(less.hypothesis.structure), now, less, addition=own)
+        others = [t for t in try_structures(less, taken.fall, growing=False) if t.addition != own]
+        best = max((taken, *others), key=lambda t: t.merit)
+        now = now if best is taken else settle(best.found)
+        best = replace(best, found=now)
+        rivals += [(best, t) for t in (taken, *others) if t.addition != best.addition and not t.holds(best)]
+    return now, tuple(rivals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +232,9 @@ def pursue(
         renewed = now.renewed(3)
         # Across a law motion may come to rest elsewhere; without one it is only smoothed.
         if renewed.total < now.total + NEAR_END or not now.motions.smoothed:
-            now = renewed
+            now = still = renewed
+        else:
+            still = smoothed_with_shapes(now)
         looked = candidates(now, laws)
         falls = score(now, looked)
         trials: list[Trial] = []
@@ -224,7 +248,8 @@ def pursue(
             tried.add(placed.key)
             found = with_law(now, placed)
             if is_sound(found) and own_share(found, found.hypothesis.laws[-1]) > ALIKE:
-                trials.append(Trial(placed.law.cause, placed.spot, found, now, placed))
+                base = still if placed.needs_fit else now
+                trials.append(Trial(placed.law.cause, placed.spot, found, base, placed))
         best = max((t.fall for t in trials), default=0.0)
         if (best < 2000.0 or now.inner_strength > LOST) and not budget.is_left_out("further causes"):
             trials += try_structures(now, best, growing=growing)
@@ -234,6 +259,7 @@ def pursue(
         if taken is None:
             break
         close = taken.fall - max(NEARLY_AS_WELL * taken.fall, LEAST_FITTED)
-        rivals += [(taken, t) for t in trials if t is not taken and t.fall > close and not t.holds(taken)]
+        rivals += [(taken, t) for t in trials if t is not taken and t.fall > close]
         now = settle(reshape(scan_friction(taken.found)))
-    return Pursued(now, tuple(rivals))
+    now, beside = stand_again(now)
+    return Pursued(now, (*(r for r in rivals if r[0].addition is None), *beside))

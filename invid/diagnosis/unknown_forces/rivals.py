@@ -26,7 +26,7 @@ from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import with_law
 from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, Supposed
-from invid.likelihood.unknown_forces.worth import FRICTION, Worth, role_falls
+from invid.likelihood.unknown_forces.worth import FRICTION, NUMBER, Worth, role_falls
 from invid.model.diagnosis_document import Alternative
 from invid.numerics import budget
 from invid.recording.model import Recording
@@ -86,7 +86,7 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
     """Every rival that was fitted in a cause's place."""
     without = _hypothesis_without(end.hypothesis, worth.key)
     if without is None or budget.is_left_out(WHAT):
-        return _in_the_search(worth, pursued)
+        return _of_structure(worth, pursued)
     less = end.refit(without, iterations=10)
     own = next((p for p in end.hypothesis.laws if p.key == worth.key), None)
     price = Rows(end).price
@@ -117,12 +117,12 @@ def _numbers(placed: PlacedLaw) -> int:
     return len(placed.law.low) + len(placed.shape)
 
 
-def _in_the_search(worth: Worth, pursued: Pursued) -> list[_Rival]:
-    """Rivals of a structure, as far as they were behind when it was taken."""
+def _of_structure(worth: Worth, pursued: Pursued) -> list[_Rival]:
+    """Rivals of a part of the structure, fitted beside all else that was found."""
     return [
-        _rival((rival.cause, rival.spot), rival.found, taken.found)
-        for taken, rival in pursued.rivals
-        if taken.cause == worth.cause and taken.placed is None and rival.cause != worth.cause
+        _rival((r.cause, r.spot), r.found, taken.found, NUMBER * (r.numbers - taken.numbers))
+        for taken, r in pursued.rivals
+        if taken.addition == worth.key and (r.cause, r.spot) != (taken.cause, taken.spot)
     ]
 
 

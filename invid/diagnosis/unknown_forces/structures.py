@@ -330,29 +330,6 @@ def axes_with_force(now: Supposed) -> list[int]:
     return list(dict.fromkeys(out))
 
 
-def as_mode(now: Supposed) -> Supposed | None:
-    """The mode of one load that is nearest to a base, fitted; none where that load has one."""
-    structure, plant = now.hypothesis.structure, now.numbers.plant
-    forces = plant.of_kind(Kind.COUPLING)[-structure.motors :]
-    axis = int(np.argmax(np.abs(forces) / plant.of_kind(Kind.MASS)[list(structure.load)]))
-    mode = Mode(structure.load[axis])
-    if mode.host in structure.modes:
-        return None
-    wider = mode.within(replace(structure, base=False))
-    host, at = mode.ends(wider)
-    mass, spring, damper = (float(plant.of_kind(k)[-1]) for k in (Kind.MASS, Kind.SPRING, Kind.DAMPER))
-    share = float(forces[axis]) / mass
-    values = {
-        Element(Kind.MASS, at): share**2 * mass,
-        Element(Kind.MASS, host): float(plant.of_kind(Kind.MASS)[host]) - share**2 * mass,
-        Element(Kind.SPRING, host, at): share**2 * spring,
-        Element(Kind.DAMPER, host, at): share**2 * damper,
-    }
-    with suppress(np.linalg.LinAlgError):
-        return now.in_structure(Correspondence.of(structure, wider), values, 31)
-    return None
-
-
 def without(now: Supposed, addition: Addition) -> Supposed:
     """The fit with an addition taken out, its mass put back on its host."""
     structure, values = now.hypothesis.structure, {}

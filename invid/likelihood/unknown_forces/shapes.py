@@ -19,6 +19,8 @@ from invid.likelihood.unknown_forces.value import along, evaluate
 from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64, Int64
 
+SMOOTHED = 2
+"""Times that a law's motion is smoothed beside its shape before it is compared."""
 LARGEST = 0.5
 """Largest step of a shape's logarithm."""
 WIDTH_BOUNDS, STRIBECK_BOUNDS = (3e-4, 0.1), (0.01, 8.0)
@@ -210,10 +212,14 @@ def with_law(now: Supposed, placed: PlacedLaw) -> Supposed:
     """The hypothesis with one law more, its shape and all numbers at their best."""
     found = now.refit(now.hypothesis.plus(placed), iterations=5)
     found = scan_law(found, len(found.hypothesis.laws) - 1)
-    for _ in range(2):
-        found = reshape(found, 2)
-        found = found.renewed(5) if placed.needs_fit else found
-    return found
+    return smoothed_with_shapes(found) if placed.needs_fit else reshape(found, 4)
+
+
+def smoothed_with_shapes(now: Supposed) -> Supposed:
+    """The same with shapes at their best and inner motion smoothed anew, in turn."""
+    for _ in range(SMOOTHED):
+        now = reshape(now, 2).renewed(5)
+    return now
 
 
 def reshape(now: Supposed, rounds: int = 4) -> Supposed:
