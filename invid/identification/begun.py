@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from invid.errors import NotIdentifiableError
-from invid.identification.contest import NOTHING, Known, begin, begin_open, begin_with_modes
+from invid.identification.contest import NOTHING, Known, begin, begin_open
 from invid.identification.fitted_model import plant_of
 from invid.identification.kept_out import Split, all_records, records_of
 from invid.identification.missing_torque import missed_share
@@ -31,6 +31,8 @@ TIME_TO_BEGIN = 0.5
 
 STILL = 1e-4
 """Velocity over that of the fastest axis below which friction of an axis is not seen (numerical)."""
+Start = Callable[[Bench, Structure, Bench | None, Known], Supposed]
+"""The first fit of a structure on records fitted and kept out, with what is known."""
 SETTLED = 4
 """Iterations from the believed plant by which strengths and timing are as the drawn noise has them."""
 
@@ -70,21 +72,20 @@ def begin_elastic(
     sizes: Sequence[int] | None,
     known: CoupledChains | None = None,
     *,
-    modes: bool = False,
+    start: Start = begin,
 ) -> Begun:
     """The fit with friction at the motors that a search starts from, of the recording without tones.
 
     ``sizes``: masses of each axis; as many as the records ask for where not given. ``known``: chains of so
-    many masses that the first fit starts from. ``modes``: where chains of so many masses are not all, a load
-    may have a mode.
+    many masses that the first fit starts from. ``start``: how chains of so many masses are first fitted.
     """
     before = NOTHING if known is None else Known(plant=plant_of(known))
-    begun = _begin(recording, sizes, before, modes)
+    begun = _begin(recording, sizes, before, start)
     tones = tones_of(begun.first)
     if not tones or budget.is_left_out("torque that keeps its own time"):
         return _each_period(begun)
     hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
-    again = _begin(remove_tones(recording, hz), sizes, before, modes)
+    again = _begin(remove_tones(recording, hz), sizes, before, start)
     return _each_period(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
 
 
@@ -108,7 +109,7 @@ def _bench(records: Sequence[Record]) -> Bench:
     return Bench(stack_records(records, hold_damping(records)))
 
 
-def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, modes: bool) -> Begun:
+def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, start: Start) -> Begun:
     split = records_of(recording)
     bench, beside = _benches(split)
     declared = None if sizes is None else tuple(sizes)
@@ -119,7 +120,6 @@ def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, mode
             if declared is None:
                 first, alike = begin_open(bench, recording.axis_count, beside)
             else:
-                start = begin_with_modes if modes else begin
                 first = start(bench, Structure(declared), beside, known)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(

@@ -67,8 +67,8 @@ def contests(
     for worth in stays:
         rivals = [] if worth.cause == NAMELESS else _rivals_of(end, worth, pursued, linear=recording.linear)
         close = [r for r in rivals if r.worse < COMPETES]
-        # The cause against none, and against each rival.
-        share = share_among_rivals([worth.rise, *(r.worse for r in rivals)])
+        # The cause against none, which is as likely where it just pays, and against each rival.
+        share = share_among_rivals([worth.rise - worth.price, *(r.worse for r in rivals)])
         said = tuple(
             Alternative(r.cause, recording.axes[axis], element, r.missing)
             for r in close
