@@ -41,7 +41,7 @@ LOST = 0.1
 """Unknown force behind the motors over the torque's rms from which a chain may lack a mode: what is weaker a
 law explains from where the fit stands (empirical: 0.6 and more on cells of another hand that lacked one)."""
 MODES = 2
-"""Structures that are fitted to the end of those that a scan shows, and of chains with a mode that are split."""
+"""Structures that are fitted to the end of those that a scan shows, and chains with a mode that are split."""
 
 
 def begin_with_structure(
