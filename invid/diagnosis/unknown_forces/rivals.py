@@ -15,6 +15,7 @@ from invid.diagnosis.unknown_forces.projected_rows import Rows
 from invid.diagnosis.unknown_forces.pursuit import TO_THE_END, Pursued, is_sound
 from invid.diagnosis.unknown_forces.scoring import column_fall, score, spots_of
 from invid.diagnosis.unknown_forces.structures import Base, Mode
+from invid.effects.catalogue.asymmetric_friction import AsymmetricFriction
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed.of_effect import SmoothLaw
@@ -66,6 +67,7 @@ def contests(
     stays = [w for w in worths if w.stays]
     for worth in stays:
         rivals = [] if worth.cause == NAMELESS else _rivals_of(end, worth, pursued, linear=recording.linear)
+        rivals += _one_with_dry_friction(end, worth, stays)
         close = [r for r in rivals if r.worse < COMPETES]
         # The cause against none, which is as likely where it just pays, and against each rival.
         share = share_among_rivals([worth.rise - worth.price, *(r.worse for r in rivals)])
@@ -80,6 +82,17 @@ def contests(
             said += (Alternative(Base.cause, recording.axes[0], None, missing),)
         out[worth.key] = Contest(share, said)
     return out
+
+
+def _one_with_dry_friction(end: Supposed, worth: Worth, stays: Sequence[Worth]) -> list[_Rival]:
+    """Friction by direction in the place of a constant torque beside dry friction: the very same force."""
+    if not (isinstance(worth.key, tuple) and worth.key[0] is Part.OFFSET):
+        return []
+    motor = worth.key[1]
+    if all(w.key != (Part.DRY, motor) for w in stays):
+        return []
+    missing = float(np.sqrt((axis_missing(end).missing ** 2).mean()))
+    return [_Rival(AsymmetricFriction.cause, Spot(Where.MOTOR, motor), 0.0, missing)]
 
 
 def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[_Rival]:
