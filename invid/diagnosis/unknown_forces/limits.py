@@ -11,7 +11,7 @@ of those that show at all. Records kept out tell as much for each of their rows 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,6 +30,7 @@ from invid.effects.registry import effects
 from invid.effects.supposed.law import Shape, SupposedLaw
 from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
+from invid.likelihood.unknown_forces.descent import fit
 from invid.likelihood.unknown_forces.forces import Spot, Where, colours
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import Part
@@ -53,6 +54,9 @@ WHAT = "what was ruled out"
 UNSEEN = 1e-4
 """Share of a law's torque that the fit has to leave for it to be told from the model's own numbers
 (empirical: to first order these are right to about a hundredth)."""
+FAR, SHARES = 0.1, (0.25, 0.5, 1.0)
+"""Share of friction's torque below which other numbers would move so far for it that they are fitted, at
+these shares of the size of first order (numerical)."""
 STANDS = 2.0
 """Counts of its encoder within which an axis never moved."""
 MODE_BANDS, MODE_DAMPING = (0.3, 0.45, 0.6, 0.8), 0.02
@@ -256,11 +260,22 @@ class Screen:
         lines = [lines[..., None] for lines in laws.lines(motor, part, shape)]
         vector = self._vector(Spot(Where.MOTOR, motor))
         rows = self._with_dry(motor).rows if part is Part.RISE else self.rows
-        left = rows.of_force(lines, vector)[:, 0]
-        if not float(left @ left) > UNSEEN**2 * float((rows.felt(lines, vector) ** 2).sum()):
+        left, felt = rows.of_force(lines, vector)[:, 0], float((rows.felt(lines, vector) ** 2).sum())
+        if not float(left @ left) > UNSEEN**2 * felt:
             return None
         at = {"velocity": shape.stribeck} if part is Part.RISE else {}
-        return Limit(parameter, self.size_seen(left, of_friction=True), at)
+        size = self.size_seen(left, of_friction=True)
+        if float(left @ left) > FAR**2 * felt:
+            return Limit(parameter, size, at)
+        sizes = [share * size for share in SHARES]
+        return _crossing(parameter, [(s, self._rise_of_friction((part, motor), s)) for s in sizes])
+
+    def _rise_of_friction(self, name: Hashable, size: float) -> float:
+        """Rise of −2 ln L with a part of friction held at −``size``, over what is asked for."""
+        problem = self.end.fit.problem
+        columns = (replace(c, low=-size, high=-size) if c.name == name else c for c in problem.columns)
+        missed = fit(replace(problem, columns=tuple(columns)), self.end.numbers, iterations=10)
+        return (missed.total - self.end.total) / (np.sqrt(PRICE_OF_FRICTION) + SURE) ** 2
 
     def _with_dry(self, motor: int) -> Screen:
         """The screen with dry friction of a motor in the fit: what rises at slow speed rises above it."""
