@@ -395,15 +395,19 @@ def own_stiffness(stacks: Sequence[Stack], motor: int, *, in_bands: bool = False
 
     Where there are fewer records than motors, torque over motion of the records that drive it; where a
     record has no period, torque over motion in bands, which its ends do not bend. Where every record has few
-    lines of its own (stepped sines), those of all.
+    lines of its own (stepped sines), or no stack drives all motors apart, those of all.
     """
     stack = max(stacks, key=lambda s: s.count)
+    driven = [s for s in stacks if any(r.driven[motor] for r in s.records)]
     if in_bands or not stack.records[0].periods:
-        return _stiffness_in_bands(stack, motor)
-    omega, size = _stiffness_on_lines([s for s in stacks if np.array_equal(s.omega, stack.omega)], motor)
-    if omega.size >= FEW_LINES:
-        return omega, size
-    each = [_stiffness_on_lines([s], motor) for s in stacks if any(r.driven[motor] for r in s.records)]
+        if stack.count >= stack.position.shape[2] or not driven:
+            return _stiffness_in_bands(stack, motor)
+        each = [_stiffness_in_bands(s, motor) for s in driven]
+    else:
+        omega, size = _stiffness_on_lines([s for s in stacks if np.array_equal(s.omega, stack.omega)], motor)
+        if omega.size >= FEW_LINES:
+            return omega, size
+        each = [_stiffness_on_lines([s], motor) for s in driven]
     omega, size = (np.concatenate(part) for part in zip(*each, strict=True))
     order = np.argsort(omega)
     return omega[order], size[order]

@@ -48,7 +48,7 @@ def late_drives(now: Supposed) -> list[LateDrive]:
                 found = found.refit(
                     replace(found.hypothesis, absent=found.hypothesis.absent | {(Channel.DELAY, axis)}),
                     replace(found.numbers, timing=punctual),
-                    iterations=15,
+                    iterations=40,
                 )
             out.append(LateDrive(channel, axis, found, without))
     return out

@@ -1,9 +1,9 @@
 """What was ruled out: for every cause at every place the smallest size that these records would have shown.
 
 Of a law of the size a, y(a) is the torque that nothing in the fit takes up, whitened by the noise at the
-strengths that the fit has. λ = |y|² is its fall of −2 ln L without noise, to first order; strengths would
-rise without the law, and at least n·ln(1 + λ/n) is left of it where it stands in n rows, n = (Σy²)²/Σy⁴. So
-limits are rather too large. A fall passes its threshold N in 95 of 100 records where √λ ≥ √N + 1.64
+strengths that the fit has. λ = |y|² is its fall of −2 ln L without noise, to first order; without the law the
+strength of an unknown force would rise, and yᴴ(1 + ΔS)⁻¹y + ln|1 + ΔS| is left of it, the least of any
+place, colour and rise. A fall passes its threshold N in 95 of 100 records where √λ ≥ √N + 1.64
 (noncentral χ² of one number). A law that grows with its size asks for one projection; of free play and of a
 limit of the torque, sizes on a grid are tried. A law of unknown shape counts at the shape that shows least,
 of those that show at all. Records kept out tell as much for each of their rows as those fitted.
@@ -11,7 +11,7 @@ of those that show at all. Records kept out tell as much for each of their rows 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,7 +30,8 @@ from invid.effects.registry import effects
 from invid.effects.supposed.law import Shape, SupposedLaw
 from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
-from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.descent import fit
+from invid.likelihood.unknown_forces.forces import Spot, Where, colours
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.plant import Kind
@@ -42,7 +43,7 @@ from invid.model.diagnosis_document import Finding, RuledOut
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics import budget
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.distributions import normal_isf
 from invid.recording.model import Recording
 
@@ -53,12 +54,17 @@ WHAT = "what was ruled out"
 UNSEEN = 1e-4
 """Share of a law's torque that the fit has to leave for it to be told from the model's own numbers
 (empirical: to first order these are right to about a hundredth)."""
+FAR, SHARES = 0.1, (0.25, 0.5, 1.0)
+"""Share of friction's torque below which other numbers would move so far for it that they are fitted, at
+these shares of the size of first order (numerical)."""
 STANDS = 2.0
 """Counts of its encoder within which an axis never moved."""
 MODE_BANDS, MODE_DAMPING = (0.3, 0.45, 0.6, 0.8), 0.02
 """Frequencies of a mode over the highest excited one at which its limit is asked for, its damping ratio."""
 LAGS = tuple(0.25 * 2.0**k for k in range(9))
 """Lags that are tried [samples]."""
+RISES = np.concatenate(([0.0], np.logspace(-4.0, 8.0, 49)))
+"""Power of an unknown force that rises, over the noise on the line that shows it best."""
 HIDDEN = CONVENTION - EXPECTED_DELAY[COMMAND]
 """Samples of delay that conventions may hide, from the earliest of them on."""
 UNTOLD = "nothing in these records tells it from the parameters of the model"
@@ -171,21 +177,40 @@ class Screen:
         count = sum(w.missing.size for w in self.end.fit.value.work)
         return 0.0 if value is None else sum(w.missing.size for w in value.work) / count
 
-    def size_seen(self, left: Float64, price: float) -> float:
+    @cached_property
+    def rises(self) -> tuple[list[tuple[Complex128, Float64]], Float64]:
+        """Of each stack the whitened reach (F, M, P) of the unknown forces and the share (F, P, 2, Q) of a
+        torque along it that risen strengths take up; what they cost (P, 2, Q)."""
+        problem, value = self.end.fit.problem, self.end.fit.value
+        reach = [w.noise.whitener @ w.noise.reach for w in value.work]
+        colour = [colours(w.stack.omega, problem.corner)[:, None] for w in value.work]
+        felt = [(np.abs(h) ** 2).sum(axis=1)[..., None] * g for h, g in zip(reach, colour, strict=True)]
+        risen = RISES / np.maximum(np.max([f.max(axis=0) for f in felt], axis=0), 1e-300)[..., None]
+        taken, cost = [], np.zeros(risen.shape)
+        for work, g, f in zip(value.work, colour, felt, strict=True):
+            weight = 2.0 * work.stack.count * work.stack.weight
+            cost += np.einsum("f,fpcq->pcq", weight, np.log1p(f[..., None] * risen))
+            taken.append(g[..., None] * risen / (1.0 + f[..., None] * risen))
+        return list(zip(reach, taken, strict=True)), cost
+
+    def size_seen(self, left: Float64, *, of_friction: bool = False) -> float:
         """How many times larger a law has to be that leaves ``left`` (rows,) at size one."""
-        own = float(left @ left)
-        count = own**2 / float((left**4).sum())
-        share = price / PRICE
-        needs = [(price, 1.0 + self.kept), (share * LEAST_FITTED, 1.0)]
+        stacks, cost = self.rises
+        first, own, prior = 0, np.zeros(cost.shape), left[-self.end.numbers.x.size :]
+        for work, (reach, share) in zip(self.end.fit.value.work, stacks, strict=True):
+            rows = left[first : (first := first + work.missing.size)].reshape(work.missing.shape)
+            real, imaginary = np.split(rows, 2, axis=1)
+            lines = (real + 1j * imaginary).reshape(work.shape)
+            along = (np.abs(np.einsum("fmp,rfm->rfp", reach.conj(), lines)) ** 2).sum(axis=0)
+            own += float((rows**2).sum()) - np.einsum("fp,fpcq->pcq", along, share)
+        held = float(prior @ prior)
+        needs = [(PRICE, 1.0 + self.kept, held), (LEAST_FITTED, 1.0, held)]
         if self.kept:
-            needs.append((share * LEAST_KEPT, self.kept))
-        sizes = []
-        for need, part in needs:
-            fall = (np.sqrt(need) + SURE) ** 2
-            # Strengths that take it up leave n·ln(1 + λ/n) of it.
-            lost = part * count * np.expm1(fall / (part * count))
-            sizes.append(float(np.sqrt(lost / (own * part))))
-        return max(sizes)
+            needs.append((LEAST_KEPT, self.kept, 0.0))
+        return max(
+            float(np.sqrt((((np.sqrt(need) + SURE) ** 2 - part * cost) / (part * own + fixed)).max()))
+            for need, part, fixed in ([(PRICE_OF_FRICTION, 1.0, held)] if of_friction else needs)
+        )
 
     def of_law(self, law: SupposedLaw, spot: Spot, main: str) -> Iterator[Limit | None]:
         """Limits of a law at its shapes."""
@@ -199,7 +224,7 @@ class Screen:
             if not float(seen @ seen) > UNSEEN**2 * float(((felt @ direction) ** 2).sum()):
                 yield None
                 continue
-            coefficients = self.size_seen(seen, PRICE) * np.abs(direction)
+            coefficients = self.size_seen(seen) * np.abs(direction)
             yield self._limit(placed, coefficients, main)
 
     def _limit(self, placed: PlacedLaw, coefficients: Float64, main: str) -> Limit:
@@ -235,11 +260,22 @@ class Screen:
         lines = [lines[..., None] for lines in laws.lines(motor, part, shape)]
         vector = self._vector(Spot(Where.MOTOR, motor))
         rows = self._with_dry(motor).rows if part is Part.RISE else self.rows
-        left = rows.of_force(lines, vector)[:, 0]
-        if not float(left @ left) > UNSEEN**2 * float((rows.felt(lines, vector) ** 2).sum()):
+        left, felt = rows.of_force(lines, vector)[:, 0], float((rows.felt(lines, vector) ** 2).sum())
+        if not float(left @ left) > UNSEEN**2 * felt:
             return None
         at = {"velocity": shape.stribeck} if part is Part.RISE else {}
-        return Limit(parameter, self.size_seen(left, PRICE_OF_FRICTION), at)
+        size = self.size_seen(left, of_friction=True)
+        if float(left @ left) > FAR**2 * felt:
+            return Limit(parameter, size, at)
+        sizes = [share * size for share in SHARES]
+        return _crossing(parameter, [(s, self._rise_of_friction((part, motor), s)) for s in sizes])
+
+    def _rise_of_friction(self, name: Hashable, size: float) -> float:
+        """Rise of −2 ln L with a part of friction held at −``size``, over what is asked for."""
+        problem = self.end.fit.problem
+        columns = (replace(c, low=-size, high=-size) if c.name == name else c for c in problem.columns)
+        missed = fit(replace(problem, columns=tuple(columns)), self.end.numbers, iterations=10)
+        return (missed.total - self.end.total) / float(np.sqrt(PRICE_OF_FRICTION) + SURE) ** 2
 
     def _with_dry(self, motor: int) -> Screen:
         """The screen with dry friction of a motor in the fit: what rises at slow speed rises above it."""
@@ -255,12 +291,13 @@ class Screen:
         step = self.end.numbers.timing.step
         if channel is Channel.LAG:
             falls = [(lag * step, self._fall_of_lag(lag * step, axis)) for lag in LAGS]
-            return _crossing(parameter, falls)
+            limit = _crossing(parameter, falls)
+            return limit and replace(limit, size=max(limit.size, HIDDEN * step))
         driven = any(r.driven[axis] for s in self.end.bench.stacks for r in s.records)
         first = self.end.numbers.plant.x.size
         number = first + (COMMAND if driven else HOLD) * self.structure.motors + axis
         left = self.rows.of_number(number)
-        return Limit(parameter, (self.size_seen(left, PRICE) + HIDDEN) * step, {}) if left.any() else None
+        return Limit(parameter, (self.size_seen(left) + HIDDEN) * step, {}) if left.any() else None
 
     def _fall_of_lag(self, lag: float, axis: int) -> float:
         """Fall of a lag [s] over what is asked for: in the logarithm, where delays and lags add up."""
@@ -274,14 +311,14 @@ class Screen:
 
     def _fall(self, left: Float64) -> float:
         left = left.ravel()
-        return float(self.size_seen(left, PRICE) ** -2.0) if left.any() else 0.0
+        return float(self.size_seen(left) ** -2.0) if left.any() else 0.0
 
     def of_pair(self, place: Place, parameter: str) -> Limit | None:
         """Limit of a spring between two loads."""
         pair = (min(place.axis, place.other), max(place.axis, place.other))
         number = self.structure.index(Kind.LOAD_SPRING).start + self.structure.pairs.index(pair)
         left, unit = self.rows.of_number(number), float(self.end.numbers.plant.unit[number])
-        return Limit(parameter, self.size_seen(left, PRICE) * unit, {}) if left.any() else None
+        return Limit(parameter, self.size_seen(left) * unit, {}) if left.any() else None
 
     def of_mode(self, place: Place, parameter: str) -> Iterator[Limit | None]:
         """Limits of a further mass on a spring at a mass, at frequencies in the band."""
@@ -297,7 +334,7 @@ class Screen:
             if not float(left @ left) > UNSEEN**2 * float((self.rows.felt(lines, vector) ** 2).sum()):
                 yield None
                 continue
-            mass = self.size_seen(left, PRICE)
+            mass = self.size_seen(left)
             at = {"stiffness": mass * natural**2}
             yield Limit(parameter, mass, at) if parameter == "mass" else Limit(parameter, at["stiffness"], {})
 
