@@ -24,7 +24,6 @@ from invid.likelihood.unknown_forces.motions import PlacedLaw, axis_of
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
 from invid.likelihood.unknown_forces.plant import Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, with_law
-from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.supposition import (
     Bench,
     Hypothesis,
@@ -109,7 +108,7 @@ def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Kn
     fewer = known.fewer
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
-    lowest = lowest_of((bench, kept), hypothesis, _starts(bench, structure, kept, known))
+    lowest = _lowest_of((bench, kept), hypothesis, _starts(bench, structure, kept, known))
     if lowest is None:
         splits = random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1))
         lowest = _contest((bench, kept), hypothesis, splits)
@@ -118,11 +117,11 @@ def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Kn
     return lowest
 
 
-def lowest_of(benches: Benches, hypothesis: Hypothesis, plants: Iterable[Plant]) -> Supposed | None:
+def _lowest_of(benches: Benches, hypothesis: Hypothesis, plants: Iterable[Plant]) -> Supposed | None:
     """The first fit at home from some plants, else the lowest; none where none has a value."""
     lowest, least = None, np.inf
     for plant in plants:
-        found = fit_from(benches, hypothesis, plant, TO_THE_END)
+        found = _fit_from(benches, hypothesis, plant, TO_THE_END)
         if found is None or found.total >= least:
             continue
         least = found.total
@@ -137,18 +136,14 @@ def _starts(bench: Bench, structure: Structure, kept: Bench | None, known: Known
     """What is known, and continued fractions."""
     if known.plant is not None:
         yield known.plant
-    stacks = all_stacks(bench, kept)
+    # Where to start may be read from all records: as many as motors tell couplings apart.
+    stacks = (*bench.stacks, *(kept.stacks if kept else ()))
     yield from fraction_plants(stacks, structure)
     yield from fraction_plants(stacks, structure, rubbing=True)
     if not all(closes(r) for s in stacks for r in s.records):
         yield from fraction_plants(stacks, structure, in_bands=True)
     if known.fewer is not None:
         yield from grown_plants(known.fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
-
-
-def all_stacks(bench: Bench, kept: Bench | None) -> tuple[Stack, ...]:
-    """Where to start may be read from all records: as many as motors tell couplings apart."""
-    return (*bench.stacks, *(kept.stacks if kept else ()))
 
 
 def brought_home(now: Supposed, bent: Axes = NO_AXES) -> Supposed:
@@ -295,7 +290,7 @@ def _begin_grown(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, 
 def _contest(
     benches: Benches, hypothesis: Hypothesis, plants: Sequence[Plant], axis: int | None = None
 ) -> Supposed | None:
-    first = [fit_from(benches, hypothesis, p, BRIEF) for p in plants]
+    first = [_fit_from(benches, hypothesis, p, BRIEF) for p in plants]
     return contest([f for f in first if f is not None], axis)
 
 
@@ -312,7 +307,7 @@ def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | Non
     return best
 
 
-def fit_from(
+def _fit_from(
     benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int = TO_THE_END
 ) -> Supposed | None:
     """The fit of a hypothesis from a plant; none where it has no value."""

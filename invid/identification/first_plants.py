@@ -9,7 +9,7 @@ dynamic stiffness, each set made a chain by Cauer's continued fraction of the lo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -256,19 +256,6 @@ def fraction_plants(
         plant_of_chains(structure, [found[c] for c, found in zip(choice, chains, strict=True)])
         for choice in seen
     ]
-
-
-def with_chain_anew(
-    stacks: Sequence[Stack], plant: Plant, structure: Structure, axis: int
-) -> Iterator[Plant]:
-    """Plants of ``structure``, in which one chain may be longer: that one by continued fractions, the others
-    as they are."""
-    chains, masses = chains_of_plant(plant), chain_lengths(structure)[axis]
-    found = [*fraction_chains(stacks, axis, masses), *fraction_chains(stacks, axis, masses, rubbing=True)]
-    if not all(closes(r) for s in stacks for r in s.records):
-        found += fraction_chains(stacks, axis, masses, in_bands=True)
-    for chain in found:
-        yield plant_of_chains(structure, [*chains[:axis], chain, *chains[axis + 1 :]])
 
 
 def fraction_chains(
