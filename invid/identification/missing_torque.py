@@ -31,7 +31,7 @@ def axis_missing(found: Supposed) -> AxisMissing:
     for k, work in enumerate(value.work):
         stack = work.stack
         stiffness = work.condensed.stiffness
-        sensors = (np.abs(stiffness) ** 2 * work.position_noise).sum(axis=2) + stack.torque_noise
+        sensors = (np.abs(stiffness) ** 2 * work.position_noise).sum(axis=2) + work.torque_noise
         torque = (np.abs(stack.parts.sum(axis=0)) ** 2).mean(axis=(0, 1))
         use = (sensors < torque) & (sensors <= LOUD * np.median(sensors, axis=0))
         use = use * stack.weight[:, None]

@@ -172,13 +172,13 @@ def _candidates(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) 
     alike |= {law.cause for law in laws if worth.cause in law.effect.looks_like}
     friction = {(cause, part) for part, cause in FRICTION}
     out = [
-        PlacedLaw(law, spot, shape)
+        PlacedLaw(law, at, shape)
         for law in laws
-        if law.cause in alike
-        and (law.cause, spot) not in taken
-        and spot in spots_of(law, end.hypothesis.structure)
-        and not (isinstance(worth.key, tuple) and (law.cause, worth.key[0]) in friction)
-        for shape in law.shapes(end.motions.flat(spot))
+        if law.cause in alike and not (isinstance(worth.key, tuple) and (law.cause, worth.key[0]) in friction)
+        for at in spots_of(law, end.hypothesis.structure)
+        # What is read or commanded wrongly by one axis of two may be the other's.
+        if (at == spot or law.reads or law.scales) and (law.cause, at) not in taken
+        for shape in law.shapes(end.motions.flat(at))
     ]
     out += [
         replace(own, spot=other)

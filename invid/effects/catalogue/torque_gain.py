@@ -28,7 +28,7 @@ class TorqueGain(Effect):
         by_hand="hang a known weight on a lever and compare the torque; no motion shows it.",
     )
     family = "scale"
-    looks_like = ("torque_saturation",)
+    looks_like = ("torque_saturation", "encoder_eccentricity")
     home = "axis"
     over = "torque"
     sizes = (Size(SCALE, scale_error, 0.10, 0.20, CONSTANT_SOURCE),)

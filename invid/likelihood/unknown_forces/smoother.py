@@ -133,14 +133,15 @@ def smooth(problem: Problem, value: Value) -> tuple[SmoothedStack, ...]:
 
 def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
     stack = problem.stacks[number]
-    numbers, position_noise = value.numbers, value.work[number].position_noise
+    numbers, work = value.numbers, value.work[number]
+    position_noise, torque_noise = work.position_noise, work.torque_noise
     omega = stack.records[0].wide
     condensed = numbers.plant.condense(omega)
     stiffness, motion = condensed.stiffness, condensed.motion
     wide = stack.wide
     reach = along(motion, problem.spots.vectors)
     power = colours(omega, problem.corner) @ numbers.strength.T
-    noise = missing_noise(stiffness, reach, power, (position_noise, stack.torque_noise))
+    noise = missing_noise(stiffness, reach, power, (position_noise, torque_noise))
     ends = ends_of(value, number)
     n = motion.shape[2]
     named = ends[:, None, :n] + 1j * omega[:, None] * ends[:, None, n:]

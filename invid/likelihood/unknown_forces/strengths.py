@@ -26,7 +26,7 @@ def stronger(problem: Problem, value: Value, steps: int = 3) -> Numbers:
                 work.condensed.stiffness,
                 work.noise.reach,
                 shape @ strength.T,
-                (work.position_noise, stack.torque_noise),
+                (work.position_noise, work.torque_noise),
             )
             whitener = noise.whitener
             reach = whitener @ work.noise.reach

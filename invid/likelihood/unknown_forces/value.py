@@ -132,6 +132,8 @@ class StackWork:
     noise: MissingNoise
     position_noise: Float64
     """(M,) of the motion: that of the reading, stretched as the reading is."""
+    torque_noise: Float64
+    """(M,) of the torque that acts: that of the recorded one, scaled as it is."""
     whitener: Complex128
     """(F, M, M) with the lines' weights: rows of unit variance."""
     ends: Float64
@@ -187,17 +189,17 @@ def evaluate(problem: Problem, numbers: Numbers, coefficients: Float64 | None = 
     LinAlgError
         The numbers are so far off that a covariance is not positive.
     """
-    still = np.ones(problem.stacks[0].position.shape[2])
-    stretch = still if coefficients is None else reading_stretch(problem, coefficients)
-    work = _works(problem, numbers, stretch)
     if coefficients is None:
+        ones = np.ones(problem.stacks[0].position.shape[2])
+        work = _works(problem, numbers, (ones, ones))
         coefficients, free = _coefficients(problem, work)
-        stretch = reading_stretch(problem, coefficients)
-        if (stretch != still).any():
-            # A reading that is stretched stretches its noise: else a smaller plant had less of it.
-            work = _works(problem, numbers, stretch)
+        scales = _sensor_scales(problem, coefficients)
+        if any((s != ones).any() for s in scales):
+            # A sensor that is scaled scales its noise: else a smaller plant had less of it.
+            work = _works(problem, numbers, scales)
             coefficients, free = _coefficients(problem, work)
     else:
+        work = _works(problem, numbers, _sensor_scales(problem, coefficients))
         free = np.zeros(coefficients.size, dtype=bool)
     share = [
         part for w in work for part in _shares(problem, w, w.missing + w.laws @ coefficients, coefficients)
@@ -206,20 +208,29 @@ def evaluate(problem: Problem, numbers: Numbers, coefficients: Float64 | None = 
     return Value(numbers, coefficients, free, np.array(share), float(off @ off), work)
 
 
-def _works(problem: Problem, numbers: Numbers, stretch: Float64) -> tuple[StackWork, ...]:
-    return tuple(_work(problem, numbers, k, stretch) for k in range(len(problem.stacks)))
+Scales = tuple[Float64, Float64]
+"""(M,) motion over its reading, and torque over that recorded."""
 
 
-def _work(problem: Problem, numbers: Numbers, number: int, stretch: Float64) -> StackWork:
+def _sensor_scales(problem: Problem, coefficients: Float64) -> Scales:
+    return reading_stretch(problem, coefficients), torque_scales(problem, coefficients)
+
+
+def _works(problem: Problem, numbers: Numbers, scales: Scales) -> tuple[StackWork, ...]:
+    return tuple(_work(problem, numbers, k, scales) for k in range(len(problem.stacks)))
+
+
+def _work(problem: Problem, numbers: Numbers, number: int, scales: Scales) -> StackWork:
     stack = problem.stacks[number]
-    omega, position_noise = stack.omega, stack.position_noise * stretch**2
+    omega = stack.omega
+    position_noise, torque_noise = stack.position_noise * scales[0] ** 2, stack.torque_noise * scales[1] ** 2
     condensed = numbers.plant.condense(omega)
     stiffness, motion = condensed.stiffness, condensed.motion
     noise = missing_noise(
         stiffness,
         along(motion, problem.spots.vectors),
         colours(omega, problem.corner) @ numbers.strength.T,
-        (position_noise, stack.torque_noise),
+        (position_noise, torque_noise),
     )
     whitener = noise.whitener * np.sqrt(2.0 * stack.weight)[:, None, None]
     columns = real_rows((whitener @ condensed.jumps(omega))[None])[0]
@@ -238,7 +249,17 @@ def _work(problem: Problem, numbers: Numbers, number: int, stretch: Float64) -> 
     back = np.linalg.inv(triangle) / length[:, None]
     law_rows, missing_rows = rows[..., :-1], rows[..., -1]
     return StackWork(
-        stack, condensed, noise, position_noise, whitener, basis, back, law_rows, missing_rows, inside
+        stack,
+        condensed,
+        noise,
+        position_noise,
+        torque_noise,
+        whitener,
+        basis,
+        back,
+        law_rows,
+        missing_rows,
+        inside,
     )
 
 
