@@ -13,6 +13,7 @@ from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.lost_samples import with_lost_samples
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
+from invid.diagnosis.unknown_forces.structure_at_start import begin_with_structure
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.begun import Begun, begin_elastic
 from invid.identification.identify import requested_sizes
@@ -95,14 +96,14 @@ def _diagnose_clean(
         )
     check_units(model, recording)
     check_shaken(recording)
-    begun = begin_elastic(repaired, model.chains.masses_per_branch, model.chains, modes=True)
+    begun = begin_elastic(repaired, model.chains.masses_per_branch, model.chains, start=begin_with_structure)
     return with_lost_samples(diagnose_elastic(begun), recording, dropped)
 
 
 def _begin(recording: Recording, repaired: Recording, sizes: tuple[int, ...] | None) -> Begun:
     """Where the search begins of a machine that is shaken; one that is moved need not show chains."""
     check_shaken(recording)
-    return begin_elastic(repaired, sizes, modes=True)
+    return begin_elastic(repaired, sizes, start=begin_with_structure)
 
 
 __all__ = ["diagnose"]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from invid.errors import NotIdentifiableError
-from invid.identification.contest import NOTHING, Known, begin, begin_open, begin_with_modes
+from invid.identification.contest import NOTHING, Known, begin, begin_open
 from invid.identification.fitted_model import plant_of
-from invid.identification.kept_out import Split, all_records, records_of
+from invid.identification.kept_out import Split, all_records, records_of, with_last_periods_kept_out
 from invid.identification.missing_torque import missed_share
 from invid.identification.own_time import AxisTones, changes_within, sized, tones_of
 from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
@@ -31,6 +31,8 @@ TIME_TO_BEGIN = 0.5
 
 STILL = 1e-4
 """Velocity over that of the fastest axis below which friction of an axis is not seen (numerical)."""
+Start = Callable[[Bench, Structure, Bench | None, Known], Supposed]
+"""The first fit of a structure on records fitted and kept out, with what is known."""
 SETTLED = 4
 """Iterations from the believed plant by which strengths and timing are as the drawn noise has them."""
 
@@ -70,22 +72,38 @@ def begin_elastic(
     sizes: Sequence[int] | None,
     known: CoupledChains | None = None,
     *,
-    modes: bool = False,
+    start: Start = begin,
 ) -> Begun:
     """The fit with friction at the motors that a search starts from, of the recording without tones.
 
     ``sizes``: masses of each axis; as many as the records ask for where not given. ``known``: chains of so
-    many masses that the first fit starts from. ``modes``: where chains of so many masses are not all, a load
-    may have a mode.
+    many masses that the first fit starts from. ``start``: how chains of so many masses are first fitted.
     """
     before = NOTHING if known is None else Known(plant=plant_of(known))
-    begun = _begin(recording, sizes, before, modes)
+    begun = _begin(recording, sizes, before, start)
     tones = tones_of(begun.first)
     if not tones or budget.is_left_out("torque that keeps its own time"):
         return _each_period(begun)
     hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
-    again = _begin(remove_tones(recording, hz), sizes, before, modes)
+    again = _begin(remove_tones(recording, hz), sizes, before, start)
     return _each_period(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
+
+
+def with_kept_out_fitted(begun: Begun) -> Begun | None:
+    """The same from records of which all but the last period of those kept out is fitted too; ``None`` where
+    there are no two periods to share."""
+    shared = with_last_periods_kept_out(begun.recording)
+    if shared is None:
+        return None
+    split = records_of(shared)
+    first = suppose(_benches(split), begun.first.hypothesis, begun.first.numbers)
+    return replace(begun, recording=shared, first=reshape(scan_friction(first)), stopgap=(KEPT_OUT_FITTED,))
+
+
+KEPT_OUT_FITTED = (
+    "the records for validation show what those for fitting do not (another amplitude, a change between "
+    "them): all of them but their last period was fitted as well; record a further one for validation"
+)
 
 
 def _each_period(begun: Begun) -> Begun:
@@ -108,7 +126,7 @@ def _bench(records: Sequence[Record]) -> Bench:
     return Bench(stack_records(records, hold_damping(records)))
 
 
-def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, modes: bool) -> Begun:
+def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, start: Start) -> Begun:
     split = records_of(recording)
     bench, beside = _benches(split)
     declared = None if sizes is None else tuple(sizes)
@@ -119,7 +137,6 @@ def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, mode
             if declared is None:
                 first, alike = begin_open(bench, recording.axis_count, beside)
             else:
-                start = begin_with_modes if modes else begin
                 first = start(bench, Structure(declared), beside, known)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,13 +18,11 @@ from invid.identification.first_plants import (
     masses_seen,
     random_plants,
     split_plants,
-    with_chain_anew,
 )
-from invid.identification.own_time import tones_of
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw, axis_of
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
-from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
+from invid.likelihood.unknown_forces.plant import Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, with_law
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.supposition import (
@@ -53,11 +51,6 @@ MOST_MASSES = 8
 """Masses of an axis beyond which none are sought."""
 PASSES = 2
 """Times that every chain astray is split."""
-LOST = 0.1
-"""Unknown force behind the motors over the torque's rms from which a chain may lack a mode: what is weaker a
-law explains from where the fit stands (empirical: 0.6 and more on cells of another hand that lacked one)."""
-STRUCTURES = 3
-"""Structures whose chains are split at random where no start of any is home."""
 PRICE_OF_MASS = 120.0
 """Fall of −2 ln L on all records for one more mass: Schwarz's price of its three numbers is 25; the rest is
 what the form of friction leaves, up to 83 (empirical, axes without a period of another hand)."""
@@ -106,82 +99,17 @@ FURTHER_MASSES = "further masses"
 
 def begin(bench: Bench, structure: Structure, kept: Bench | None = None, known: Known = NOTHING) -> Supposed:
     """The fit of a structure with friction at the motors, from the first start at home, else the lowest."""
-    lowest = _lowest(bench, structure, kept, known)
-    return brought_home(lowest, _bent(lowest))
+    lowest = lowest_fit(bench, structure, kept, known)
+    return brought_home(lowest, bent_axes(lowest))
 
 
-def begin_with_modes(
-    bench: Bench, structure: Structure, kept: Bench | None = None, known: Known = NOTHING
-) -> Supposed:
-    """The same of a structure whose loads may have a mode, of chains that are astray.
-
-    From chains that lack one no later trial comes home: it is decided before any law is looked at. Not before
-    a torque that keeps its own time is taken out: a light mode that swings from the start is the same.
-    """
-    lowest = _lowest(bench, structure, kept, known)
-    is_lost = lowest.inner_strength > LOST * torque_rms(bench) and not tones_of(lowest)
-    bent = _bent(lowest)
-    pool = [lowest, *(_with_modes(lowest, bent) if is_lost else ())]
-    ends: list[Supposed] = []
-    for start in sorted(pool, key=_priced)[:STRUCTURES]:
-        ends.append(brought_home(start, bent if start is lowest else _bent(start)))
-        if is_settled(ends[-1]):
-            break
-    return _without_idle_modes(min(ends, key=_priced))
-
-
-def home_with_a_mode(now: Supposed) -> Supposed | None:
-    """The fit of chains that are astray with a mode on one load, from starts of its own; ``None`` where none
-    comes home."""
-    ends = [e for e in map(brought_home, _with_modes(now)) if is_settled(e)]
-    return _without_idle_modes(min(ends, key=_priced)) if ends else None
-
-
-def _with_modes(now: Supposed, bent: Axes = NO_AXES) -> list[Supposed]:
-    """First fits of the chains with one mode more, on the load of each that is astray and not ``bent``."""
-    structure, found = now.hypothesis.structure, []
-    for axis in _astray(now):
-        if axis in bent:
-            continue
-        if budget.is_left_out("further starts"):
-            break
-        wider = replace(structure, modes=(*structure.modes, structure.load[axis]))
-        hypothesis = Hypothesis(wider, first_shapes(now.bench.stacks))
-        starts = with_chain_anew(_all_stacks(now.bench, now.kept), now.numbers.plant, wider, axis)
-        lowest = _lowest_of((now.bench, now.kept), hypothesis, starts)
-        found += [lowest] if lowest is not None else []
-    return found
-
-
-def _without_idle_modes(found: Supposed) -> Supposed:
-    """The fit, or its chains alone where they do as well: that start may have been the better one."""
-    if not found.hypothesis.structure.modes:
-        return found
-    chains = _chains_of(found.numbers.plant)
-    hypothesis = replace(found.hypothesis, structure=chains.structure)
-    plain = _from_plant((found.bench, found.kept), hypothesis, chains, TO_THE_END)
-    return found if plain is None or _priced(plain) > _priced(found) else plain
-
-
-def _chains_of(plant: Plant) -> Plant:
-    """The plant without its modes, whose numbers are the last of their kinds."""
-    chains = Structure(plant.structure.sizes)
-    counts = [chains.index(kind).stop - chains.index(kind).start for kind in Kind]
-    own = [plant.of_kind(kind)[:count] for kind, count in zip(Kind, counts, strict=True)]
-    return Plant.of_values(chains, np.concatenate(own))
-
-
-def _priced(found: Supposed) -> float:
-    return found.total + PRICE_OF_MASS * len(found.hypothesis.structure.modes)
-
-
-def _lowest(bench: Bench, structure: Structure, kept: Bench | None, known: Known) -> Supposed:
+def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Known) -> Supposed:
     """The first fit at home of what is known and of continued fractions, else the lowest; random splits where
     those have no value."""
     fewer = known.fewer
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
-    lowest = _lowest_of((bench, kept), hypothesis, _starts(bench, structure, kept, known))
+    lowest = lowest_of((bench, kept), hypothesis, _starts(bench, structure, kept, known))
     if lowest is None:
         splits = random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1))
         lowest = _contest((bench, kept), hypothesis, splits)
@@ -190,10 +118,11 @@ def _lowest(bench: Bench, structure: Structure, kept: Bench | None, known: Known
     return lowest
 
 
-def _lowest_of(benches: Benches, hypothesis: Hypothesis, plants: Iterable[Plant]) -> Supposed | None:
+def lowest_of(benches: Benches, hypothesis: Hypothesis, plants: Iterable[Plant]) -> Supposed | None:
+    """The first fit at home from some plants, else the lowest; none where none has a value."""
     lowest, least = None, np.inf
     for plant in plants:
-        found = _from_plant(benches, hypothesis, plant, TO_THE_END)
+        found = fit_from(benches, hypothesis, plant, TO_THE_END)
         if found is None or found.total >= least:
             continue
         least = found.total
@@ -208,7 +137,7 @@ def _starts(bench: Bench, structure: Structure, kept: Bench | None, known: Known
     """What is known, and continued fractions."""
     if known.plant is not None:
         yield known.plant
-    stacks = _all_stacks(bench, kept)
+    stacks = all_stacks(bench, kept)
     yield from fraction_plants(stacks, structure)
     yield from fraction_plants(stacks, structure, rubbing=True)
     if not all(closes(r) for s in stacks for r in s.records):
@@ -217,7 +146,7 @@ def _starts(bench: Bench, structure: Structure, kept: Bench | None, known: Known
         yield from grown_plants(known.fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
 
 
-def _all_stacks(bench: Bench, kept: Bench | None) -> tuple[Stack, ...]:
+def all_stacks(bench: Bench, kept: Bench | None) -> tuple[Stack, ...]:
     """Where to start may be read from all records: as many as motors tell couplings apart."""
     return (*bench.stacks, *(kept.stacks if kept else ()))
 
@@ -231,12 +160,12 @@ def brought_home(now: Supposed, bent: Axes = NO_AXES) -> Supposed:
     rng = np.random.default_rng(1)
     for _ in range(PASSES):
         before = now
-        for axis in _astray(now):
-            worst = _astray(now).get(axis)
+        for axis in astray(now):
+            worst = astray(now).get(axis)
             if worst is None or axis in bent or budget.is_left_out("further starts"):
                 continue
             now = _split_anew(now, (axis, _masses_before(now.hypothesis.structure, axis, worst)), rng)
-        if before.total - now.total < PRICE_OF_MASS or len(_astray(now)) < 2:
+        if before.total - now.total < PRICE_OF_MASS or len(astray(now)) < 2:
             break
     return now
 
@@ -257,7 +186,7 @@ def _split_anew(now: Supposed, place: tuple[int, int], rng: np.random.Generator)
     return best if is_home(best) else reshape(scan_friction(best))
 
 
-def _astray(now: Supposed) -> dict[int, Spot]:
+def astray(now: Supposed) -> dict[int, Spot]:
     """Axes in whose chains something unknown acts, the strongest first, each with its strongest place."""
     level, structure = HOME * torque_rms(now.bench), now.hypothesis.structure
     out: dict[int, Spot] = {}
@@ -275,10 +204,10 @@ def _masses_before(structure: Structure, axis: int, spot: Spot) -> int:
     return min(at, structure.load[axis]) - structure.motor[axis]
 
 
-def _bent(now: Supposed) -> Axes:
+def bent_axes(now: Supposed) -> Axes:
     """Axes on which most acts in a spring and free play or hardening of that spring takes it up: no other
     chain explains that, and beside it no start is at home."""
-    worst = {axis: spot for axis, spot in _astray(now).items() if spot.where is Where.SPRING}
+    worst = {axis: spot for axis, spot in astray(now).items() if spot.where is Where.SPRING}
     if worst and not now.motions.smoothed:
         now = now.smoothed()
     before, out = {spot: rms for rms, spot in now.strength}, set()
@@ -366,7 +295,7 @@ def _begin_grown(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, 
 def _contest(
     benches: Benches, hypothesis: Hypothesis, plants: Sequence[Plant], axis: int | None = None
 ) -> Supposed | None:
-    first = [_from_plant(benches, hypothesis, p, BRIEF) for p in plants]
+    first = [fit_from(benches, hypothesis, p, BRIEF) for p in plants]
     return contest([f for f in first if f is not None], axis)
 
 
@@ -377,13 +306,16 @@ def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | Non
         found = start.refit(iterations=TO_THE_END)
         if best is None or found.total < best.total:
             best = found
-        astray = _astray(best)
-        if (not astray if axis is None else axis not in astray) or budget.is_left_out("further starts"):
+        away = astray(best)
+        if (not away if axis is None else axis not in away) or budget.is_left_out("further starts"):
             break
     return best
 
 
-def _from_plant(benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int) -> Supposed | None:
+def fit_from(
+    benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int = TO_THE_END
+) -> Supposed | None:
+    """The fit of a hypothesis from a plant; none where it has no value."""
     stacks = benches[0].stacks
     timing = Timing.of_records(stacks)
     numbers = Numbers(plant, timing, first_strength(stacks, hypothesis.structure))

@@ -113,10 +113,8 @@ def plant_of_chains(structure: Structure, chains: Sequence[Chain]) -> Plant:
     at_ends = [pairs[structure.load.index(host)] for host in structure.modes]
     mass = np.concatenate([*(m[:n] for n, (m, _) in pairs), *(m[n:] for n, (m, _) in at_ends)])
     spring = np.concatenate([*(k[: n - 1] for n, (_, k) in pairs), *(k[n - 1 :] for n, (_, k) in at_ends)])
-    reduced = [1 / (1 / mass[a] + 1 / mass[b]) for a, b in structure.links]
-    damper = 2 * DAMPING_RATIO * np.sqrt(spring * np.array(reduced).reshape(spring.shape))
     none = np.zeros(2 * len(structure.pairs))
-    return Plant.of_values(structure, np.concatenate((mass, spring, damper, none)))
+    return Plant.of_values(structure, np.concatenate((mass, spring, _dampers(structure, mass, spring), none)))
 
 
 def random_plants(
@@ -159,14 +157,26 @@ def split_plants(
     place
         The axis, and how many of its masses stay, each with the spring behind it.
     """
-    structure, chains, (axis, kept) = plant.structure, chains_of_plant(plant), place
-    mass, spring = chains[axis]
+    axis, kept = place
+    mass, spring = chains_of_plant(plant)[axis]
     top, whole = _top(stacks, axis), float(mass.sum())
-    out = []
-    for _ in range(count):
-        chains[axis] = _random_chain((mass[:kept], spring[:kept]), mass.size, whole, top, rng)
-        out.append(plant_of_chains(structure, chains))
-    return out
+    begins = mass[:kept], spring[:kept]
+    return [_with_chain(plant, axis, _random_chain(begins, mass.size, whole, top, rng)) for _ in range(count)]
+
+
+def _with_chain(plant: Plant, axis: int, chain: Chain) -> Plant:
+    """The plant with another chain; of what else is behind the motors as it was only masses, springs and a
+    base stay."""
+    structure, values, was = plant.structure, plant.values.copy(), plant.of_kind(Kind.MASS)
+    masses, links = _chain_places(structure)[axis]
+    mass, spring = values[structure.index(Kind.MASS)], values[structure.index(Kind.SPRING)]
+    mass[masses], spring[links] = chain
+    values[structure.index(Kind.DAMPER)][: len(structure.links)] = _dampers(structure, mass, spring)
+    for p, e in enumerate(structure.elements):
+        if e.joins_axes:
+            on_base = structure.base and e.b == structure.coordinates - 1
+            values[p] *= np.sqrt(mass[e.a] / was[e.a]) if on_base else 0.0
+    return Plant.of_values(structure, values)
 
 
 def grown_plants(plant: Plant, structure: Structure, top_hz: float) -> list[Plant]:
@@ -192,16 +202,27 @@ def grown_plants(plant: Plant, structure: Structure, top_hz: float) -> list[Plan
 
 def chains_of_plant(plant: Plant) -> list[Chain]:
     """Masses and springs of every chain, with a mode at its end."""
-    structure, mass, spring = plant.structure, plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
+    mass, spring = plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
+    return [(mass[masses], spring[links]) for masses, links in _chain_places(plant.structure)]
+
+
+def _chain_places(structure: Structure) -> list[tuple[list[int], list[int]]]:
+    """Coordinates and springs of every chain, with a mode at its end."""
     chains, link = [], 0
     for first, n, load in zip(structure.motor, structure.sizes, structure.load, strict=True):
         masses, links = list(range(first, first + n)), list(range(link, link + n - 1))
         if load in structure.modes:
             masses.append(sum(structure.sizes) + structure.modes.index(load))
             links.append(structure.links.index((load, masses[-1])))
-        chains.append((mass[masses], spring[links]))
+        chains.append((masses, links))
         link += n - 1
     return chains
+
+
+def _dampers(structure: Structure, mass: Float64, spring: Float64) -> Float64:
+    """Dampers of all springs but a base's."""
+    reduced = np.array([1 / (1 / mass[a] + 1 / mass[b]) for a, b in structure.links]).reshape(-1)
+    return np.asarray(2 * DAMPING_RATIO * np.sqrt(spring[: reduced.size] * reduced), dtype=np.float64)
 
 
 def _split(mass: Float64, spring: Float64, at: int, stiffness: float) -> Chain:

@@ -33,6 +33,8 @@ WIDE = 5.0
 FINENESS = 160
 """Points of the grid of motion in a period of the highest excited line: reversals of friction and the edges
 of a gap are read to a few thousandths of it."""
+SINGLE = 1e-12
+"""Least noise of a torque over the power of its largest line: its rounding in single precision."""
 QUIET_BAND = (0.05, 0.45)
 """Share of the sampling rate between which lines show the sensors alone: motion falls off with the second
 power of frequency (or of the lines above ``WIDE`` where the band reaches higher)."""
@@ -207,7 +209,7 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     excited = max(excited_band(experiment, frequency, spectrum), top_hz or 0.0)
     excited_lines = np.round(experiment.frequencies_hz * span).astype(np.int64)
     quiet = _quiet_lines(frequency, step, excited, (periods, excited_lines))
-    torque_noise = _level(spectrum[quiet])
+    torque_noise = np.maximum(_level(spectrum[quiet]), SINGLE * (np.abs(spectrum) ** 2).max(axis=0))
     counts = _counts(position) if resolution is None else np.asarray(resolution, dtype=float)
     rounding = _rounding(position, step, counts) * 4.0 / count
     motion = _smooth(position, step, excited, rounding)

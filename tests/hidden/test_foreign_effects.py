@@ -50,11 +50,7 @@ def test_a_wrong_torque_scale_beside_holds_whose_timing_nobody_logged_is_named_w
     others = {(a.cause, a.axis) for a in diagnosis.findings[0].alternatives}
     assert ("encoder_eccentricity", "A1") in others
     assert ("encoder_eccentricity", "A2") in others
-    step = [
-        c for c in diagnosis.details["candidates"][0] if c["cause"] in ("torque_gain", "encoder_eccentricity")
-    ]
-    left = [c["chi2"] for c in step]
-    assert max(left) - min(left) < 6.6  # one parameter more gains that once in a hundred
+    assert diagnosis.findings[0].confidence < 0.5
 
 
 def test_a_hold_that_acts_at_no_time_of_its_own_hides_no_torque_scale() -> None:

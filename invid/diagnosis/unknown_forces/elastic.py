@@ -11,11 +11,13 @@ from invid.diagnosis.outcome import (
     Cause,
     Outcome,
     assemble_diagnosis,
+    axis_above_floor,
     explained_share,
     finding_of,
+    floors_left,
     limit_unfinished_search,
 )
-from invid.diagnosis.thresholds import MOST
+from invid.diagnosis.thresholds import EXPLAINED, MOST
 from invid.diagnosis.unknown_forces.floor_doubts import doubt_floors
 from invid.diagnosis.unknown_forces.left_over import forces_at, is_of_shapes
 from invid.diagnosis.unknown_forces.limits import ruled_out
@@ -27,7 +29,7 @@ from invid.diagnosis.unknown_forces.structures import additions_of
 from invid.diagnosis.unknown_forces.unexplained import describe_left
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.effects.units import unit_of
-from invid.identification.begun import Begun
+from invid.identification.begun import Begun, with_kept_out_fitted
 from invid.identification.fewer_masses import fewer_masses_warnings
 from invid.identification.fitted_model import model_of
 from invid.identification.missing_torque import AxisMissing, axis_missing
@@ -58,10 +60,15 @@ class NamedTerm:
 def diagnose_elastic(begun: Begun) -> Diagnosis:
     """What the chains get wrong on a recording, in the contract's terms."""
     recording, found = begun.recording, search_elastic(begun)
-    before, after = axis_missing(found.bare), axis_missing(found.end)
-    residual = residuals(recording, before, after)
+    before, after, residual = _missing(found)
+    if _is_kept_out_unlike(found, residual):
+        shared = with_kept_out_fitted(begun)
+        if shared is not None:
+            begun, found = shared, search_elastic(shared)
+            before, after, residual = _missing(found)
     budget.tell("rivals of the causes", 0.9)
     explained = explained_share(residual)
+    unlike = axis_above_floor(residual) if _is_kept_out_unlike(found, residual) else None
     causes = named_causes(found, before, after, explained)
     masses = found.end.hypothesis.structure.sizes
     sure = {f.spot for f in found.forces if f.is_sure}
@@ -70,14 +77,16 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     tones = begun.tones
     residual = [_with_tones(r, tones, recording) for r in residual]
     left = describe_tones(tones, recording) or describe_left(found.named, found.forces_named, recording)
+    if left is None and unlike is not None:
+        left = Unexplained(unlike.axis, (), (), _kept_out_sentence(unlike))
     doubt = next((d for d in doubts_of(model.fit) if d.code is not DoubtCode.UNSEEN), None)
     if left is None and doubt is not None:
         left = Unexplained(
             recording.axes[0], (), (), f"Whether anything is missing is not told: {doubt.text}."
         )
     outcome = Outcome(
-        missing=bool(findings) or bool(sure) or bool(tones) or doubt is not None,
-        complete=not sure and not tones,
+        missing=bool(findings) or bool(sure) or bool(tones) or doubt is not None or unlike is not None,
+        complete=not sure and not tones and unlike is None,
         explained=explained if findings else None,
         left=left,
         opening=model.warnings,
@@ -99,6 +108,26 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
         return result  # behind what has no name anything may hide
     budget.tell("what was ruled out", 0.95)
     return replace(result, ruled_out=ruled_out(found, result.findings))
+
+
+def _missing(found: ElasticSearch) -> tuple[AxisMissing, AxisMissing, list[AxisResidual]]:
+    """Missing torque without causes and with them, and the residuals of both."""
+    before, after = axis_missing(found.bare), axis_missing(found.end)
+    return before, after, residuals(found.recording, before, after)
+
+
+def _is_kept_out_unlike(found: ElasticSearch, residual: Sequence[AxisResidual]) -> bool:
+    """Whether records kept out miss what those fitted do not: nothing is sure there, and yet causes explain
+    little of what is missing here."""
+    is_sure = any(f.is_sure for f in found.forces)
+    return not is_sure and axis_above_floor(residual) is not None and explained_share(residual) < EXPLAINED
+
+
+def _kept_out_sentence(left: AxisResidual) -> str:
+    return (
+        f"Axis {left.axis}: the records kept out miss {left.after:.2g} {left.unit} rms, "
+        f"{floors_left(left):.0f} times the noise, of which those fitted show nothing: fit records like them."
+    )
 
 
 def residuals(recording: Recording, before: AxisMissing, after: AxisMissing) -> list[AxisResidual]:

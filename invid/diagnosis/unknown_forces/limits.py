@@ -282,7 +282,7 @@ class Screen:
 
         best = held(-np.inf, np.inf)
         own = best.coefficients[[c.name for c in problem.columns].index(name)]
-        return [(s, float(held(own - s, own - s).total - best.total) / need) for s in sizes]
+        return [(s, (held(own - s, own - s).total - best.total) / float(need)) for s in sizes]
 
     def _with_dry(self, motor: int) -> Screen:
         """The screen with dry friction of a motor in the fit: what rises at slow speed rises above it."""

@@ -16,12 +16,11 @@ from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
 from invid.diagnosis.unknown_forces.structures import additions_of, without
 from invid.effects.supposed_laws import supposed_laws
 from invid.identification.begun import Begun
-from invid.identification.contest import home_with_a_mode, is_settled
 from invid.identification.fewer_masses import with_masses_seen
 from invid.identification.quantities import axis_and_element
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
-from invid.likelihood.unknown_forces.worth import Worth, gone_columns, pays, role_falls
+from invid.likelihood.unknown_forces.worth import Worth, gone_columns
 from invid.numerics import budget
 from invid.recording.model import Recording
 
@@ -62,11 +61,7 @@ def search_elastic(begun: Begun) -> ElasticSearch:
 
     with budget.use_share(TIME_TO_PURSUE, 0.3, 0.75):
         laws = supposed_laws(linear=recording.linear)
-        growing = begun.declared is None
-        pursued = pursue(begun.first, laws, tell=tell, growing=growing)
-        start = None if _is_told(pursued.end, begun.first) else home_with_a_mode(begun.first)
-        if start is not None and pays(*role_falls(pursued.end, start), _numbers_of(start)):
-            pursued = pursue(start, laws, tell=tell, growing=growing)
+        pursued = pursue(begun.first, laws, tell=tell, growing=begun.declared is None)
     is_cut_short = CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
         budget.tell("weighing each cause", 0.0)
@@ -83,20 +78,6 @@ def search_elastic(begun: Begun) -> ElasticSearch:
         found, end = _weighed(with_law, Supposed.kept_settled)
         forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), nothing)
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
-
-
-def _numbers_of(start: Supposed) -> int:
-    """Numbers of the modes of a structure."""
-    structure = start.hypothesis.structure
-    return max(1, sum(a.numbers(structure) for a in additions_of(structure)))
-
-
-def _is_told(end: Supposed, first: Supposed) -> bool:
-    """Return whether a search took a cause, or nothing unknown acts behind the motors: else the chains may be
-    astray since a load has a mode, which no step from where they stand shows."""
-    was, now = first.hypothesis, end.hypothesis
-    took = now.laws != was.laws or now.channels != was.channels or now.structure != was.structure
-    return took or is_settled(end)
 
 
 def found_so_far(now: Supposed, axes: Sequence[str]) -> list[budget.Found]:

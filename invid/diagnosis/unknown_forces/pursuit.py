@@ -10,6 +10,7 @@ import numpy as np
 from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.scoring import ALIKE, candidates, own_share, score
 from invid.diagnosis.unknown_forces.structures import (
+    LEAST_FALL,
     Addition,
     Base,
     Mode,
@@ -241,7 +242,7 @@ def pursue(
         tried: set[tuple[str, Spot, int]] = set()
         for k in np.argsort(-falls):
             placed = looked[int(k)]
-            if falls[k] < 6.0 or len(tried) >= REFINED:
+            if falls[k] < LEAST_FALL or len(tried) >= REFINED:
                 break
             if placed.key in tried or budget.is_left_out("further causes"):
                 continue

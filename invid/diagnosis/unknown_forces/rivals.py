@@ -12,9 +12,10 @@ from invid.diagnosis.thresholds import COMPETES, EXPLAINED
 from invid.diagnosis.unknown_forces.left_over import PlaceForce
 from invid.diagnosis.unknown_forces.nameless import drag
 from invid.diagnosis.unknown_forces.projected_rows import Rows
-from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound
+from invid.diagnosis.unknown_forces.pursuit import TO_THE_END, Pursued, is_sound
 from invid.diagnosis.unknown_forces.scoring import column_fall, score, spots_of
 from invid.diagnosis.unknown_forces.structures import Base, Mode
+from invid.effects.catalogue.asymmetric_friction import AsymmetricFriction
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed.of_effect import SmoothLaw
@@ -66,9 +67,10 @@ def contests(
     stays = [w for w in worths if w.stays]
     for worth in stays:
         rivals = [] if worth.cause == NAMELESS else _rivals_of(end, worth, pursued, linear=recording.linear)
+        rivals += _one_with_dry_friction(end, worth, stays)
         close = [r for r in rivals if r.worse < COMPETES]
-        # The cause against none, and against each rival.
-        share = share_among_rivals([worth.rise, *(r.worse for r in rivals)])
+        # The cause against none, which is as likely where it just pays, and against each rival.
+        share = share_among_rivals([worth.rise - worth.price, *(r.worse for r in rivals)])
         said = tuple(
             Alternative(r.cause, recording.axes[axis], element, r.missing)
             for r in close
@@ -80,6 +82,17 @@ def contests(
             said += (Alternative(Base.cause, recording.axes[0], None, missing),)
         out[worth.key] = Contest(share, said)
     return out
+
+
+def _one_with_dry_friction(end: Supposed, worth: Worth, stays: Sequence[Worth]) -> list[_Rival]:
+    """Friction by direction in the place of a constant torque beside dry friction: the very same force."""
+    if not (isinstance(worth.key, tuple) and worth.key[0] is Part.OFFSET):
+        return []
+    motor = worth.key[1]
+    if all(w.key != (Part.DRY, motor) for w in stays):
+        return []
+    missing = float(np.sqrt((axis_missing(end).missing ** 2).mean()))
+    return [_Rival(AsymmetricFriction.cause, Spot(Where.MOTOR, motor), 0.0, missing)]
 
 
 def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[_Rival]:
@@ -94,10 +107,13 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
     for placed in _within_reach(less, own or worth.key, _candidates(end, worth, pursued, linear=linear)):
         if budget.is_left_out(WHAT):
             break
-        more = price * (_numbers(placed) - (1 if own is None else _numbers(own)))
+        replaced = 1 if own is None else _numbers(own)
+        replaced = max(replaced, len(_taken_over(end.hypothesis, placed)))
+        more = price * (_numbers(placed) - replaced)
         # One of many laws that have no name: it has to do as well as the cause that has one.
         more += COMPETES if isinstance(placed.law, SmoothLaw) else 0.0
-        rivals.append((placed.law.cause, placed.spot, more, with_law(less, placed).kept_settled()))
+        found = with_law(less, placed).refit(iterations=TO_THE_END)
+        rivals.append((placed.law.cause, placed.spot, more, found.kept_settled()))
     if isinstance(worth.key, tuple) and isinstance(worth.key[0], Channel):
         channel, axis = worth.key
         other = next(c for c in Channel if c is not channel)
@@ -115,6 +131,11 @@ def _rival(named: tuple[str, Spot], found: Supposed, than: Supposed, more: float
 
 def _numbers(placed: PlacedLaw) -> int:
     return len(placed.law.low) + len(placed.shape)
+
+
+def _taken_over(was: Hypothesis, placed: PlacedLaw) -> frozenset[Hashable]:
+    """Parts of friction, each of one number, whose place a law takes."""
+    return was.plus(placed).covered - was.covered - was.absent
 
 
 def _of_structure(worth: Worth, pursued: Pursued) -> list[_Rival]:
@@ -140,7 +161,8 @@ def _hypothesis_without(was: Hypothesis, key: Hashable) -> Hypothesis | None:
 
 
 def _candidates(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[PlacedLaw]:
-    """Laws that may stand for a cause: its look-alikes at its place, and what came close in the search."""
+    """Laws that may stand for a cause: its look-alikes at its place, the same elsewhere, what came close in
+    the search."""
     spot = _spot_of(worth.key)
     if spot is None:
         return []
@@ -157,6 +179,13 @@ def _candidates(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) 
         and spot in spots_of(law, end.hypothesis.structure)
         and not (isinstance(worth.key, tuple) and (law.cause, worth.key[0]) in friction)
         for shape in law.shapes(end.motions.flat(spot))
+    ]
+    out += [
+        replace(own, spot=other)
+        for own in end.hypothesis.laws
+        if own.key == worth.key
+        for other in spots_of(own.law, end.hypothesis.structure)
+        if (own.law.cause, other) not in taken
     ]
     if isinstance(worth.key, tuple) and worth.key[0] is Part.VISCOUS:
         out.append(drag(end, worth.key[1]))

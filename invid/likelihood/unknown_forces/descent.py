@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,21 +61,30 @@ def fit(problem: Problem, start: Numbers, iterations: int = 30) -> Fit:
     """
     now = evaluate(problem, start)
     if iterations:
-        renewed = evaluate(problem, stronger(problem, now))
-        now = renewed if renewed.total < now.total else now
+        now = _lowest(now, _with_strengths(problem, now))
     around, damping, converged = slope(problem, now), FIRST, False
     for _ in range(iterations):
         if budget.is_left_out("fits to their end"):
             break
         following, damping = _step(problem, now, around, damping)
-        renewed = evaluate(problem, stronger(problem, following or now))
-        best = min((v for v in (following, renewed, now) if v is not None), key=lambda v: v.total)
+        best = _lowest(now, following, _with_strengths(problem, following or now))
         gained, now = now.total - best.total, best
         around = slope(problem, now)
         if gained < TOLERANCE:
             converged = True
             break
     return Fit(problem, now, around, converged)
+
+
+def _lowest(*values: Value | None) -> Value:
+    return min((v for v in values if v is not None), key=lambda v: v.total)
+
+
+def _with_strengths(problem: Problem, now: Value) -> Value | None:
+    """The value with strengths raised and lowered; none where one has grown beyond what a matrix holds."""
+    with suppress(np.linalg.LinAlgError):
+        return evaluate(problem, stronger(problem, now))
+    return None
 
 
 def _step(problem: Problem, now: Value, around: Slope, damping: float) -> tuple[Value | None, float]:

@@ -85,10 +85,11 @@ class Stack:
 
 
 def stack_records(records: Sequence[Record], damping: Float64) -> tuple[Stack, ...]:
-    """The records in stacks of those with the same lines; ``damping`` (M,) is that of each axis' hold."""
+    """The records in stacks of those with the same lines and instants; ``damping`` (M,) of holds."""
     groups: dict[tuple[float, ...], list[Record]] = {}
     for record in records:
-        key = (record.span, record.step, float(record.periods), float(record.used.size), record.top_hz)
+        instants = record.motion.position.shape[0]
+        key = (record.span, record.step, record.periods, record.used.size, record.top_hz, instants)
         groups.setdefault(key, []).append(record)
     return tuple(_stack(group, damping) for group in groups.values())
 

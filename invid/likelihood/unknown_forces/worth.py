@@ -51,11 +51,21 @@ class Worth:
     """Numbers that it brings, of a law its first alone."""
 
     @property
+    def is_friction(self) -> bool:
+        """Whether it is a part of a motor's friction."""
+        return isinstance(self.key, tuple) and isinstance(self.key[0], Part)
+
+    @property
+    def price(self) -> float:
+        """Rise at which it is as likely as not."""
+        return PRICE_OF_FRICTION if self.is_friction else price_of(self.numbers)
+
+    @property
     def stays(self) -> bool:
         """Whether it pays its price."""
-        if isinstance(self.key, tuple) and isinstance(self.key[0], Part):
+        if self.is_friction:
             # Its strength left at a motor makes a fit without it less sure of the records kept out.
-            return self.rise > PRICE_OF_FRICTION and sum(self.roles) > PRICE_OF_FRICTION
+            return self.rise > self.price and sum(self.roles) > self.price
         return pays(*self.roles, self.numbers)
 
 
@@ -64,10 +74,15 @@ def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
     return before.total - after.total, before.kept_total - after.kept_total
 
 
+def price_of(numbers: int, first: float = PRICE) -> float:
+    """Fall that so many numbers must bring, ``first`` that of one."""
+    return first + NUMBER * (numbers - 1)
+
+
 def pays(fitted: float, kept: float, numbers: int = 1, first: float = PRICE) -> bool:
     """Return whether falls on the records fitted and kept out pay the price of so many numbers, ``first`` of
     one."""
-    price = first + NUMBER * (numbers - 1)
+    price = price_of(numbers, first)
     share = price / PRICE
     return fitted + kept > price and fitted > share * LEAST_FITTED and kept > share * LEAST_KEPT
 
@@ -124,7 +139,7 @@ def gone_columns(worths: Sequence[Worth]) -> frozenset[Hashable]:
 
     Dry friction stays where its rise at slow speed does: a rise is one above it.
     """
-    columns = {w.key: w.stays for w in worths if isinstance(w.key, tuple) and isinstance(w.key[0], Part)}
+    columns = {w.key: w.stays for w in worths if isinstance(w.key, tuple) and w.is_friction}
     gone = {key for key, stays in columns.items() if not stays}
     return frozenset(key for key in gone if key[0] is not Part.DRY or not columns.get((Part.RISE, key[1])))
 

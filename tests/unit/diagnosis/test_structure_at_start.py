@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from linear_cell import LinearCell, record
 
+from invid.diagnosis.unknown_forces.structure_at_start import begin_with_structure
 from invid.identification.begun import begin_elastic
 from invid.likelihood.unknown_forces.plant import Kind
 
@@ -24,7 +25,7 @@ def test_a_load_with_a_mode_comes_home_among_coupled_chains(seed: int) -> None:
     )
     hold = {"gain": np.full(3, 60.0), "damping": np.full(3, 6.0), "said": np.full(3, 60.0)}
     recording = record(cell, seed=seed, rate=500.0, in_drive=False, **hold)
-    first = begin_elastic(recording, (3, 3, 3), modes=True).first
+    first = begin_elastic(recording, (3, 3, 3), start=begin_with_structure).first
     structure, plant = first.hypothesis.structure, first.numbers.plant
     assert structure.modes == (structure.load[axis],)
     assert plant.of_kind(Kind.MASS)[-1] == pytest.approx(mass, rel=0.02)
