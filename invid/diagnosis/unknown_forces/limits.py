@@ -269,7 +269,7 @@ class Screen:
         if float(left @ left) > FAR**2 * felt:
             return Limit(parameter, size, at)
         rises = self._rises_of_friction((part, motor), [share * size for share in SHARES])
-        return _crossing(parameter, rises)
+        return _crossing(parameter, rises) or Limit(parameter, size, at)
 
     def _rises_of_friction(self, name: Hashable, sizes: Sequence[float]) -> list[tuple[float, float]]:
         """Sizes, and the rise of −2 ln L with a part of friction held so much below its best, over what is
