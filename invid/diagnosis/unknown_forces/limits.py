@@ -38,6 +38,7 @@ from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.slope import inner_motion, whitened_rows
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, CONVENTION, EXPECTED_DELAY, HOLD
+from invid.likelihood.unknown_forces.value import Value
 from invid.likelihood.unknown_forces.worth import FRICTION, LEAST_FITTED, LEAST_KEPT, PRICE, PRICE_OF_FRICTION
 from invid.model.diagnosis_document import Finding, RuledOut
 from invid.model.parameters import ChainStructure
@@ -267,15 +268,21 @@ class Screen:
         size = self.size_seen(left, of_friction=True)
         if float(left @ left) > FAR**2 * felt:
             return Limit(parameter, size, at)
-        sizes = [share * size for share in SHARES]
-        return _crossing(parameter, [(s, self._rise_of_friction((part, motor), s)) for s in sizes])
+        rises = self._rises_of_friction((part, motor), [share * size for share in SHARES])
+        return _crossing(parameter, rises) or Limit(parameter, size, at)
 
-    def _rise_of_friction(self, name: Hashable, size: float) -> float:
-        """Rise of −2 ln L with a part of friction held at −``size``, over what is asked for."""
-        problem = self.end.fit.problem
-        columns = (replace(c, low=-size, high=-size) if c.name == name else c for c in problem.columns)
-        missed = fit(replace(problem, columns=tuple(columns)), self.end.numbers, iterations=10)
-        return (missed.total - self.end.total) / float(np.sqrt(PRICE_OF_FRICTION) + SURE) ** 2
+    def _rises_of_friction(self, name: Hashable, sizes: Sequence[float]) -> list[tuple[float, float]]:
+        """Sizes, and the rise of −2 ln L with a part of friction held so much below its best, over what is
+        asked for."""
+        problem, need = self.end.fit.problem, (np.sqrt(PRICE_OF_FRICTION) + SURE) ** 2
+
+        def held(low: float, high: float) -> Value:
+            columns = (replace(c, low=low, high=high) if c.name == name else c for c in problem.columns)
+            return fit(replace(problem, columns=tuple(columns)), self.end.numbers, iterations=10).value
+
+        best = held(-np.inf, np.inf)
+        own = best.coefficients[[c.name for c in problem.columns].index(name)]
+        return [(s, (held(own - s, own - s).total - best.total) / float(need)) for s in sizes]
 
     def _with_dry(self, motor: int) -> Screen:
         """The screen with dry friction of a motor in the fit: what rises at slow speed rises above it."""

@@ -28,6 +28,8 @@ Friction = Sequence[tuple[FrictionShape, float, float]]
 """Shape, dry torque and rise at slow speed of every motor."""
 DIFFERENCE = 0.05
 """Step of the velocity over the width of the turn for the slope of friction."""
+STANDING = 1e-6
+"""Least noise of a reading in its record over the mean of all (numerical)."""
 
 
 def agreed_records(stack: SmoothedStack, friction: Friction) -> tuple[Record, ...]:
@@ -43,7 +45,7 @@ def agreed_records(stack: SmoothedStack, friction: Friction) -> tuple[Record, ..
 @dataclass(frozen=True, eq=False)
 class _Rows:
     """``beyond`` (R, A, M): the readings less the records' motion; ``whitener`` (A, M, M) of S; ``deviation``
-    (M,) of a reading's line."""
+    (R, 1, M) of a reading's line in its own record: of a motor that stands the torque tells no motion."""
 
     stack: SmoothedStack
     friction: Friction
@@ -56,7 +58,9 @@ class _Rows:
         noise = stack.stack.position_noise
         beyond = np.array([r.position - r.wide_lines(r.motion.position) for r in stack.stack.records])
         whitener = stack.noise_of(stack.noise.power, np.zeros(noise.size)).whitener
-        return cls(stack, friction, beyond, whitener, np.sqrt(np.maximum(noise, 1e-300)))
+        own = np.array([[r.position_noise] for r in stack.stack.records])
+        deviation = np.sqrt(np.maximum(np.maximum(own, STANDING * noise), 1e-300))
+        return cls(stack, friction, beyond, whitener, deviation)
 
     def waves(self, change: Complex128) -> tuple[Float64, Float64]:
         """(R, k + 1, M) position and velocity of a change (R, A, M) over time."""
@@ -150,7 +154,7 @@ class _At:
 
     @cached_property
     def _scale(self) -> Float64:
-        """(A, M) root of the diagonal that friction's mean slope makes."""
+        """(R, A, M) root of the diagonal that friction's mean slope makes."""
         stack, mean = self.rows.stack, self.slope.mean(axis=(0, 2))
         rubbed = stack.condensed.stiffness + (1j * stack.omega)[:, None, None] * np.diag(mean)
         own = (np.abs(self.rows.whitener @ rubbed) ** 2).sum(axis=1) + 1.0 / self.rows.deviation**2
