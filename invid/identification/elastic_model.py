@@ -43,8 +43,8 @@ def model_of_chains(begun: Begun) -> Model:
     now = with_masses_seen(now)
     nothing: list[Worth] = []
     worths = budget.or_else("what friction is worth", lambda: friction_worths(now, CLEAR), nothing)
-    # Dry friction is expected: what is too small to be said would bend what is beside it. Viscous friction would
-    # as well, but a hold's time takes it up.
+    # Dry friction is expected: what is too small to be said would bend what is beside it. Viscous friction
+    # would as well, but a hold's time takes it up.
     motors = range(now.hypothesis.structure.motors)
     gone = gone_columns(worths) - {(Part.DRY, m) for m in motors}
     hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | gone)
