@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -87,7 +87,6 @@ class Known:
 
 NOTHING = Known()
 Axes = frozenset[int]
-NO_AXES: Axes = frozenset()
 SPRING_LAWS = (CubicStiffnessLaw(), BacklashLaw())
 TAKEN_UP = 0.85
 """Unknown force in a spring that its own law leaves (empirical, nineteen cells of another hand: at most 0.70
@@ -108,20 +107,9 @@ def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Kn
     fewer = known.fewer
     shapes = first_shapes(bench.stacks) if fewer is None else fewer.hypothesis.friction
     hypothesis = Hypothesis(structure, shapes)
-    lowest = _lowest_of((bench, kept), hypothesis, _starts(bench, structure, kept, known))
-    if lowest is None:
-        splits = random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1))
-        lowest = _contest((bench, kept), hypothesis, splits)
-    if lowest is None:
-        raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
-    return lowest
-
-
-def _lowest_of(benches: Benches, hypothesis: Hypothesis, plants: Iterable[Plant]) -> Supposed | None:
-    """The first fit at home from some plants, else the lowest; none where none has a value."""
     lowest, least = None, np.inf
-    for plant in plants:
-        found = _fit_from(benches, hypothesis, plant, TO_THE_END)
+    for plant in _starts(bench, structure, kept, known):
+        found = _fit_from((bench, kept), hypothesis, plant, TO_THE_END)
         if found is None or found.total >= least:
             continue
         least = found.total
@@ -129,6 +117,11 @@ def _lowest_of(benches: Benches, hypothesis: Hypothesis, plants: Iterable[Plant]
         lowest = found if is_home(found) else reshape(scan_friction(found))
         if is_home(lowest) or budget.is_left_out("further starts"):
             break
+    if lowest is None:
+        splits = random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1))
+        lowest = _contest((bench, kept), hypothesis, splits)
+    if lowest is None:
+        raise np.linalg.LinAlgError("no start of a chain of masses and springs has a value")
     return lowest
 
 
@@ -146,7 +139,7 @@ def _starts(bench: Bench, structure: Structure, kept: Bench | None, known: Known
         yield from grown_plants(known.fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
 
 
-def brought_home(now: Supposed, bent: Axes = NO_AXES) -> Supposed:
+def brought_home(now: Supposed, bent: Axes) -> Supposed:
     """The lowest end of random splits of the chains in which something unknown acts, one after another: of
     several together none would come home. Again from what is better: beside a chain at home others follow.
 
@@ -307,9 +300,7 @@ def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | Non
     return best
 
 
-def _fit_from(
-    benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int = TO_THE_END
-) -> Supposed | None:
+def _fit_from(benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int) -> Supposed | None:
     """The fit of a hypothesis from a plant; none where it has no value."""
     stacks = benches[0].stacks
     timing = Timing.of_records(stacks)

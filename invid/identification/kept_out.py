@@ -72,9 +72,8 @@ def with_last_periods_kept_out(recording: Recording) -> Recording | None:
     if not kept or any(e.periods < 2 for e in kept):
         return None
     out = [e for e in recording.experiments if e.role is Role.IDENTIFY]
-    for e in kept:
-        out.append(replace(e.cut(slice(None, e.samples - e.period_samples + 1)), role=Role.IDENTIFY))
-        out.append(e.cut(slice(e.samples - e.period_samples - 1, None)))
+    for before, last in map(_last_period_apart, kept):
+        out += [replace(before, role=Role.IDENTIFY), last]
     return replace(recording, experiments=tuple(out))
 
 
@@ -171,6 +170,12 @@ def _periods_of(e: Experiment) -> list[Experiment]:
     return [e.cut(slice(max(first - 1, 0), first + e.period_samples)) for first in starts]
 
 
+def _last_period_apart(e: Experiment) -> tuple[Experiment, Experiment]:
+    """What is before the last period, and that period, each with a sample of the other."""
+    first = e.samples - e.period_samples
+    return e.cut(slice(None, first + 1)), e.cut(slice(first - 1, None))
+
+
 def _drives_all(e: Experiment) -> bool:
     return not 0 <= e.excited_axis < e.hold_gain.size or e.hold_gain.size == 1
 
@@ -190,8 +195,7 @@ def _split(parts: _Parts) -> tuple[list[Record], list[Record], str | None]:
         return rest, parts.records([parts.spare]), said
     if shaken and all(e.period_samples and e.periods >= 2 for e in shaken):
         moves = [e for e in parts.train if e.kind is Kind.CONSTANT_VELOCITY]
-        begin = [e.cut(slice(None, e.samples - e.period_samples + 1)) for e in shaken]
-        last = [e.cut(slice(e.samples - e.period_samples - 1, None)) for e in shaken]
+        begin, last = zip(*map(_last_period_apart, shaken), strict=True)
         said = (
             f"{MISSING}: the last period of each experiment is kept out of every fit instead, which repeats "
             "the same motion; record one with another realisation"

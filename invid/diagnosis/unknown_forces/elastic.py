@@ -61,14 +61,14 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     """What the chains get wrong on a recording, in the contract's terms."""
     recording, found = begun.recording, search_elastic(begun)
     before, after, residual = _missing(found)
-    if _is_kept_out_unlike(found, residual):
-        shared = with_kept_out_fitted(begun)
-        if shared is not None:
-            begun, found = shared, search_elastic(shared)
-            before, after, residual = _missing(found)
+    unlike = _kept_out_unlike(found, residual)
+    shared = None if unlike is None else with_kept_out_fitted(begun)
+    if shared is not None:
+        begun, found = shared, search_elastic(shared)
+        before, after, residual = _missing(found)
+        unlike = _kept_out_unlike(found, residual)
     budget.tell("rivals of the causes", 0.9)
     explained = explained_share(residual)
-    unlike = axis_above_floor(residual) if _is_kept_out_unlike(found, residual) else None
     causes = named_causes(found, before, after, explained)
     masses = found.end.hypothesis.structure.sizes
     sure = {f.spot for f in found.forces if f.is_sure}
@@ -116,11 +116,12 @@ def _missing(found: ElasticSearch) -> tuple[AxisMissing, AxisMissing, list[AxisR
     return before, after, residuals(found.recording, before, after)
 
 
-def _is_kept_out_unlike(found: ElasticSearch, residual: Sequence[AxisResidual]) -> bool:
-    """Whether records kept out miss what those fitted do not: nothing is sure there, and yet causes explain
-    little of what is missing here."""
-    is_sure = any(f.is_sure for f in found.forces)
-    return not is_sure and axis_above_floor(residual) is not None and explained_share(residual) < EXPLAINED
+def _kept_out_unlike(found: ElasticSearch, residual: Sequence[AxisResidual]) -> AxisResidual | None:
+    """The axis of which records kept out miss most where those fitted miss nothing: nothing is sure there,
+    and yet causes explain little of what is missing here."""
+    if any(f.is_sure for f in found.forces) or explained_share(residual) >= EXPLAINED:
+        return None
+    return axis_above_floor(residual)
 
 
 def _kept_out_sentence(left: AxisResidual) -> str:

@@ -91,8 +91,7 @@ def _one_with_dry_friction(end: Supposed, worth: Worth, stays: Sequence[Worth]) 
     motor = worth.key[1]
     if all(w.key != (Part.DRY, motor) for w in stays):
         return []
-    missing = float(np.sqrt((axis_missing(end).missing ** 2).mean()))
-    return [_Rival(AsymmetricFriction.cause, Spot(Where.MOTOR, motor), 0.0, missing)]
+    return [_rival((AsymmetricFriction.cause, Spot(Where.MOTOR, motor)), end, end)]
 
 
 def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -> list[_Rival]:

@@ -1,4 +1,4 @@
-"""A diagnosis on a linear model that is wrong says so first, and names nothing but what it lacks."""
+"""A diagnosis on a linear model that is wrong says so first, and names nothing."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def recording() -> Recording:
 @pytest.mark.parametrize("masses", [1, 2])
 def test_too_few_masses_are_said_first_and_nothing_is_named_with_confidence(recording, masses) -> None:
     d = diagnose(recording, masses=(masses,))
-    assert {f.effect.cause for f in d.findings} <= {"extra_mode"}  # a mass too few is a mode
-    if d.findings and d.residual[0].after < 0.05 * d.residual[0].before:
+    if d.findings:  # a mode too few is an extra mode, which explains nearly all
+        assert [f.effect.cause for f in d.findings] == ["extra_mode"]
+        assert d.residual[0].after < 0.05 * d.residual[0].before
         return
-    assert d.verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
-    assert all(f.confidence < 0.9 for f in d.findings)
+    assert d.verdict is Verdict.UNEXPLAINED
     assert "cannot be trusted" in d.sentences[0]
     assert d.warnings[0] == d.sentences[0]
     assert not d.model.fit["trustworthy"]
@@ -49,7 +49,7 @@ def test_the_command_leaves_with_3_and_one_document_when_the_model_is_wrong(
     write_recording(recording, path)
     assert run(["diagnose", str(path), "--masses", "1", "--json"]) == 3
     out = json.loads(capsys.readouterr().out)
-    assert {f["cause"] for f in out["findings"]} <= {"extra_mode"}
+    assert out["findings"] == []
     assert "cannot be trusted" in out["warnings"][0]
 
 
