@@ -42,7 +42,7 @@ def test_opposed_wiring_of_an_unstated_load_gets_no_more_than_its_limit_and_is_c
     assert isinstance(error, SafetyStop)
     assert most_torque(cell) <= 1.05 * LIMIT
     assert cell.drives[0].state == "switch on disabled"
-    assert motor.travel < WINDOW
+    assert motor.powered_travel < WINDOW  # nothing holds it then
     assert motor.powered_speed < 2.0
 
 
@@ -161,7 +161,7 @@ def test_a_drive_that_answers_no_request_under_power_is_named_and_its_axis_stays
     error = cell.measure()
     assert isinstance(error, DriveError)
     assert "A2" in str(error)
-    assert "does not answer (0x605A)" in str(error)
+    assert "does not answer" in str(error)
     assert cell.drives[0].axis.travel < HELD
 
 

@@ -41,8 +41,8 @@ def broken_at(
     return cell, cell.measure()
 
 
-BEFORE = [(turn, t) for t in (1.7, 4.4, 9.4)]
-SHAKEN = [(turn, 11.35), (turn, 14.05), (turn_encoder, 13.35), (freeze, 11.35), (freeze, 14.05)]
+BEFORE = [(turn, t) for t in (1.7, 5.9, 10.9)]
+SHAKEN = [(turn, 12.85), (turn, 15.55), (turn_encoder, 14.85), (freeze, 12.85), (freeze, 15.55)]
 
 
 @pytest.mark.parametrize(("what", "seconds"), BEFORE)

@@ -14,11 +14,11 @@ from invid.errors import BusError, DriveError
 from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
+from invid_drivers.cia402.cycle_requests import BUSY_S, NOT_NOW
 from invid_drivers.cia402.failures import ReadRefused, WriteRefused, WrongMode
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
 from invid_drivers.cia402.link import Link, SdoError
-from invid_drivers.cia402.mode_change import BUSY_S, NOT_NOW
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.protection import Protection
 from invid_drivers.cia402.restoration import restore

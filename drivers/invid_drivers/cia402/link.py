@@ -124,6 +124,8 @@ class Link:
         """How long a request waits for its answer, twice."""
         self.until = math.inf
         """No answer is waited for beyond this instant; requests leave all the same."""
+        self.attend: Callable[[], object] | None = None
+        """Makes one cycle: whoever waits while axes are held goes on attending to them."""
         self.cancelled: Callable[[], bool] = never
         """Asked in every wait but those of the way out, which a stop does not end."""
 
@@ -171,6 +173,9 @@ class Link:
         """
         if self.cancelled():
             raise SafetyStop("stopped on request; nothing was recorded yet", code="asked")
+        if self.attend is not None:
+            self.attend()
+            return
         self.beat(self.clock.now())
         message = self.get(min(timeout, HEARD_S, self._heartbeat_s / 2 if self.beating else HEARD_S))
         if message is not None:
@@ -325,6 +330,10 @@ class Link:
             return True
         return False
 
+    def occupy(self, node_id: int) -> None:
+        """A node is asked something, and asked nothing else until it has answered."""
+        self._asked[node_id] = self.clock.now()
+
     def answered(self, node_id: int) -> None:
         """An SDO answer of the node was seen."""
         self._asked.pop(node_id, None)
@@ -385,6 +394,7 @@ class _PumpedSdo(SdoClient):
 
     def send_request(self, request: bytes) -> None:
         """One SDO frame."""
+        self._link.occupy(self.rx_cobid - 0x600)
         self._link.send(self.rx_cobid, bytes(request))
 
     def read_response(self) -> bytes:

@@ -1,4 +1,4 @@
-"""A change of mode while SYNC goes on: SDO requests sent between two cycles, answers sorted out of them.
+"""What is asked of drives by SDO between two cycles: modes, single objects, states; nobody waits for it.
 
 A drive may take a second for it (slow SDO, a slow mode switch). Nobody waits: torque of every axis in torque
 mode goes on in its loop, that of the axis which changes too, whichever mode it is in by now.
@@ -84,13 +84,10 @@ class ModeChange:
         """What the drive refused."""
         self.without_power = False
         """It takes the mode without power only."""
-        self._off_since: float | None = None
 
-    def ask_again(self, now: float, rest_s: float) -> bool:
-        """Ask once more when the drive is without power, and whether it has been so for ``rest_s``."""
-        if self._off_since is None:
-            self._off_since, self.refused, self._began = now, None, now
-        return now >= self._off_since + rest_s
+    def ask_again(self, now: float) -> None:
+        """Ask once more: the drive is without power by now."""
+        self.without_power, self.refused, self._began = False, None, now
 
     @property
     def taken(self) -> bool:
@@ -144,3 +141,24 @@ class ModeChange:
         else:
             why = f"the drive shows mode {self._shown} (0x6061) after {now - self._began:.0f} s"
         return f"mode {self.operation.name.lower()} was asked for, but {why}"
+
+
+class StateQuestion:
+    """State and place of a drive whose process data do not come, or are not asked for."""
+
+    def __init__(self) -> None:
+        self._next = od.STATUSWORD
+
+    def request(self) -> bytes:
+        """The next question: statusword and position by turns."""
+        return upload(self._next)
+
+    def answered(self, data: bytes) -> tuple[Object, int] | None:
+        """The object that an answer tells and its value; ``None`` where it is another's."""
+        if len(data) != 8 or data[0] & 0xE0 != 0x40:
+            return None
+        for what, other in ((od.STATUSWORD, od.POSITION), (od.POSITION, od.STATUSWORD)):
+            if data[1:4] == struct.pack("<HB", what.index, what.sub):
+                self._next = other
+                return what, what.unpack(data[4 : 4 + what.size])
+        return None

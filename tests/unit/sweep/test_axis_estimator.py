@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from invid.sweep.falling import Fall, Falling, Kind
-from invid.sweep.ports import Sample
+from invid.sweep.axis_estimator import AxisEstimator, AxisLimits, Fall, Kind
 
 CYCLE, COUNT, RATED, WINDOW = 0.002, 2 * math.pi / 2**16, 10.0, 0.5
 
@@ -17,14 +16,12 @@ def looked_at(
     x: np.ndarray, torque: np.ndarray, count: float = COUNT, cycle: float = CYCLE
 ) -> dict[float, Fall]:
     """Falls by the time at which they were seen; positions are rounded to counts."""
-    watch = Falling([count], cycle, [WINDOW], [RATED], [2 * RATED])
+    watch = AxisEstimator(AxisLimits("A1", 2 * RATED, WINDOW, 5.0, count, RATED, "rad", "N·m"), cycle)
     found = {}
     for k, (place, shown) in enumerate(zip(np.round(x / count) * count, torque, strict=True)):
-        falls = watch.check(
-            Sample(k, k * cycle, [float(place)], [float(shown)], [0x27], [True], []), {0}, quiet=True
-        )
-        if falls:
-            found[k * cycle] = falls[0]
+        watch.take(k * cycle, float(place), float(shown), quiet=True)
+        if watch.fall is not None:
+            found[k * cycle] = watch.fall
     return found
 
 
@@ -72,3 +69,21 @@ def test_a_loop_that_drives_its_axis_away_is_told_from_a_load() -> None:
     x = np.where(t > 0, 1e-4 * np.cosh(w * np.maximum(t, 0.0)), 1e-4)
     found = looked_at(x, -(w**2) * x)
     assert found[min(found)].kind is Kind.DRIVEN
+
+
+def test_noise_that_was_seen_at_rest_is_no_fall_and_what_falls_in_it_is_seen() -> None:
+    rng = np.random.default_rng(2)
+    limits = AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m")
+    axis = AxisEstimator(limits, CYCLE)
+    for _ in range(200):
+        axis.learn_noise(float(np.round(5 * rng.normal()) * COUNT))
+    axis.use_noise()
+    assert axis.noise == pytest.approx(5 * COUNT, rel=0.3)
+    falls = []
+    for k in range(60_000):
+        fallen = 1.5 * max(0.0, k - 59_000) ** 2 * CYCLE**2
+        axis.take(k * CYCLE, float(np.round(5 * rng.normal() - fallen / COUNT) * COUNT), 0.0, quiet=True)
+        if axis.fall is not None:
+            falls.append(k)
+            break
+    assert 59_000 < falls[0] < 59_200
