@@ -99,7 +99,7 @@ def test_a_mode_that_never_comes_ends_the_way_to_operation(cell: OtherCell) -> N
     master.check()
     began = cell.bus.time
     master.cancelled = lambda: cell.bus.time > began + 30.0
-    with pytest.raises(DriveError, match="without its mode|was refused") as refused:
+    with pytest.raises(DriveError, match=r"without its mode|was refused") as refused:
         master.energise([Mode.HOLD] * 2)
     assert refused.value.axis == "A2"
     assert cell.bus.time - began < ENABLE_S + CHANGE_S + 2.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.errors import BusError, SafetyStop
+from invid.errors import BusError, DriveError, SafetyStop
 from invid.numerics.arrays import Bool, Float64
 from invid.sweep.loads import CONFIRM_S
 from invid_drivers.cia402.axis_state import BRAKE_S, ENABLE_S, AxisState
@@ -108,8 +108,8 @@ def enable(stage: Stage) -> Procedure:
     if missing:
         names = names_of(missing)
         raise DriveError(
-            f"axis {', '.join(names)}: not enabled in its mode (0x6060) after {longest:g} s; check its supply, "
-            "its enable input, safe torque off and the brake",
+            f"axis {', '.join(names)}: not enabled in its mode (0x6060) after {longest:g} s; check its "
+            "supply, its enable input, safe torque off and the brake",
             axes=names,
         )
 

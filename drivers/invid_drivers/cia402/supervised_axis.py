@@ -300,8 +300,8 @@ class SupervisedAxis:
         state, estimator = self.state, self.estimator
         if self.is_cut:
             return None  # nothing that its drive could do is wanted
-        if self.blind and state not in (AxisState.BRAKING, AxisState.BRAKED, AxisState.OFF):
-            return None if state in (AxisState.PARKING, AxisState.STANDS) else Trouble.BLIND
+        if self.blind:
+            return Trouble.BLIND if RULES[state].command is Command.ENABLE else None
         if state is AxisState.LED:
             drifts = self.on_trial and self.carries and self.drop > self.most_drop / 2
             return Trouble.FALLS if drifts else None

@@ -20,6 +20,7 @@ from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import ModeSet
 from invid_drivers.cia402.axis_state import CHANGING_S, NEXT, RULES, AxisState, Command, Fact
 from invid_drivers.cia402.cycle import Cycle
+from invid_drivers.cia402.cycle_requests import ModeChange
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link
 from invid_drivers.cia402.states import DriveState, OperationMode
 from invid_drivers.cia402.supervised_axis import DEAF_S, DRIVEN_LOOK_S, SupervisedAxis, Trouble
@@ -273,7 +274,7 @@ class Supervisor:
                 self._note_does_not_park(a)
                 self.enter(a, a.next_means())
             case Trouble.DRIVEN:
-                self._react_to_driven(a, is_sure=before is AxisState.LED)
+                self._react_to_driven(a, is_sure=before is AxisState.LED or not a.carries)
             case Trouble.BLIND:
                 means = AxisState.BRAKING if a.has_brake else AxisState.PARKING
                 self.enter(a, means if a.carries or before is AxisState.LED else AxisState.LETTING_GO)
@@ -312,7 +313,7 @@ class Supervisor:
 
     def _react_to_driven(self, a: SupervisedAxis, *, is_sure: bool) -> None:
         """A quick stop first: a load that falls looks the same for a moment; then cut off. Of a led axis it
-        is known by what was asked of it."""
+        is known by what was asked of it, and what carries nothing does not fall."""
         if a.driven_since is None:
             a.driven_since, a.entry_speed = a.now, abs(a.estimator.speed)
             if a.state is not AxisState.PARKING:
@@ -404,6 +405,17 @@ class Supervisor:
             self._finish(a, rule.then)
         elif a.seconds > self._within(a, rule.within_s):
             self._be_late(a, rule.late)
+
+    def _switch_mode(self, a: SupervisedAxis, change: ModeChange) -> None:
+        """Off, where it stands then, until its drive has taken the mode."""
+        rest_s = a.holding.rest_s
+        if rest_s is None:
+            return
+        if a.state is not AxisState.SWITCHING:
+            a.target = AxisState.LED if change.operation is a.torque_mode else AxisState.HELD
+            a.enter(AxisState.SWITCHING)
+        elif a.fresh and not a.is_energised and a.seconds > rest_s:
+            change.ask_again(a.now)
 
     def _within(self, a: SupervisedAxis, within_s: float) -> float:
         if a.state is AxisState.PARKING:
