@@ -25,7 +25,7 @@ RUN useradd --create-home --uid 10001 invid && install -d -o invid -g invid /dat
 USER invid
 WORKDIR /data
 VOLUME /data
-ENV PATH=/opt/invid/bin:$PATH PYTHONUNBUFFERED=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+ENV PATH=/opt/invid/bin:$PATH PYTHONUNBUFFERED=1 XDG_STATE_HOME=/data OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
     NUMBA_CACHE_DIR=/data/.numba MPLCONFIGDIR=/data/.matplotlib
 EXPOSE 8000
 HEALTHCHECK --interval=30s --timeout=5s --start-period=30s \

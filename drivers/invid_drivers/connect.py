@@ -8,7 +8,7 @@ from invid.config import CellConfig
 from invid.errors import ConfigError
 from invid_drivers.adapters import open_adapter
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.journal import Journal, journal_path
+from invid_drivers.cia402.journal import Journal, journal_path, refuse_left_by_others
 from invid_drivers.cia402.reservation import Reservation
 
 VIRTUAL = "invid-virtual"
@@ -47,7 +47,12 @@ def connect(config: CellConfig) -> Cia402Cell:
         reservation = Reservation(
             config.bus.interface, config.bus.channel
         )  # before the journal is read: the one before may still be writing it
-        journal = Journal(path)
+        try:
+            refuse_left_by_others(path)
+            journal = Journal(path)
+        except BaseException:
+            reservation.release()
+            raise
         journal.reservation = reservation
     bus = None
     try:

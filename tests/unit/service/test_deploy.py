@@ -74,6 +74,14 @@ def test_the_commands_are_ones_that_serve_takes() -> None:
     served(compose["services"]["invid"]["command"][1:])
 
 
+def test_what_the_drives_were_told_is_remembered_where_the_container_lasts() -> None:
+    dockerfile = (DEPLOY.parent / "Dockerfile").read_text(encoding="utf-8")
+    state = re.search(r"XDG_STATE_HOME=(\S+)", dockerfile).group(1)  # type: ignore[union-attr]
+    service = yaml.safe_load((DEPLOY / "compose.yaml").read_text(encoding="utf-8"))["services"]["invid"]
+    assert service["read_only"]
+    assert state in [v.split(":")[1] for v in service["volumes"] if not v.endswith(":ro")]
+
+
 def listening(folder: Path) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     listener.bind(str(folder / "notify"))
