@@ -40,7 +40,10 @@ def connect(config: CellConfig) -> Cia402Cell:
     ------
     BusError
         The bus cannot be opened, or another process measures on it.
+    ConfigError
+        An axis that cannot be driven.
     """
+    _require_first_axes(config)
     journal = None
     if not is_virtual(config):
         path = journal_path(config.bus.interface, config.bus.channel)
@@ -64,3 +67,13 @@ def connect(config: CellConfig) -> Cia402Cell:
         if journal is not None:
             journal.release()
         raise
+
+
+def _require_first_axes(config: CellConfig) -> None:
+    for axis in config.axes:
+        if axis.axis_of_node != 1:
+            raise ConfigError(
+                f"axis {axis.name}: axis_of_node is {axis.axis_of_node}, and further axes of a node are "
+                "not driven yet; measure its first axis, or record with the drive's own tool and use "
+                "`invid import`"
+            )
