@@ -31,5 +31,6 @@ EXPOSE 8000
 HEALTHCHECK --interval=30s --timeout=5s --start-period=30s \
   CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/health/ready', timeout=4)"]
 STOPSIGNAL SIGTERM
-ENTRYPOINT ["invid"]
+# Process 1 outlives the service until its runner has stopped the drives: with process 1 everything ends.
+ENTRYPOINT ["python", "-m", "invid_service.supervision", "invid"]
 CMD ["serve", "--host", "127.0.0.1", "--port", "8000", "--data-dir", "/data", "--json-logs"]
