@@ -116,7 +116,7 @@ class Relay:
     Nothing here waits for disk, judge or terminal: the file has its own thread, and so has who is told.
     """
 
-    def __init__(self, filing: Filing, listeners: Listeners = Listeners()) -> None:
+    def __init__(self, filing: Filing, listeners: Listeners) -> None:
         self._filing = filing
         self._stop = listeners.stop
         self._leaving = threading.Event()
