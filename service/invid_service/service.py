@@ -26,6 +26,7 @@ from invid_service.audit import AuditLog
 from invid_service.auth import check_bind
 from invid_service.cells.readiness import Checked, Readiness, RecentAnswers, Situation, readiness
 from invid_service.cells.registry import Cell, load_cells
+from invid_service.jobs.last_words import LastWords, interruption
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager, Limits
@@ -86,7 +87,11 @@ class Service:
         set_root(self.settings.root_path)  # for what tells of a run outside any request
         await asyncio.to_thread(settle, self.blobs.work, self.settings.stop_grace_s + _ORPHAN_S)
         now = self.clock()
-        cut = await asyncio.to_thread(self.store.interrupt_unfinished, now)
+        cut = await asyncio.to_thread(
+            self.store.interrupt_unfinished,
+            now,
+            lambda run: interruption(run, LastWords.read(self.blobs.work / run.id)),
+        )
         for record in cut:
             tell_ended(record)
         await asyncio.to_thread(self._keep_leftovers, now)

@@ -168,6 +168,7 @@ def _stop(service: Service, cell: Cell, caller: Caller) -> StopAnswer:
         cell=cell.id,
         stopping=run is not None,
         moved=run is not None and run.record.state is State.RUNNING,
+        unknown=run is None and service.jobs.is_lost(cell.id),
         identification=identification,
         simulated=cell.simulated,
     )

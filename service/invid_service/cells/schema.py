@@ -99,6 +99,8 @@ class StopAnswer(BaseModel):
     """false: nothing was going on, or the run has ended: asked until then, a stop is confirmed by it."""
     moved: bool
     """The run had its drives enabled."""
+    unknown: bool = False
+    """The process of the last run was lost, and nobody saw its axes at rest: look."""
     identification: str | None
     simulated: bool
     note: str = "this stops motion through the drives' protocol; it is not a safety function"

@@ -20,10 +20,10 @@ from invid.planning.separating_experiments import to_separate
 from invid.recording import read_recording
 from invid.report import render_report
 from invid.simulators.open import masses_of
+from invid_drivers.protocol import Line, Read
 from invid_service.jobs.analysis_progress import AnalysisProgress
-from invid_service.jobs.line import Line
 from invid_service.jobs.plots import plot_data
-from invid_service.jobs.protocol import Job, Read
+from invid_service.jobs.protocol import Job
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
 

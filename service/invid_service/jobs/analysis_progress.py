@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from typing import Any
 
-from invid_service.jobs.protocol import Progress
+from invid_drivers.protocol import RunProgress
 
 BEGINS, ENDS = 0.8, 0.99
 """Shares of a whole run between which the analysis lies; motion comes before it."""
@@ -113,7 +113,7 @@ class AnalysisProgress:
             # a stage that tells nothing moves on by the clock, up to its end
             share = max(self._share, min(elapsed / self._expected, self._high))
             left, most = self._expected - elapsed, max(self._most - elapsed, 0.0)
-            told = Progress(
+            told = RunProgress(
                 fraction=BEGINS + share * (ENDS - BEGINS),
                 phase=self._phase,
                 axis=self._axis,

@@ -15,12 +15,13 @@ from invid.planning.belief import Belief, from_model
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.goal import Reached, judge_of
 from invid_drivers.measurement import measure_to_file
+from invid_drivers.protocol import AxisStates, Known, Line, Measured, Planned, Running, RunProgress
 from invid_drivers.readiness import ask_drives, loads_to_support, support_sentence
 from invid_drivers.screening import screening_plan
 from invid_drivers.stopping_budgets import Wish
 from invid_service.jobs.analysis_progress import BEGINS
-from invid_service.jobs.line import Line, plain
-from invid_service.jobs.protocol import Job, Known, Measured, Planned, Progress, Running
+from invid_service.jobs.last_words import LastWords
+from invid_service.jobs.protocol import Job, plain
 
 _SETTLED_S = 2.0
 """Robot time after which the pace of the motion so far says how long the rest takes."""
@@ -78,7 +79,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
         left = pace.left(float(p.eta_s))
         after = job.expected_analysis_s
         line.progress(
-            Progress(
+            RunProgress(
                 fraction=float(p.fraction) * BEGINS,
                 phase=str(p.phase),
                 axis=p.axis,
@@ -89,19 +90,25 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
             )
         )
 
+    def seen(states: AxisStates) -> None:
+        line.tell(states)
+        LastWords(states).write(job.folder)
+
     result = measure_to_file(
         config,
         target,
         wish,
         progress=progress,
+        seen=seen,
         stop=line.stop,
         judge=None if short else judge_of(config, tell),
     )
     line.check_stop()
-    seen: dict[str, Any] = plain(result.to_json())
-    del seen["recording"]
-    line.tell(Measured(measurement=seen))
-    return seen
+    LastWords(end="the measurement was complete").write(job.folder)
+    measured: dict[str, Any] = plain(result.to_json())
+    del measured["recording"]
+    line.tell(Measured(measured))
+    return measured
 
 
 def _short_plan(config: CellConfig, model: Belief | None, amplitude_scale: float) -> Plan:

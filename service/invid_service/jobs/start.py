@@ -75,8 +75,7 @@ async def begin_identification(
         record = replace(record, facts=asked)
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
         before = await asyncio.to_thread(_analysis_before, service, cell.id, body)
-        job = _job(service, cell, record, body, in_force, separation)
-        job.expected_analysis_s = before
+        job = replace(_job(service, cell, record, body, in_force, separation), expected_analysis_s=before)
         live = service.jobs.reserve(record)
         try:
             facts = {"cell": cell.id, "identification": record.id, **body.model_dump()}

@@ -7,20 +7,24 @@ import time
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from invid.errors import BusError, SafetyStop, note_left
+from invid.sweep import Sample
 from invid_drivers import relay
 from invid_drivers.filing import Filing
-from invid_drivers.relay import Relay
+from invid_drivers.protocol import AxisStates, Failed, LastSeen, Stop
+from invid_drivers.realtime import RemoteSink
+from invid_drivers.relay import Listeners, Relay
 
 
 @pytest.fixture
 def ends(tmp_path: Path) -> tuple[Relay, threading.Event, Connection, Connection]:
     ours, theirs = Pipe()
     stop = threading.Event()
-    return Relay(Filing(tmp_path / "rec.h5", None), stop, None), stop, ours, theirs
+    return Relay(Filing(tmp_path / "rec.h5", None), Listeners(stop=stop)), stop, ours, theirs
 
 
 def test_a_cycle_process_that_does_not_stop_is_given_up_after_the_stated_time(
@@ -34,7 +38,7 @@ def test_a_cycle_process_that_does_not_stop_is_given_up_after_the_stated_time(
         parent.run(ours)
     assert time.monotonic() - began < 2.0
     said = {theirs.recv() for _ in range(2)}
-    assert "stop" in said
+    assert Stop() in said
     parent.end()
 
 
@@ -44,13 +48,38 @@ def test_what_the_cycle_process_knows_of_its_axes_is_heard_after_a_second_ctrl_c
     parent, _, ours, theirs = ends
 
     def answer() -> None:
-        while theirs.recv() != "stop":
+        while theirs.recv() != Stop():
             pass
         error = SafetyStop("stopped on request", code="asked")
         note_left(error, ["axis A1 is energised: it is held by its drive"])
-        theirs.send(("error", error))
+        theirs.send(Failed(error))
 
     threading.Thread(target=answer, daemon=True).start()
     parent.speak_to(ours)
     assert parent.last_words(ours) == ("axis A1 is energised: it is held by its drive",)
     parent.end()
+
+
+def test_of_a_cycle_process_that_is_lost_every_axis_is_named_with_its_last_state(
+    ends: tuple[Relay, threading.Event, Connection, Connection],
+) -> None:
+    parent, _, ours, theirs = ends
+    for state in ("operation enabled", "quick stop active"):
+        theirs.send(AxisStates((LastSeen("A1", state, 0.0),)))
+    theirs.close()
+    with pytest.raises(EOFError):
+        parent.run(ours)
+    parent.end()
+    first, second = parent.states.of(["A1", "A2"])
+    assert first.startswith("axis A1 was last seen in quick stop active, at ")
+    assert second == "axis A2 was not seen under power"
+
+
+def test_the_sink_tells_the_states_of_the_axes_whenever_one_changes() -> None:
+    told: list[Any] = []
+    sink = RemoteSink(told.append, 0.001, ("A1", "A2"))
+    enabled, quick_stop = 0x0037, 0x0017
+    for status in ([enabled, enabled], [enabled | 1 << 10, enabled], [enabled, quick_stop]):
+        sink.row(Sample(0, 0.0, [0.0, 0.0], [0.0, 0.0], status, [True, True]), [0.0, 0.0])
+    states = [[a.state for a in m.axes] for m in told if isinstance(m, AxisStates)]
+    assert states == [["operation enabled"] * 2, ["operation enabled", "quick stop active"]]
