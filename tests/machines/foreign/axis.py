@@ -31,7 +31,7 @@ class Axis:
         self.node, self.base, self.plant = node, k * AXIS << 8, plant
         self.hooks = overriding(habits)
         self.name = f"{node.node}" if k == 0 else f"{node.node}.{k}"
-        self.switch_on_s, self.enable_s, self.mode_s = 0.1, 0.02, 0.0
+        self.switch_on_s, self.enable_s, self.mode_s = 0.02, 0.01, 0.0
         self.brake_first = True
         """Its brake closes under torque at the end of a ramp."""
         self.faults_by_following = True

@@ -16,6 +16,9 @@ from .judge import Verdict, judge
 from .kinds import KINDS
 
 
+UNKNOWN = Timeline({}, [], [], None)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """A run, and what is said of it."""
@@ -36,7 +39,7 @@ class Campaign:
         """One of them."""
         what = KINDS[kind]
         d = draw_cell(kind, phase, loads, seed, brakes=what.brakes)
-        timeline = self.timeline(d)
+        timeline = UNKNOWN if phase == ALWAYS else self.timeline(d)
         some = [a for a in d.axes if a.load] or d.axes
         d.victims = list(some) if d.rng.random() < 0.6 else [d.rng.choice(some)]
         if phase == ALWAYS:

@@ -56,9 +56,9 @@ class Run:
     seconds: float
     """Real time that it took [s]."""
 
-    def when(self, text: str) -> float | None:
-        """Instant of the first event that begins so."""
-        return next((e.t for e in self.events if e.text.startswith(text)), None)
+    def when(self, mark: str) -> float | None:
+        """First instant of what happened to the whole cell: "over", "stop", "lets go" and so on."""
+        return next((e.t for e in self.events if not e.who and e.text == mark), None)
 
     def of(self, axis: int) -> Any:
         """Rows of an axis."""
@@ -74,7 +74,8 @@ def plugged(folder: Path) -> dict[str, str]:
         (about / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign-wire\nVersion: 1\n")
         (about / "entry_points.txt").write_text("[can.interface]\nforeign = foreign.wire:ForeignWire\n")
         (plug / "foreign").symlink_to(PACKAGE)
-    return {"PYTHONPATH": str(plug), "XDG_STATE_HOME": str(folder / "state")}
+    path = os.pathsep.join(filter(None, (str(plug), os.environ.get("PYTHONPATH"))))
+    return {"PYTHONPATH": path, "XDG_STATE_HOME": str(folder / "state")}
 
 
 class Cell:

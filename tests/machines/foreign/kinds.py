@@ -90,7 +90,7 @@ def _person(d: Draft) -> None:
         a.habit("Person", seconds=seconds)
 
 
-@kind(ONCE, LOADED)
+@kind(ONCE, LOADED, brakes=False)
 def lets_go_in_quick_stop(d: Draft) -> None:
     """Quick stop active gives no torque: from torque mode, or ever. A person comes with a support."""
     modes = d.rng.choice([[10], [8, 10]])
@@ -105,7 +105,7 @@ def _until_seen(a: DraftAxis) -> None:
         a.falls = max(a.falls, a.by_brake)
 
 
-@kind(ONCE, LOADED)
+@kind(ONCE, LOADED, brakes=False)
 def lets_go_and_leaves_with_NMT(d: Draft) -> None:
     """The same; and the power stage goes off with NMT operational."""
     for a in loaded(d):
@@ -114,7 +114,7 @@ def lets_go_and_leaves_with_NMT(d: Draft) -> None:
     _person(d)
 
 
-@kind(ONCE, LOADED)
+@kind(ONCE, LOADED, brakes=False)
 def stop_while_catching(d: Draft) -> None:
     """The same as letting go; a person stops the run while the axes are caught, and then supports them."""
     for a in loaded(d):
@@ -123,7 +123,7 @@ def stop_while_catching(d: Draft) -> None:
     d.events.append({"what": "stop", "after": "lets go", "delay": d.rng.uniform(0.05, 2.0)})
 
 
-@kind(("trial", "run", "hold"), LOADED)
+@kind(("trial", "run", "hold"), LOADED, brakes=False)
 def stop_in_torque_mode_lets_go_later(d: Draft) -> None:
     """Held in every trial of the stop; lets go when a person stops the run."""
     for a in loaded(d):
@@ -132,7 +132,7 @@ def stop_in_torque_mode_lets_go_later(d: Draft) -> None:
     d.events.append({"what": "stop", "at": d.at})
 
 
-@kind(ONCE, LOADED)
+@kind(ONCE, LOADED, brakes=False)
 def held_then_not(d: Draft) -> None:
     """Quick stop with a time limit, a fault that comes late, or a creep."""
     how = d.rng.choice(["off", "fault", "creep"])

@@ -23,7 +23,7 @@ EVERY = 4
 """Steps from row to row."""
 FRAME_S = 1.2e-4
 """One frame on the wire at 1 Mbit/s, the adapter with it."""
-LONGEST_S = 420.0
+LONGEST_S = 240.0
 """No command may take longer [s]."""
 AFTER_S = 8.0
 """So long a cell is looked at after its command has ended [s]."""
