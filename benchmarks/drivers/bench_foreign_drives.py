@@ -69,9 +69,10 @@ def run_one(job: Job, keep: Path | None = None) -> dict[str, Any]:
     outcome = _campaign[0].run(kind, phase, loads, seed)
     v = outcome.verdict
     return {
-        "n": n, "kind": kind, "phase": phase, "loads": loads, "seed": seed, "word": v.word, "bad": list(v.bad),
-        "note": v.note, "at": None if phase == ALWAYS else round(outcome.draft.at, 3), "stop_s": v.stop_s,
-        "said": "" if outcome.run is None else outcome.run.words.strip().splitlines()[-1:],
+        "n": n, "kind": kind, "phase": phase, "loads": loads, "seed": seed, "word": v.word,
+        "bad": list(v.bad), "note": v.note, "stop_s": v.stop_s,
+        "at": None if phase == ALWAYS else round(outcome.draft.at, 3),
+        "said": [] if outcome.run is None else outcome.run.words.strip().splitlines()[-1:],
         "seconds": round(time.monotonic() - began, 1),
     }  # fmt: skip
 
@@ -134,9 +135,8 @@ def main() -> int:
     if wished.list:
         for name, what in KINDS.items():
             doc = " ".join((what.make.__doc__ or "").split())
-            print(
-                f"{name}{' (healthy)' if what.healthy else ''}: {doc} [{', '.join(what.phases)}; {what.loads}]"
-            )
+            healthy = " (healthy)" if what.healthy else ""
+            print(f"{name}{healthy}: {doc} [{', '.join(what.phases)}; {what.loads}]")
         return 0
     if wished.keep:
         wished.keep.mkdir(parents=True, exist_ok=True)

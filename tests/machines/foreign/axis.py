@@ -55,6 +55,12 @@ class Axis:
         self.following_s = 0.0
         self.power(False)
 
+    def take_up(self, habit: Habit) -> None:
+        """Change in the middle of its life."""
+        habit.start(self)
+        for name, own in overriding([habit]).items():
+            self.hooks[name] += own
+
     # --- dictionary --------------------------------------------------------------------------------
     def number(self, at: int, missing: int = 0) -> int:
         """A value of this axis."""
@@ -228,6 +234,8 @@ class Axis:
         if self.state != ENABLED:
             return
         option = self.number(0x600700)
+        for habit in self.hooks["abort_option"]:
+            option = habit.abort_option(self, option)
         self.node.world.note(self.name, f"master lost ({code:04X}), option {option}")
         if option == 1:
             self.fault(code)

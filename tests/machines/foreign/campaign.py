@@ -12,9 +12,8 @@ import numpy as np
 
 from .cell import Cell, Run
 from .draft import ALWAYS, Draft, Timeline, draw_cell, read_timeline
-from .judge import Verdict, judge
+from .judge import Verdict, judge_all
 from .kinds import KINDS
-
 
 UNKNOWN = Timeline({}, [], [], None)
 
@@ -54,13 +53,14 @@ class Campaign:
             d.at = at
         d.healthy = what.healthy
         what.make(d)
-        run = self._command(d)
-        return Outcome(d, judge(d, run, timeline), run)
+        runs = self._commands(d)
+        return Outcome(d, judge_all(d, runs, timeline), runs[-1])
 
-    def _command(self, d: Draft) -> Run:
+    def _commands(self, d: Draft) -> list[Run]:
         folder = Path(tempfile.mkdtemp(prefix="foreign-", dir=self._keep))
         try:
-            return Cell(folder, d.spec(), d.config()).command("measure", events=d.events)
+            cell = Cell(folder, d.spec(), d.config())
+            return [cell.command(name, events=events) for name, events in [("measure", d.events), *d.later]]
         finally:
             if self._keep is None:
                 shutil.rmtree(folder, ignore_errors=True)

@@ -23,6 +23,7 @@ import numpy as np
 PACKAGE = Path(__file__).resolve().parent
 INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
 """The command under test; another one by ``FOREIGN_INVID``."""
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 LONGEST_S = 240.0
 """Real time after which a command is killed [s]."""
 TRACE = np.dtype(
@@ -104,7 +105,7 @@ class Cell:
             process = subprocess.Popen(
                 arguments, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True,
                 cwd=self.folder,
-                env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **plugged(self.folder)},
+                env={**os.environ, **ONE_THREAD, **plugged(self.folder)},
             )  # fmt: skip
             status: int | None
             try:

@@ -72,6 +72,9 @@ class Draft:
     victims: list[DraftAxis] = field(default_factory=list)
     """Whom it happens to."""
     events: list[dict[str, Any]] = field(default_factory=list)
+    """Of the first command."""
+    later: list[tuple[str, list[dict[str, Any]]]] = field(default_factory=list)
+    """Further commands on the same cell, and what happens during each."""
     nodes: dict[str, Any] = field(default_factory=dict)
     """Keys of every victim's node."""
     found: dict[int, int] = field(default_factory=dict)

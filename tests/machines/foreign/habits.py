@@ -57,6 +57,10 @@ class Habit:
         """What it takes 0x605A for."""
         return option
 
+    def abort_option(self, axis: Axis, option: int) -> int:
+        """What it takes 0x6007 for."""
+        return option
+
     def entered(self, axis: Axis, before: str) -> None:
         """After every change of state."""
 
@@ -163,6 +167,14 @@ class OptionUnderPower(Habit):
         return option if self.how == "refused" or self.acts is None else self.acts
 
 
+class LetsGoAlone(Habit):
+    """Without its master it switches off, whatever 0x6007 says."""
+
+    def abort_option(self, axis: Axis, option: int) -> int:
+        axis.node.world.mark("lets go")
+        return 2
+
+
 class NeedsOperational(Habit):
     """Its power stage goes off with NMT operational."""
 
@@ -172,11 +184,21 @@ class NeedsOperational(Habit):
 
 
 # --- commands ----------------------------------------------------------------------------------------
+@dataclass
 class ModesAtRest(Habit):
-    """0x6060 is taken without power only."""
+    """0x6060 is refused in these states: under power, or in quick stop active."""
+
+    states: tuple[str, ...] = ("enabled", "stopping", "reacting")
 
     def refuses(self, axis: Axis, at: int, value: int) -> int | None:
-        return NOT_NOW if at == 0x606000 and axis.is_powered and value != axis.mode else None
+        return NOT_NOW if at == 0x606000 and axis.state in self.states and value != axis.mode else None
+
+
+class ModeNeverComes(Habit):
+    """0x6060 is taken, and the mode stays what it was."""
+
+    def start(self, axis: Axis) -> None:
+        axis.mode_s = math.inf
 
 
 @dataclass
@@ -335,6 +357,7 @@ class TorqueShown(Habit):
 
     rms: float = 2.0
     offset: float = 0.0
+    scale: float = 1.0
     how: str = "true"
     filter_s: float = 0.0
     seed: int = 0
@@ -353,7 +376,7 @@ class TorqueShown(Habit):
         true = self.slow if self.filter_s else float(value)
         if self.how == "echo":
             true = 1000 * axis.wanted / RATED
-        true += self.offset + (self.rng.gauss(0.0, self.rms) if self.rms else 0.0)
+        true = self.scale * true + self.offset + (self.rng.gauss(0.0, self.rms) if self.rms else 0.0)
         return round(abs(true) if self.how == "unsigned" else true)
 
 
@@ -457,9 +480,9 @@ class Person(Habit):
 
     def tick(self, axis: Axis, now: float) -> None:
         since = axis.node.world.marks.get("lets go")
-        if since is not None and now - since > self.seconds and axis.plant.prop is None:
-            if abs(axis.plant.v) < 0.02:
-                axis.plant.prop = axis.plant.q
+        plant = axis.plant
+        if since is not None and now - since > self.seconds and plant.prop is None and abs(plant.v) < 0.02:
+            plant.prop = plant.q
 
 
 @dataclass

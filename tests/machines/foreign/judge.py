@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,12 @@ import numpy as np
 from .axis import STATES
 from .cell import Run
 from .claims import (
-    ENERGISED, HELD_BY_BRAKE, HELD_BY_DRIVE, LATE, NOT_HELD, claims,
+    ENERGISED,
+    HELD_BY_BRAKE,
+    HELD_BY_DRIVE,
+    LATE,
+    NOT_HELD,
+    claims,
 )  # fmt: skip
 from .draft import ALWAYS, ROOM, WINDOW, Draft, DraftAxis, Timeline
 
@@ -28,7 +34,7 @@ RAMP = 20.0
 COAST_S = 3.0
 """An axis without a load that is switched off in motion may coast; afterwards it is not looked at [s]."""
 SHAKEN = 0.09
-"""How far an axis is shaken from its start by the experiment of these cells, where no ordinary run told [rad]."""
+"""How far an axis of these cells is shaken from its start, where no ordinary run told [rad]."""
 AT_REST = 0.02
 """Slower: stands [rad/s]."""
 STATUSES = (0, 2, 3, 4, 5)
@@ -56,6 +62,34 @@ class Verdict:
         return "VIOLATION" if self.bad else "REFUSED" if self.refused else "OK" if self.reached else "MISSED"
 
 
+def judge_all(d: Draft, runs: Sequence[Run], timeline: Timeline) -> Verdict:
+    """One command after another on the same cell; what is healthy is measured by every ``measure``."""
+    verdicts = [judge(d, runs[0], timeline)]
+    names = ["measure", *(name for name, _ in d.later)]
+    for n, run in enumerate(runs[1:], start=1):
+        after = replace(d, phase=ALWAYS, must_stop=False, healthy=d.healthy and names[n] == "measure")
+        verdicts.append(judge(after, run, timeline))
+        if names[n] == "check":
+            verdicts[-1] = replace(verdicts[-1], bad=(*verdicts[-1].bad, *_check(run, len(d.axes))))
+    called = [f"{n + 1} ({name}): " if n else "" for n, name in enumerate(names)]
+    return Verdict(
+        tuple(f"{c}{b}" for c, v in zip(called, verdicts, strict=True) for b in v.bad),
+        any(v.refused for v in verdicts),
+        verdicts[0].reached,
+        "; ".join(f"{c}{v.note}" for c, v in zip(called, verdicts, strict=True)),
+        verdicts[0].stop_s,
+    )
+
+
+def _check(run: Run, axes: int) -> list[str]:
+    """It enables nothing, and calls nothing ready that is under power."""
+    bad = [f"check enabled node {e.who}" for e in run.events if " to enabled (" in e.text][:1]
+    on = [k for k in range(axes) if len(run.of(k)) and int(run.of(k)["state"][0]) in POWERED]
+    if on and run.document.get("ready"):
+        bad.append("ready, with an axis under power")
+    return bad
+
+
 def judge(d: Draft, run: Run, timeline: Timeline) -> Verdict:
     """All rules on one run."""
     if not len(run.trace):
@@ -72,15 +106,17 @@ def judge(d: Draft, run: Run, timeline: Timeline) -> Verdict:
         bad += _torque(name, axis, rows)
         bad += _travel(d, name, axis, rows)
         if axis.load or axis.plant.get("upright"):
-            bad += _falls(d, name, axis, rows, (at, over, timeline.played[k] if timeline.played else SHAKEN))
+            played = timeline.played[k] if timeline.played else SHAKEN
+            bad += _falls(d, name, axis, rows, (at, played))
         far = float(np.abs(rows["q"] - rows["q"][0]).max())
         notes.append(f"{name} {far:.3f} rad {rows['torque'].max():.1f} N·m {STATES[rows['state'][-1]]}")
     bad += _enabled_again(d, run)
-    if d.kind not in ("master dies", "master dies watch without effect"):
+    if run.when("master dies") is None:
         bad += _words(d, run, over)
     bad += sorted({f"to a foreign node: {e.text}" for e in run.events if e.text.startswith("FOREIGN")})[:1]
     measured = run.status in (0, 3) and run.document.get("outcome") == "completed"
-    reached = d.phase == ALWAYS or at < over - 0.02
+    happened = any(run.when(e["what"]) is not None for e in d.events)
+    reached = d.phase == ALWAYS or happened or at < over - 0.02
     return Verdict(tuple(bad), d.healthy and not measured, reached, ", ".join(notes), _stop_time(run, over))
 
 
@@ -93,7 +129,7 @@ def _ending(d: Draft, run: Run) -> list[str]:
             bad.append("killed")
     elif run.status not in STATUSES or "Traceback (most" in run.words:
         bad.append(f"exit {run.status}: {run.words[-200:]}")
-    happened = run.when("torque off") is not None or run.when("over") is not None and run.when("over") > d.at
+    happened = run.when("torque off") is not None or (run.when("over") or 0.0) > d.at
     if d.must_stop and run.status == 0 and happened and d.phase != "leaving":
         bad.append("lost its torque, exit 0")
     return bad
@@ -119,9 +155,9 @@ def _travel(d: Draft, name: str, axis: DraftAxis, rows: Any) -> list[str]:
     return [f"{name}: travel {far:.2f}, window and room {most:.2f}"] if far > most else []
 
 
-def _falls(d: Draft, name: str, axis: DraftAxis, rows: Any, when: tuple[float, float, float]) -> list[str]:
+def _falls(d: Draft, name: str, axis: DraftAxis, rows: Any, when: tuple[float, float]) -> list[str]:
     """After each moment at which it was let go, below what was played, and since the event."""
-    at, over, played = when
+    at, played = when
     allowed = FALL + max(axis.falls, axis.by_brake)
     if math.isinf(allowed):
         return []
@@ -192,7 +228,8 @@ def _words(d: Draft, run: Run, over: float) -> list[str]:
             bad.append(f"{name}: falls {moved:.2f} after the end, and not said")
         if not ever and "is without torque" in own.get(NOT_HELD, ""):
             bad.append(f"{name}: never had torque, and is said to be without: {own[NOT_HELD][:80]}")
-    if LATE.search(run.words) and run.when("suspended") is None:
+    marks = {e.text for e in run.events if not e.who}
+    if LATE.search(run.words) and not {"suspended", "computer late"} & marks:
         bad.append("the computer is said to have been late; it never was")
     return bad
 

@@ -1,7 +1,7 @@
 """Kinds of drives and events: each takes an ordinary cell and makes it one of its kind.
 
-A kind of ``PHASES`` happens at an instant of a phase (``draft.at``) to its victims; one of ``ALWAYS`` is there
-all along. ``healthy`` ones must be measured.
+A kind of ``PHASES`` happens at an instant of a phase (``draft.at``) to its victims; one of ``ALWAYS`` is
+there all along. ``healthy`` ones must be measured.
 """
 
 from __future__ import annotations
@@ -314,7 +314,7 @@ def torque_filtered(d: Draft) -> None:
 # --- loads -------------------------------------------------------------------------------------------
 @kind(ONCE, (1, 2))
 def light_load(d: Draft) -> None:
-    """Below 2 % of rated torque, hidden by the sensor's offset, or upright; the user says or knows nothing."""
+    """Below 2 % of rated torque, hidden by the sensor's offset, or upright; the user does not say so."""
     how = d.rng.choice(["small", "offset", "upright"])
     for a in loaded(d):
         a.stated, a.brake = d.rng.choice([None, False]), None
@@ -513,6 +513,103 @@ def answers_late(d: Draft) -> None:
 def adapter_sends_nothing(d: Draft) -> None:
     """The adapter receives and sends no more."""
     d.events.append({"what": "adapter sends nothing", "at": d.at})
+
+
+@kind(("rest", "run", "hold"), (0, 1))
+def computer_late(d: Draft) -> None:
+    """From an instant on every wait takes longer than was asked."""
+    d.events.append({"what": "computer late", "at": d.at, "seconds": d.rng.choice([0.0012, 0.0034])})
+
+
+@kind(("rest", "run", "hold"), (0, 1))
+def adapter_late(d: Draft) -> None:
+    """From an instant on what is received comes cycles late."""
+    d.events.append({"what": "adapter late", "at": d.at, "seconds": 0.0045})
+
+
+# --- refused in plain words ----------------------------------------------------------------------------
+@kind(ONCE, LOADED, brakes=False)
+def lets_go_alone(d: Draft) -> None:
+    """Switches off when its master is silent, whatever 0x6007 says. A person comes."""
+    for a in loaded(d):
+        a.habit("LetsGoAlone")
+    _person(d)
+
+
+@kind(ONCE, (0, 1))
+def mode_never_comes(d: Draft) -> None:
+    """0x6060 is taken and 0x6061 stays."""
+    for a in d.victims:
+        a.habit("ModeNeverComes")
+
+
+@kind(ONCE, (0, 1))
+def torque_shown_otherwise(d: Draft) -> None:
+    """0x6077 is in other units than 0x6071."""
+    scale = d.rng.choice([0.1, 0.5, 3.0])
+    for a in d.victims:
+        a.habit("TorqueShown", scale=scale)
+
+
+@kind(ONCE, (0, 1), brakes=False)
+def torque_mode_only(d: Draft) -> None:
+    """0x6502 has no position mode: a load has nothing to hold it."""
+    d.found[0x650200] = 1 << 9
+    for a in d.axes:
+        a.config["hold"] = {"mode": "master_pd", "gain_Nm_per_rad": 200, "damping_Nms_per_rad": 20}
+
+
+@kind(ONCE, (0, 1, 2))
+def lacks_protection(d: Draft) -> None:
+    """0x605A, 0x6007, 0x607D, 0x6065 and 0x607F are missing, or 0x1016."""
+    d.lacks = d.rng.choice([[0x605A, 0x6007, 0x607D, 0x6065, 0x607F], [0x1016], [0x605A]])
+
+
+@kind(loads=(0, 1))
+def no_SDO_answers(d: Draft) -> None:
+    """A node answers no SDO any more; its PDOs come."""
+    for a in d.victims:
+        a.habit("Silent", at=d.at, what="sdo")
+
+
+# --- one command after another ---------------------------------------------------------------------------
+@kind(ONCE, (1, 2), healthy=True)
+def measured_again(d: Draft) -> None:
+    """Held at the end, checked, taken over and measured."""
+    d.later = [("check", []), ("measure", [])]
+
+
+@kind(("enabling", "rest", "trial", "run"), (0, 1, 2))
+def dies_and_is_checked(d: Draft) -> None:
+    """All of invid is killed, and a person asks what is the matter."""
+    d.events.append({"what": "master dies", "at": d.at})
+    d.later = [("check", [])]
+
+
+@kind(ONCE, LOADED, brakes=True)
+def brake_fails_in_a_later_run(d: Draft) -> None:
+    """Good in the first run; in the next it holds once more, or never."""
+    closings = d.rng.choice([0, 1])
+    changes = [
+        {"what": "changes", "at": 0.0, "axis": k, "habit": "BrakeFails", "keys": {"closings": closings}}
+        for k, a in enumerate(d.axes)
+        if a in loaded(d)
+    ]
+    d.later = [("measure", changes)]
+
+
+@kind(ONCE, (1, 2), brakes=False)
+def held_and_takes_no_other_mode(d: Draft) -> None:
+    """Held by its drive, which takes no mode in quick stop active, when it is to be measured again."""
+    for a in loaded(d):
+        a.habit("ModesAtRest", states=["stopping"])
+    d.later = [("measure", [])]
+
+
+@kind(ONCE, (1, 2), brakes=False)
+def held_while_another_master_speaks(d: Draft) -> None:
+    """Checked while somebody else sends SYNC: nothing is touched."""
+    d.later = [("check", [{"what": "other master", "at": 0.0}])]
 
 
 # --- two axes of one node ----------------------------------------------------------------------------

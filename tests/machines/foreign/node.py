@@ -7,7 +7,16 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from .dictionary import (
-    MISSING, NO_ACCESS, NO_SUB, NOT_MAPPED, PDOS, READ_ONLY, TOO_LONG, TOO_LOW, UNKNOWN_COMMAND, make_dictionary,
+    MISSING,
+    NO_ACCESS,
+    NO_SUB,
+    NOT_MAPPED,
+    PDOS,
+    READ_ONLY,
+    TOO_LONG,
+    TOO_LOW,
+    UNKNOWN_COMMAND,
+    make_dictionary,
 )  # fmt: skip
 
 if TYPE_CHECKING:
@@ -234,9 +243,9 @@ class Node:
                 del self.got[k]
                 self.for_all(lambda axis: axis.connection_lost(RPDO_LATE))
             period = self.number(0x180005 + (k << 8))
-            if period and self.number(0x180002 + (k << 8)) > 240:
-                if now - self.sent.get(k, -1.0) >= period / 1000:
-                    self.publish(k, now)
+            is_due = now - self.sent.get(k, -1.0) >= period / 1000
+            if period and is_due and self.number(0x180002 + (k << 8)) > 240:
+                self.publish(k, now)
 
     def for_all(self, what: Callable[[Axis], None]) -> None:
         """Do something to every axis."""

@@ -44,7 +44,7 @@ class ForeignWire(can.BusABC):
 
     def sleep_until(self, instant: float) -> None:
         """Let virtual time pass."""
-        self.world.advance(instant)
+        self.world.advance(instant + self.world.oversleeps)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """One frame to the drives."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import json
+import math
 import os
 import pickle
 import signal
@@ -23,6 +24,8 @@ EVERY = 4
 """Steps from row to row."""
 FRAME_S = 1.2e-4
 """One frame on the wire at 1 Mbit/s, the adapter with it."""
+OTHER_EVERY_S = 0.007
+"""SYNC of another master."""
 LONGEST_S = 240.0
 """No command may take longer [s]."""
 AFTER_S = 8.0
@@ -62,7 +65,8 @@ class World:
     def begin(self, events: list[dict[str, Any]]) -> None:
         """Another command begins, and what happens during it."""
         self.began, self.ended, self.marks, self.events = self.now, False, {}, list(events)
-        self.adapter_dead = self.adapter_late = 0.0
+        self.adapter_dead = self.adapter_late = self.oversleeps = 0.0
+        self.other_master = math.inf
         self.mark("begins")
 
     # --- words -------------------------------------------------------------------------------------
@@ -141,6 +145,9 @@ class World:
 
     def _step(self, now: float) -> None:
         self.steps += 1
+        if now >= self.other_master:
+            self.other_master = now + OTHER_EVERY_S
+            self._queue("node", 0, 0x80, b"", now)
         for node in self.nodes:
             node.tick(now)
         for k, axis in enumerate(self.axes):
@@ -188,6 +195,12 @@ class World:
             self.adapter_dead = 1.0
         elif what == "adapter late":
             self.adapter_late = event["seconds"]
+        elif what == "computer late":
+            self.oversleeps = event["seconds"]
+        elif what == "changes":
+            self.axes[event["axis"]].take_up(HABITS[event["habit"]](**event["keys"]))
+        elif what == "other master":
+            self.other_master = self.now
         else:
             raise ValueError(what)
 
