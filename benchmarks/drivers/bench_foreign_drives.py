@@ -70,7 +70,7 @@ def run_one(job: Job, keep: Path | None = None) -> dict[str, Any]:
     v = outcome.verdict
     return {
         "n": n, "kind": kind, "phase": phase, "loads": loads, "seed": seed, "word": v.word,
-        "bad": list(v.bad), "note": v.note, "stop_s": v.stop_s,
+        "bad": list(v.bad), "note": v.note, "stop_s": v.stop_s, "end_s": v.end_s,
         "at": None if phase == ALWAYS else round(outcome.draft.at, 3),
         "said": [] if outcome.run is None else outcome.run.words.strip().splitlines()[-1:],
         "seconds": round(time.monotonic() - began, 1),
@@ -162,10 +162,13 @@ def main() -> int:
         for job in todo:
             take(run_one(job, wished.keep))
     print(table(rows))
-    slowest = max((r["stop_s"] for r in rows if r["stop_s"] is not None), default=None)
+    slowest = [max((r[k] for r in rows if r.get(k) is not None), default=None) for k in ("stop_s", "end_s")]
     words = {w: sum(r["word"] == w for r in rows) for w in ("OK", "VIOLATION", "REFUSED", "MISSED")}
     print(f"{len(rows)} runs: " + ", ".join(f"{n} {w}" for w, n in words.items()), end="")
-    print("" if slowest is None else f"; longest from a stop to standing {slowest:.2f} s")
+    if slowest[0] is None or slowest[1] is None:
+        print()
+    else:
+        print(f"; from a stop to standing {slowest[0]:.2f} s at most, to the end {slowest[1]:.2f} s")
     return 1 if words["VIOLATION"] or words["REFUSED"] else 0
 
 

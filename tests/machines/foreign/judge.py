@@ -55,6 +55,8 @@ class Verdict:
     note: str
     stop_s: float | None
     """From a person's stop until every axis stands [s]."""
+    end_s: float | None = None
+    """From a person's stop until the command has ended [s]."""
 
     @property
     def word(self) -> str:
@@ -78,6 +80,7 @@ def judge_all(d: Draft, runs: Sequence[Run], timeline: Timeline) -> Verdict:
         verdicts[0].reached,
         "; ".join(f"{c}{v.note}" for c, v in zip(called, verdicts, strict=True)),
         verdicts[0].stop_s,
+        verdicts[0].end_s,
     )
 
 
@@ -117,7 +120,10 @@ def judge(d: Draft, run: Run, timeline: Timeline) -> Verdict:
     measured = run.status in (0, 3) and run.document.get("outcome") == "completed"
     happened = any(run.when(e["what"]) is not None for e in d.events)
     reached = d.phase == ALWAYS or happened or at < over - 0.02
-    return Verdict(tuple(bad), d.healthy and not measured, reached, ", ".join(notes), _stop_time(run, over))
+    stopped = run.when("stop")
+    end = None if stopped is None or math.isinf(over) else over - stopped
+    refused, note = d.healthy and not measured, ", ".join(notes)
+    return Verdict(tuple(bad), refused, reached, note, _stop_time(run, over), end)
 
 
 def _ending(d: Draft, run: Run) -> list[str]:

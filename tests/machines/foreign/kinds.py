@@ -61,6 +61,27 @@ def stop(d: Draft) -> None:
     d.events.append({"what": "stop", "at": d.at})
 
 
+@kind(("rest", "run", "leaving"))
+def stop_twice(d: Draft) -> None:
+    """A person stops the run, and soon once more."""
+    d.events.append({"what": "stop", "at": d.at})
+    d.events.append({"what": "stop", "at": d.at + d.rng.choice([0.05, 0.3, 1.0])})
+
+
+@kind(("rest",), (0, 1))
+def stop_in_a_long_silence(d: Draft) -> None:
+    """A heartbeat of 2 s makes the stop test's silence long."""
+    d.safety["heartbeat_s"] = 2.0
+    d.events.append({"what": "stop", "at": d.at + d.rng.choice([0.0, 4.0])})
+
+
+@kind(("run",), (0, 1, 2))
+def stop_with_a_slow_ramp(d: Draft) -> None:
+    """0x6085 and 0x6084 take seconds to stop."""
+    d.found[0x608500] = d.found[0x608400] = d.counts(0.1)
+    d.events.append({"what": "stop", "at": d.at})
+
+
 @kind()
 def master_dies(d: Draft) -> None:
     """All of invid is killed."""
@@ -426,6 +447,16 @@ def found_torque_limit(d: Draft) -> None:
         a.tightest = 12.0
 
 
+@kind(ONCE, (1, 2))
+def found_limit_below_the_load(d: Draft) -> None:
+    """0x60E0 of half the load: whoever takes it up drops it."""
+    d.victims = d.victims[:1] if d.victims[0].load else loaded(d)[:1]
+    a = d.victims[0]
+    d.found[0x60E000] = round(500 * a.load / 50.0)
+    a.tightest = 0.5 * a.load
+    a.falls_until_braked(0.15)
+
+
 @kind(ONCE, (0, 1))
 def added_position(d: Draft) -> None:
     """0x60B0 shifts each target."""
@@ -486,6 +517,19 @@ def quick_stop_option_5(d: Draft) -> None:
 def slow_SDO(d: Draft) -> None:
     """6 ms to an answer."""
     d.nodes["sdo_s"] = 0.006
+
+
+@kind(ONCE, (0, 1), healthy=True)
+def event_PDOs(d: Draft) -> None:
+    """TPDO 1 comes every 10 ms as well."""
+    d.nodes["event_s"] = 0.01
+
+
+@kind(ONCE, (1, 2), brakes=True, healthy=True)
+def heavy_load(d: Draft) -> None:
+    """Twice the load on a brake of 0.1 s."""
+    for a in loaded(d):
+        a.load, a.inertia, a.brake, a.torque_limit = 2 * a.load, 2.0, 0.1, 40.0
 
 
 @kind(ONCE, (0, 1, 2, 3), healthy=True)

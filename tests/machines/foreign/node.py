@@ -38,6 +38,8 @@ class Node:
         self.axes: list[Axis] = []
         self.sdo_s = float(spec.get("sdo_s", 0.0004))
         self.pdo_s = float(spec.get("pdo_s", 0.0001))
+        self.event_s = float(spec.get("event_s", 0.0))
+        """TPDO 1 comes at this period as well, whatever was asked of it [s]."""
         self.nmt = PRE_OPERATIONAL
         self.next_beat = 0.0
         self.heard: float | None = None
@@ -237,6 +239,8 @@ class Node:
                 self.for_all(lambda axis: axis.connection_lost(HEARTBEAT_LOST))
         if self.nmt != OPERATIONAL:
             return
+        if self.event_s and now - self.sent.get(0, -1.0) >= self.event_s:
+            self.publish(0, now)
         for k in range(PDOS):
             limit = self.number(0x140005 + (k << 8))
             if limit and k in self.got and now - self.got[k] > limit / 1000:
