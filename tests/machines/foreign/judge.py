@@ -11,14 +11,7 @@ import numpy as np
 
 from .axis import STATES
 from .cell import Run
-from .claims import (
-    ENERGISED,
-    HELD_BY_BRAKE,
-    HELD_BY_DRIVE,
-    LATE,
-    NOT_HELD,
-    claims,
-)  # fmt: skip
+from .claims import ENERGISED, HELD_BY_BRAKE, HELD_BY_DRIVE, LATE, NO_TORQUE, NOT_HELD, claims
 from .draft import ALWAYS, ROOM, WINDOW, Draft, DraftAxis, Timeline
 
 TORQUE_MARGIN, TORQUE_STEP = 1.05, 0.1
@@ -219,21 +212,26 @@ def _words(d: Draft, run: Run, over: float) -> list[str]:
         moved = float(np.abs(after["q"] - after["q"][0]).max())
         ever = bool(np.isin(rows["state"], POWERED).any())
         energised = int(after["state"][0]) in POWERED
+        warned = bool(own.keys() & {NOT_HELD, NO_TORQUE})
+        state = STATES[after["state"][0]]
         for claim in (HELD_BY_DRIVE, HELD_BY_BRAKE):
-            if claim in own and NOT_HELD not in own and moved > STANDS:
+            if claim in own and not warned and moved > STANDS:
                 bad.append(f"{name}: said to be {claim}, moves {moved:.3f}: {own[claim][:80]}")
-        if HELD_BY_DRIVE in own and NOT_HELD not in own and not energised:
-            bad.append(f"{name}: said to be held by its drive, which is {STATES[after['state'][0]]}")
+        if HELD_BY_DRIVE in own and not warned and not energised and "seen" not in own[HELD_BY_DRIVE]:
+            bad.append(f"{name}: said to be held by its drive, which is {state}")
         if energised and not own.keys() & {ENERGISED, HELD_BY_DRIVE, NOT_HELD}:
-            bad.append(f"{name}: {STATES[after['state'][0]]} at the end, and not said")
-        if int(after["state"][0]) == ENABLED and NOT_HELD not in own:
+            bad.append(f"{name}: {state} at the end, and not said")
+        if state == "enabled" and not warned:
             bad.append(f"{name}: left enabled")
-        if ENERGISED in own and not energised and own[ENERGISED] == "energised":
-            bad.append(f"{name}: listed as energised, and is {STATES[after['state'][0]]}")
-        if moved > MOVES and (axis.load or axis.plant.get("upright")) and NOT_HELD not in own:
+        if own.get(ENERGISED) == "energised" and not energised:
+            bad.append(f"{name}: listed as energised, and is {state}")
+        if moved > MOVES and (axis.load or axis.plant.get("upright")) and not warned:
             bad.append(f"{name}: falls {moved:.2f} after the end, and not said")
-        if not ever and "is without torque" in own.get(NOT_HELD, ""):
-            bad.append(f"{name}: never had torque, and is said to be without: {own[NOT_HELD][:80]}")
+        if not ever and "is not held" in own.get(NOT_HELD, ""):
+            bad.append(f"{name}: never energised, and said to be let go: {own[NOT_HELD][:80]}")
+        if NO_TORQUE in own and (energised or not ever):
+            why = f"is {state}" if energised else "never had any"
+            bad.append(f"{name}: said to be without torque, and {why}: {own[NO_TORQUE][:80]}")
     marks = {e.text for e in run.events if not e.who}
     if LATE.search(run.words) and not {"suspended", "computer late"} & marks:
         bad.append("the computer is said to have been late; it never was")

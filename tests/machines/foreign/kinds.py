@@ -659,5 +659,7 @@ def held_while_another_master_speaks(d: Draft) -> None:
 # --- two axes of one node ----------------------------------------------------------------------------
 @kind(ONCE, (0, 1, 2), healthy=True)
 def two_axes_of_one_node(d: Draft) -> None:
-    """0x6000 and 0x6800 of one node."""
-    d.pair = len(d.axes) > 1
+    """0x6000 and 0x6800 of one node: the config names the node twice."""
+    if len(d.axes) == 1:
+        d.axes.append(DraftAxis(stated=False))
+    d.pair = True
