@@ -24,8 +24,13 @@ OFTEN = (
     ("emergency stop released", "run", 2),
 )
 """Before every commit: the kinds that have cost most; the last one needs an ordinary run beside its own."""
-OPEN = frozenset[str]()
-"""Kinds that the product is known not to stand yet."""
+OPEN = {
+    "lets go in quick stop", "lets go and leaves with NMT", "stop while catching", "encoder noise",
+    "held then not", "light load", "added position", "added torque", "added home", "brake fails",
+    "brake fails in a later run", "late brake", "worm gear", "slow heartbeat", "inhibit time", "sync counter",
+    "two axes of one node",
+}  # fmt: skip
+"""Kinds that the product is known not to stand yet (issue 62): each goes from here with what mends it."""
 
 
 def rest() -> list[tuple[str, str, int]]:

@@ -219,7 +219,7 @@ class Node:
         if index & 0xFA00 in (0x1600, 0x1A00) and 0x1600 <= index < 0x1C00:
             if not self.number((index - 0x200 << 8) | 1) >> 31 or (sub and self.number(index << 8)):
                 return NO_ACCESS
-            if sub and value >> 8 not in self.od:
+            if sub and value and value >> 8 not in self.od:
                 return NOT_MAPPED
         return self.store(at, value)
 
