@@ -115,8 +115,9 @@ class Axis:
         return value
 
     def gear(self) -> float:
-        """Counts of 0x6064 to one of the encoder (0x6093)."""
-        return self.number(0x609301, 1) / max(self.number(0x609302, 1), 1)
+        """Counts of 0x6064 to one of the encoder (0x6093), with the sign of 0x607E."""
+        ratio = self.number(0x609301, 1) / max(self.number(0x609302, 1), 1)
+        return -ratio if self.number(0x607E00) & 0x80 else ratio
 
     def wrap(self, counts: int) -> int:
         """Counts within 0x607B, or 32 bits."""
@@ -215,7 +216,7 @@ class Axis:
     def start_ramp(self, at: int) -> None:
         """Bring the reference to rest from where the axis is."""
         self.reference, self.speed = self.encoder(), self.encoder_speed()
-        self.ramp = max(self.number(at, round(10 * PER_RAD)) / PER_RAD / self.gear(), 0.1)
+        self.ramp = max(self.number(at, round(10 * PER_RAD)) / PER_RAD / abs(self.gear()), 0.1)
         self.integral = self.wanted
 
     def fault(self, code: int) -> None:

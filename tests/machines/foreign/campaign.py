@@ -57,7 +57,8 @@ class Campaign:
         return Outcome(d, judge_all(d, runs, timeline), runs[-1])
 
     def _commands(self, d: Draft) -> list[Run]:
-        folder = Path(tempfile.mkdtemp(prefix="foreign-", dir=self._keep))
+        name = f"{d.kind}-{d.phase}-{d.loads}-{d.seed}-".replace(" ", "_")
+        folder = Path(tempfile.mkdtemp(prefix=name, dir=self._keep))
         try:
             cell = Cell(folder, d.spec(), d.config())
             return [cell.command(name, events=events) for name, events in [("measure", d.events), *d.later]]

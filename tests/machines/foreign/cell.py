@@ -12,7 +12,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +90,7 @@ class Cell:
         self.config = folder / "cell.yaml"
         self.config.write_text(json.dumps(whole, indent=1))
         self.recording = folder / "rec.h5"
-        self._lines = self._bytes = 0
+        self._lines = self._bytes = self._count = 0
 
     def command(self, name: str, *more: str, events: list[dict[str, Any]] | None = None) -> Run:
         """`invid NAME CONFIG --json`, and what happens meanwhile."""
@@ -100,12 +99,13 @@ class Cell:
         arguments = [*(own.split() if own else INVID), name, str(self.config), "--json", *more]
         if name == "measure":
             arguments += ["-o", str(self.recording), "--confirmed"]
+        self._count += 1
+        said = [self.folder / f"{self._count}-{name}.{end}" for end in ("json", "err")]
         began = time.monotonic()
-        with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        with said[0].open("w") as out, said[1].open("w") as err:
             process = subprocess.Popen(
                 arguments, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True,
-                cwd=self.folder,
-                env={**os.environ, **ONE_THREAD, **plugged(self.folder)},
+                cwd=self.folder, env={**os.environ, **ONE_THREAD, **plugged(self.folder)},
             )  # fmt: skip
             status: int | None
             try:
@@ -114,10 +114,7 @@ class Cell:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
                 status = None
-            out.seek(0)
-            err.seek(0)
-            printed, said = out.read(), err.read()
-        return self._run(status, printed, said, time.monotonic() - began)
+        return self._run(status, said[0].read_text(), said[1].read_text(), time.monotonic() - began)
 
     def _run(self, status: int | None, printed: str, said: str, seconds: float) -> Run:
         try:

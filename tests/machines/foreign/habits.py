@@ -244,6 +244,16 @@ class Refuses(Habit):
         return self.code if at >> 8 == self.index and value != axis.number(at) else None
 
 
+@dataclass
+class Forgets(Habit):
+    """A write of an object is acknowledged and without effect."""
+
+    index: int
+
+    def refuses(self, axis: Axis, at: int, value: int) -> int | None:
+        return 0 if at >> 8 == self.index else None
+
+
 # --- power -------------------------------------------------------------------------------------------
 @dataclass
 class EnableInput(Habit):

@@ -90,10 +90,14 @@ def master_dies(d: Draft) -> None:
 
 @kind(("run", "hold", "trial"), (0, 1))
 def master_dies_watch_without_effect(d: Draft) -> None:
-    """The same, and the drive's heartbeat watch has no effect, or counts whole seconds."""
+    """The same, and the heartbeat watch has no effect, counts whole seconds, or 0x6007 stays 0."""
+    how = d.rng.choice([{"watches": False}, {"min_watch_s": 1.0}, None])
     for a in d.victims:
-        how = {"watches": False} if d.rng.random() < 0.5 else {"min_watch_s": 1.0}
-        a.habit("Constants", node=how)
+        if how is None:
+            a.habit("Forgets", index=0x6007)
+            d.found[0x600700] = 0
+        else:
+            a.habit("Constants", node=how)
     d.events.append({"what": "master dies", "at": d.at})
 
 
@@ -481,6 +485,12 @@ def added_home(d: Draft) -> None:
 def position_factor(d: Draft) -> None:
     """0x6093 is not 1: counts of 0x6064 are others than those of 0x608F."""
     d.found[0x609301], d.found[0x609302] = d.rng.choice([(5, 168), (336, 10), (2, 1)])
+
+
+@kind(ONCE, (0, 1))
+def polarity(d: Draft) -> None:
+    """0x607E turns positions, and torque not."""
+    d.found[0x607E00] = 0x80
 
 
 @kind(ONCE, (0, 1), healthy=True)
