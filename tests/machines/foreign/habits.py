@@ -90,18 +90,16 @@ class Constants(Habit):
 # --- quick stop and what follows ---------------------------------------------------------------------
 @dataclass
 class LetsGo(Habit):
-    """Quick stop active without torque: out of these modes, after so many that held."""
+    """Quick stop active without torque: out of these modes, from an instant on."""
 
     modes: tuple[int, ...] = (10,)
-    after: int = 0
-    seen: int = 0
+    at: float = 0.0
     limp: bool = False
 
     def entered(self, axis: Axis, before: str) -> None:
         self.limp = False
         if axis.state == "stopping":
-            self.seen += 1
-            self.limp = axis.mode in self.modes and self.seen > self.after
+            self.limp = axis.mode in self.modes and axis.node.world.now >= self.at
             if self.limp:
                 axis.node.world.mark("lets go")
 

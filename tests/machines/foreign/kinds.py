@@ -151,8 +151,9 @@ def stop_while_catching(d: Draft) -> None:
 @kind(("trial", "run", "hold"), LOADED, brakes=False)
 def stop_in_torque_mode_lets_go_later(d: Draft) -> None:
     """Held in every trial of the stop; lets go when a person stops the run."""
-    for a in loaded(d):
-        a.habit("LetsGo", modes=[10], after=d.rng.choice([3, 4]))
+    d.victims = [a for a in d.axes if a.load]
+    for a in d.victims:
+        a.habit("LetsGo", modes=[10], at=d.at - 0.01)
     _person(d)
     d.events.append({"what": "stop", "at": d.at})
 
