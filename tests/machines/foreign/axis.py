@@ -50,6 +50,8 @@ class Axis:
         self.locked_out = False
         """Its enable input is open, or its torque is safely off."""
         self.reference = self.speed = self.integral = self.wanted = 0.0
+        self.asked = 0.0
+        """What torque mode was told [N·m]."""
         self.target: float | None = None
         self.ramp = 0.0
         self.following_s = 0.0
@@ -316,6 +318,7 @@ class Axis:
             plant.closed, self.closes = True, None
             for habit in self.hooks["brake_closed"]:
                 habit.brake_closed(self)
+        self.asked = 0.0
         if not self.is_powered:
             plant.step(None)
             return
@@ -350,8 +353,8 @@ class Axis:
         """Torque that mode or ramp asks for [N·m]."""
         ramps = self.state in (STOPPING, REACTING) or self.ends_in is not None
         if not ramps and self.mode == TORQUE:
-            asked = self.number(0x607100) + self.number(0x60B200)
-            return asked / 1000 * RATED
+            self.asked = (self.number(0x607100) + self.number(0x60B200)) / 1000 * RATED
+            return self.asked
         if not ramps and self.mode != POSITION:
             return 0.0
         if ramps:

@@ -27,7 +27,7 @@ LONGEST_S = 240.0
 """Real time after which a command is killed [s]."""
 TRACE = np.dtype(
     [("t", "<f8"), ("axis", "u1"), ("state", "u1"), ("nmt", "u1"), ("held", "u1"),
-     ("q", "<f4"), ("v", "<f4"), ("torque", "<f4")]
+     ("q", "<f4"), ("v", "<f4"), ("torque", "<f4"), ("asked", "<f4")]
 )  # fmt: skip
 
 

@@ -12,6 +12,9 @@ from .dictionary import NOT_NOW, PER_RAD, RATED
 if TYPE_CHECKING:
     from .axis import Axis
 
+LONG_S = 5.0
+"""Nobody waits so long for a drive that does not do what it is told [s]."""
+
 
 class Habit:
     """One that changes nothing. Instants are seconds of the wire's clock."""
@@ -255,19 +258,29 @@ class Forgets(Habit):
 # --- power -------------------------------------------------------------------------------------------
 @dataclass
 class EnableInput(Habit):
-    """Torque is safely off from an instant on, and may be had again after a while."""
+    """Torque is safely off from an instant on, or from its n-th leaving of operation on; for so long."""
 
     at: float = math.inf
     seconds: float = 1.0
     into: str = "off"
+    leaving: int = 0
     until: float = math.inf
+
+    def entered(self, axis: Axis, before: str) -> None:
+        if before == "enabled":
+            self.leaving -= 1
+            if self.leaving == 0:
+                self.at = axis.node.world.now + 0.005
 
     def tick(self, axis: Axis, now: float) -> None:
         if now >= self.at:
             self.at, self.until = math.inf, now + self.seconds
             axis.locked_out = True
             axis.node.world.mark("torque off")
-            axis.enter(self.into, "safe torque off") if axis.state != "off" else None
+            if axis.state != "off" or self.seconds >= LONG_S:  # else nobody can see it
+                axis.node.world.note(axis.name, f"{axis.state}, input opened (safe torque off)")
+            if axis.state != "off":
+                axis.enter(self.into, "safe torque off")
         elif axis.locked_out and now >= self.until:
             axis.locked_out = False
             axis.node.world.note(axis.name, "torque may be had again")

@@ -136,8 +136,12 @@ def _ending(d: Draft, run: Run) -> list[str]:
 
 def _torque(name: str, axis: DraftAxis, rows: Any) -> list[str]:
     limit = min(axis.torque_limit, axis.tightest or math.inf)
-    most = float(rows["torque"].max())
-    return [f"{name}: {most:.1f} N·m, limit {limit:g}"] if most > TORQUE_MARGIN * limit + TORQUE_STEP else []
+    bad = []
+    for what, how in (("torque", ""), ("asked", " asked for")):
+        most = float(rows[what].max())
+        if most > TORQUE_MARGIN * limit + TORQUE_STEP:
+            bad.append(f"{name}: {most:.1f} N·m{how}, limit {limit:g}")
+    return bad
 
 
 def _travel(d: Draft, name: str, axis: DraftAxis, rows: Any) -> list[str]:
@@ -194,7 +198,7 @@ def _enabled_again(d: Draft, run: Run) -> list[str]:
             w in e.text for w in ("(safe torque off)", "(supply)", "(at once)", "(fault ", "master lost (")
         ):
             off[e.who] = e.t
-        elif " to enabled (" in e.text and e.who in off and e.t > d.at:
+        elif " to enabled (" in e.text and e.who in off and (e.t > d.at or d.phase == ALWAYS):
             bad.append(f"node {e.who} enabled again {e.t - off[e.who]:.2f} s after it had gone off by itself")
     return bad[:1]
 

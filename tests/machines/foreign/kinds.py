@@ -158,6 +158,14 @@ def stop_in_torque_mode_lets_go_later(d: Draft) -> None:
     d.events.append({"what": "stop", "at": d.at})
 
 
+@kind(("trial", "run", "hold"), (1, 2), brakes=False)
+def stop_lets_go_and_leaves_with_NMT(d: Draft) -> None:
+    """The same, and the power stage goes off with NMT operational."""
+    stop_in_torque_mode_lets_go_later(d)
+    for a in d.victims:
+        a.habit("NeedsOperational")
+
+
 @kind(ONCE, LOADED, brakes=False)
 def held_then_not(d: Draft) -> None:
     """Quick stop with a time limit, a fault that comes late, or a creep."""
@@ -203,6 +211,16 @@ def modes_at_rest_enable_input_opened(d: Draft) -> None:
         a.habit("ModesAtRest")
         a.habit("EnableInput", at=d.at, seconds=seconds)
         a.falls_until_braked()
+    d.never_again, d.must_stop = True, True
+
+
+@kind(ONCE, (0, 1), brakes=True)
+def modes_at_rest_enable_input_opened_between(d: Draft) -> None:
+    """The same, opened while it is off for its next mode, for longer than anybody waits."""
+    leaving, seconds = d.rng.choice([1, 2, 3]), d.rng.choice([20.0, 60.0, 500.0])
+    for a in d.victims:
+        a.habit("ModesAtRest")
+        a.habit("EnableInput", leaving=leaving, seconds=seconds)
     d.never_again, d.must_stop = True, True
 
 
@@ -413,6 +431,7 @@ def brake_fails(d: Draft) -> None:
     """Holds so many closings, then no more; the drive holds."""
     for a in loaded(d):
         a.habit("BrakeFails", closings=d.rng.choice([0, 1, 2, 3]))
+        a.habit("Constants", axis={"switch_on_s": d.rng.choice([0.02, 0.2])})
 
 
 @kind(("trial", "run", "hold", "leaving"), LOADED, brakes=True)
@@ -432,6 +451,7 @@ def transient_abort(d: Draft) -> None:
         a.habit("TransientAbort", index=index, code=code, only_writes=False)
         a.tightest = 10.0
     d.found[0x607200] = 200
+    d.experiment["amplitude"] = 0.7
 
 
 @kind(ONCE, (0, 1, 2))
@@ -448,6 +468,7 @@ def found_torque_limit(d: Draft) -> None:
     """0x6072 below what the config permits, or a limit of one direction."""
     at = d.rng.choice([0x607200, 0x60E000, 0x60E100])
     d.found[at] = 240
+    d.experiment["amplitude"] = 0.7
     for a in d.victims:
         a.tightest = 12.0
 

@@ -18,8 +18,9 @@ from .habits import HABITS
 from .node import Node
 from .plant import STEP_S, Plant
 
-ROW = struct.Struct("<dBBBBfff")
-"""Instant, axis, state, NMT, 1 braked | 2 propped, position, speed, largest torque since the last row."""
+ROW = struct.Struct("<dBBBBffff")
+"""Instant, axis, state, NMT, 1 braked | 2 propped, position, speed; largest torque since the last row, and
+the largest that was asked for in torque mode."""
 EVERY = 4
 """Steps from row to row."""
 FRAME_S = 1.2e-4
@@ -60,7 +61,7 @@ class World:
                 node.axes.append(axis)
                 self.axes.append(axis)
             self.nodes.append(node)
-        self.peaks = [0.0] * len(self.axes)
+        self.peaks = [[0.0, 0.0] for _ in self.axes]
 
     def begin(self, events: list[dict[str, Any]]) -> None:
         """Another command begins, and what happens during it."""
@@ -152,17 +153,16 @@ class World:
             node.tick(now)
         for k, axis in enumerate(self.axes):
             axis.tick(now)
-            torque = abs(axis.plant.torque)
-            if torque > self.peaks[k]:
-                self.peaks[k] = torque
+            peak = self.peaks[k]
+            peak[0] = max(peak[0], abs(axis.plant.torque))
+            peak[1] = max(peak[1], abs(axis.asked))
         if self.steps % EVERY == 0:
             for k, axis in enumerate(self.axes):
                 p = axis.plant
                 flags = p.is_braked | (p.prop is not None) << 1
-                self.rows += ROW.pack(
-                    now, k, STATES.index(axis.state), axis.node.nmt, flags, p.q, p.v, self.peaks[k]
-                )
-                self.peaks[k] = 0.0
+                state = STATES.index(axis.state)
+                self.rows += ROW.pack(now, k, state, axis.node.nmt, flags, p.q, p.v, *self.peaks[k])
+                self.peaks[k] = [0.0, 0.0]
             if self.steps % 500 == 0:
                 self.flush()
         if self.events:
