@@ -68,7 +68,7 @@ class Entry:
 
 
 def make_dictionary(node: int, axes: int, found: dict[int, int], lacks: set[int]) -> dict[int, Entry]:
-    """Every object of a node; ``found``: what it was commissioned with, ``lacks``: indices."""
+    """Every object of a node; ``found``: what it was commissioned with, ``lacks``: indices, or addresses."""
     raw: dict[int, tuple[str, int, int]] = dict(COMMUNICATION)
     raw[0x101804] = ("I", 5000 + node, 0)
     for number in range(PDOS):
@@ -88,4 +88,4 @@ def make_dictionary(node: int, axes: int, found: dict[int, int], lacks: set[int]
     for at, value in found.items():
         code, _, writable = raw[at] if at in raw else OPTIONAL[at if at < 0x680000 else at - (AXIS << 8)]
         raw[at] = (code, value, writable)
-    return {at: Entry(c, v, bool(w)) for at, (c, v, w) in raw.items() if at >> 8 not in lacks}
+    return {at: Entry(c, v, bool(w)) for at, (c, v, w) in raw.items() if not {at, at >> 8} & lacks}

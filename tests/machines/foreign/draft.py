@@ -80,6 +80,7 @@ class Draft:
     found: dict[int, int] = field(default_factory=dict)
     """Objects that the victims' drives were found with."""
     lacks: list[int] = field(default_factory=list)
+    """Indices or addresses that they do not have."""
     safety: dict[str, Any] = field(default_factory=dict)
     experiment: dict[str, Any] = field(default_factory=dict)
     healthy: bool = False

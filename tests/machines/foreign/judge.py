@@ -109,6 +109,9 @@ def judge(d: Draft, run: Run, timeline: Timeline) -> Verdict:
     bad += _enabled_again(d, run)
     if run.when("master dies") is None:
         bad += _words(d, run, over)
+    else:
+        on = [k + 1 for k in range(len(d.axes)) if int(run.of(k)["state"][-1]) == ENABLED]
+        bad += [f"A{k}: goes on enabled without its master" for k in on]
     bad += sorted({f"to a foreign node: {e.text}" for e in run.events if e.text.startswith("FOREIGN")})[:1]
     measured = run.status in (0, 3) and run.document.get("outcome") == "completed"
     happened = any(run.when(e["what"]) is not None for e in d.events)

@@ -92,6 +92,9 @@ def master_dies(d: Draft) -> None:
 def master_dies_watch_without_effect(d: Draft) -> None:
     """The same, and the heartbeat watch has no effect, counts whole seconds, or 0x6007 stays 0."""
     how = d.rng.choice([{"watches": False}, {"min_watch_s": 1.0}, None])
+    d.lacks = [0x140005]
+    for a in d.victims:
+        a.plant |= {"coulomb": 0.02, "viscous": 0.02}
     for a in d.victims:
         if how is None:
             a.habit("Forgets", index=0x6007)
