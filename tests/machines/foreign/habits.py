@@ -148,6 +148,13 @@ class QuickStopTorque(Habit):
         return (own, own) if axis.state == "stopping" else (up, down)
 
 
+class NoLimitInTorqueMode(Habit):
+    """Its torque limits count in its own loops only."""
+
+    def limits(self, axis: Axis, up: float, down: float) -> tuple[float, float]:
+        return (4 * RATED, 4 * RATED) if axis.state == "enabled" and axis.mode == 10 else (up, down)
+
+
 @dataclass
 class OptionUnderPower(Habit):
     """0x605A written under power: refused, or taken and without effect before it is enabled again."""

@@ -554,6 +554,13 @@ def slow_SDO(d: Draft) -> None:
     d.nodes["sdo_s"] = 0.006
 
 
+@kind(ONCE, (0, 1, 2), healthy=True)
+def no_limit_in_torque_mode(d: Draft) -> None:
+    """0x6072 counts in the drive's own loops only."""
+    for a in d.victims:
+        a.habit("NoLimitInTorqueMode")
+
+
 @kind(ONCE, (0, 1), healthy=True)
 def event_PDOs(d: Draft) -> None:
     """TPDO 1 comes every 10 ms as well."""
