@@ -23,7 +23,7 @@ PACKAGE = Path(__file__).resolve().parent
 INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
 """The command under test; another one by ``FOREIGN_INVID``."""
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-LONGEST_S = 240.0
+LONGEST_S = 900.0
 """Real time after which a command is killed [s]."""
 TRACE = np.dtype(
     [("t", "<f8"), ("axis", "u1"), ("state", "u1"), ("nmt", "u1"), ("held", "u1"),
@@ -55,6 +55,11 @@ class Run:
     events: tuple[Event, ...]
     seconds: float
     """Real time that it took [s]."""
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether virtual time went slower than real time: waits of the product in real time then count."""
+        return not len(self.trace) or self.seconds > float(self.trace["t"][-1] - self.trace["t"][0])
 
     def when(self, mark: str) -> float | None:
         """First instant of what happened to the whole cell: "over", "stop", "lets go" and so on."""
