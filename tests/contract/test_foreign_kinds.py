@@ -28,7 +28,9 @@ OPEN = {
     "lets go in quick stop", "lets go and leaves with NMT", "stop while catching", "encoder noise",
     "held then not", "light load", "added position", "added torque", "added home", "brake fails",
     "brake fails in a later run", "late brake", "worm gear", "slow heartbeat", "inhibit time", "sync counter",
-    "two axes of one node",
+    "two axes of one node", "stop in torque mode lets go later", "stop lets go and leaves with NMT",
+    "emergency stop released", "master dies watch without effect", "heavy load",
+    "modes at rest enable input opened between",
 }  # fmt: skip
 """Kinds that the product is known not to stand yet (issue 62): each goes from here with what mends it."""
 
