@@ -70,7 +70,7 @@ class LastSeen:
     def sentence(self) -> str:
         """In words."""
         when = time.strftime("%H:%M:%S", time.localtime(self.at))
-        return f"axis {self.axis} was last seen in {self.state}, at {when}"
+        return f"axis {self.axis} was last seen {self.state}, at {when}"
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,6 @@ from invid.numerics.arrays import frozen_float
 from invid.planning.model import PlannedExperiment
 from invid.recording import Outcome, Recording
 from invid.sweep import Sample
-from invid_drivers.cia402.states import state_of
 from invid_drivers.connect import connect
 from invid_drivers.measurement import run_measurement
 from invid_drivers.memory import lock_memory
@@ -112,15 +111,12 @@ class RemoteSink:
     process survive it.
     """
 
-    def __init__(self, tell: Callable[[Any], None], cycle_s: float, axes: Sequence[str]) -> None:
-        self._tell, self._axes = tell, axes
+    def __init__(self, tell: Callable[[Any], None], cycle_s: float, count: int) -> None:
+        self._tell = tell
         # row_format, packed
-        count = len(axes)
         self._pack = struct.Struct(f"<qd{3 * count}d{count}H{count}?").pack
         self._rows: list[bytes] = []
         self._most = max(1, round(POST_S / cycle_s))
-        self._status: Sequence[int] = ()
-        self._states: list[str] = []
 
     def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
         """Send the start of an experiment to the parent; the planned torque stays here."""
@@ -140,18 +136,8 @@ class RemoteSink:
                 *sample.fresh,
             )
         )
-        if sample.status != self._status:
-            self._note_states(sample.status)
         if len(self._rows) >= self._most:
             self._post()
-
-    def _note_states(self, status: Sequence[int]) -> None:
-        self._status = list(status)
-        states = [state_of(s).words for s in status]
-        if states != self._states:
-            self._states, now = states, time.time()
-            seen = (LastSeen(a, s, now) for a, s in zip(self._axes, states, strict=True))
-            self._tell(AxisStates(tuple(seen)))
 
     def _post(self) -> None:
         if self._rows:
@@ -195,12 +181,17 @@ def main() -> None:
 
         def open_sink(header: Recording) -> tuple[RemoteSink, tuple[str, ...]]:
             line.tell(Open(header, cycle_s))
-            return RemoteSink(line.tell, cycle_s, header.axes), make_realtime()
+            return RemoteSink(line.tell, cycle_s, len(header.axes)), make_realtime()
 
+        def seen(states: dict[str, str]) -> None:
+            line.tell(AxisStates(tuple(LastSeen(axis, state, time.time()) for axis, state in states.items())))
+
+        cell = connect(config)
+        cell.seen = seen
         result = run_measurement(
             config,
             task.wish,
-            connect(config),
+            cell,
             task.out,
             progress=line.tell,
             stop=line.stop,

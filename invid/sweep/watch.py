@@ -63,7 +63,11 @@ class Watch:
             if not sample.fresh[i]:
                 continue
             state = sample.status[i] & STATE_MASK
-            if not self._cell_checks and state != OPERATION_ENABLED and not (self.changing and not state & FAULT):
+            if (
+                not self._cell_checks
+                and state != OPERATION_ENABLED
+                and not (self.changing and not state & FAULT)
+            ):
                 raise DriveError(
                     f"axis {limit.name}: the drive left operation enabled (statusword "
                     f"0x{sample.status[i]:04X}{', fault' if sample.status[i] & 0x08 else ''})",

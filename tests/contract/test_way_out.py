@@ -260,3 +260,13 @@ def test_a_drive_whose_heartbeat_stays_away_is_reported_though_its_samples_come(
     finally:
         cell._link.get = get  # type: ignore[method-assign]
         cell.close()
+
+
+def test_every_change_of_an_axis_is_told_as_it_is_and_the_last_one_is_how_it_was_left() -> None:
+    cell = simulated()
+    told: list[dict[str, str]] = []
+    cell.seen = told.append
+    running(cell)
+    assert told[-1] == {"A1": "led by this master", "A2": "held by its drive"}
+    assert cell.close() == []
+    assert told[-1] == cell.axis_states == {"A1": "without torque", "A2": "without torque"}

@@ -32,7 +32,7 @@ from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, N
 from invid_drivers.cia402.standing.held_axes import HeldAxes
 from invid_drivers.cia402.standing.holding import AxisHolding, Reason
 from invid_drivers.cia402.standing.takeover import find_powered, require_mode, require_ours
-from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
+from invid_drivers.cia402.states import OperationMode, is_energised
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
 from invid_drivers.cia402.supervisor import STOPPING, Procedure, Supervisor, Want
 
@@ -95,6 +95,8 @@ class Cia402Cell:
         them."""
         self.cancelled: Callable[[], bool] = never
         """Asked in every wait until the way out: brakes and drives take their time, a stop must not."""
+        self.seen: Callable[[dict[str, str]], None] = lambda states: None
+        """Hears the states of all axes, in words, whenever one changes."""
         self.tell: Callable[[str], None] = lambda phase: None
         """Hears what is being done on the way out, while it lasts."""
 
@@ -248,6 +250,7 @@ class Cia402Cell:
             if axis.holding.taken_over:
                 axis.state = AxisState.STANDS
         supervisor = Supervisor(self._cycle, self._link, self._watch, axes)
+        supervisor.changed = lambda: self.seen(self.axis_states)
         supervisor.tell = lambda phase: self.tell(phase)
         supervisor.note = lambda axis, **seen: axis.holding.note(self.held.memory, **seen)
         return supervisor
@@ -451,6 +454,11 @@ class Cia402Cell:
                 with contextlib.suppress(Exception):
                     self._link.wait(self._config.bus.cycle_s)
 
+    @property
+    def axis_states(self) -> dict[str, str]:
+        """The state of every axis that was supervised, in words."""
+        return {} if self._supervisor is None else {a.name: a.state.value for a in self._supervisor.axes}
+
     def _weigh_at_once(self, supervisor: Supervisor) -> None:
         held = [a.state in (AxisState.ENABLING, AxisState.HELD) for a in supervisor.axes]
         falls = {} if self.bounds is None else self.bounds.falls
@@ -489,10 +497,6 @@ class Cia402Cell:
             ),
             default=0.0,
         )
-
-    def states(self) -> dict[str, DriveState]:
-        """The last state heard of each drive."""
-        return {d.name: state_of(s) for d, s in zip(self._drives, self._cycle.sample.status, strict=True)}
 
     def close(self) -> list[str]:
         """Stop, restore every object that was written, look at what is left held, close the bus; what could

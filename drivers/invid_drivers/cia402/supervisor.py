@@ -70,6 +70,8 @@ class Supervisor:
         self.is_leaving = False
         """On the way out nothing ends what holds an axis."""
         self.tell: Callable[[str], None] = lambda phase: None
+        self.changed: Callable[[], None] = lambda: None
+        """Called when an axis has come into another state."""
         self.note: Callable[..., None] = lambda axis, **seen: None
         """Remembers what was seen of an axis."""
         self.loops: list[Loop | None] = [None] * len(self.axes)
@@ -229,6 +231,8 @@ class Supervisor:
         if state in (AxisState.ENABLING, AxisState.CATCHING) and self._cycle.is_in(a.index, CYCLIC):
             self._cycle.change(a.index, CYCLIC, taken=True)  # held where it is by now
         a.mode_is_there = False
+        with contextlib.suppress(Exception):  # whoever listens may have gone
+            self.changed()
         if state in (AxisState.CATCHING, AxisState.CAUGHT, AxisState.LOST) or (
             state is AxisState.FAULT and a.carries
         ):
@@ -384,18 +388,9 @@ class Supervisor:
         rule = RULES[a.state]
         a.mode_is_there = self._mode_is_there(a, rule.mode)
         change = self._cycle.change_of(a.index)
-        if (
-            a.state in SWITCHABLE
-            and change is not None
-            and change.without_power
-            and a.holding.rest_s is not None
-        ):
-            if a.state is not AxisState.SWITCHING:
-                a.target = AxisState.LED if change.operation is a.torque_mode else AxisState.HELD
-                a.enter(AxisState.SWITCHING)
-            elif a.fresh and not a.is_energised and a.seconds > a.holding.rest_s:
-                change.ask_again(a.now)
-            return
+        if a.state in SWITCHABLE and change is not None and change.without_power:
+            self._switch_mode(a, change)
+            rule = RULES[a.state]
         if a.state is AxisState.PARKING and not a.carries and a.shows(Fact.UNPOWERED):
             self.enter(a, AxisState.LETTING_GO)  # it switches itself off when its ramp has ended
         elif a.state is AxisState.LETTING_GO and a.is_cut and a.shows(Fact.UNPOWERED):
@@ -414,6 +409,7 @@ class Supervisor:
         if a.state is not AxisState.SWITCHING:
             a.target = AxisState.LED if change.operation is a.torque_mode else AxisState.HELD
             a.enter(AxisState.SWITCHING)
+            self.changed()
         elif a.fresh and not a.is_energised and a.seconds > rest_s:
             change.ask_again(a.now)
 

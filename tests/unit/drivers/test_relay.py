@@ -7,16 +7,13 @@ import time
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from invid.errors import BusError, SafetyStop, note_left
-from invid.sweep import Sample
 from invid_drivers import relay
 from invid_drivers.filing import Filing
 from invid_drivers.protocol import AxisStates, Failed, LastSeen, Stop
-from invid_drivers.realtime import RemoteSink
 from invid_drivers.relay import Listeners, Relay
 
 
@@ -64,22 +61,12 @@ def test_of_a_cycle_process_that_is_lost_every_axis_is_named_with_its_last_state
     ends: tuple[Relay, threading.Event, Connection, Connection],
 ) -> None:
     parent, _, ours, theirs = ends
-    for state in ("operation enabled", "quick stop active"):
+    for state in ("led by this master", "held by its drive"):
         theirs.send(AxisStates((LastSeen("A1", state, 0.0),)))
     theirs.close()
     with pytest.raises(EOFError):
         parent.run(ours)
     parent.end()
     first, second = parent.states.of(["A1", "A2"])
-    assert first.startswith("axis A1 was last seen in quick stop active, at ")
+    assert first.startswith("axis A1 was last seen held by its drive, at ")
     assert second == "axis A2 was not seen under power"
-
-
-def test_the_sink_tells_the_states_of_the_axes_whenever_one_changes() -> None:
-    told: list[Any] = []
-    sink = RemoteSink(told.append, 0.001, ("A1", "A2"))
-    enabled, quick_stop = 0x0037, 0x0017
-    for status in ([enabled, enabled], [enabled | 1 << 10, enabled], [enabled, quick_stop]):
-        sink.row(Sample(0, 0.0, [0.0, 0.0], [0.0, 0.0], status, [True, True]), [0.0, 0.0])
-    states = [[a.state for a in m.axes] for m in told if isinstance(m, AxisStates)]
-    assert states == [["operation enabled"] * 2, ["operation enabled", "quick stop active"]]

@@ -254,7 +254,7 @@ def test_after_a_stop_whose_runner_is_lost_every_axis_is_unknown_and_nobody_says
         failed = wait_for(client, location, "failed")
         assert failed["error"]["code"] == ("not-stopped" if killed else "runner-died")
         assert "nobody saw its axes at rest: unknown, look" in failed["error"]["text"]
-        assert "axis A1 was last seen in operation enabled" in failed["error"]["text"]
+        assert "axis A1 was last seen operation enabled" in failed["error"]["text"]
         assert "axis A2 was not seen under power" in failed["error"]["text"]
         assert failed["error"]["axes"][0] == {"axis": "A1", "state": "operation enabled", "at": 0.0}
         assert failed["error"]["axes"][1] == {"axis": "A2", "state": None, "at": None}
