@@ -15,6 +15,7 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.model.chains import CoupledChains
+from invid.model.matrices import Condensed, Matrices, damper
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.planning.belief import Belief
 from invid.planning.hold_laws import centring, following, master_hold
@@ -158,22 +159,13 @@ def _closed_loop(
         stiffness + damping * s[:, None],
         held[:, None] * z * (stiffness + damping * (1.0 - z) / cycle),
     )
-    plant = _condensed_stiffness(chains, viscous, s)
+    plant = Condensed.of(rubbing(chains, viscous).dynamic_stiffness(s), chains.motor_dofs.tolist()).stiffness
     index = np.arange(law.shape[1])
     plant[:, index, index] += law
     return keep, s, held, law, np.asarray(np.linalg.inv(plant), dtype=np.complex128)
 
 
-def _condensed_stiffness(chains: CoupledChains, viscous: Float64, s: Complex128) -> Complex128:
-    """(F, M, M) condensed motor stiffness at complex frequencies s [1/s], motor friction included."""
-    outer = chains.motor_dofs
-    damping = np.array(chains.damping_matrix)
-    damping[outer, outer] += viscous
-    mass = chains.mass_matrix
-    full = chains.stiffness_matrix + s[:, None, None] * damping + (s**2)[:, None, None] * mass
-    inner = np.setdiff1d(np.arange(mass.shape[0]), outer)
-    result: Complex128 = full[:, outer[:, None], outer]
-    if inner.size:
-        across = full[:, inner[:, None], outer]
-        result = result - across.transpose(0, 2, 1) @ np.linalg.solve(full[:, inner[:, None], inner], across)
-    return result
+def rubbing(chains: CoupledChains, viscous: Float64) -> Matrices:
+    """Matrices of chains with viscous friction (M,) at their motors."""
+    motors = zip(chains.motor_dofs.tolist(), viscous.tolist(), strict=True)
+    return chains.matrices.plus([damper(value, at) for at, value in motors])

@@ -11,15 +11,15 @@ from scipy.interpolate import CubicHermiteSpline
 
 from invid.effects.elements import Law
 from invid.errors import InputError
-from invid.model.chains import add_link
 from invid.model.document import Model
+from invid.model.matrices import Matrices, damper, mass, spring
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording
 from invid.recording.still_axes import moving_part
 from invid.signals.plausibility import check_units
 from invid.simulation.kernel import march
 from invid.simulation.laws import Laws, law_table, laws_of, static_table
-from invid.simulation.plant import Matrices, Step, discretise, matrices
+from invid.simulation.plant import Step, discretise, matrices
 from invid.simulation.replay import Drive, drift_torque, drive
 from invid.simulation.rigid import simulate_motion, time_offsets
 
@@ -243,18 +243,16 @@ def _stretches(
     pieces = []
     edges = sorted(borders)
     for begin, end in pairwise(edges):
-        mass, stiffness, damping = plant.mass.copy(), plant.stiffness.copy(), plant.damping.copy()
-        for load in laws.payloads:
-            if given.time[begin] >= load.time:
-                mass[load.at, load.at] += load.mass
         middle = 0.5 * (given.time[begin] + given.time[end]) - origin
-        for drift in laws.drifts:
-            add_link(mass if drift.b < 0 else stiffness, drift.a, drift.b, drift.rate * middle)
-        stiffness[motors, motors] += given.stiffness
-        damping[motors, motors] += given.damping
-        if np.linalg.eigvalsh(mass)[0] <= 0:
+        parts = [mass(load.mass, load.at) for load in laws.payloads if given.time[begin] >= load.time]
+        for d in laws.drifts:
+            parts.append(mass(d.rate * middle, d.a) if d.b < 0 else spring(d.rate * middle, d.a, d.b))
+        for at, k, c in zip(motors.tolist(), given.stiffness, given.damping, strict=True):
+            parts += [spring(k, at), damper(c, at)]
+        now = plant.plus(parts)
+        if np.linalg.eigvalsh(now.mass)[0] <= 0:
             raise InputError("simulation: payload or drift makes the mass matrix not positive definite")
-        step = discretise(Matrices(mass, damping, stiffness), inputs, given.step)
+        step = discretise(now, inputs, given.step)
         pieces.append(_Stretch(begin * given.substeps, end * given.substeps, step))
     return pieces
 
@@ -262,7 +260,7 @@ def _stretches(
 def _fastest_motion(plant: Matrices, laws: Laws) -> float:
     """Fastest angular frequency of force laws [rad/s]."""
     stiff = max((f.parameters[0] / plant.mass[f.a, f.a] for f in laws.forces if f.law in (2, 7)), default=0.0)
-    return float(np.hypot(plant.fastest, np.sqrt(stiff)))
+    return float(np.hypot(plant.natural[-1], np.sqrt(stiff)))
 
 
 def _rigid_start(given: Drive, size: int, masses: tuple[int, ...], motors: np.ndarray) -> Float64:

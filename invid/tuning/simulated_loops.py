@@ -16,7 +16,7 @@ from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.simulation.kernel import march
 from invid.simulation.laws import law_table, laws_of, static_table
-from invid.simulation.plant import Matrices, discretise, matrices
+from invid.simulation.plant import discretise, matrices
 from invid.tuning.feedforward import Feedforward
 from invid.tuning.margins import held_modes
 from invid.tuning.servo_loop import DriveTiming, Gains
@@ -114,9 +114,9 @@ def run_loops(model: Model, loops: Sequence[AxisLoop], command: Command, timing:
     made = matrices(model.chains, laws)
     motors = model.chains.motor_dofs.astype(np.int64)
     ends = model.chains.end_dofs
-    substeps = max(4, int(np.ceil(timing.cycle * made.fastest / FINENESS)))
+    substeps = max(4, int(np.ceil(timing.cycle * made.natural[-1] / FINENESS)))
     step = discretise(
-        Matrices(made.mass, made.damping, made.stiffness),
+        made,
         np.eye(made.mass.shape[0])[:, motors],
         timing.cycle / substeps,
     )
