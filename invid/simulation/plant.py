@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -15,12 +16,17 @@ from invid.simulation.laws import Laws
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """x⁺ = transition x + now u_k + next u_{k+1} + force f (see ``kernel``)."""
+    """x⁺ = Φx + Γf + R(f⁺ − f) over one sub-step: ``transition`` (2n, 2n), ``held`` and ``ramp`` (2n, n)."""
 
     transition: Float64
-    now: Float64
-    next: Float64
-    force: Float64
+    held: Float64
+    ramp: Float64
+
+    @cached_property
+    def compiled(self) -> tuple[Float64, Float64, Float64]:
+        """As the kernel takes it."""
+        made = (np.ascontiguousarray(m.T) for m in (self.transition, self.held, self.ramp))
+        return next(made), next(made), next(made)
 
 
 def matrices(chains: CoupledChains, laws: Laws) -> Matrices:
@@ -36,28 +42,13 @@ def matrices(chains: CoupledChains, laws: Laws) -> Matrices:
     return Matrices.of(chains.dofs + len(laws.extra_masses) + len(laws.bases), parts)
 
 
-def discretise(plant: Matrices, inputs: Float64, step: float) -> Step:
-    """Exact step of length ``step`` [s] for piecewise linear inputs and piecewise constant forces.
-
-    ``inputs`` (n, M): force patterns of the inputs on the coordinates.
-    """
-    n, count = plant.mass.shape[0], inputs.shape[1]
-    inverse = np.linalg.inv(plant.mass)
-    drive = np.zeros((2 * n, count))
-    drive[n:] = inverse @ inputs
-    push = np.zeros((2 * n, n))
-    push[n:] = inverse
-    # one exponential for constant forces, constant inputs and their ramps (Van Loan)
-    big = np.zeros((2 * n + n + 2 * count,) * 2)
+def discretise(plant: Matrices, step: float) -> Step:
+    """Exact step of length ``step`` [s] for forces on the coordinates that are held or rise evenly."""
+    n = plant.mass.shape[0]
+    # one exponential for all (Van Loan)
+    big = np.zeros((4 * n, 4 * n))
     big[: 2 * n, : 2 * n] = plant.rates * step
-    big[: 2 * n, 2 * n : 3 * n] = push * step
-    big[: 2 * n, 3 * n : 3 * n + count] = drive * step
-    big[3 * n : 3 * n + count, 3 * n + count :] = np.eye(count)
-    power = scipy.linalg.expm(big)
-    constant, ramp = power[: 2 * n, 3 * n : 3 * n + count], power[: 2 * n, 3 * n + count :]
-    return Step(
-        np.ascontiguousarray(power[: 2 * n, : 2 * n]),
-        np.ascontiguousarray(constant - ramp),
-        np.ascontiguousarray(ramp),
-        np.ascontiguousarray(power[: 2 * n, 2 * n : 3 * n]),
-    )
+    big[n : 2 * n, 2 * n : 3 * n] = np.linalg.inv(plant.mass) * step
+    big[2 * n : 3 * n, 3 * n :] = np.eye(n)
+    power = scipy.linalg.expm(big)[: 2 * n]
+    return Step(power[:, : 2 * n], power[:, 2 * n : 3 * n], power[:, 3 * n :])

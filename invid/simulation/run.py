@@ -18,7 +18,7 @@ from invid.recording.model import Experiment, Recording
 from invid.recording.still_axes import moving_part
 from invid.signals.plausibility import check_units
 from invid.simulation.kernel import march
-from invid.simulation.laws import Laws, law_table, laws_of, static_table
+from invid.simulation.laws import CompiledLaws, Laws, compiled_laws, laws_of, static_table
 from invid.simulation.plant import Step, discretise, matrices
 from invid.simulation.replay import Drive, drift_torque, drive
 from invid.simulation.rigid import simulate_motion, time_offsets
@@ -168,15 +168,15 @@ class _Tables:
         self._reach = [(2.0 * max(size, 1e-300), 2.0 * max(speed, 1e-300))] * len(laws.static)
         self.made = self._build()
 
-    def _build(self) -> tuple[Float64, Float64, Float64]:
+    def _build(self) -> CompiledLaws:
         static, tables = static_table(self._laws.static, self._reach)
-        return *law_table([*self._laws.forces, *static]), tables
+        return compiled_laws([*self._laws.forces, *static], tables)
 
     def cover(self, memory: Float64) -> bool:
         """Return whether the motion stayed within the tables and used most of them; else they are
         computed anew.
         """
-        reached = memory[len(self._laws.forces) :, ::2]
+        reached = memory[len(self._laws.forces) :]
         if not np.isfinite(reached).all():
             return True
         most = np.array(self._reach).reshape(-1, 2)
@@ -193,37 +193,22 @@ def _march_stretches(
     start: Float64,
     pieces: list[_Stretch],
     given: Drive,
-    laws: tuple[Float64, Float64, Float64],
+    laws: CompiledLaws,
     motors: np.ndarray,
 ) -> tuple[Float64, Float64]:
-    """(n, M, 2) motion of the motors and what the laws remember (E, 3); ``laws``: see ``_Tables.made``."""
-    (kinds, parameters, tables), every = laws, given.substeps
-    states = start.size - motors.size
+    """(n, M, 2) motion of the motors and what the laws remember (E, 2)."""
+    every, states = given.substeps, start.size - motors.size
     state, applied = start[:states].copy(), given.applied + start[states:]
-    memory = np.zeros((kinds.shape[0], 3))
-    for e, (law, a, b) in enumerate(kinds.astype(int)):
-        begin_row = state.size // 2 if law == Law.TABLE else 0
-        memory[e, 1] = state[begin_row + a] - (state[begin_row + b] if b >= 0 else 0.0)
+    memory = laws[3]
+    memory[:] = 0.0
+    for e, (law, a, b) in enumerate(laws[0].astype(int)):
+        if law in (Law.SLIDER, Law.PAIR_SLIDER):
+            memory[e, 0] = state[a] - (state[b] if b >= 0 else 0.0)
     motion = np.zeros((given.time.size, motors.size, 2))
     for piece in pieces:
         part = np.zeros(((piece.end - piece.begin) // every + 1, motors.size, 2))
-        s = piece.step
-        march(
-            state,
-            s.transition,
-            s.now,
-            s.next,
-            s.force,
-            np.ascontiguousarray(applied[piece.begin : piece.end + 1]),
-            kinds,
-            parameters,
-            tables,
-            memory,
-            given.step,
-            every,
-            part,
-            motors,
-        )
+        torque = np.ascontiguousarray(applied[piece.begin : piece.end + 1])
+        march(state, piece.step.compiled, laws, torque, motors, every, part)
         motion[piece.begin // every : piece.end // every + 1] = part
     return motion, memory
 
@@ -238,8 +223,6 @@ def _stretches(
         borders.add(int(np.clip(np.searchsorted(given.time, load.time), 0, samples - 1)))
     if laws.drifts:
         borders |= {int(b) for b in np.linspace(0, samples - 1, min(_DRIFT_PIECES, samples - 1) + 1)}
-    inputs = np.zeros((plant.mass.shape[0], motors.size))
-    inputs[motors, np.arange(motors.size)] = 1.0
     pieces = []
     edges = sorted(borders)
     for begin, end in pairwise(edges):
@@ -252,7 +235,7 @@ def _stretches(
         now = plant.plus(parts)
         if np.linalg.eigvalsh(now.mass)[0] <= 0:
             raise InputError("simulation: payload or drift makes the mass matrix not positive definite")
-        step = discretise(now, inputs, given.step)
+        step = discretise(now, given.step)
         pieces.append(_Stretch(begin * given.substeps, end * given.substeps, step))
     return pieces
 
@@ -280,7 +263,7 @@ def _free_response(step: Step, given: Drive, motors: np.ndarray) -> tuple[np.nda
     states, count = step.transition.shape[0], motors.size
     whole = np.eye(states + count)
     whole[:states, :states] = step.transition
-    whole[:states, states:] = step.now + step.next
+    whole[:states, states:] = step.held[:, motors]
     jump = np.linalg.matrix_power(whole, given.substeps * stride)
     points = (samples - 1) // stride + 1
     response = np.zeros((points, count, jump.shape[0]))
