@@ -64,14 +64,13 @@ def _add_laws(force: Any, x: Any, laws: Any, keep: bool) -> None:
     n = x.size // 2
     for e in range(kinds.shape[0]):
         law, a, b = int(kinds[e, 0]), int(kinds[e, 1]), int(kinds[e, 2])
+        if law == 0:
+            continue
         p = parameters[e]
         q, v = x[a], x[n + a]
         if b >= 0:
             q -= x[b]
             v -= x[n + b]
-        f = 0.0
-        if law == 0:
-            continue
         if law == 1:
             f = -(p[0] if v > 0 else p[1]) * v
         elif law == 2 or law == 7:
