@@ -202,3 +202,26 @@ def march(x: Any, step: Any, laws: Any, torque: Any, motors: Any, every: int, ou
         advance(x, work, step, laws)
     if steps % every == 0:
         _keep(out[steps // every], x, motors)
+
+
+@compiled
+def march_held(
+    x: Any, step: Any, laws: Any, drive: Any, hold: Any, motors: Any, substeps: int, out: Any, acted: Any
+) -> None:
+    """March over the cycles of ``drive`` (n, M), a torque held over each, less what a master's hold asks.
+
+    ``hold`` (2, M): torque per position, and per change of it in a cycle; it answers a cycle late. Motor
+    [θ, θ̇] as each cycle begins into ``out`` (n, M, 2), the torque of the cycle into ``acted`` (n, M).
+    """
+    work, seen = np.zeros((3, x.size)), np.zeros((2, motors.size))
+    for k in range(drive.shape[0]):
+        _keep(out[k], x, motors)
+        for i in range(motors.size):
+            acted[k, i] = drive[k, i] - hold[0, i] * seen[0, i] - hold[1, i] * (seen[0, i] - seen[1, i])
+            seen[1, i], seen[0, i] = seen[0, i], out[k, i, 0]
+        for _ in range(substeps):
+            for c in range(x.size // 2):
+                work[1, c] = work[2, c] = 0.0
+            for i in range(motors.size):
+                work[1, motors[i]] = work[2, motors[i]] = acted[k, i]
+            advance(x, work, step, laws)
