@@ -1,13 +1,13 @@
-"""The compiled sub-step: the linear part exactly, force laws to second order, dry friction as a set.
+"""The compiled sub-step: the linear part exactly, force laws as in its middle, dry friction as a set.
 
-x⁺ = Φx + Γf + R(f⁺ − f) with x = [q; v] and f what acts on every coordinate as the sub-step begins and ends:
-exact where f is linear in between, and for laws of the motion the exponential predictor and corrector of
-Cox and Matthews (2002, eq. 22). Dry friction takes the value within its level that stops the mass at the end
-of the sub-step (Moreau's time stepping), so that sticking is exact; several are solved by projected
-Gauss–Seidel.
+x⁺ = Φx + Γ(f + g) + R(f⁺ − f) with x = [q; v], f what is applied to every coordinate as the sub-step begins
+and f⁺ as it ends, exact where it is linear in between, and g what laws give in the middle of the sub-step.
+Dry friction takes the value within its level that stops the mass at the end of the sub-step (Moreau's time
+stepping), so that sticking is exact; several are solved by projected Gauss–Seidel.
 
-Tuples of arrays go in: ``step`` is Φ, Γ and R, transposed, so that row c is what coordinate or force c adds;
-``laws`` kinds (E, 3), parameters (E, PARAMETERS), tables (S, P), memory (E, 2) and friction's force (E,).
+Tuples go in: ``step`` is Φ, Γ and R, transposed, so that row c is what coordinate or force c adds, and half
+the sub-step's length; ``laws`` kinds (E, 3), parameters (E, PARAMETERS), tables (S, P), memory (E, 3) and
+friction's force (E,).
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ def on_table(tables: Any, row: int, kind: float, most: float, fastest: float, q:
 
 
 @compiled
-def _add_laws(force: Any, x: Any, laws: Any, keep: bool) -> None:
-    """Add to ``force`` (n,) what all laws but dry friction give at a state; ``keep``: they remember it."""
+def _add_laws(force: Any, x: Any, laws: Any, half: float) -> None:
+    """Add to ``force`` (n,) what all laws but dry friction give half a sub-step on."""
     kinds, parameters, tables, memory = laws[0], laws[1], laws[2], laws[3]
     n = x.size // 2
     for e in range(kinds.shape[0]):
@@ -71,13 +71,13 @@ def _add_laws(force: Any, x: Any, laws: Any, keep: bool) -> None:
         if b >= 0:
             q -= x[b]
             v -= x[n + b]
+        q += half * v
         if law == 1:
             f = -(p[0] if v > 0 else p[1]) * v
         elif law == 2 or law == 7:
             # the far end of the spring slides where it would bear more than its level
             f = min(max(-p[0] * (q - memory[e, 0]), -p[1]), p[1])
-            if keep:
-                memory[e, 0] = q + f / p[0]
+            memory[e, 0] = q + f / p[0]
         elif law == 3:
             f = -p[0] * np.sin(p[1] * q + p[2])
         elif law == 4:
@@ -92,15 +92,16 @@ def _add_laws(force: Any, x: Any, laws: Any, keep: bool) -> None:
                 f = p[1] * q + p[2] * v
         elif law == 8:
             # the spring stretches q less the error; what the motor side feels makes no energy
-            angle = p[1] * x[a] + p[2]
+            angle = p[1] * (x[a] + half * x[n + a]) + p[2]
             error = p[0] * np.sin(angle)
             f = p[3] * error
             force[a] += p[3] * (q - error) * p[0] * p[1] * np.cos(angle)
         else:
+            # the velocity half a sub-step on, as the position is
+            v, memory[e, 2] = 1.5 * v - 0.5 * memory[e, 2], v
             f = -on_table(tables, int(p[3]), p[0], p[1], p[2], q, v)
-            if keep:
-                memory[e, 0] = max(memory[e, 0], abs(q))
-                memory[e, 1] = max(memory[e, 1], abs(v))
+            memory[e, 0] = max(memory[e, 0], abs(q))
+            memory[e, 1] = max(memory[e, 1], abs(v))
         force[a] += f
         if b >= 0:
             force[b] -= f
@@ -147,8 +148,6 @@ def advance(x: Any, work: Any, step: Any, laws: Any) -> None:
     fresh, force, later = work[0], work[1], work[2]
     n, size = x.size // 2, x.size
     acts = laws[0].shape[0] > 0
-    if acts:
-        _add_laws(force, x, laws, False)
     # Column by column: the inner loops are then vectorised without reordering any sum.
     for r in range(size):
         fresh[r] = 0.0
@@ -157,17 +156,17 @@ def advance(x: Any, work: Any, step: Any, laws: Any) -> None:
         for r in range(size):
             fresh[r] += transition[c, r] * value
     for c in range(n):
-        value = force[c]
-        if value != 0.0:
-            for r in range(size):
-                fresh[r] += held[c, r] * value
-    if acts:
-        _add_laws(later, fresh, laws, True)
-    for c in range(n):
         value = later[c] - force[c]
         if value != 0.0:
             for r in range(size):
                 fresh[r] += ramp[c, r] * value
+    if acts:
+        _add_laws(force, x, laws, step[3])
+    for c in range(n):
+        value = force[c]
+        if value != 0.0:
+            for r in range(size):
+                fresh[r] += held[c, r] * value
     if acts:
         _add_dry_friction(x, fresh, held, laws)
     for r in range(size):

@@ -133,7 +133,7 @@ def compiled_laws(forces: Sequence[ForceLaw], tables: Float64) -> CompiledLaws:
     parameters = np.zeros((len(forces), PARAMETERS))
     for row, force in zip(parameters, forces, strict=True):
         row[: len(force.parameters)] = force.parameters
-    return kinds, parameters, tables, np.zeros((len(forces), 2)), np.zeros(len(forces))
+    return kinds, parameters, tables, np.zeros((len(forces), 3)), np.zeros(len(forces))
 
 
 def static_table(

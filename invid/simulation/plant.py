@@ -16,17 +16,18 @@ from invid.simulation.laws import Laws
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """x⁺ = Φx + Γf + R(f⁺ − f) over one sub-step: ``transition`` (2n, 2n), ``held`` and ``ramp`` (2n, n)."""
+    """x⁺ = Φx + Γf + R(f⁺ − f): ``transition`` (2n, 2n), ``held`` and ``ramp`` (2n, n), ``length`` [s]."""
 
     transition: Float64
     held: Float64
     ramp: Float64
+    length: float
 
     @cached_property
-    def compiled(self) -> tuple[Float64, Float64, Float64]:
+    def compiled(self) -> tuple[Float64, Float64, Float64, float]:
         """As the kernel takes it."""
         made = (np.ascontiguousarray(m.T) for m in (self.transition, self.held, self.ramp))
-        return next(made), next(made), next(made)
+        return next(made), next(made), next(made), 0.5 * self.length
 
 
 def matrices(chains: CoupledChains, laws: Laws) -> Matrices:
@@ -51,4 +52,4 @@ def discretise(plant: Matrices, step: float) -> Step:
     big[n : 2 * n, 2 * n : 3 * n] = np.linalg.inv(plant.mass) * step
     big[2 * n : 3 * n, 3 * n :] = np.eye(n)
     power = scipy.linalg.expm(big)[: 2 * n]
-    return Step(power[:, : 2 * n], power[:, 2 * n : 3 * n], power[:, 3 * n :])
+    return Step(power[:, : 2 * n], power[:, 2 * n : 3 * n], power[:, 3 * n :], step)

@@ -176,7 +176,7 @@ class _Tables:
         """Return whether the motion stayed within the tables and used most of them; else they are
         computed anew.
         """
-        reached = memory[len(self._laws.forces) :]
+        reached = memory[len(self._laws.forces) :, :2]
         if not np.isfinite(reached).all():
             return True
         most = np.array(self._reach).reshape(-1, 2)
@@ -196,14 +196,13 @@ def _march_stretches(
     laws: CompiledLaws,
     motors: np.ndarray,
 ) -> tuple[Float64, Float64]:
-    """(n, M, 2) motion of the motors and what the laws remember (E, 2)."""
+    """(n, M, 2) motion of the motors and what the laws remember (E, 3)."""
     every, states = given.substeps, start.size - motors.size
     state, applied = start[:states].copy(), given.applied + start[states:]
     memory = laws[3]
-    memory[:] = 0.0
     for e, (law, a, b) in enumerate(laws[0].astype(int)):
-        if law in (Law.SLIDER, Law.PAIR_SLIDER):
-            memory[e, 0] = state[a] - (state[b] if b >= 0 else 0.0)
+        place, rate = (x[a] - (x[b] if b >= 0 else 0.0) for x in np.split(state, 2))
+        memory[e] = place if law in (Law.SLIDER, Law.PAIR_SLIDER) else 0.0, 0.0, rate
     motion = np.zeros((given.time.size, motors.size, 2))
     for piece in pieces:
         part = np.zeros(((piece.end - piece.begin) // every + 1, motors.size, 2))
