@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.identification.begun import Begun, settled_about
-from invid.identification.elastic_model import model_of_chains
+from invid.identification.begun import Begun
+from invid.identification.elastic_model import finished_fit, model_of_fit
 from invid.identification.fitted_model import chains_of
-from invid.identification.kept_out import all_records
 from invid.inverse import PaperResult, Readings, identify_paper
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.value import StackWork, real_rows
@@ -26,8 +25,8 @@ def paper_model(begun: Begun) -> Model:
     NotIdentifiableError
         Readings that belong to no chain.
     """
-    refined = model_of_chains(begun)
-    found = _read(settled_about(refined.chains, all_records(begun.recording)), begun.recording.axes)
+    end, worths = finished_fit(begun)
+    refined, found = model_of_fit(begun, end, worths), _read(end, begun.recording.axes)
     deviation = dict(zip(found.names, np.sqrt(np.diag(found.covariance)).tolist(), strict=True))
     names, values = parameter_vector(refined.chains)
     return replace(
@@ -46,9 +45,9 @@ def paper_model(begun: Begun) -> Model:
     )
 
 
-def _read(now: Supposed, axes: tuple[str, ...]) -> PaperResult:
+def _read(end: Supposed, axes: tuple[str, ...]) -> PaperResult:
     """Readings by least squares on what the records miss, laws free beside them, and the paper's inverse."""
-    readings, value = Readings.of(chains_of(now, axes)[0]), now.fit.value
+    readings, value = Readings.of(chains_of(end, axes)[0]), end.fit.value
     rows = [_rows(readings, work) for work in value.work]
     missing = [(work.missing + work.laws @ value.coefficients).ravel() for work in value.work]
     matrix, right = np.concatenate([r for r, _ in rows]), np.concatenate(missing)
