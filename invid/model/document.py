@@ -175,6 +175,35 @@ def parameter_vector(chains: CoupledChains) -> tuple[tuple[str, ...], Float64]:
     return tuple(_name(*p[:3]) for p in found), np.array([p[3] for p in found])
 
 
+def with_parameters(chains: CoupledChains, values: Mapping[str, float]) -> CoupledChains:
+    """The chains with numbers by the names of ``parameter_vector`` in the place of their own.
+
+    Raises
+    ------
+    ModelError
+        Numbers that no machine has.
+    """
+    own = numbers_by_name(chains.axes, chains) | dict(values)
+
+    def column(kind: str, like: tuple[Float64, ...]) -> list[list[float]]:
+        return [
+            [own[_name((axis,), kind, q + 1)] for q in range(part.size)]
+            for axis, part in zip(chains.axes, like, strict=True)
+        ]
+
+    couplings = np.zeros(chains.couplings.shape)
+    for (i, a), (j, b) in combinations(enumerate(chains.axes), 2):
+        couplings[i, j] = couplings[j, i] = own[_name((a, b), "coupling", 0)]
+    return CoupledChains.build(
+        column("mass", chains.masses),
+        column("spring", chains.springs),
+        column("damper", chains.dampers),
+        couplings,
+        ground_springs=[own[_name((a,), "ground_spring", 0)] for a in chains.axes],
+        axes=chains.axes,
+    )
+
+
 def numbers_by_name(axes: Sequence[str], numbers: CoupledChains | ChainStd) -> dict[str, float]:
     """Numbers by the names of ``parameter_vector``; a coupling under both orders of its axes."""
     out: dict[str, float] = {}

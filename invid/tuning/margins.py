@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from invid.exchange.linear_plant import LinearPlant
-from invid.model.forward import natural_frequencies
+from invid.model.matrices import natural_frequencies
 from invid.numerics.arrays import Complex128, Float64
 from invid.tuning.servo_loop import DriveTiming, Gains, closed_loop, controller_response, held_plant_response
 

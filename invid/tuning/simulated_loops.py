@@ -15,8 +15,8 @@ from invid.exchange.linear_plant import LinearPlant, linear_plant
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.simulation.kernel import march
-from invid.simulation.laws import law_table, laws_of, static_table
-from invid.simulation.plant import Matrices, discretise, matrices
+from invid.simulation.laws import compiled_laws, laws_of, static_table
+from invid.simulation.plant import discretise, matrices
 from invid.tuning.feedforward import Feedforward
 from invid.tuning.margins import held_modes
 from invid.tuning.servo_loop import DriveTiming, Gains
@@ -114,17 +114,12 @@ def run_loops(model: Model, loops: Sequence[AxisLoop], command: Command, timing:
     made = matrices(model.chains, laws)
     motors = model.chains.motor_dofs.astype(np.int64)
     ends = model.chains.end_dofs
-    substeps = max(4, int(np.ceil(timing.cycle * made.fastest / FINENESS)))
-    step = discretise(
-        Matrices(made.mass, made.damping, made.stiffness),
-        np.eye(made.mass.shape[0])[:, motors],
-        timing.cycle / substeps,
-    )
+    substeps = max(4, int(np.ceil(timing.cycle * made.natural[-1] / FINENESS)))
+    step = discretise(made, timing.cycle / substeps).compiled
     n, count = command.position.shape
     reach = (4.0 * float(np.abs(command.position).max()), 4.0 * float(np.abs(command.velocity).max()))
     static, tables = static_table(laws.static, [reach] * len(laws.static))
-    kinds, parameters = law_table([*laws.forces, *static])
-    memory = np.zeros((kinds.shape[0], 3))
+    forces = compiled_laws([*laws.forces, *static], tables)
     plant = linear_plant(model)
     drives = _Drives(loops, command, timing, plant)
     decay = np.exp(-timing.cycle / substeps / np.maximum(plant.lag, 1e-12))
@@ -143,10 +138,7 @@ def run_loops(model: Model, loops: Sequence[AxisLoop], command: Command, timing:
         for j in range(substeps + 1):
             applied[j] = goal + (acting - goal) * decay**j
         acting = applied[-1].copy()
-        march(
-            state, step.transition, step.now, step.next, step.force, applied, kinds, parameters, tables,
-            memory, timing.cycle / substeps, substeps, out, motors,
-        )  # fmt: skip
+        march(state, step, forces, applied, motors, substeps, out)
     return LoopRun(np.arange(n, dtype=float) * timing.cycle, drives.shaped[0], motor, load, torque)
 
 

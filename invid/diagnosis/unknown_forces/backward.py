@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from invid.diagnosis.unknown_forces.structures import additions_of, without
-from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import curvature
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.worth import (
@@ -20,6 +19,7 @@ from invid.likelihood.unknown_forces.worth import (
     without_column,
     worth_of,
 )
+from invid.model.plant import Kind
 
 
 def worths(now: Supposed) -> list[Worth]:

@@ -251,6 +251,6 @@ def _simulation_of(model: dict[str, Any]) -> dict[str, Any]:
                 "parameters": {n: p["value"] for n, p in e["parameters"].items()},
             }
             for e in model["effects"]
-            if e["cause"] in CAUSES  # not a base, a law without a name, or a cause of a file
+            if e["cause"] in CAUSES  # not a law without a name, or a cause of a file
         ],
     }

@@ -1,61 +1,15 @@
-"""The linear plant as a sum of rank-one terms: numbers to matrices, and what the motors see of them.
-
-    D(ω) = Σ_p v_p Σ_t s_t (jω)^k_t u_t u_tᵀ
-
-Every parameter p adds terms u uᵀ of stiffness (k = 0), damping (1) or inertia (2), so that no derivative
-needs code of its own: a change of D by u uᵀ changes the dynamic stiffness at the motors by V u uᵀ Vᵀ.
-"""
+"""Which parameters a plant has, and the plant with its numbers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import cached_property
 from itertools import combinations
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from invid.numerics.arrays import Bool, Complex128, Float64, Int64
-
-
-class Kind(Enum):
-    """Kinds of parameters, each with the standard deviation of its weak prior, in the units in which it
-    moves.
-
-    Masses, springs and dampers move as logarithms, couplings and load springs in units of their own
-    (``Plant.unit``). The priors keep what the data do not show near its start (empirical: a factor of twenty
-    for masses and springs, of five for dampers).
-    """
-
-    MASS = ("mass", 3.0)
-    SPRING = ("spring", 3.0)
-    DAMPER = ("damper", 1.5)
-    COUPLING = ("coupling", 3.0)
-    LOAD_SPRING = ("load_spring", 3.0)
-
-    def __init__(self, word: str, prior: float) -> None:
-        self.word, self.prior = word, prior
-
-    @property
-    def logarithmic(self) -> bool:
-        """Whether it moves as a logarithm."""
-        return self in (Kind.MASS, Kind.SPRING, Kind.DAMPER)
-
-
-@dataclass(frozen=True)
-class Element:
-    """One parameter: its kind, and the coordinates that it joins (``b`` = −1: none)."""
-
-    kind: Kind
-    a: int
-    b: int = -1
-
-    @property
-    def joins_axes(self) -> bool:
-        """Whether it is between two axes, or an axis and the base."""
-        return self.kind in (Kind.COUPLING, Kind.LOAD_SPRING)
+from invid.model.matrices import Condensed, Element, Kind, Matrices, Terms
+from invid.numerics.arrays import Bool, Float64
 
 
 @dataclass(frozen=True)
@@ -160,45 +114,7 @@ class Structure:
     @cached_property
     def terms(self) -> Terms:
         """The rank-one terms of all parameters."""
-        unit = np.eye(self.coordinates)
-        vectors, power, sign, owner = [], [], [], []
-        for p, e in enumerate(self.elements):
-            apart = unit[e.a] - unit[e.b] if e.b >= 0 else unit[e.a]
-            order = {Kind.MASS: 2, Kind.COUPLING: 2, Kind.DAMPER: 1}.get(e.kind, 0)
-            if e.kind is Kind.COUPLING:  # e_a e_bᵀ + e_b e_aᵀ
-                parts = [(unit[e.a] + unit[e.b], 0.5), (apart, -0.5)]
-            else:
-                parts = [(apart, 1.0)]
-            for vector, factor in parts:
-                vectors.append(vector)
-                power.append(order)
-                sign.append(factor)
-                owner.append(p)
-        return Terms(np.array(vectors).T, np.array(power), np.array(sign), np.array(owner))
-
-
-@dataclass(frozen=True, eq=False)
-class Terms:
-    """Rank-one terms: vectors (n, T), powers of jω, signs and the parameters they belong to, each (T,)."""
-
-    vectors: Float64
-    power: Int64
-    sign: Float64
-    owner: Int64
-
-    @cached_property
-    def _first(self) -> Int64:
-        return np.flatnonzero(np.diff(self.owner, prepend=-1))
-
-    def by_parameter(self, values: NDArray[Any]) -> NDArray[Any]:
-        """(…, p) sums over the terms (…, T) of each parameter."""
-        return np.add.reduceat(values, self._first, axis=-1)
-
-    def factors(self, omega: Float64, slope: Float64) -> Complex128:
-        """(F, T) what each term is multiplied by for a step of its parameter, of slope (p,) in physical
-        units."""
-        powers = (1j * omega)[:, None] ** self.power
-        return np.asarray(powers * (self.sign * slope[self.owner]), dtype=np.complex128)
+        return Terms.of(self.coordinates, self.elements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,51 +170,21 @@ class Plant:
         return self.values[self.structure.index(kind)]
 
     @cached_property
-    def matrices(self) -> tuple[Float64, Float64, Float64]:
-        """Stiffness, damping and inertia, (n, n) each."""
-        terms = self.structure.terms
-        weight = terms.sign * self.values[terms.owner]
-        stiffness, damping, inertia = (
-            (terms.vectors * np.where(terms.power == k, weight, 0.0)) @ terms.vectors.T for k in range(3)
-        )
-        return stiffness, damping, inertia
+    def matrices(self) -> Matrices:
+        """Stiffness, damping and inertia."""
+        return self.structure.terms.matrices(self.values)
 
     def is_admissible(self) -> bool:
         """Return whether all is finite and the inertia positive definite."""
         if not np.isfinite(self.values).all():
             return False
-        inertia = self.matrices[2]
+        inertia = self.matrices.mass
         scale = 1.0 / np.sqrt(np.maximum(np.diag(inertia), 1e-300))
         return bool(np.linalg.eigvalsh(inertia * scale[:, None] * scale)[0] > 1e-3)
 
     def condense(self, omega: Float64) -> Condensed:
         """The plant as the motors see it on lines ``omega`` (F,) [rad/s]."""
-        stiffness, damping, inertia = self.matrices
-        s = (1j * omega)[:, None, None]
-        dynamic = stiffness + s * damping + s**2 * inertia
-        motor, inner = np.array(self.structure.motor), np.array(self.structure.inner, dtype=int)
-        receptance = np.zeros(dynamic.shape, dtype=complex)
-        if inner.size:
-            block = np.ix_(np.arange(omega.size), inner, inner)
-            receptance[block] = np.linalg.inv(dynamic[block])
-        motion = -dynamic[:, motor] @ receptance
-        motion[:, :, motor] = np.eye(motor.size)
-        return Condensed(receptance, motion, motion @ dynamic[:, :, motor])
+        return Condensed.of(self.matrices.dynamic_stiffness(1j * omega), self.structure.motor)
 
 
-@dataclass(frozen=True, eq=False)
-class Condensed:
-    """The plant as the motors see it on F lines.
-
-    ``receptance`` (F, n, n): X, inverse of D over the inner coordinates, zero elsewhere. ``motion`` (F, M,
-    n): V = [I, −D_mi X], what a force at any coordinate asks of the motors, and (transposed) how every
-    coordinate moves with them. ``stiffness`` (F, M, M): Z = V D_·m.
-    """
-
-    receptance: Complex128
-    motion: Complex128
-    stiffness: Complex128
-
-    def jumps(self, omega: Float64) -> Complex128:
-        """(F, M, 2n) what the ends of a record ask of the motors: V, then jωV."""
-        return np.concatenate((self.motion, 1j * omega[:, None, None] * self.motion), axis=2)
+__all__ = ["Condensed", "Element", "Kind", "Matrices", "Plant", "Structure", "Terms"]
