@@ -109,7 +109,7 @@ class Link:
         self.events: list[Event] = []
         self._sdo: dict[int, _PumpedSdo] = {}
         self._asked: dict[int, float] = {}
-        self._heartbeat_s = heartbeat_s
+        self.heartbeat_s = heartbeat_s
         self._next_heartbeat = 0.0
         self._heartbeat = can.Message(
             arbitration_id=0x700 + MASTER_ID, data=b"\x05", is_extended_id=False, check=False
@@ -163,7 +163,7 @@ class Link:
     def beat(self, now: float) -> None:
         """Send the master's heartbeat when it is due."""
         if self.beating and now >= self._next_heartbeat:
-            self._next_heartbeat = now + self._heartbeat_s
+            self._next_heartbeat = now + self.heartbeat_s
             self.put(self._heartbeat)
 
     def pump(self, timeout: float) -> None:
@@ -177,7 +177,7 @@ class Link:
             self.attend()
             return
         self.beat(self.clock.now())
-        message = self.get(min(timeout, HEARD_S, self._heartbeat_s / 2 if self.beating else HEARD_S))
+        message = self.get(min(timeout, HEARD_S, self.heartbeat_s / 2 if self.beating else HEARD_S))
         if message is not None:
             self.sort(message)
 
@@ -214,7 +214,7 @@ class Link:
 
     def listen(self) -> None:
         """Send nothing, and hear who is there; then the gate opens."""
-        self.wait(max(LISTEN_S, LISTEN_BEATS * self._heartbeat_s))
+        self.wait(max(LISTEN_S, LISTEN_BEATS * self.heartbeat_s))
         self.gate.listened = True
 
     def refuse_others(self) -> None:

@@ -66,7 +66,8 @@ class Supervisor:
 
     def __init__(self, cycle: Cycle, link: Link, bounds: Bounds, axes: Sequence[SupervisedAxis]) -> None:
         self._cycle, self._link, self.bounds, self.axes = cycle, link, bounds, list(axes)
-        self._cycle_s = axes[0].cycle_s
+        self._cycle_s, self._watch_s = axes[0].cycle_s, 3 * link.heartbeat_s
+        self._ticked = math.inf
         self.is_leaving = False
         """On the way out nothing ends what holds an axis."""
         self.tell: Callable[[str], None] = lambda phase: None
@@ -93,6 +94,7 @@ class Supervisor:
 
     def tick(self, wants: Sequence[Want]) -> Sample:
         """One cycle: grant, command, see, judge, move on."""
+        self._notice_pause()
         for axis, want in zip(self.axes, wants, strict=True):
             self.grant(axis, want)
         sample, error = self._exchange()
@@ -110,6 +112,15 @@ class Supervisor:
         if error is not None and not self.is_leaving:
             raise error
         return sample
+
+    def _notice_pause(self) -> None:
+        """After a pause beyond their watch drives have stopped by themselves: no command takes that back."""
+        now = self._link.clock.now()
+        paused = now - self._ticked > self._watch_s and not (self.is_mute or self._cycle.paused)
+        self._ticked = now
+        for axis in self.axes:
+            if paused and RULES[axis.state].command is Command.ENABLE:
+                self.enter(axis, AxisState.PARKING)
 
     def _exchange(self) -> tuple[Sample, InvidError | None]:
         """One cycle on the bus; where that fails nothing has come of any axis, and time goes on."""
