@@ -93,9 +93,7 @@ def test_a_run_that_moved_when_its_service_died_is_unknown_axis_by_axis_or_ended
         assert body["state"] == "interrupted"
         assert ("unknown, look" in body["error"]["text"]) is is_unknown is not bool(words.end)
         assert ("ended: stopped on request" in body["error"]["text"]) is bool(words.end)
-        assert ("axis A1 was last seen quick stop active" in body["error"]["text"]) is bool(
-            words.axes.axes
-        )
+        assert ("axis A1 was last seen quick stop active" in body["error"]["text"]) is bool(words.axes.axes)
 
 
 def test_a_cut_between_file_and_store_loses_nothing(tmp_path: Path) -> None:
