@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,6 +64,8 @@ def register(app: typer.Typer) -> None:
         document, text = _report(result, out)
         for warning in document["warnings"]:
             note(f"warning: {warning}")
+        for lack in result.cannot_tell:
+            note(f"cannot tell: {lack.text}")
         emit(document, text, as_json=as_json)
 
 
@@ -81,7 +84,9 @@ def _check(source: list[Path], map_file: Path, plots: Path | None, *, as_json: b
             if c.recording is None
             else [describe_experiment(e, c.recording) for e in c.recording.experiments],
             "warnings": list(c.warnings),
-            "error": c.error or None,
+            "cannot_tell": [asdict(lack) for lack in c.cannot_tell],
+            "error": str(c.error) if c.error else None,
+            "error_code": c.error.code or None if c.error else None,
         }
         for c in checks
     ]
@@ -122,6 +127,7 @@ def _check_text(files: list[dict[str, Any]], position: str, torque: str) -> str:
                 shown = "  ".join(f"{n} {a[n][0]:.4g} … {a[n][1]:.4g} {u}" for n, u in ranges)
                 lines.append(f"      {a['axis']}: {shown}")
         lines += [f"  warning: {w}" for w in file["warnings"]]
+        lines += [f"  cannot tell: {lack['text']}" for lack in file["cannot_tell"]]
         lines += [f"  error: {file['error']}"] if file["error"] else []
     return "\n".join(lines)
 
@@ -136,6 +142,7 @@ def _print_suggestion(source: list[Path], chart: ImportMap | None, *, as_json: b
         "reasons": list(proposal.reasons),
         "unsure": list(proposal.unsure),
         "fill_in": proposal.asked,
+        "cannot_tell": list(proposal.cannot_tell),
     }
     emit(document, proposal.as_yaml(), as_json=as_json)
 
@@ -173,6 +180,7 @@ def _report(result: Import, out: Path) -> tuple[dict[str, Any], str]:
         "rows": result.rows,
         "broken_rows": [{"file": b.file, "line": b.line, "reason": b.reason} for b in result.broken],
         "warnings": warnings,
+        "cannot_tell": [asdict(lack) for lack in result.cannot_tell],
     }
     roles = {role: sum(e["role"] == role for e in experiments) for role in ("identify", "validate")}
     text = (

@@ -15,13 +15,15 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, frozen, frozen_float
+from invid.recording.cannot_tell import Lack, what_it_cannot_tell
 from invid.recording.check import check_recording
-from invid.recording.clock import StampsRead, read_stamps
-from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap
+from invid.recording.clock import StampsRead, count_slots, find_restarts, read_stamps
+from invid.recording.import_map import AxisMap, Channel, Controller, ExperimentMap, ImportMap
+from invid.recording.joined import read_joined
+from invid.recording.meaning import EPISODE
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs, held_rows, with_sign
-from invid.recording.readers.file_kind import is_document
-from invid.recording.readers.kinds import read_table
+from invid.recording.readers.kinds import is_document, read_table
 from invid.recording.tables import BrokenRow, SparseRows, Table, good_rows, on_clock, slowest_rows
 from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
 
@@ -34,6 +36,7 @@ class Import:
     broken: tuple[BrokenRow, ...]
     rows: int
     warnings: tuple[str, ...]
+    cannot_tell: tuple[Lack, ...] = ()
 
 
 def import_files(
@@ -48,29 +51,35 @@ def import_files(
     tables: dict[Path, Table] = {}
     read: dict[tuple[Path, tuple[str | int, ...], tuple[int, int, int]], _Rows] = {}
     counted: dict[Path, int] = {}
+    if chart.sources:
+        files = [f for s in sources for f in (_all_inside(s) if s.is_dir() else [s])]
+        tables = read_joined(files, chart.sources, beside)
+        sources = list(tables)
     pairs = assign(sources, chart.experiments)
     several = len({path for _, path in pairs}) > 1
     for entry, path in pairs:
         with _named_with_way_out(path, several=several):
             if path not in tables:
                 tables[path] = read_table(path, chart.source, beside=beside)
-                warnings += [f"{path.name}: {r}" for r in tables[path].remarks]
+            warnings += [f"{path.name}: {r}" for r in tables[path].remarks]
             own = chart.read_for(entry).renamed(tables[path].aliases)
             needed = tuple(own.columns())
             table, moved = _on_one_clock(tables[path], own)
-            span = _span(table, entry, own, f"{path}: experiment {len(experiments):03d}")
-            if (path, needed, span) not in read:
-                rows_read, skipped, remarks = _usable_rows(table, own, span, path)
-                read[path, needed, span] = rows_read
-                broken += [b for b in skipped if b not in broken]
-                told = (*moved, *remarks, *_doubts_of_columns(rows_read, own))
-                warnings += [f"{path.name}: {m}" for m in told]
-            counted[path] = max(counted.get(path, 0), read[path, needed, span].good.size)
-            experiment, lost_period = _experiment(
-                f"{len(experiments):03d}", entry, read[path, needed, span], own, path
-            )
-            experiments.append(experiment)
-            warnings += lost_period
+            spans, split = _spans(table, entry, own, f"{path}: experiment {len(experiments):03d}")
+            warnings += [f"{path.name}: {s}" for s in split]
+            for span in spans:
+                if (path, needed, span) not in read:
+                    rows_read, skipped, remarks = _usable_rows(table, own, span, path)
+                    read[path, needed, span] = rows_read
+                    broken += [b for b in skipped if b not in broken]
+                    told = (*moved, *remarks, *_doubts_of_columns(rows_read, own))
+                    warnings += [f"{path.name}: {m}" for m in told]
+                counted[path] = max(counted.get(path, 0), read[path, needed, span].good.size)
+                experiment, lost_period = _experiment(
+                    f"{len(experiments):03d}", entry, read[path, needed, span], own, path
+                )
+                experiments.append(experiment)
+                warnings += lost_period
     for path in sources:
         if path.is_file() and path not in tables:
             raise InputError(f"{path}: no experiment of the map takes this file; see 'file' in the map")
@@ -89,7 +98,10 @@ def import_files(
     )
     check_recording(recording)
     warnings += doubts(recording)
-    return Import(recording, tuple(broken), max(sum(counted.values()), 1), tuple(dict.fromkeys(warnings)))
+    rows = max(sum(counted.values()), 1)
+    return Import(
+        recording, tuple(broken), rows, tuple(dict.fromkeys(warnings)), what_it_cannot_tell(recording)
+    )
 
 
 @contextmanager
@@ -101,8 +113,11 @@ def _named_with_way_out(path: Path, *, several: bool) -> Iterator[None]:
         if not several:
             raise
         raise InputError(
-            f"{error}; to read the others without this file, write 'skip: {{{path.name!r}: the reason}}' in "
-            f"the map"
+            str(error),
+            way_out=f"to read the others without this file, write 'skip: {{{path.name!r}: the reason}}' in "
+            "the map",
+            code=error.code,
+            values=error.values,
         ) from None
 
 
@@ -112,7 +127,13 @@ def _unsaid(chart: ImportMap) -> list[str]:
         f"axis {a.name}: the map does not say the 'meaning' of its torque; 'measured' is assumed (a torque "
         "that was only asked for is 'demanded': the drive's delay then counts as the machine's)"
         for a in chart.axes
-        if "meaning" not in a.torque.model_fields_set
+        if a.torque is not None and "meaning" not in a.torque.model_fields_set
+    ] + [
+        f"axis {a.name}: its torque is what the stated 'controller' asks for, not a measured one: the "
+        "drive's delay "
+        "and what it loses count as the machine's"
+        for a in chart.axes
+        if a.torque is None
     ]
 
 
@@ -285,24 +306,52 @@ class _Rows:
         return np.asarray(np.mod(np.round(words[self.use]), 65536), dtype=np.float64)
 
 
-def _span(table: Table, entry: ExperimentMap, chart: ImportMap, where: str) -> tuple[int, int, int]:
-    """First row of an experiment, the one after its last, and the step between them."""
+def _spans(
+    table: Table, entry: ExperimentMap, chart: ImportMap, where: str
+) -> tuple[list[tuple[int, int, int]], list[str]]:
+    """First row, the one after the last, and the step of each record in an experiment's rows; why there are
+    several.
+
+    Records are never joined: a column that numbers them, or a clock that starts anew, parts them.
+    """
     size = table.column(chart.columns()[0]).size
     for edge in entry.rows:
         if edge is not None and abs(edge) > size:
             raise InputError(f"{where}: 'rows' is {list(entry.rows)}, but the file has {size} rows of data")
     first, stop, _ = slice(*entry.rows).indices(size)
-    first += entry.drop_periods * entry.period_samples
-    if stop - first < 2:
-        raise InputError(
-            f"{where}: rows {list(entry.rows)} leave {max(stop - first, 0)} samples of the file's {size}; "
-            f"at least 2 are needed"
-        )
-    if entry.every > 1:
-        measured = [table.column(a.torque.column)[first:stop] for a in chart.axes]
-        hold = held_rows(np.stack(measured, axis=1))
-        first += hold.first % entry.every if hold is not None else 0
-    return first, stop, entry.every
+    edges, why = _record_starts(table, chart, size)
+    inner = [e for e in edges if first < e < stop]
+    spans = []
+    for begin, end in zip([first, *inner], [*inner, stop], strict=True):
+        begin += entry.drop_periods * entry.period_samples
+        if end - begin < 2 and inner:
+            continue
+        if end - begin < 2:
+            raise InputError(
+                f"{where}: rows {list(entry.rows)} leave {max(end - begin, 0)} samples of the file's {size}; "
+                f"at least 2 are needed"
+            )
+        if entry.every > 1:
+            measured = [table.column(a.torque.column)[begin:end] for a in chart.axes if a.torque is not None]
+            hold = held_rows(np.stack(measured, axis=1)) if measured else None
+            begin += hold.first % entry.every if hold is not None else 0
+        spans.append((begin, end, entry.every))
+    return spans, [f"{why}: {len(spans)} records, an experiment each"] if inner else []
+
+
+def _record_starts(table: Table, chart: ImportMap, size: int) -> tuple[list[int], str]:
+    """Rows at which another record begins, and what says so."""
+    for name, column in table.columns.items():
+        if EPISODE.match(name) and column.size == size and np.isfinite(column).all():
+            starts = np.flatnonzero(np.diff(column) != 0) + 1
+            if 0 < starts.size * 16 < size and bool(np.all(column == np.rint(column))):
+                return starts.tolist(), f"{name!r} says where records end"
+    said = chart.time
+    if said.column is None:
+        return [], ""
+    unit = factor("time", said.unit, MachineConstants(), "map: time")
+    how = StampsRead(str(said.column), unit, said.wraps_at, said.differences)
+    return find_restarts(table.column(said.column) * unit, how), f"the clock {said.column!r} starts anew"
 
 
 def _usable_rows(
@@ -375,15 +424,24 @@ def _experiment(
         p if v is None else integrated(time, v)
         for p, v in zip(columns(lambda a: a.position, "position"), velocity, strict=True)
     ]
-    demand = columns(
-        lambda a: a.torque_demand or (a.torque if a.torque.meaning == "demanded" else None), "torque"
-    )
+    reference = columns(lambda a: a.position_reference, "position")
     # A feedforward may be logged in some of the files only: zero in the others.
     added = columns(lambda a: a.torque_feedforward if _has(table, a.torque_feedforward) else None, "torque")
     feedforward = [np.zeros(use.size) if f is None else f for f in added]
+    torque = [
+        _asked_for(a.controller, r, p, time) + f if t is None and a.controller and r is not None else t
+        for t, a, r, p, f in zip(
+            columns(lambda a: a.torque, "torque"), chart.axes, reference, position, feedforward, strict=True
+        )
+    ]
+    sources = [a.torque.meaning if a.torque is not None else "demanded" for a in chart.axes]
+    demand = [
+        d if d is not None else t if m == "demanded" else None
+        for d, t, m in zip(columns(lambda a: a.torque_demand, "torque"), torque, sources, strict=True)
+    ]
     status = [None if a.status is None else rows.words(a.status) for a in chart.axes]
     words = _every(status)
-    meanings = sorted({a.torque.meaning for a in chart.axes})
+    meanings = sorted(set(sources))
     attributes: dict[str, Any] = {
         "source_file": path.name,
         "torque_source": meanings[0] if len(meanings) == 1 else "mixed",
@@ -412,14 +470,24 @@ def _experiment(
         sample_rate_hz=(chart.time.sample_rate_hz or 0.0) / rows.each or _rate(time),
         time=time,
         position=_matrix(position),  # type: ignore[arg-type]
-        torque=_matrix(columns(lambda a: a.torque, "torque")),  # type: ignore[arg-type]
+        torque=_matrix(torque),  # type: ignore[arg-type]
         torque_demand=_matrix(demand),
         status=None if words is None else frozen(np.stack(words, axis=1), np.uint16),  # type: ignore[arg-type]
         attributes=attributes,
-        position_reference=_matrix(columns(lambda a: a.position_reference, "position")),
+        position_reference=_matrix(reference),
         torque_feedforward=_matrix(feedforward) if any(f.any() for f in feedforward) else None,
     )
     return experiment, remarks
+
+
+def _asked_for(law: Controller, reference: Float64, position: Float64 | None, time: Float64) -> Float64:
+    """(n,) torque that a known law asks for, by the even clock that the rows keep."""
+    if position is None:
+        raise InputError("map: a 'controller' without 'torque' needs 'position'")
+    slots = count_slots(time)
+    clock = slots.index * slots.step if slots.even else time
+    torque: Float64 = law.stiffness * (reference - position) - law.damping * np.gradient(position, clock)
+    return torque if law.limit is None else np.clip(torque, -law.limit, law.limit)
 
 
 def _matrix(columns: Sequence[Float64 | None]) -> Float64 | None:
