@@ -78,7 +78,7 @@ LAYOUTS = (
         ),
         byte_order="big",
         remark="position runs over ± P_MAX rad in 65,536 steps (per_count 2·P_MAX/65535, offset 32767.5), "
-        "torque over ± T_MAX N·m in 4,096 (scale 2·T_MAX/4095, offset 2047.5): both stand in the motor's settings",
+        "torque over ± T_MAX N·m in 4,096 (scale 2·T_MAX/4095, offset 2047.5): see the motor's settings",
     ),
 )  # fmt: skip
 

@@ -47,7 +47,7 @@ def register(app: typer.Typer) -> None:
         if not source and (chart is None or propose):
             raise InputError("import: name the files to read (SOURCE), or a map that names its 'files'")
         if propose:
-            _print_suggestion(source, chart, as_json=as_json)
+            _print_suggestion(source, chart, map_file, as_json=as_json)
             return
         if out is None:
             raise InputError(
@@ -132,10 +132,12 @@ def _check_text(files: list[dict[str, Any]], position: str, torque: str) -> str:
     return "\n".join(lines)
 
 
-def _print_suggestion(source: list[Path], chart: ImportMap | None, *, as_json: bool) -> None:
+def _print_suggestion(
+    source: list[Path], chart: ImportMap | None, map_file: Path | None, *, as_json: bool
+) -> None:
     from invid.recording.import_source import suggest_map
 
-    _, proposal = suggest_map(source, chart)
+    _, proposal = suggest_map(source, chart, map_file.parent if map_file is not None else None)
     document = {
         "format": "invid-import-suggestion",
         "map": proposal.document,

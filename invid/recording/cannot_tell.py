@@ -15,8 +15,10 @@ from invid.recording.model import Experiment, Recording
 AT_LIMIT = 3.0
 """Share of rows near the largest torque over a sinusoid's own from which it is a limit; a multisine has
 less."""
-NEAR = (1e-3, 0.03)
+NEAR = (1e-3, 0.08)
 """Near: of the largest torque, where it is exact and where it is noisy; at least one step of its numbers."""
+STEADY = 0.3
+"""Deviation of the speed over its mean up to which a constant torque is friction at a constant speed."""
 STOPS = 0.02
 """Share of the fastest speed up to which an axis stands (noise and quantisation of differences)."""
 ALIKE = 1.25
@@ -122,22 +124,20 @@ def _one_amplitude(motion: _Motion, fastest: float) -> _Found:
 
 
 def _torque_at_limit(motion: _Motion, fastest: float) -> _Found:
-    size = np.abs(np.concatenate(motion.torque))
-    top = float(size.max())
-    levels = np.unique(size)
-    step = (
-        float(np.diff(levels).max(initial=0.0, where=np.diff(levels) < 0.1 * top))
-        if levels.size < 2000
-        else 0.0
-    )
+    size = np.abs(np.concatenate([torque[1:] for torque in motion.torque]))
+    speed = np.abs(np.concatenate(motion.speed))
+    top, levels = float(size.max()), np.unique(size)
+    step = float(np.min(np.diff(levels), initial=np.inf)) if 1 < levels.size < 2000 else 0.0
     for near in NEAR:
         band = max(near * top, 1.01 * step)
-        share = float(np.mean(size >= top - band))
-        if 0 < band < 0.2 * top and share > max(AT_LIMIT * 2 / np.pi * np.arccos(1 - band / top), 0.02):
+        close = size >= top - band
+        share = float(close.mean())
+        if not 0 < band < 0.2 * top or share < max(AT_LIMIT * 2 / np.pi * np.arccos(1 - band / top), 0.02):
+            continue
+        if float(speed[close].std()) > STEADY * float(speed[close].mean()):
             return (
                 f"the torque is at its limit of {top:.4g} for {share:.0%} of the rows: what was asked for "
-                "did not act, "
-                "and a loop that swings there tells little of the machine; lower the gains or the amplitude",
+                "did not act, and a loop that swings there tells little; lower the gains or the amplitude",
                 {"limit": top, "share": share},
             )
     return None

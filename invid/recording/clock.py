@@ -429,7 +429,8 @@ def _modulus(falls: Float64, step: float, unit: float, *, rounds: bool = True) -
     """The number at which a counter wraps that falls like this, with the least time between."""
     known = {2.0**p * tick for p in _POWERS for tick in (*_TICKS, unit)} | (set(_ROUNDS) if rounds else set())
     left = {m: m - falls for m in known}
-    fitting = [m for m, e in left.items() if (e > -0.5 * step).all() and (e < LONGEST_WRAP * step).all()]
+    most = LONGEST_WRAP if rounds else 2
+    fitting = [m for m, e in left.items() if (e > -0.5 * step).all() and (e < most * step).all()]
     return min(fitting, key=lambda m: float(np.sum(left[m])), default=None)
 
 

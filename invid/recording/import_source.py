@@ -91,13 +91,15 @@ MOST_FILES = 50
 """Files that a suggestion looks at; the others are said to be unread."""
 
 
-def suggest_map(sources: Sequence[Path], chart: ImportMap | None) -> tuple[Path, Suggestion]:
+def suggest_map(
+    sources: Sequence[Path], chart: ImportMap | None, beside: Path | None = None
+) -> tuple[Path, Suggestion]:
     """A first map for all the files, with the reason for every guess; ``chart`` says how to read them."""
     files = [f for s in sources for f in (files_inside(s) if s.is_dir() else [s])]
     if not files:
         raise InputError(f"{sources[0]}: the folder is empty")
     source = chart.source if chart else Source()
-    path, proposal = suggest_for_all([_found(f, source) for f in files[:MOST_FILES]])
+    path, proposal = suggest_for_all([_found(f, source, beside) for f in files[:MOST_FILES]])
     if len(files) > MOST_FILES:
         rest = f"{len(files) - MOST_FILES} of {len(files)} files were not looked at"
         proposal = replace(proposal, unsure=(rest, *proposal.unsure))
@@ -109,13 +111,16 @@ def suggest_map(sources: Sequence[Path], chart: ImportMap | None) -> tuple[Path,
     return path, proposal
 
 
-def _found(path: Path, source: Source) -> Found:
+def _found(path: Path, source: Source, beside: Path | None) -> Found:
     """The file's table; where it can be read in several ways the first of them, with the doubt."""
+    # What the map says of reading them stays in the map.
+    given: dict[str, Any] = source.model_dump(exclude_defaults=True, mode="json")
     chosen: dict[str, str | int] = {}
     doubts: list[str] = []
     while True:
         try:
-            return Found(path, read_table(path, source.model_copy(update=chosen)), chosen, tuple(doubts))
+            table = read_table(path, source.model_copy(update=chosen), beside=beside)
+            return Found(path, table, given | chosen, tuple(doubts))
         except ChoiceNeeded as choice:
             if choice.key in chosen:
                 return Found(path, None, error=choice)

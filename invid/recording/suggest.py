@@ -88,7 +88,7 @@ class Found:
 
     path: Path
     table: Table | None
-    source: Mapping[str, str | int] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
     error: InputError | None = None
 
@@ -156,7 +156,7 @@ def _alike(names: Sequence[str]) -> int:
     return next(unlike, min(map(len, names)))
 
 
-def suggest(table: Table, path: Path, source: Mapping[str, str | int] = MappingProxyType({})) -> Suggestion:
+def suggest(table: Table, path: Path, source: Mapping[str, Any] = MappingProxyType({})) -> Suggestion:
     """A first map for the columns of ``table``; ``source``: keys that were chosen to read it.
 
     Raises

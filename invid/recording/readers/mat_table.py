@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 import scipy.io
 from pymatreader import read_mat as read_contents
-from scipy.io.matlab import MatlabOpaque
+from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
@@ -132,16 +132,11 @@ def read_mat(path: Path, source: Source, *, beside: Path | None = None) -> Table
 def _contents(path: Path) -> tuple[dict[str, str], list[str]]:
     """Objects by name with their class, and the names of what is none."""
     if not h5py.is_hdf5(path):
-        claimed = scipy.io.whosmat(path)
-        limit_numbers({n: int(np.prod(s, dtype=object)) for n, s, _ in claimed}, path)
-        loaded = scipy.io.loadmat(
-            path, variable_names=[n for n, _, k in claimed if k in ("unknown", "opaque", "object")]
-        )
+        loaded = scipy.io.loadmat(path)
         opaque = [np.ravel(np.asarray(v))[0] for v in loaded.values() if isinstance(v, MatlabOpaque)]
         objects = {_text(row[0]): _text(row[2]) for row in opaque}
-        return objects, [
-            n for n, _, k in claimed if n not in objects and k not in ("unknown", "opaque", "object")
-        ]
+        plain = (n for n, v in loaded.items() if not isinstance(v, MatlabOpaque | MatlabFunction))
+        return objects, [n for n in plain if not n.startswith("__")]
     with h5py.File(path, "r") as file:
         own = [
             n for n in file if not n.startswith("#") and isinstance(file.get(n, getlink=True), h5py.HardLink)

@@ -92,6 +92,9 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     """Cells of a line; a separator inside quotation marks separates nothing, one at the end is habit."""
     if delimiter == " ":
         return line.split()
+    if delimiter != ",":
+        # A spreadsheet that took the file for comma-separated leaves empty cells at the end of the line.
+        line = line.rstrip().rstrip(",")
     cells = [
         c.strip().strip('"').strip()
         for c in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])

@@ -120,6 +120,8 @@ def _scan(text: Text, dialect: Dialect, as_text: frozenset[str]) -> pl.LazyFrame
 def _number(cell: pl.Expr, dialect: Dialect) -> pl.Expr:
     """A number as people write it: with blanks, thousands, Fortran's D, a minus as it is printed."""
     cell = cell.str.strip_chars(' \t"\u00a0').str.replace_all("\u2212", "-", literal=True)
+    if dialect.delimiter != ",":
+        cell = cell.str.strip_chars_end(",")
     if dialect.thousands is not None:
         sign = {" ": _SPACES, "'": "['’]", ".": r"\."}.get(dialect.thousands, dialect.thousands)
         grouped = rf"^[+-]?\d{{1,3}}({sign}\d{{3}})+(\{dialect.decimal}\d+)?$"
