@@ -15,10 +15,9 @@ import numpy as np
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, Int64, frozen_float
 from invid.recording.import_map import Pdo, Source
-from invid.recording.readers.kinds import FileKind
 from invid.recording.tables import BrokenRow, Table
 from invid_drivers.can_log_fields import Field, fields_of_database, fields_of_pdo, listed
-from invid_drivers.can_log_frames import CAPTURES, HEADER, STARTS, Frames, read_frames
+from invid_drivers.can_log_frames import Frames, read_frames
 from invid_drivers.can_log_guess import LOOKED_AT, SMOOTH, Guess, guess_pdos, roughness
 from invid_drivers.can_log_mapping import pdos_of_eds
 from invid_drivers.can_log_traffic import chosen_frames
@@ -31,15 +30,6 @@ TWICE = 0.4
 """Share of such distances that is no chance; of frames all logged twice it is a half."""
 BOTH_DIFFER = 0.5
 """Share of pairs of rows with different numbers from which they are no frame and its echo."""
-
-read_can_log = FileKind(
-    "can_log",
-    f"{__name__}:read_log",
-    (b"***BUSMASTER", *(s for s in STARTS if not s.startswith((b"MDF", b"SQLite", b"timestamp"))), *CAPTURES),
-    (".log", ".asc", ".blf", ".trc", ".pcap", ".pcapng", ".cap"),
-    HEADER,
-)
-"""The kind that the entry point names."""
 
 
 def read_log(path: Path, source: Source, *, beside: Path | None = None) -> Table:

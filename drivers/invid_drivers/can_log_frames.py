@@ -24,6 +24,7 @@ from invid.numerics.arrays import Bool, Float64, Int64
 from invid.recording.readers.kinds import FileStart, first_line
 from invid.recording.readers.text_rows import seconds_of
 from invid.recording.tables import BrokenRow
+from invid_drivers.can_log_kind import ASIDE, CAPTURES, LINES
 
 MAX_FRAMES = 50_000_000
 MAX_BROKEN = 100_000
@@ -34,47 +35,11 @@ READ = (
     "captures of "
     "Wireshark (pcap, pcapng), and BLF, PEAK TRC, MF4 of frames, and python-can's CSV and SQLite"
 )
-_HEX = r"[0-9A-Fa-f]"
-_KINDS = {
-    # (1700000000.000210) can0 181#3712FCFFFAFFFFFF
-    "candump": rf"^\s*\((?P<t>\d+(?:\.\d+)?)\)\s+(?P<channel>\S+)\s+(?P<id>{_HEX}{{3}}|{_HEX}{{8}})#"
-    rf"(?P<flags>#{_HEX})?(?P<data>(?:{_HEX}{{2}}){{0,64}}|R{_HEX}?)(?:\s+(?P<way>[TRtr]))?\s*$",
-    #  (1700000000.000210)  can0  RX - -  181   [8]  37 12 FC FF FA FF FF FF
-    "screen": rf"^\s*\((?P<t>\d+\.?\d*|\d{{4}}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{{6}})\)\s+(?P<channel>\S+)\s+"
-    rf"(?:(?P<way>[TR])X\s+)?(?:-\s+)*(?P<id>{_HEX}{{3}}|{_HEX}{{8}})\s+\[(?P<length>\d+)\]"
-    rf"(?P<data>(?:\s+{_HEX}{{2}})*)\s*(?:'.*)?$",
-    # 166064000,0000021A,false,Rx,0,8,FE,36,12,FE,69,05,07,AD,
-    "gvret": rf"^\s*(?P<us>\d+),\s*(?P<id>{_HEX}+),\s*(?i:true|false|0|1),\s*(?:(?P<way>[RTrt])x,\s*)?"
-    rf"(?P<channel>\d+),\s*(?P<length>\d+)(?P<data>(?:,\s*{_HEX}{{0,2}})*)\s*$",
-    # 12:36:19:0160 Rx 1 0x181 s 8 37 12 FC FF FA FF FF FF
-    "busmaster": rf"^\s*(?P<t>\d+:\d+:\d+:\d{{4}})\s+(?P<way>[RT])x\s+(?P<channel>\d+)\s+"
-    rf"(?P<id>0x{_HEX}+|\d+)\s+[sx]r?\s+(?P<length>\d)(?P<data>(?:\s+{_HEX}{{1,3}})*)\s*$",
-    # 0    00000181         8  37 12 FC FF FA FF FF FF       0.000210 R
-    "canking": rf"^\s*(?P<channel>\d+)\s+(?P<id>{_HEX}{{8}})\s+(?:X\s+)?(?P<length>\d)"
-    rf"(?P<data>(?:\s+{_HEX}{{2}})*)\s+(?P<t>\d+\.\d+)\s+(?P<way>[RT])\s*$",
-}
-_ASIDE = r"^\s*$|^\s*#|^\s*\*\*\*|^\s*Time ?Stamp\b|^Chn Identifier\b"
-"""Empty lines, comments, and the headers of BUSMASTER, SavvyCAN and Kvaser's CanKing."""
-HEADER = "|".join(
-    [
-        # timestamp,arbitration_id,extended,remote,error,dlc,data
-        r"\Atimestamp,arbitration_id,extended,remote,error,dlc,data",
-        # Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8
-        r"\ATime Stamp,ID,Extended",
-        # base hex  timestamps absolute
-        r"^\s*base\s+(?:hex|dec)\s+timestamps\s+(?:absolute|relative)",
-        r"\AChn Identifier\b",
-        *(re.sub(r"\?P<\w+>", "?:", _KINDS[k]) for k in ("candump", "screen", "canking")),
-    ]
-)
-"""A head or a line that only a CAN log has."""
 STARTS = {
     b"LOGG": can.BLFReader, b"MDF     ": can.MF4Reader, b"SQLite format 3": can.SqliteReader,
     b";$FILEVERSION": can.TRCReader, b"timestamp,arbitration_id,": can.CSVReader,
 }  # fmt: skip
 """Readers of python-can by a file's first bytes, whatever its name."""
-CAPTURES = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\n\r\r\n")
-"""First bytes of pcap (µs, ns, either byte order) and pcapng."""
 _ERROR = 0x20000000
 """Flag of an error frame in SocketCAN's identifier; the two above are extended and remote."""
 _REMOTE = 0x40000000
@@ -162,7 +127,7 @@ def read_frames(path: Path) -> Frames:
 def _line_kind(head: str) -> str | None:
     lines = head.splitlines()[:50]
     return next(
-        (kind for kind, pattern in _KINDS.items() if any(re.match(pattern, line) for line in lines)), None
+        (kind for kind, pattern in LINES.items() if any(re.match(pattern, line) for line in lines)), None
     )
 
 
@@ -171,7 +136,7 @@ def _text_frames(path: Path, kind: str) -> Frames:
         path, has_header=False, separator="\x01", quote_char=None, schema={"line": pl.String},
         encoding="utf8-lossy", truncate_ragged_lines=True, glob=False,
     ).with_row_index("number", offset=1)  # fmt: skip
-    parts = pl.col("line").str.strip_chars_end("\r").str.extract_groups(_KINDS[kind])
+    parts = pl.col("line").str.strip_chars_end("\r").str.extract_groups(LINES[kind])
     base = 10 if kind == "busmaster" and "***DEC" in FileStart.of(path).text else 16
     # Texts of all lines at once take five times the file.
     batches = lines.with_columns(parts.alias("parts")).unnest("parts").collect_batches(chunk_size=_BATCH)
@@ -199,7 +164,7 @@ def _batch_of_frames(
 ) -> Frames:
     """The frames of some lines, with numbers to ``base``; ``elapsed`` are here the stamps themselves."""
     whole = frame["id"].is_not_null()
-    wrong = frame.filter(~whole & ~frame["line"].fill_null("").str.contains(_ASIDE))["number"]
+    wrong = frame.filter(~whole & ~frame["line"].fill_null("").str.contains(ASIDE))["number"]
     room = MAX_BROKEN - len(broken)
     broken += [BrokenRow(name, n, "no whole CAN frame") for n in wrong.head(room).to_list()]
     frame = frame.filter(whole)

@@ -102,7 +102,7 @@ def run(arguments: list[str]) -> int:
         elif isinstance(error, SafetyStop) and "--json" in arguments:
             # Stopped: what was recorded so far is in the file that the command named.
             emit({"result": None, "outcome": "aborted", "warnings": [str(error)]}, "", as_json=True)
-        elif isinstance(error, InputError) and "--json" in arguments:
+        elif "--json" in arguments and isinstance(error, InputError) and (error.code or named == "import"):
             # Refused: a program branches on the code, and has what was measured.
             refused = {"code": error.code or "input", "reason": error.reason, "way_out": error.way_out}
             emit(

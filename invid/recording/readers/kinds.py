@@ -60,17 +60,15 @@ class FileKind:
             raise InputError(f"{path}: is {self.name}, which is not read: {self.way}", code="kind_not_read")
         module, function = self.reader.split(":")
         try:
-            read = getattr(import_module(module), function)
+            table: Table = getattr(import_module(module), function)(path, source, beside=beside)
+        except (InputError, MemoryError):
+            raise
         except ModuleNotFoundError as error:
             raise InputError(
                 f"{path}: {self.name} needs the package {error.name}",
                 way_out=f"install it with pip install 'invid[{self.packages}]'",
                 code="package_missing",
             ) from None
-        try:
-            table: Table = read(path, source, beside=beside)
-        except (InputError, MemoryError):
-            raise
         except Exception as error:  # libraries raise by kind of damage: ValueError, struct.error, KeyError, …
             raise InputError(
                 f"{path}: cannot be read as {self.name}: {first_line(error)}; is it whole?", code="unreadable"

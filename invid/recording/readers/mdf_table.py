@@ -11,10 +11,11 @@ import pickle
 import subprocess
 import sys
 import tempfile
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import asammdf
 import numpy as np
 
 from invid.errors import InputError
@@ -30,6 +31,8 @@ TIME_LIMIT = 600.0
 def read_mdf(path: Path, source: Source, *, beside: Path | None = None) -> Table:
     """Columns of an MDF file, a clock for each channel group, values as the file converts them; or a CAN
     log."""
+    if find_spec("asammdf") is None:
+        raise ModuleNotFoundError("asammdf", name="asammdf")
     with tempfile.TemporaryDirectory(prefix="invid-mdf-") as folder:
         out = Path(folder) / "table"
         command = [sys.executable, "-m", "invid.recording.readers.mdf_table", str(path.resolve()), str(out)]
@@ -58,7 +61,8 @@ def _table(path: Path) -> Table:
     columns: dict[str, Any] = {}
     clocks: dict[str, str] = {}
     units: dict[str, str] = {}
-    with asammdf.MDF(path) as file:
+    # Only here: the reader above waits for a process that has it.
+    with import_module("asammdf").MDF(path) as file:
         groups: list[Any] = list(file.groups)
         claimed = {str(i): g.channel_group.cycles_nr * len(g.channels) for i, g in enumerate(groups)}
         limit_numbers(claimed, path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import clevercsv
@@ -27,11 +27,22 @@ SMOOTHER = 2.0
 a thousand."""
 _SNIFFED = 100
 """Lines that clevercsv is shown: its time grows with them, its answer does not change."""
-_SPACES = " \u00a0\u2009\u202f"
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?$")
-_GROUPED = re.compile(
-    rf"[+-]?\d{{1,3}}(?:(?P<group>[.,'’{_SPACES}])\d{{3}})(?:(?P=group)\d{{3}})*(?:(?P<sign>[.,])\d+)?$"
-)
+_FORMATS = {
+    (decimal, thousands): re.compile(
+        rf"(?=.*\d)[+-]?(?:\d{{1,3}}(?:{group}\d{{3}})+|\d*)(?:{re.escape(decimal)}\d*)?(?:[eEdD][+-]?\d+)?$"
+    )
+    for thousands, group in {
+        None: "(?!)",
+        ",": ",",
+        ".": r"\.",
+        " ": "[ \u00a0\u2009\u202f]",
+        "'": "['’]",
+    }.items()
+    for decimal in ".,"
+    if decimal != thousands
+}
+"""Ways to write numbers, decimals and the sign between thousands: of several that fit alike the first."""
 NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
 _DAYS = (
     "",
@@ -75,7 +86,7 @@ class Dialect:
 
 def is_numeral(cell: str) -> bool:
     """Whether a cell is a number in some way of writing."""
-    return bool(NUMBER.match(cell)) or _plainly_grouped(cell) is not None
+    return any(form.match(cell) for form in _FORMATS.values())
 
 
 def is_instant(cell: str) -> bool:
@@ -121,15 +132,12 @@ def find_dialect(head: Sequence[str], middle: Sequence[str], source: Source, whe
     width += delimiter != " " and widths[width + 1] > SELDOM * len(rows)
     whole = [[*r, ""][:width] for r in rows if len(r) in (width, width - 1)]
     columns = list(zip(*whole, strict=True))
-    words = frozenset(
-        i for i, c in enumerate(columns)
-        if sum(not is_numeral(x) and x.lower() not in NOT_A_NUMBER for x in c) > WORDS * len(c)
-    )  # fmt: skip
+    words = frozenset(i for i, c in enumerate(columns) if _is_of(is_word, c))
     numbers = [c for i, c in enumerate(columns) if i not in words]
     decimal, thousands = find_number_format(numbers, source.decimal, source.thousands, where)
     first = source.header_lines
     if first is None:
-        first = _first_row(head, delimiter, width, columns, where)
+        first = _first_row(head, delimiter, columns, where)
     dialect = Dialect(delimiter, decimal, thousands, first, (), words=words)
     names, units = _names(head[:first], dialect, columns, source.names, where)
     return replace(dialect, names=names, units=units)
@@ -146,14 +154,18 @@ def find_delimiter(body: Sequence[str]) -> str:
     return found.delimiter if found is not None and found.delimiter else ","
 
 
-def _first_row(
-    head: Sequence[str], delimiter: str, width: int, columns: Sequence[Sequence[str]], where: str
-) -> int:
-    worded = {
-        i
-        for i, c in enumerate(columns)
-        if sum(not is_value(x) and x.lower() not in NOT_A_NUMBER for x in c) > WORDS * len(c)
-    }
+def is_word(cell: str) -> bool:
+    """Whether a cell is neither a number nor one that is missing."""
+    return not is_numeral(cell) and cell.lower() not in NOT_A_NUMBER
+
+
+def _is_of(kind: Callable[[str], bool], column: Sequence[str]) -> bool:
+    return sum(map(kind, column)) > WORDS * len(column)
+
+
+def _first_row(head: Sequence[str], delimiter: str, columns: Sequence[Sequence[str]], where: str) -> int:
+    worded = {i for i, c in enumerate(columns) if _is_of(lambda x: is_word(x) and not is_instant(x), c)}
+    width = len(columns)
     for i, line in enumerate(head):
         cells = split_cells(line, delimiter)
         if is_remark(line) or len(cells) not in (width, width - 1):
@@ -226,17 +238,6 @@ def _plain_number(cell: str, dialect: Dialect) -> float:
         return float("nan")
 
 
-def _plainly_grouped(cell: str) -> tuple[str, str] | None:
-    """Decimal and thousands of a cell that can only have both: two groups, or decimals of another sign."""
-    found = _GROUPED.match(cell)
-    if found is None or found["group"] == found["sign"]:
-        return None
-    group, sign = found["group"], found["sign"]
-    if sign is None and group in ".," and cell.count(group) < 2:
-        return None
-    return sign or ("." if group != "." else ","), group
-
-
 def find_number_format(
     columns: Iterable[Sequence[str]], decimal: str | None, thousands: str | None, where: str
 ) -> tuple[str, str | None]:
@@ -248,30 +249,22 @@ def find_number_format(
         Signs that may stand for decimals as well as between thousands.
     """
     columns = [list(c) for c in columns]
-    cells = [c for column in columns for c in column]
-    plain = [f for c in cells if (f := _plainly_grouped(c)) is not None]
-    plain = [f for f in plain if decimal in (None, f[0]) and thousands in (None, f[1])]
-    if plain and thousands is None:
-        # Of "1,234,567" nobody sees the decimals; what other cells have decides.
-        decimal, thousands = decimal or plain[0][0], plain[0][1]
-    if decimal is not None:
-        return decimal, thousands
-    if thousands is not None:
-        return "," if thousands == "." else ".", thousands
-    numerals = [c for c in cells if NUMBER.match(c)]
-    sign = "," if sum("," in c for c in numerals) > sum("." in c for c in numerals) else "."
-    for column in columns:
-        doubtful = _doubtful(column, sign)
-        if doubtful is not None:
-            other = "." if sign == "," else ","
-            raise InputError(
-                f"{where}: {doubtful!r} may be a number of three decimals or one of thousands",
-                way_out=f"write 'thousands: {sign!r}' (decimals are then {other!r}) or 'decimal: {sign!r}' "
-                "in the "
-                "map's 'source'",
-                code="doubtful_numbers",
-            )
-    return sign, None
+    fitting = {
+        form: sum(bool(pattern.match(cell)) for column in columns for cell in column)
+        for form, pattern in _FORMATS.items()
+        if decimal in (None, form[0]) and thousands in (None, form[1])
+    }
+    sign, group = max(fitting, key=lambda form: fitting[form])
+    doubtful = next(filter(None, (_doubtful(c, sign) for c in columns)), None) if group is None else None
+    if doubtful is None or decimal is not None:
+        return sign, group
+    other = "." if sign == "," else ","
+    raise InputError(
+        f"{where}: {doubtful!r} may be a number of three decimals or one of thousands",
+        way_out=f"write 'thousands: {sign!r}' (decimals are then {other!r}) or 'decimal: {sign!r}' in the "
+        "map's 'source'",
+        code="doubtful_numbers",
+    )
 
 
 def _doubtful(column: Sequence[str], sign: str) -> str | None:

@@ -12,7 +12,7 @@ import polars as pl
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64
-from invid.recording.readers.text_dialect import FORMATS, Dialect, is_remark
+from invid.recording.readers.text_dialect import FORMATS, Dialect, is_remark, split_cells
 from invid.recording.tables import BrokenRow, Table
 
 _BEYOND = "beyond"
@@ -68,7 +68,10 @@ def read_rows(text: Text, dialect: Dialect) -> Table:
             way_out="name its 'kind', or its 'delimiter', in the map's 'source'",
             code="unreadable",
         ) from None
-    nothing = frame.select(pl.all_horizontal(pl.all().is_null())).to_series().to_numpy()
+    nothing: Bool = np.zeros(frame.height, dtype=np.bool_)
+    if holed or not numbers:
+        empty = pl.all_horizontal(pl.col(numbers or inside).is_null())
+        nothing = frame.select(empty).to_series().to_numpy()
     if not frame.height or bool(nothing.all()):
         raise InputError(f"{where}: holds no row of data; is it the right file?", code="no_data")
     kept, broken = _broken(text, dialect, frame, nothing)
@@ -81,11 +84,11 @@ def read_rows(text: Text, dialect: Dialect) -> Table:
             stamped |= {name} if seconds is not None else set()
             column = pl.Series([None] * frame.height, dtype=pl.Float64) if seconds is None else seconds
         values = column.to_numpy()
-        columns[name] = np.array(values if kept.all() else values[kept], dtype=np.float64)
+        columns[name] = values if kept.all() else values[kept]
     lines = np.flatnonzero(kept) + dialect.first + 1
-    for row in np.flatnonzero(np.isin(lines, [b.line for b in broken])).tolist():
-        for column_values in columns.values():
-            column_values[row] = np.nan
+    wrong = np.isin(lines, [b.line for b in broken]) if broken else None
+    if wrong is not None:
+        columns = {n: np.where(wrong, np.nan, c) for n, c in columns.items()}
     return Table(
         name=where, columns=columns, lines=lines, line_word="line", broken=broken,
         notes={"delimiter": dialect.delimiter},
@@ -146,8 +149,9 @@ def _broken(
     for row, line in zip(np.flatnonzero(doubtful).tolist(), text.lines_at(numbers).values(), strict=True):
         if is_remark(line):
             kept[row] = False
-        elif nothing[row] or long[row]:
-            cells = line.count(dialect.delimiter) + 1
+            continue
+        cells = len(split_cells(line, dialect.delimiter))
+        if long[row] or (nothing[row] and cells not in (width, width - 1)):
             broken.append(
                 BrokenRow(text.path.name, dialect.first + row + 1, f"{cells} cells instead of {width}")
             )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from invid.recording.import_map import Source
-from invid_drivers.can_log import read_can_log
+from invid_drivers.can_log import read_log
 from invid_drivers.can_log_mapping import pdos_of_eds
 
 N = 50
@@ -56,7 +56,7 @@ def test_a_pdo_beyond_the_fourth_is_read_by_the_identifier_that_it_has(tmp_path,
     path = eds(tmp_path / "a.dcf", mapped(number, [0x20010020, 0x60770010], "$NODEID+0x2C0"))
     frames = [struct.pack("<fh", p / 7, t) for p, t in zip(POSITION.tolist(), TORQUE.tolist(), strict=True)]
     source = Source(eds=path.name, nodes=[3])
-    table = read_can_log(log(tmp_path / "a.log", [(0x2C3, frames)]), source, beside=tmp_path)
+    table = read_log(log(tmp_path / "a.log", [(0x2C3, frames)]), source, beside=tmp_path)
     np.testing.assert_allclose(table.columns["n3_2001"], POSITION / 7, rtol=1e-6)
     np.testing.assert_array_equal(table.columns["n3_6077"], TORQUE)
 
