@@ -149,14 +149,13 @@ def _text_frames(path: Path, kind: str) -> Frames:
     for f in frames:
         data[at : at + f.time.size, : f.data.shape[1]] = f.data
         at += f.time.size
-    time, elapsed, identifier, length, channel, received, number = (
-        np.concatenate([getattr(f, name) for f in frames]) if frames else np.zeros(0)
-        for name in ("time", "elapsed", "identifier", "length", "channel", "received", "number")
-    )
-    return Frames(
-        time, np.cumsum(elapsed), identifier, length, data, channel, tuple(channels), received, number,
-        tuple(broken), True,
-    )  # fmt: skip
+    names = ("time", "elapsed", "identifier", "length", "channel", "received", "number")
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(f, name) for f in frames]) if frames else np.zeros(0, dtype=np.int64)
+        for name in names
+    }
+    joined["elapsed"] = np.cumsum(joined["elapsed"])
+    return Frames(**joined, data=data, channels=tuple(channels), broken=tuple(broken), is_text=True)
 
 
 def _batch_of_frames(

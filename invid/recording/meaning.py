@@ -175,7 +175,7 @@ def meanings(names: Sequence[str], units: Mapping[str, str]) -> dict[str, Meanin
 
 
 def _meaning(name: str, stated: str, tool: str) -> Meaning:
-    if (found := re.fullmatch(r"n(\d+)_(6[0-9A-F]{3})", name)) is not None:
+    if (found := re.fullmatch(r"n(\d+)_([6-9][0-9A-F]{3})", name)) is not None:
         axis, index = divmod(int(found[2], 16) - 0x6000, 0x800)
         return replace(_OBJECTS.get(index + 0x6000, _NONE), joint=f"node {found[1]} axis {axis + 1}")
     if (layout := re.fullmatch(r"n(\d+)_(position|velocity|torque|torque_demand)", name)) is not None:
