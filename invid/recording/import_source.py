@@ -17,9 +17,10 @@ from invid.recording.cannot_tell import Lack
 from invid.recording.clock import count_slots
 from invid.recording.hdf5 import FORMAT, read_recording
 from invid.recording.import_map import ImportMap, Source
-from invid.recording.importer import Import, assign, files_inside, import_files, named_files
+from invid.recording.importer import Import, import_files
 from invid.recording.model import Experiment, Recording
 from invid.recording.readers.kinds import read_table
+from invid.recording.record_files import assign, files_inside, named_files
 from invid.recording.spool import is_spool
 from invid.recording.suggest import Found, Suggestion, suggest_for_all, together
 
