@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
-from invid.recording.units import BY_MACHINE, BY_TORQUE_CONSTANT, FACTORS, LINEAR, normal_unit
+from invid.recording.units import BY_MACHINE, BY_TORQUE_CONSTANT, FACTORS, normal_unit
 
 
 @dataclass(frozen=True)
@@ -295,8 +295,3 @@ def _stem(name: str) -> str:
     aside = [WORDS[q] for q in ("velocity", "torque", "position", "demand")]
     words = [w for w in words_of(name) if not any(re.match(a, w) for a in aside) and w not in _ASIDE]
     return " ".join(w for w in words if normal_unit(w) not in _UNITS)
-
-
-def is_linear_unit(unit: str, quantity: str) -> bool:
-    """Whether a unit is that of an axis in metres."""
-    return unit in LINEAR.get(quantity, ())
