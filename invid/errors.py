@@ -101,7 +101,7 @@ class ChoiceNeeded(InputError):
     """A file that can be read in several ways: the key of a map's ``source`` that says which, and a value."""
 
     def __init__(self, reason: str, key: str, value: str | int) -> None:
-        super().__init__(reason)
+        super().__init__(reason, code="choice_needed", values={key: value})
         self.key, self.value = key, value
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -96,10 +96,14 @@ def record_spans(
 def _record_starts(table: Table, chart: ImportMap, size: int) -> tuple[list[int], str]:
     """Rows at which another record begins, and what says so."""
     for name, column in table.columns.items():
-        if EPISODE.match(name) and column.size == size and np.isfinite(column).all():
-            starts = np.flatnonzero(np.diff(column) != 0) + 1
-            if 0 < starts.size * 16 < size and bool(np.all(column == np.rint(column))):
-                return starts.tolist(), f"{name!r} says where records end"
+        if not EPISODE.match(name) or column.size != size or not np.isfinite(column).all():
+            continue
+        step = np.diff(column)
+        starts = np.flatnonzero(step != 0) + 1
+        # What goes on and off is a state, not a number of records.
+        is_state = np.unique(column).size == 2 and bool((step < 0).any())
+        if 0 < starts.size * 16 < size and not is_state and bool(np.all(column == np.rint(column))):
+            return starts.tolist(), f"{name!r} says where records end"
     said = chart.time
     if said.column is None:
         return [], ""

@@ -66,7 +66,8 @@ class FileKind:
         except ModuleNotFoundError as error:
             raise InputError(
                 f"{path}: {self.name} needs the package {error.name}",
-                way_out=f"install it with pip install 'invid[{self.packages}]'",
+                way_out="install it with pip install "
+                + (f"'invid[{self.packages}]'" if self.packages else "invid, again"),
                 code="package_missing",
             ) from None
         except Exception as error:  # libraries raise by kind of damage: ValueError, struct.error, KeyError, …

@@ -79,6 +79,12 @@ def test_a_counter_that_wraps_at_a_minute_is_no_new_record(tmp_path):
     assert len(imported(tmp_path, path, PLAIN).experiments) == 1
 
 
+def test_a_state_called_run_parts_no_record(tmp_path):
+    state = ((np.arange(N) // 400) % 2).astype(float)
+    path = table(tmp_path / "a.csv", ["time", "position", "torque", "run"], TIME, ANGLE, TORQUE, state)
+    assert len(imported(tmp_path, path, PLAIN).experiments) == 1
+
+
 # --- messages -----------------------------------------------------------------------------------------------
 
 
