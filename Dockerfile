@@ -16,7 +16,7 @@ COPY invid ./invid
 COPY drivers ./drivers
 COPY service ./service
 RUN python -m venv /opt/invid
-RUN /opt/invid/bin/python -m pip install --no-cache-dir --disable-pip-version-check -c requirements.lock ".[postgres,parquet,slcan,gs-usb]"
+RUN /opt/invid/bin/python -m pip install --no-cache-dir --disable-pip-version-check -c requirements.lock ".[postgres,slcan,gs-usb]"
 RUN /opt/invid/bin/invid --version
 
 FROM python:3.11-slim-bookworm

@@ -238,8 +238,13 @@ class CellConfig(Strict):
         ):
             twice = sorted({v for v in values if values.count(v) > 1})
             if twice:
+                dual = (
+                    ". Further axes of one node (objects from 0x6800 on) are not driven: log its bus, and "
+                    "'invid import' reads them (source.eds)"
+                )
                 raise ValueError(
                     f"{what} {', '.join(twice)} is used by more than one axis; each needs its own"
+                    + dual * (what == "node_id")
                 )
         if "heartbeat_s" not in self.safety.model_fields_set:
             beat = {"heartbeat_s": self.shortest_heartbeat_s}
