@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from invid.comparison.changes import Comparison
+    from invid.comparison.screening import Screening
     from invid.effects.effect import Effect
     from invid.exchange.export import Export
     from invid.model.diagnosis_document import Diagnosis
@@ -231,6 +232,39 @@ def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
         if start is not None and other and start.linear == result.model.linear:
             result = with_changes(result, compared(start, result.model))
         return immutable(with_stated_inertia(result, one, start))
+
+
+def screen(
+    recording: Recording,
+    model: Model,
+    *,
+    budget: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Screening:
+    """Whether anything changed since an accepted model, by a short record of its machine.
+
+    Returns
+    -------
+    Screening
+        ``verdict`` ("unchanged", "changed" or "cannot tell"), the axes ``changed``, a ``sentence``, the
+        ``comparison`` of the two models and the record's ``diagnosis``.
+
+    Raises
+    ------
+    ModelError
+        A model without a covariance, or of other axes.
+    """
+    from invid.comparison.compare import compare as compared
+    from invid.comparison.screening import Screening, judge_screening, require_screenable, with_its_causes
+    from invid.errors import NotIdentifiableError
+
+    one, start = _one(recording), arguments.a_model(model)
+    require_screenable(start, one.axes)
+    try:
+        found = diagnose(one, model=with_its_causes(start), budget=budget, progress=progress)
+    except NotIdentifiableError as error:
+        return Screening("cannot tell", (), f"cannot tell: {error}", None, None)
+    return judge_screening(found, start, compared(start, found.model))
 
 
 def simulate(
