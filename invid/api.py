@@ -163,7 +163,7 @@ def identify(
 def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
     recording: Recording | Sequence[Recording],
     *,
-    model: Model | None = None,
+    model: Model | Diagnosis | None = None,
     masses: Masses = None,
     budget: float | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -236,7 +236,7 @@ def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
 
 def screen(
     recording: Recording,
-    model: Model,
+    model: Model | Diagnosis,
     *,
     budget: float | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -268,7 +268,7 @@ def screen(
 
 
 def simulate(
-    model: Model,
+    model: Model | Diagnosis,
     recording: Recording,
     *,
     rng: np.random.Generator | None = None,
@@ -306,8 +306,8 @@ def simulate(
 
 
 def compare(
-    old: Model,
-    new: Model,
+    old: Model | Diagnosis,
+    new: Model | Diagnosis,
     *,
     tolerance: float = 0.2,
     alpha: float = 0.01,
@@ -339,12 +339,11 @@ def compare(
 
     for name, value in (("tolerance", tolerance), ("alpha", alpha), ("repeatability", repeatability)):
         arguments.a_number(value, name, "give a number")
-    arguments.a_model(old, "old")
-    arguments.a_model(new, "new")
-    return immutable(compared(old, new, tolerance=tolerance, alpha=alpha, repeatability=repeatability))
+    before, after = arguments.a_model(old, "old"), arguments.a_model(new, "new")
+    return immutable(compared(before, after, tolerance=tolerance, alpha=alpha, repeatability=repeatability))
 
 
-def export(model: Model, to: str, path: str | Path) -> Export:
+def export(model: Model | Diagnosis, to: str, path: str | Path) -> Export:
     """Write a model for another tool, with its covariance and what the format cannot hold beside it.
 
     Parameters
@@ -409,7 +408,6 @@ def tune(
         The model is not to be trusted, too unsure for any gains, or leaves open what the loops would feel.
     """
     from invid.errors import InputError
-    from invid.model.diagnosis_document import Diagnosis
     from invid.model.document import load_json
     from invid.numerics.immutable import immutable
     from invid.tuning.document import loops_from_json
@@ -417,13 +415,10 @@ def tune(
     from invid.tuning.tune import TuneSettings, tune_model
 
     arguments.a_number(cycle, "cycle", "give the cycle of the drives' loops in seconds", above=0.0)
-    if not isinstance(source, Diagnosis):
-        arguments.a_model(source)
-    old = None
+    model, old = arguments.a_model(source), None
     if before is not None:
         path = arguments.a_path(before, "before")
         old = loops_from_json(load_json(path), str(path))
-        model = source.model if isinstance(source, Diagnosis) else source
         if strange := set(old) - set(model.axes):
             raise InputError(f"{path}: {min(strange)!r} is no axis of the model; it has {list(model.axes)}")
     return immutable(tune_model(source, TuneSettings(DriveTiming(cycle), notches, draws), old))
@@ -445,8 +440,11 @@ def write_tuning(
 
 
 def load_model(path: str | Path) -> Model:
-    """The model in an ``invid-model`` file (JSON); InputError or ModelError says what is wrong with it."""
-    from invid.model.document import load_model as load
+    """The model in an ``invid-model`` file (JSON), or the extended one in an ``invid-diagnosis`` file.
+
+    InputError or ModelError says what is wrong with it.
+    """
+    from invid.model.diagnosis_document import load_model as load
     from invid.numerics.immutable import immutable
 
     return immutable(load(arguments.a_path(path, "path")))

@@ -104,7 +104,9 @@ def register(app: typer.Typer) -> None:
         document = diagnosis_to_json(diagnosis)
         if output is not None:
             diagnosis.save(output)
-            note(f"diagnosis written to {output}")
+            note(
+                f"diagnosis written to {output}; it holds the extended model: simulate, export, tune, compare"
+            )
         if report is not None:
             from invid.report import render_report
             from invid.report.dependence import linear_model_of

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from invid.api import load_diagnosis, load_model, tune, write_tuning
+from invid.api import tune, write_tuning
 from invid.cli.output import EXIT_OK, emit, note
 
 
@@ -38,15 +38,12 @@ def register(app: typer.Typer) -> None:
         as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
     ) -> int:
         """Tune a drive's loops on a model and its uncertainty; writes files, never to a drive."""
-        from invid.model.diagnosis_document import FORMAT as DIAGNOSIS
+        from invid.model.diagnosis_document import load_document
         from invid.model.document import load_json
         from invid.tuning.document import repair_sentence
         from invid.tuning.page import headline
 
-        document = load_json(model)
-        is_diagnosis = isinstance(document, dict) and document.get("format") == DIAGNOSIS
-        source = load_diagnosis(model) if is_diagnosis else load_model(model)
-        tuned = tune(source, before=before, cycle=cycle, notches=notches, draws=draws)
+        tuned = tune(load_document(model), before=before, cycle=cycle, notches=notches, draws=draws)
         written = write_tuning(tuned, output, drive=drive, motors=motors)
         for text in tuned.remarks:
             note(f"note: {text}")

@@ -10,7 +10,8 @@ import pytest
 import scipy.io
 from pages import DATA, ROOT, Ran, assert_shows, run_page, steps
 
-from invid.model.document import Model, load_model
+from invid.model.diagnosis_document import load_model
+from invid.model.document import Model
 from invid.model.forward import natural_frequencies, resonances
 from invid.recording import read_recording
 

@@ -15,7 +15,7 @@ from invid.planning.belief import Belief, from_model
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.goal import Reached, judge_of
 from invid_drivers.measurement import measure_to_file
-from invid_drivers.readiness import ask_drives, loads_to_support, support_sentence
+from invid_drivers.readiness import ask, loads_to_support, support_sentence
 from invid_drivers.screening import screening_plan
 from invid_drivers.stopping_budgets import Wish
 from invid_service.jobs.analysis_progress import BEGINS
@@ -54,7 +54,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     model = None if accepted is None else from_model(accepted, config, source="the accepted model")
     short = _short_plan(config, model, job.amplitude_scale) if job.mode == "screen" else None
     wish = Wish(job.axes, job.amplitude_scale, model, short)
-    found = ask_drives(config, wish)
+    found = ask(config, wish).require()
     document = {**told_plan(found.plan, job), "budgets": [b.to_json() for b in found.budgets]}
     support = loads_to_support(config)
     document["support"] = {"axes": list(support), "text": support_sentence(support)} if support else None

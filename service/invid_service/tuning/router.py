@@ -78,7 +78,6 @@ async def start_tuning(
     blob = blobs[kinds[0]]
     order = {
         **wanted.model_dump(mode="json"),
-        "kind": kinds[0],
         "source": "" if blob is None else str(service.blobs.path(blob.path)),
         "simulated": record.simulated,
     }

@@ -7,12 +7,12 @@ import json
 import sys
 import zipfile
 from pathlib import Path
-from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from invid.api import load_diagnosis, load_model, tune
+from invid.api import tune
 from invid.errors import InputError, InvidError
+from invid.model.diagnosis_document import load_document
 from invid.model.document import dump_json, load_json, save_text
 from invid.tuning.forms import write_tuning
 from invid.tuning.motor_scale import MotorScale
@@ -25,7 +25,6 @@ class Order(BaseModel):
 
     folder: Path
     source: Path
-    kind: Literal["diagnosis", "model"]
     simulated: bool
     cycle_s: float
     notches: int
@@ -36,8 +35,7 @@ class Order(BaseModel):
 
 def carry_out(order: Order) -> None:
     """Tune and leave the files of the store's kinds in the folder, all of them once more in one archive."""
-    source = load_diagnosis(order.source) if order.kind == "diagnosis" else load_model(order.source)
-    tuned = tune(source, cycle=order.cycle_s, notches=order.notches, draws=order.draws)
+    tuned = tune(load_document(order.source), cycle=order.cycle_s, notches=order.notches, draws=order.draws)
     written = write_tuning(tuned, order.folder, drive=order.drive, motors=order.motors)
     path = order.folder / KINDS["tuning"][0]
     save_text(path, dump_json({**load_json(path), "simulated": order.simulated}))
