@@ -379,6 +379,7 @@ def tune(
     cycle: float = 0.001,
     notches: int = 2,
     draws: int = 200,
+    ripple: float = 0.01,
 ) -> Tuning:
     """Gains, notch filters, feedforward and shapers for the drives of a model, with the margins they leave.
 
@@ -395,6 +396,8 @@ def tune(
         At most this many an axis.
     draws
         Machines drawn from the model's covariance in which the margins are to hold.
+    ripple
+        Torque that the encoders' counts may make, rms, as a share of rated torque.
 
     Returns
     -------
@@ -415,13 +418,14 @@ def tune(
     from invid.tuning.tune import TuneSettings, tune_model
 
     arguments.a_number(cycle, "cycle", "give the cycle of the drives' loops in seconds", above=0.0)
+    arguments.a_number(ripple, "ripple", "give a share of rated torque, as 0.01", above=0.0)
     model, old = arguments.a_model(source), None
     if before is not None:
         path = arguments.a_path(before, "before")
         old = loops_from_json(load_json(path), str(path))
         if strange := set(old) - set(model.axes):
             raise InputError(f"{path}: {min(strange)!r} is no axis of the model; it has {list(model.axes)}")
-    return immutable(tune_model(source, TuneSettings(DriveTiming(cycle), notches, draws), old))
+    return immutable(tune_model(source, TuneSettings(DriveTiming(cycle), notches, draws, ripple=ripple), old))
 
 
 def write_tuning(

@@ -35,6 +35,9 @@ def register(app: typer.Typer) -> None:
         cycle: Annotated[float, typer.Option(help="Cycle of the drives' loops in seconds.")] = 0.001,
         notches: Annotated[int, typer.Option(min=0, max=8, help="At most this many an axis.")] = 2,
         draws: Annotated[int, typer.Option(min=50, max=5000, help="Machines that must keep margins.")] = 200,
+        ripple: Annotated[
+            float, typer.Option(min=1e-6, help="Per cent of rated torque that counts may make, rms.")
+        ] = 1.0,
         as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
     ) -> int:
         """Tune a drive's loops on a model and its uncertainty; writes files, never to a drive."""
@@ -43,7 +46,14 @@ def register(app: typer.Typer) -> None:
         from invid.tuning.document import repair_sentence
         from invid.tuning.page import headline
 
-        tuned = tune(load_document(model), before=before, cycle=cycle, notches=notches, draws=draws)
+        tuned = tune(
+            load_document(model),
+            before=before,
+            cycle=cycle,
+            notches=notches,
+            draws=draws,
+            ripple=ripple / 100.0,
+        )
         written = write_tuning(tuned, output, drive=drive, motors=motors)
         for text in tuned.remarks:
             note(f"note: {text}")
