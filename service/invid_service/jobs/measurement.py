@@ -26,6 +26,8 @@ from invid_service.jobs.protocol import Job, Known, Measured, Planned, Progress,
 
 STANDS_S = 1.5
 """The motion says where it is ten times a second: after so long without a word it stands between two runs."""
+LOOK_S = 10.0
+"""What a look between two runs is thought to take until one was seen: the case study on two cores."""
 _SETTLED_S = 2.0
 """Robot time after which the pace of the motion so far says how long the rest takes."""
 
@@ -77,7 +79,7 @@ class MotionProgress(Ticker):
             done = self._first[1] - float(p.eta_s)
             moving = heard - self._first[0] - self._stood
             pace = moving / done if done > _SETTLED_S else 1.0
-            looks = self._looks_left * self._stood / self._looks if self._looks else 0.0
+            looks = self._looks_left * (self._stood / self._looks if self._looks else LOOK_S)
             stands = now - heard
             left = self._countdown.left(max(pace * float(p.eta_s) + looks - stands, 0.0))
             told = Progress(
@@ -109,7 +111,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     document["support"] = {"axes": list(support), "text": support_sentence(support)} if support else None
     document["warnings"] = [*document["warnings"], *found.said]
     line.tell(Planned(plan=plain(document), arm=job.arm))
-    runs = len(found.plan.recorded)
+    runs = 1 if short else len(found.plan.recorded)
     del found
     while not (job.arm or line.armed.is_set()):
         line.stop.wait(0.05)
