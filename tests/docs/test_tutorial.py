@@ -20,7 +20,7 @@ RAW = DATA / "flexible_drive" / "MultisineTypeB.mat"
 pytestmark = [
     pytest.mark.campaign,
     pytest.mark.xdist_group("tutorial"),  # the commands take minutes: once, not once a worker
-    pytest.mark.timeout(1500),  # without a budget
+    pytest.mark.timeout(1500),
 ]
 PERIOD = 2500  # samples of one second: the line of index k is k Hz
 
