@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_doubles import CELL, model_document, running
+from service_doubles import CELL, Director, model_document, running, wait_for
 
 import invid
 from invid.cli.app import run
+from invid.comparison.compare import compare
+from invid.comparison.screening import judge_screening
 from invid.config import load_config
 from invid.errors import InputError, InvidError
+from invid.model.diagnosis_document import diagnosis_from_json
+from invid.model.document import model_from_json
 from invid_drivers.readiness import ask
 from invid_drivers.simulated.unix_bus import UnixHub
 from invid_service.jobs.measurement import measure
@@ -136,3 +140,59 @@ def test_what_is_neither_is_refused_by_what_it_is(
     assert ("invid-tuning" if name == "other.json" else "a recording") in said
     with pytest.raises(InputError, match=r"invid-tuning|a recording"):
         invid.load_model(documents / name)
+
+
+def friction(cause: str, **sizes: float) -> dict[str, Any]:
+    """An effect of a model at the motor of A1."""
+    parameters = {name: {"value": v, "std": 0.01 * v, "unit": None} for name, v in sizes.items()}
+    return {"cause": cause, "axis": "A1", "element": "mass 1", "other_axis": None, "parameters": parameters}
+
+
+KNOWN = friction("viscous_friction", coefficient=0.2)
+OTHER_LAW = friction("coulomb_friction", torque=0.5)
+GAIN = {"held_out": {"before": 1.0, "after": 0.1}, "fraction": 0.9}
+PLAY = {**friction("backlash", gap=0.001), "element": "spring 1"}
+
+
+@pytest.mark.parametrize(
+    ("found", "heavier", "verdict", "changed"),
+    [
+        ([], 1.0, "unchanged", []),
+        ([KNOWN], 1.0, "unchanged", []),
+        ([OTHER_LAW], 1.0, "unchanged", []),
+        ([PLAY], 1.0, "cannot tell", []),
+        ([KNOWN], 1.1, "changed", ["A2"]),
+    ],
+)
+def test_a_short_check_has_one_verdict_in_python_and_by_rest(
+    tmp_path: Path, found: list[dict[str, Any]], heavier: float, verdict: str, changed: list[str]
+) -> None:
+    accepted = {**model_document(), "effects": [KNOWN], "fit": {"verdict": "explained"}}
+    measured = {**model_document(scale_mass=heavier), "effects": [KNOWN]}
+    told = {
+        "format": "invid-diagnosis", "format_version": 1, "residual": [], "explained_fraction": 0.99,
+        "verdict": "explained" if found else "consistent", "unexplained": None, "warnings": [],
+        "model": measured,
+        "findings": [{**f, "confidence": 0.9, "gain": GAIN, "alternatives": []} for f in found],
+    }  # fmt: skip
+    old, diagnosis = model_from_json(accepted), diagnosis_from_json(told)
+    python = judge_screening(diagnosis, old, compare(old, diagnosis.model))
+    assert (python.verdict, list(python.changed)) == (verdict, changed)
+    director = Director()
+    director.model = lambda: accepted
+    with running(tmp_path, director) as (client, _):
+
+        def run_to(state: str, mode: str) -> str:
+            start = client.post(f"{CELLS}/cell/identifications", json={"mode": mode, "arm": True})
+            wait_for(client, start.headers["Location"], state)
+            return str(start.headers["Location"])
+
+        first = run_to("awaiting_accept", "full")
+        assert client.post(f"{first}/actions", json={"type": "accept"}).status_code == 200
+        director.model, director.findings = lambda: measured, told["findings"]  # type: ignore[assignment]
+        director.diagnosis, director.verdict = lambda: told, told["verdict"]  # type: ignore[assignment]
+        summary = client.get(run_to("succeeded", "screen")).json()["summary"]
+        assert (summary["screening"]["verdict"], summary["screening"]["changed"]) == (verdict, changed)
+        assert summary["findings"] == []
+        assert python.diagnosis is not None
+        assert summary["headline"] == python.diagnosis.headline
