@@ -337,7 +337,7 @@ def _answer_of(asked: Asked, now: datetime) -> Answer:
     error = asked.refusal
     if error is None:
         return Answer(now)
-    fix = error.way_out or "change what it says; `invid check` tells whether it will do"
+    fix = error.way_out or "mend what it says, then ask the drives again (`invid check` does, too)"
     return Answer(now, error.reason or str(error), fix)
 
 

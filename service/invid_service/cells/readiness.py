@@ -211,7 +211,7 @@ def readiness(s: Situation) -> Readiness:
                 code="check_refused",
                 text=text,
                 fix=s.refusal.way_out
-                or "change the config as it says; `invid check` tells whether it will do",
+                or "mend what it says, then ask the drives again (`invid check` does, too)",
                 values={"text": str(s.refusal)},
             )
         )
@@ -242,7 +242,7 @@ def readiness(s: Situation) -> Readiness:
             Note(
                 code="drives_not_asked",
                 text="the drives have not been asked: whether they answer is not known",
-                fix="ask them (POST …/check, or `invid check`); a start asks them before anything moves",
+                fix="ask them; a measurement asks them before anything moves",
             )
         )
     return Readiness(can_start=not reasons, reasons=reasons, notes=notes, simulated=s.config.simulated)
