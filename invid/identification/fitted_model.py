@@ -122,6 +122,16 @@ def provenance_of(recording: Recording) -> dict[str, Any]:
         "recording": recording.source,
         "recorded": recording.created,
         "experiments": [e.key for e in recording.experiments if e.role is Role.IDENTIFY],
+        "sensors": _sensors_of(recording),
+    }
+
+
+def _sensors_of(recording: Recording) -> dict[str, dict[str, float]]:
+    """Counts of encoders and rated torques by axis, those that the recording states."""
+    stated = {"encoder_resolution": recording.encoder_resolution, "rated_torque": recording.rated_torque}
+    return {
+        axis: {k: float(v[i]) for k, v in stated.items() if v is not None and np.isfinite(v[i]) and v[i] > 0}
+        for i, axis in enumerate(recording.axes)
     }
 
 

@@ -503,17 +503,20 @@ def load_json(path: Path) -> Any:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as UTF-8 text: {error}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: {_binary_kind(path)}, no JSON document") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
     try:
         return json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not JSON: {error}") from None
 
 
-def load_model(path: str | Path) -> Model:
-    """Model from an ``invid-model`` file."""
-    return model_from_json(load_json(Path(path)), source=str(path))
+def _binary_kind(path: Path) -> str:
+    with path.open("rb") as file:
+        head = file.read(8)
+    return "an HDF5 file (a recording?)" if head == b"\x89HDF\r\n\x1a\n" else "binary data"
 
 
 def save_text(path: Path, text: str) -> None:

@@ -108,8 +108,19 @@ def reference_move(
     return Command(p, v, a, n, 2 * n)
 
 
-def run_loops(model: Model, loops: Sequence[AxisLoop], command: Command, timing: DriveTiming) -> LoopRun:
-    """Simulate ``command`` on ``model``; values that have run away are NaN from then on."""
+def run_loops(
+    model: Model,
+    loops: Sequence[AxisLoop],
+    command: Command,
+    timing: DriveTiming,
+    counts: Float64 | None = None,
+) -> LoopRun:
+    """Simulate ``command`` on ``model``; values that have run away are NaN from then on.
+
+    ``counts`` (M,) are those of the encoders [rad or m], NaN: ideal.
+    """
+    count_of = np.zeros(len(loops)) if counts is None else np.nan_to_num(counts)
+    coarse = np.where(count_of > 0, count_of, 1.0)
     laws = laws_of(model.chains, model.effects)
     made = matrices(model.chains, laws)
     motors = model.chains.motor_dofs.astype(np.int64)
@@ -133,7 +144,8 @@ def run_loops(model: Model, loops: Sequence[AxisLoop], command: Command, timing:
         motor[k], load[k] = state[motors], state[ends]
         if not np.abs(motor[k]).max() < 1e3 * reach[0]:
             break
-        torque[k] = drives.torque(k, motor[k])
+        shown = np.where(count_of > 0, np.round(motor[k] / coarse) * coarse, motor[k])
+        torque[k] = drives.torque(k, shown)
         goal = np.clip(plant.gain * torque[k], -limit, limit)
         for j in range(substeps + 1):
             applied[j] = goal + (acting - goal) * decay**j

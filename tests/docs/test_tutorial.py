@@ -10,7 +10,8 @@ import pytest
 import scipy.io
 from pages import DATA, ROOT, Ran, assert_shows, run_page, steps
 
-from invid.model.document import Model, load_model
+from invid.model.diagnosis_document import load_model
+from invid.model.document import Model
 from invid.model.matrices import natural_frequencies
 from invid.recording import read_recording
 
@@ -19,7 +20,7 @@ RAW = DATA / "flexible_drive" / "MultisineTypeB.mat"
 pytestmark = [
     pytest.mark.campaign,
     pytest.mark.xdist_group("tutorial"),  # the commands take minutes: once, not once a worker
-    pytest.mark.timeout(1500),  # without a budget
+    pytest.mark.timeout(1500),
 ]
 PERIOD = 2500  # samples of one second: the line of index k is k Hz
 

@@ -57,7 +57,8 @@ class Overview(BaseModel):
     """One line of a plant's list of cells."""
 
     state: str
-    """Of the run in progress, or ``awaiting_accept``; else ``ready``, or ``not_ready`` (see readiness)."""
+    """Of the run in progress, or ``awaiting_accept``; else ``ready``, ``not_ready`` (see readiness), or
+    ``unknown`` while nobody has asked the drives."""
     last_run: LastRun | None
     changed: str | None
     """What the last result says of changes against the model in force; ``null`` where nothing changed, or

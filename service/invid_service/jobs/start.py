@@ -103,11 +103,15 @@ def _reused(key: str, cell: Cell) -> Problem:
 
 
 async def _refuse_if_not_ready(service: Service, cell: Cell, body: StartBody) -> None:
-    ready = await service.readiness(cell, body.mode, axes=None if body.axes is None else tuple(body.axes))
+    axes = None if body.axes is None else tuple(body.axes)
+    ready = await service.readiness(cell, body.mode, axes=axes)
+    if ready.reasons and all(r.code == "check_refused" and r.seen for r in ready.reasons):
+        # They refused when they were asked last; they may say otherwise now.
+        ready, _ = await service.ask_drives(cell, body.mode, axes)
     if ready.can_start:
         return
     members: dict[str, Any] = {
-        "reasons": [r.model_dump() for r in ready.reasons],
+        "reasons": [r.model_dump(mode="json") for r in ready.reasons],
         "simulated": cell.simulated,
     }
     detail = "; ".join(r.text for r in ready.reasons)

@@ -15,8 +15,6 @@ class Order:
 
     folder: Path
     source: Path
-    is_diagnosis: bool
-    """Whether ``source`` is one, else a model."""
     simulated: bool
     cycle_s: float
     notches: int

@@ -79,7 +79,6 @@ async def start_tuning(
     order = Order(
         folder=service.blobs.work,
         source=service.blobs.path(next(iter(found.values())).path),
-        is_diagnosis="diagnosis" in found,
         simulated=record.simulated,
         cycle_s=wanted.cycle_s,
         notches=wanted.notches,

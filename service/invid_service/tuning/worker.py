@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import zipfile
 
-from invid.api import load_diagnosis, load_model, tune
+from invid.api import tune
 from invid.errors import InvidError
+from invid.model.diagnosis_document import load_document
 from invid.model.document import dump_json, load_json, save_text
 from invid.tuning.forms import write_tuning
 from invid_drivers.protocol import Done, Failed, line_of_process
@@ -16,8 +17,7 @@ from invid_service.tuning.order import Order
 
 def carry_out(order: Order) -> None:
     """Tune and leave the files of the store's kinds in the folder, all of them once more in one archive."""
-    source = load_diagnosis(order.source) if order.is_diagnosis else load_model(order.source)
-    tuned = tune(source, cycle=order.cycle_s, notches=order.notches, draws=order.draws)
+    tuned = tune(load_document(order.source), cycle=order.cycle_s, notches=order.notches, draws=order.draws)
     written = write_tuning(tuned, order.folder, drive=order.drive, motors=dict(order.motors))
     path = order.folder / KINDS["tuning"][0]
     save_text(path, dump_json({**load_json(path), "simulated": order.simulated}))

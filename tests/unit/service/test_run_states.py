@@ -17,7 +17,7 @@ from invid.config import load_config
 from invid.errors import ConfigError
 from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.protocol import LastSeen, Stop
-from invid_drivers.readiness import ask_drives
+from invid_drivers.readiness import ask
 from invid_drivers.relay import STOP_S
 from invid_service.app import create_app
 from invid_service.settings import Settings
@@ -169,7 +169,7 @@ def test_what_the_check_would_refuse_is_not_ready_on_the_page_nor_for_a_start_an
     (tmp_path / "cell.yaml").write_text(text)
     config = load_config(tmp_path / "cell.yaml")
     try:
-        ask_drives(config)
+        ask(config).require()
         refusal = ""
     except ConfigError as error:
         refusal = str(error)
