@@ -96,6 +96,8 @@ class Cycle:
         self._torque_unit = [0.0] * count
         self._started = 0.0
         self._sent = -math.inf
+        self._overslept = False
+        """Nothing of this computer ran for longer than the drives wait for their master."""
         self._slot = -1
         self._owed = [0] * count
         self._alone = [0] * count
@@ -209,6 +211,10 @@ class Cycle:
             )
         self._drain()
         slot, deadline, instant = self._wait_for_slot()
+        if self._overslept:  # what was put before is not for drives that have stopped by themselves since
+            self._slot, sample.slot, sample.time = slot, slot, instant
+            sample.fresh[:] = [False] * len(self._nodes)
+            return sample
         put(self._sync)
         self._sent = clock.now()
         certain = self._sent - instant < UNCERTAIN_CYCLES * self._cycle
@@ -374,13 +380,16 @@ class Cycle:
         clock, cycle = self._link.clock, self._cycle
         slot = self._slot + 1
         last = slot + self._config.safety.overrun_cycles
+        self._overslept = False
         while True:
             deadline = self._started + slot * cycle
             if deadline - self._sent >= CLOSEST_CYCLES * cycle:
+                asleep = max(clock.now(), deadline)
                 if clock.now() <= deadline:
                     clock.sleep_until(deadline)
                 self._drain()  # it may have taken its time: only now is it known how late SYNC is
                 instant = clock.now()
+                self._overslept |= instant - asleep > 3 * self._link.heartbeat_s
                 if instant <= deadline + CLOSEST_CYCLES * cycle or slot > last:
                     return slot, deadline, instant
                 self.jitter.add(instant - deadline)
