@@ -22,7 +22,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 LOCK = ROOT / "requirements.lock"
-IMAGE = "invid[postgres,parquet,slcan,gs-usb]"
+IMAGE = "invid[postgres,slcan,gs-usb]"
 """What the Dockerfile installs."""
 _PIN = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;]+)\s*(?:;\s*(?P<marker>.+))?$")
 

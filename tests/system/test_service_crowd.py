@@ -22,6 +22,7 @@ HALVES = (
 )
 
 
+@pytest.mark.campaign
 def test_three_hundred_silent_connections_and_fifty_pollers_keep_no_stop_waiting(tmp_path: Path) -> None:
     with serving(tmp_path) as service, contextlib.ExitStack() as all_of_them:
         resource.prlimit(service.process.pid, resource.RLIMIT_NOFILE, (FILES, FILES))

@@ -34,9 +34,9 @@ def test_everything_that_the_image_needs_is_pinned_and_in_both_lists_and_no_tool
     listed = {(c["name"], c["version"]) for c in document["components"]}
     names = {name for name, _ in listed}
     assert listed <= pins
-    assert required("postgres", "parquet") <= names
+    assert required("postgres") <= names
     assert "starlette" in names  # what is needed by what is needed
-    developers = required("tests", "docs", "checks", "bench") - required("postgres", "parquet") - {"invid"}
+    developers = required("tests", "docs", "checks", "bench") - required("postgres") - {"invid"}
     assert len(developers) > 15
     assert not developers & names
     assert developers <= {name.lower() for name, _ in pins}

@@ -482,7 +482,9 @@ class Cia402Cell:
         self.not_held = tuple(
             a.name
             for a in axes
-            if a.story and a.carries and (a.state not in holds or a.blind or a.brake_failed)
+            if a.story
+            and a.carries
+            and (a.state not in holds or a.blind or a.brake_failed or (a.parks is False and a.is_energised))
         )
         self.held.note_end(self.held_at_end, self.not_off)
 
