@@ -57,7 +57,7 @@ def shortened(now: Supposed, axis: int) -> Supposed | None:
         with suppress(np.linalg.LinAlgError):
             pool.append(_merged(now, axis, a))
     best = min(pool, key=expected, default=None)
-    return None if best is None else best.refit(iterations=25)
+    return None if best is None else best.refit()
 
 
 def _merged(now: Supposed, axis: int, first: int) -> Supposed:

@@ -285,7 +285,7 @@ def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
                 pool.append(now.in_structure(moved, values, 0))
         tried += [f.refit(iterations=6) for f in sorted(pool, key=expected)[:STARTS]]
     best = sorted(tried, key=lambda f: f.total)[:STARTS]
-    return min((f.refit(iterations=12) for f in best), key=lambda f: f.total, default=None)
+    return min((f.refit() for f in best), key=lambda f: f.total, default=None)
 
 
 def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
@@ -339,4 +339,4 @@ def without(now: Supposed, addition: Addition) -> Supposed:
         values[Element(Kind.MASS, addition.host)] = float(sum(mass[[*addition.ends(structure)]]))
     else:
         fewer = replace(structure, base=False)
-    return now.in_structure(Correspondence.of(structure, fewer), values, 25)
+    return now.in_structure(Correspondence.of(structure, fewer), values)
