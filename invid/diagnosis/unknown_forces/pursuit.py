@@ -16,8 +16,6 @@ from invid.diagnosis.unknown_forces.structures import (
     Mode,
     add,
     additions,
-    additions_of,
-    without,
 )
 from invid.effects.catalogue.backlash import BacklashLaw
 from invid.effects.supposed.law import SupposedLaw
@@ -27,7 +25,7 @@ from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, smoothed_with_shapes, with_law
-from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.supposition import Supposed, excess
 from invid.likelihood.unknown_forces.worth import LEAST_FITTED, NUMBER, pays, role_falls
 from invid.numerics import budget
 
@@ -43,8 +41,8 @@ MOTORS_AGREED = 2
 """Rounds in which motor motion is made to agree with friction: the third moves nothing (empirical)."""
 NEAR_END = 20.0
 """Rise of −2 ln L up to which motion that is smoothed anew is that of the same end: numbers moved with it."""
-LOST = 0.2
-"""Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
+MOST = 0.5
+"""Share of what is in excess of the sensors from which beside a law no other structure is supposed."""
 
 Tell = Callable[[Supposed, float], None]
 """Given what is found so far, and the share of the search that lies behind."""
@@ -88,8 +86,10 @@ class Trial:
 
     @property
     def pays(self) -> bool:
-        """Whether it pays its price, which contains what the places and shapes of laws cost."""
-        return pays(*role_falls(self.base, self.found), 1 if self.addition is None else self.numbers)
+        """Whether it pays its price, which contains what the places and shapes of laws cost, however far the
+        hypothesis without it may still fall."""
+        fitted, kept = role_falls(self.base, self.found)
+        return pays(fitted - self.base.fit.open_gap, kept, 1 if self.addition is None else self.numbers)
 
 
 def is_sound(found: Supposed) -> bool:
@@ -159,31 +159,11 @@ def try_structures(now: Supposed, least: float, *, growing: bool) -> list[Trial]
     known = [(a, found) for a, found in begun if found is not None]
     least = now.total - PROMISING * max([least, *(now.total - found.total for _, found in known)])
     trials = [
-        Trial(a.cause, a.spot(structure), found.refit(iterations=25), now, addition=a)
+        Trial(a.cause, a.spot(structure), found.refit(), now, addition=a)
         for a, found in known
         if found.total < least
     ]
     return [t for t in trials if t.addition is not None and t.addition.is_real(t.found)]
-
-
-def stand_again(now: Supposed) -> tuple[Supposed, tuple[tuple[Trial, Trial], ...]]:
-    """The fit with the best of every mode, base and what may stand in its place, and its rivals.
-
-    When a part of the structure was taken, what was found since was not known: the mode of one load is a base
-    as well, and starts beside what was missing end elsewhere.
-    """
-    rivals: list[tuple[Trial, Trial]] = []
-    for own in additions_of(now.hypothesis.structure):
-        if budget.is_left_out("further causes"):
-            break
-        less = without(now, own)
-        taken = Trial(own.cause, own.spot(less.hypothesis.structure), now, less, addition=own)
-        others = [t for t in try_structures(less, taken.fall, growing=False) if t.addition != own]
-        best = max((taken, *others), key=lambda t: t.merit)
-        now = now if best is taken else settle(best.found)
-        best = replace(best, found=now)
-        rivals += [(best, t) for t in (taken, *others) if t.addition != best.addition and not t.holds(best)]
-    return now, tuple(rivals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +175,6 @@ class Pursued:
     """Taken, and beside it what did nearly as well."""
 
 
-TO_THE_END = 20
-"""Most iterations of a trial that comes near the best."""
 NEARLY_AS_WELL = 0.15
 """Share of the fall of the cause taken that a rival may miss and is looked at again at the end."""
 
@@ -207,7 +185,7 @@ def finish(trials: Sequence[Trial]) -> list[Trial]:
     best = max((t.merit for t in trials), default=0.0)
     close = [t for t in trials if t.merit > best - max(NEARLY_AS_WELL * best, LEAST_FITTED)]
     if len(close) > 1:
-        ended = {id(t): replace(t, found=t.found.refit(iterations=TO_THE_END)) for t in close}
+        ended = {id(t): replace(t, found=t.found.refit()) for t in close}
         trials = [ended.get(id(t), t) for t in trials]
     return sorted(trials, key=lambda t: -t.merit)
 
@@ -230,7 +208,7 @@ def pursue(
         tell(now, number / rounds)
         if budget.is_left_out("further causes"):
             break
-        renewed = now.renewed(3)
+        renewed = now.renewed()
         # Across a law motion may come to rest elsewhere; without one it is only smoothed.
         if renewed.total < now.total + NEAR_END or not now.motions.smoothed:
             now = still = renewed
@@ -252,7 +230,7 @@ def pursue(
                 base = still if placed.needs_fit else now
                 trials.append(Trial(placed.law.cause, placed.spot, found, base, placed))
         best = max((t.fall for t in trials), default=0.0)
-        if (best < 2000.0 or now.inner_strength > LOST) and not budget.is_left_out("further causes"):
+        if best < MOST * excess(now) and not budget.is_left_out("further causes"):
             trials += try_structures(now, best, growing=growing)
         trials += try_channels(now)
         trials = finish(trials)
@@ -262,5 +240,4 @@ def pursue(
         close = taken.fall - max(NEARLY_AS_WELL * taken.fall, LEAST_FITTED)
         rivals += [(taken, t) for t in trials if t is not taken and t.fall > close]
         now = settle(reshape(scan_friction(taken.found)))
-    now, beside = stand_again(now)
-    return Pursued(now, (*(r for r in rivals if r[0].addition is None), *beside))
+    return Pursued(now, tuple(r for r in rivals if not r[1].holds(r[0])))
