@@ -16,6 +16,8 @@ from invid.diagnosis.unknown_forces.structures import (
     Mode,
     add,
     additions,
+    additions_of,
+    without,
 )
 from invid.effects.catalogue.backlash import BacklashLaw
 from invid.effects.supposed.law import SupposedLaw
@@ -148,14 +150,18 @@ def try_channels(now: Supposed) -> list[Trial]:
     ]
 
 
-def try_structures(now: Supposed, least: float, *, growing: bool) -> list[Trial]:
+def try_structures(
+    now: Supposed, least: float, *, growing: bool, start: Supposed | None = None
+) -> list[Trial]:
     """A mode, a base, one more mass of a chain, each where a scan over frequency says that it may be.
 
-    What falls by less than a share of ``least``, or of the best of them, is not fitted to its end.
+    What falls by less than a share of ``least``, or of the best of them, is not fitted to its end. ``start``:
+    the same structure with the numbers to scan and to begin from, else those of ``now``.
     """
-    looked = Scan(now)
+    start = start or now
+    looked = Scan(start)
     structure = now.hypothesis.structure
-    begun = [(a, add(now, a, looked)) for a in additions(now, looked, growing=growing)]
+    begun = [(a, add(start, a, looked)) for a in additions(start, looked, growing=growing)]
     known = [(a, found) for a, found in begun if found is not None]
     least = now.total - PROMISING * max([least, *(now.total - found.total for _, found in known)])
     trials = [
@@ -164,6 +170,29 @@ def try_structures(now: Supposed, least: float, *, growing: bool) -> list[Trial]
         if found.total < least
     ]
     return [t for t in trials if t.addition is not None and t.addition.is_real(t.found)]
+
+
+def stand_again(now: Supposed) -> tuple[Supposed, tuple[tuple[Trial, Trial], ...]]:
+    """The fit with the best of every mode, base and what may stand in its place, and its rivals.
+
+    When a part of the structure was taken, what was found since was not known: the mode of one load is a base
+    as well, and starts beside what was missing end elsewhere.
+    """
+    rivals: list[tuple[Trial, Trial]] = []
+    for own in additions_of(now.hypothesis.structure):
+        if budget.is_left_out("further causes"):
+            break
+        less = without(now, own)
+        taken = Trial(own.cause, own.spot(less.hypothesis.structure), now, less, addition=own)
+        # The fit without it has bent the chains: what may stand in its place is seen from where they were.
+        start = without(now, own, 0)
+        tried = try_structures(less, taken.fall, growing=False, start=start)
+        others = [t for t in tried if t.addition != own]
+        best = max((taken, *others), key=lambda t: t.merit)
+        now = now if best is taken else settle(best.found)
+        best = replace(best, found=now)
+        rivals += [(best, t) for t in (taken, *others) if t.addition != best.addition and not t.holds(best)]
+    return now, tuple(rivals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,4 +269,5 @@ def pursue(
         close = taken.fall - max(NEARLY_AS_WELL * taken.fall, LEAST_FITTED)
         rivals += [(taken, t) for t in trials if t is not taken and t.fall > close]
         now = settle(reshape(scan_friction(taken.found)))
-    return Pursued(now, tuple(r for r in rivals if not r[1].holds(r[0])))
+    now, beside = stand_again(now)
+    return Pursued(now, (*(r for r in rivals if r[0].addition is None), *beside))

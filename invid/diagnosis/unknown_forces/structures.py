@@ -14,6 +14,7 @@ from invid.identification.contest import is_settled
 from invid.identification.fewer_masses import expected
 from invid.identification.first_plants import fraction_chains
 from invid.likelihood.unknown_forces.correspondence import Correspondence
+from invid.likelihood.unknown_forces.descent import TO_THE_END
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
 from invid.likelihood.unknown_forces.supposition import Supposed
@@ -330,7 +331,7 @@ def axes_with_force(now: Supposed) -> list[int]:
     return list(dict.fromkeys(out))
 
 
-def without(now: Supposed, addition: Addition) -> Supposed:
+def without(now: Supposed, addition: Addition, iterations: int = TO_THE_END) -> Supposed:
     """The fit with an addition taken out, its mass put back on its host."""
     structure, values = now.hypothesis.structure, {}
     if isinstance(addition, Mode):
@@ -339,4 +340,4 @@ def without(now: Supposed, addition: Addition) -> Supposed:
         values[Element(Kind.MASS, addition.host)] = float(sum(mass[[*addition.ends(structure)]]))
     else:
         fewer = replace(structure, base=False)
-    return now.in_structure(Correspondence.of(structure, fewer), values)
+    return now.in_structure(Correspondence.of(structure, fewer), values, iterations)
