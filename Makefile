@@ -41,6 +41,7 @@ check: $(DEV) check-page
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python scripts/check_docs.py
+	$(BIN)/python scripts/check_house.py
 
 # Types of the page's modules against the interface (service/page): for development only, nothing is built or shipped.
 check-page:

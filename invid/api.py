@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from invid.comparison.changes import Comparison
+    from invid.comparison.screening import Screening
     from invid.effects.effect import Effect
     from invid.exchange.export import Export
     from invid.model.diagnosis_document import Diagnosis
@@ -162,7 +163,7 @@ def identify(
 def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
     recording: Recording | Sequence[Recording],
     *,
-    model: Model | None = None,
+    model: Model | Diagnosis | None = None,
     masses: Masses = None,
     budget: float | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -233,8 +234,41 @@ def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
         return immutable(with_stated_inertia(result, one, start))
 
 
+def screen(
+    recording: Recording,
+    model: Model | Diagnosis,
+    *,
+    budget: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Screening:
+    """Whether anything changed since an accepted model, by a short record of its machine.
+
+    Returns
+    -------
+    Screening
+        ``verdict`` ("unchanged", "changed" or "cannot tell"), the axes ``changed``, a ``sentence``, the
+        ``comparison`` of the two models and the record's ``diagnosis``.
+
+    Raises
+    ------
+    ModelError
+        A model without a covariance, or of other axes.
+    """
+    from invid.comparison.compare import compare as compared
+    from invid.comparison.screening import Screening, judge_screening, require_screenable, with_its_causes
+    from invid.errors import NotIdentifiableError
+
+    one, start = _one(recording), arguments.a_model(model)
+    require_screenable(start, one.axes)
+    try:
+        found = diagnose(one, model=with_its_causes(start), budget=budget, progress=progress)
+    except NotIdentifiableError as error:
+        return Screening("cannot tell", (), f"cannot tell: {error}", None, None)
+    return judge_screening(found, start, compared(start, found.model))
+
+
 def simulate(
-    model: Model,
+    model: Model | Diagnosis,
     recording: Recording,
     *,
     rng: np.random.Generator | None = None,
@@ -272,8 +306,8 @@ def simulate(
 
 
 def compare(
-    old: Model,
-    new: Model,
+    old: Model | Diagnosis,
+    new: Model | Diagnosis,
     *,
     tolerance: float = 0.2,
     alpha: float = 0.01,
@@ -305,12 +339,11 @@ def compare(
 
     for name, value in (("tolerance", tolerance), ("alpha", alpha), ("repeatability", repeatability)):
         arguments.a_number(value, name, "give a number")
-    arguments.a_model(old, "old")
-    arguments.a_model(new, "new")
-    return immutable(compared(old, new, tolerance=tolerance, alpha=alpha, repeatability=repeatability))
+    before, after = arguments.a_model(old, "old"), arguments.a_model(new, "new")
+    return immutable(compared(before, after, tolerance=tolerance, alpha=alpha, repeatability=repeatability))
 
 
-def export(model: Model, to: str, path: str | Path) -> Export:
+def export(model: Model | Diagnosis, to: str, path: str | Path) -> Export:
     """Write a model for another tool, with its covariance and what the format cannot hold beside it.
 
     Parameters
@@ -346,6 +379,7 @@ def tune(
     cycle: float = 0.001,
     notches: int = 2,
     draws: int = 200,
+    ripple: float = 0.01,
 ) -> Tuning:
     """Gains, notch filters, feedforward and shapers for the drives of a model, with the margins they leave.
 
@@ -362,6 +396,8 @@ def tune(
         At most this many an axis.
     draws
         Machines drawn from the model's covariance in which the margins are to hold.
+    ripple
+        Torque that the encoders' counts may make, rms, as a share of rated torque.
 
     Returns
     -------
@@ -375,7 +411,6 @@ def tune(
         The model is not to be trusted, too unsure for any gains, or leaves open what the loops would feel.
     """
     from invid.errors import InputError
-    from invid.model.diagnosis_document import Diagnosis
     from invid.model.document import load_json
     from invid.numerics.immutable import immutable
     from invid.tuning.document import loops_from_json
@@ -383,16 +418,14 @@ def tune(
     from invid.tuning.tune import TuneSettings, tune_model
 
     arguments.a_number(cycle, "cycle", "give the cycle of the drives' loops in seconds", above=0.0)
-    if not isinstance(source, Diagnosis):
-        arguments.a_model(source)
-    old = None
+    arguments.a_number(ripple, "ripple", "give a share of rated torque, as 0.01", above=0.0)
+    model, old = arguments.a_model(source), None
     if before is not None:
         path = arguments.a_path(before, "before")
         old = loops_from_json(load_json(path), str(path))
-        model = source.model if isinstance(source, Diagnosis) else source
         if strange := set(old) - set(model.axes):
             raise InputError(f"{path}: {min(strange)!r} is no axis of the model; it has {list(model.axes)}")
-    return immutable(tune_model(source, TuneSettings(DriveTiming(cycle), notches, draws), old))
+    return immutable(tune_model(source, TuneSettings(DriveTiming(cycle), notches, draws, ripple=ripple), old))
 
 
 def write_tuning(
@@ -411,8 +444,11 @@ def write_tuning(
 
 
 def load_model(path: str | Path) -> Model:
-    """The model in an ``invid-model`` file (JSON); InputError or ModelError says what is wrong with it."""
-    from invid.model.document import load_model as load
+    """The model in an ``invid-model`` file (JSON), or the extended one in an ``invid-diagnosis`` file.
+
+    InputError or ModelError says what is wrong with it.
+    """
+    from invid.model.diagnosis_document import load_model as load
     from invid.numerics.immutable import immutable
 
     return immutable(load(arguments.a_path(path, "path")))

@@ -18,7 +18,7 @@ import numpy as np
 
 from invid.effects.effect import Effect
 from invid.errors import InputError
-from invid.model.diagnosis_document import Diagnosis
+from invid.model.diagnosis_document import Diagnosis, model_of
 from invid.model.document import Model
 from invid.recording.model import Recording
 
@@ -66,11 +66,9 @@ def recordings(value: object) -> Sequence[Recording]:
 
 
 def a_model(value: object, name: str = "model") -> Model:
-    """A model that was identified or loaded."""
-    if isinstance(value, Model):
-        return value
-    if isinstance(value, Diagnosis):
-        raise InputError(f"{name} is a diagnosis; give its model: diagnosis.model")
+    """A model that was identified or loaded; of a diagnosis the extended one."""
+    if isinstance(value, Model | Diagnosis):
+        return model_of(value)
     raise _refused(name, value, "give a model, as invid.load_model(path) or invid.identify(…) returns it")
 
 

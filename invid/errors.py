@@ -18,7 +18,7 @@ matching builtin, so that library users may catch what they know::
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 
@@ -34,7 +34,10 @@ class InvidError(Exception):
     left
         What is known of axes, drives and file after a motion that this ended, as sentences (``note_left``).
     code
-        What stopped a motion, as a stable word (``position_window``, …); empty elsewhere.
+        What stopped a motion (``position_window``, …) or why a file is refused (``no_record_in_time``, …),
+        as a stable word; else empty.
+    values
+        What was measured, by name, for programs.
     axes, axis
         The axes it is about, and the only one of them; ``None`` where there are none or several.
     moment
@@ -51,9 +54,11 @@ class InvidError(Exception):
         code: str = "",
         axis: str | None = None,
         axes: Iterable[str] = (),
+        values: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(f"{reason}; {way_out}" if way_out else reason)
         self.reason, self.way_out, self.code = reason, way_out, code
+        self.values = dict(values or {})
         self.axes = tuple(axes) if axis is None else (axis,)
         self.left: tuple[str, ...] = ()
         self.moment: Any = None
@@ -96,7 +101,7 @@ class ChoiceNeeded(InputError):
     """A file that can be read in several ways: the key of a map's ``source`` that says which, and a value."""
 
     def __init__(self, reason: str, key: str, value: str | int) -> None:
-        super().__init__(reason)
+        super().__init__(reason, code="choice_needed", values={key: value})
         self.key, self.value = key, value
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -1,11 +1,13 @@
 """Mutants of what keeps an axis from doing harm: which of them does no contract test notice?
 
     pip install cosmic-ray                  # development only, in no lock
-    python benchmarks/drivers/bench_mutants.py [--sample 30] [--seed 0] [--module NAME] [--results rows.jsonl]
+    python benchmarks/drivers/bench_mutants.py [--sample 30] [--seed 0] [--results rows.jsonl]
+    python benchmarks/drivers/bench_mutants.py FILE.py FILE.py[:test_a.py,test_b.py] …    # other modules
 
-Cosmic Ray's operators make the mutants; of each module ``--sample`` are drawn. What mutates annotations alone
-is no mutant. Each is tried in a fork of its own, which has what is heavy and not of the link loaded already,
-by the module's contract tests until the first that fails; longer than ``LONGEST_S`` is a failure too.
+Cosmic Ray's operators make the mutants; of each module ``--sample`` are drawn. What mutates annotations
+alone is no mutant. Each is tried in a fork of its own, which has what is heavy and not of the link loaded
+already, by the module's contract tests until the first that fails; longer than ``LONGEST_S`` is a failure
+too. Commands that tests start are mutated as well: they find the mutant by ``PYTHONPATH``.
 ``--results`` keeps each and goes on where it was interrupted.
 """
 
@@ -14,8 +16,7 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
-import importlib.abc
-import importlib.util
+import importlib
 import json
 import os
 import signal
@@ -23,46 +24,46 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from importlib.machinery import ModuleSpec
 from itertools import islice
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
 CIA402 = "drivers/invid_drivers/cia402"
 MODULES = {
-    "falling": ("invid/sweep/falling.py", ("foreign_drives", "holding")),
-    "shortfall": ("invid/sweep/shortfall.py", ("foreign_drives",)),
-    "unmoved": ("invid/sweep/stuck_encoder.py", ("foreign_drives", "watch")),
-    "stop_test": (f"{CIA402}/standing/stop_test.py", ("foreign_drives", "holding")),
+    "falling": ("invid/sweep/falling.py", ("foreign_kinds", "holding")),
+    "shortfall": ("invid/sweep/shortfall.py", ("foreign_kinds",)),
+    "unmoved": ("invid/sweep/stuck_encoder.py", ("foreign_kinds", "watch")),
+    "stop_test": (f"{CIA402}/standing/stop_test.py", ("foreign_kinds", "holding")),
     "watch": ("invid/sweep/bounds.py", ("watch", "link_promises", "holding", "way_out", "sync_spacing")),
     "demand": ("invid/sweep/obedience.py", ("watch",)),
-    "way_out": (f"{CIA402}/standing/way_out.py", ("way_out", "foreign_drives", "holding", "link_promises")),
+    "way_out": (f"{CIA402}/standing/way_out.py", ("way_out", "foreign_kinds", "holding", "link_promises")),
     "gate": (f"{CIA402}/gate.py", ("gate", "link_promises", "others", "holding")),
     "held_axes": (f"{CIA402}/standing/held_axes.py", ("holding", "link_promises", "way_out")),
 }
 """File, and the contract tests that are asked, in this order."""
-LONGEST_S = 240.0
+LONGEST_S = 900.0
 KILLED, SURVIVED, LATE = "killed", "survived", "killed by time"
 
 
-class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+HOOK = '''
+import importlib.abc, importlib.util, os, sys
+
+class Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """One module from another source."""
+    name, path, source = (os.environ[f"INVID_MUTANT_{k}"] for k in ("NAME", "PATH", "SOURCE"))
 
-    def __init__(self, name: str, source: str, path: Path) -> None:
-        self._name, self._source, self._path = name, source, path
+    def find_spec(self, name, path=None, target=None):
+        return importlib.util.spec_from_loader(name, self, origin=self.path) if name == self.name else None
 
-    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        return (
-            importlib.util.spec_from_loader(name, self, origin=str(self._path))
-            if name == self._name
-            else None
-        )
+    def exec_module(self, module):
+        exec(compile(open(self.source, encoding="utf-8").read(), self.path, "exec"), module.__dict__)
 
-    def exec_module(self, module: ModuleType) -> None:
-        exec(compile(self._source, str(self._path), "exec"), module.__dict__)
+if "INVID_MUTANT_NAME" in os.environ:
+    sys.meta_path.insert(0, Mutated())
+'''
+"""`sitecustomize.py` of a mutant's processes."""
 
 
 def mutants(path: Path, rng: np.random.Generator) -> tuple[int, Iterator[tuple[str, int, str]]]:
@@ -110,8 +111,13 @@ def _meaning(source: str) -> str | None:
     return ast.dump(tree)
 
 
-def tried(name: str, source: str, path: Path, tests: list[str]) -> str:
+def tried(name: str, source: str, path: Path, options: list[str]) -> str:
     """What the tests say of a mutant."""
+    folder = tempfile.TemporaryDirectory()
+    hook, mutant = Path(folder.name) / "hook", Path(folder.name) / "mutant.py"
+    hook.mkdir()
+    (hook / "sitecustomize.py").write_text(HOOK, encoding="utf-8")
+    mutant.write_text(source, encoding="utf-8")
     child = os.fork()
     if child == 0:
         with open(os.devnull, "w") as nowhere:
@@ -122,11 +128,18 @@ def tried(name: str, source: str, path: Path, tests: list[str]) -> str:
         with contextlib.suppress(BaseException):
             import pytest
 
-            sys.meta_path.insert(0, _Mutated(name, source, path))
-            with tempfile.TemporaryDirectory() as folder:
-                options = ["-x", "-q", "-p", "no:cacheprovider", f"--basetemp={folder}/t", *tests]
-                status = int(pytest.main(options))
+            os.environ |= {"INVID_MUTANT_NAME": name, "INVID_MUTANT_PATH": str(path),
+                           "INVID_MUTANT_SOURCE": str(mutant), "PYTHONPATH": str(hook)}  # fmt: skip
+            exec(HOOK, {"__name__": "hook"})
+            status = int(
+                pytest.main(["-x", "-q", "-p", "no:cacheprovider", f"--basetemp={folder.name}/t", *options])
+            )
         os._exit(status)
+    with folder:
+        return _waited(child)
+
+
+def _waited(child: int) -> str:
     end = time.monotonic() + LONGEST_S
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -139,13 +152,25 @@ def tried(name: str, source: str, path: Path, tests: list[str]) -> str:
     return LATE
 
 
+def asked(module: str) -> tuple[str, tuple[str, tuple[str, ...]]]:
+    """A row of the table by its name, or one of its own for a file."""
+    if module in MODULES:
+        return module, MODULES[module]
+    file, _, tests = module.partition(":")
+    if not (ROOT / file).exists():
+        raise SystemExit(f"{file}: neither a file of the tree nor one of {', '.join(MODULES)}")
+    names = tuple(t.removeprefix("test_").removesuffix(".py") for t in tests.split(",") if t)
+    return Path(file).stem, (file, names or ("foreign_kinds",))
+
+
 def main() -> int:
     """Draw, try, print a line a module and the survivors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--sample", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--module", choices=MODULES)
+    parser.add_argument("module", nargs="*", help="of the table, or a file of the tree[:its contract tests]")
     parser.add_argument("--results", type=Path)
+    parser.add_argument("--marks", default="not campaign", help="which of the tests, as pytest's -m")
     options = parser.parse_args()
     os.chdir(ROOT)
     sys.path[:0] = [str(ROOT / "tests" / "contract"), str(ROOT / "tests")]
@@ -155,15 +180,16 @@ def main() -> int:
     rows = (
         [json.loads(x) for x in kept.read_text().splitlines()] if kept is not None and kept.exists() else []
     )
-    for module in [options.module] if options.module else MODULES:
-        file, names = MODULES[module]
+    chosen = dict(asked(m) for m in options.module) or MODULES
+    for module, (file, names) in chosen.items():
         path = ROOT / file
         name = file.removeprefix("drivers/").removesuffix(".py").replace("/", ".")
         count, found = mutants(path, np.random.default_rng(options.seed))
         done = sum(r["module"] == module for r in rows)
         for operator, line, source in islice(found, done, options.sample):
             began = time.monotonic()
-            said = tried(name, source, path, [f"tests/contract/test_{n}.py" for n in names])
+            tests = [f"tests/contract/test_{n}.py" for n in names]
+            said = tried(name, source, path, ["-m", options.marks, *tests])
             was, now = path.read_text().splitlines(), source.splitlines()
             change = next(
                 (f"{a.strip()} -> {b.strip()}" for a, b in zip(was, now, strict=False) if a != b), ""
@@ -174,7 +200,7 @@ def main() -> int:
                 with kept.open("a", encoding="utf-8") as out:
                     out.write(json.dumps(rows[-1]) + "\n")
     print("| module | places | tried | killed |\n| --- | --- | --- | --- |")
-    for module in MODULES:
+    for module in chosen:
         own = [r for r in rows if r["module"] == module]
         if own:
             killed = sum(r["said"] != SURVIVED for r in own)

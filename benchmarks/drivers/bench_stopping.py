@@ -164,7 +164,11 @@ class Run:
         bounds.start([self._motor[0]])
         since, late = None, False
         while True:
-            sample = master.exchange([FEEDBACK_FACTOR * d.planned - d.load + d.friction])
+            try:
+                sample = master.exchange([FEEDBACK_FACTOR * d.planned - d.load + d.friction])
+            except (SafetyStop, DriveError):  # a drive may have stopped by itself where the computer was late
+                since = self._motor[0] if since is None else since
+                break
             position, velocity = self._motor
             if since is None and velocity >= SPEED_TOLERANCE * d.speed:
                 since = position
@@ -180,15 +184,16 @@ class Run:
                 break
         furthest = self._motor[0]
         if how == "stop":
-            exchange = master.exchange
+            supervisor = master._supervised
+            tick = supervisor.tick
 
-            def seen(torque: Any) -> Any:
+            def seen(wants: Any) -> Any:
                 nonlocal furthest
-                result = exchange(torque)
+                result = tick(wants)
                 furthest = max(furthest, self._motor[0])
                 return result
 
-            master.exchange = seen  # type: ignore[method-assign]
+            supervisor.tick = seen  # type: ignore[method-assign]
             master.stop()
         rest = d.heartbeat_s * 3 + (d.speed + d.planned / d.inertia * 0.3) / min(
             d.ramp, 0.5 * d.torque / d.inertia

@@ -9,7 +9,7 @@ acts (half a sample later than recorded), and the number of masses. FRF error: m
 |G − G_true| / |G_true| (Frobenius). Parameter error: median and largest over 18 masses, springs, couplings.
 
 refined    invid identify
-paper      invid identify --method paper: modes searched under the noise, the paper's inverse
+paper      invid identify --method paper: the paper's inverse on resonances measured near the fit
 subspace   a black-box state space of the true order by frequency-domain subspace identification (McKelvey,
            Akçay, Ljung 1996) on the FRF matrix, weighted by its noise: no parameters
 raw        the FRF matrix as measured, for scale

@@ -8,7 +8,7 @@ from invid.config import CellConfig
 from invid.errors import ConfigError
 from invid_drivers.adapters import open_adapter
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.journal import Journal, journal_path
+from invid_drivers.cia402.journal import Journal, journal_path, refuse_left_by_others
 from invid_drivers.cia402.reservation import Reservation
 
 VIRTUAL = "invid-virtual"
@@ -40,14 +40,22 @@ def connect(config: CellConfig) -> Cia402Cell:
     ------
     BusError
         The bus cannot be opened, or another process measures on it.
+    ConfigError
+        An axis that cannot be driven.
     """
+    _require_first_axes(config)
     journal = None
     if not is_virtual(config):
         path = journal_path(config.bus.interface, config.bus.channel)
         reservation = Reservation(
             config.bus.interface, config.bus.channel
         )  # before the journal is read: the one before may still be writing it
-        journal = Journal(path)
+        try:
+            refuse_left_by_others(path)
+            journal = Journal(path)
+        except BaseException:
+            reservation.release()
+            raise
         journal.reservation = reservation
     bus = None
     try:
@@ -59,3 +67,13 @@ def connect(config: CellConfig) -> Cia402Cell:
         if journal is not None:
             journal.release()
         raise
+
+
+def _require_first_axes(config: CellConfig) -> None:
+    for axis in config.axes:
+        if axis.axis_of_node != 1:
+            raise ConfigError(
+                f"axis {axis.name}: axis_of_node is {axis.axis_of_node}, and further axes of a node are "
+                "not driven yet; measure its first axis, or record with the drive's own tool and use "
+                "`invid import`"
+            )

@@ -17,7 +17,7 @@ import canopen
 from canopen.objectdictionary import ObjectDictionary, ODVariable, import_od
 
 from invid.errors import InputError
-from invid.recording.text_format import decode_text
+from invid.recording.text_encoding import decode_text
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from invid.errors import InvidError, RecordingError
 from invid.recording import Outcome, Recording, RecordingWriter, read_recording
 from invid.sweep import Progress, Sample
 from invid.sweep.recorder import Recorder
+from invid_drivers.protocol import Ask, AxisStates, Begin, Finish, Judgement, Open, Rows
 
 QUEUE_BYTES = 64 << 20
 """Rows that may wait for the disk: 3 minutes of eight axes at 1 kHz. Beyond that the measurement ends."""
@@ -73,8 +74,8 @@ class Filing:
     def __init__(self, out: Path, judge: Judge | None) -> None:
         self._out, self._judge = out, judge
         self.error: InvidError | None = None
-        self._messages: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
-        self._verdicts: queue.SimpleQueue[tuple[int, bool]] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._verdicts: queue.SimpleQueue[Judgement] = queue.SimpleQueue()
         self._waiting = 0
         self._lock = threading.Lock()
         self._judged: Judged | None = None
@@ -85,14 +86,14 @@ class Filing:
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
-    def put(self, message: tuple[Any, ...]) -> None:
+    def put(self, message: Any) -> None:
         """Queue a message for the file; never waits."""
-        if message[0] == "rows":
+        if isinstance(message, Rows):
             if self.error is not None:
                 return
             with self._lock:
-                full = self._waiting + len(message[1]) > QUEUE_BYTES
-                self._waiting += 0 if full else len(message[1])
+                full = self._waiting + len(message.packed) > QUEUE_BYTES
+                self._waiting += 0 if full else len(message.packed)
             if full:
                 self.error = RecordingError(
                     f"{self._out}: the disk has taken nothing while {QUEUE_BYTES >> 20} MiB of rows came; "
@@ -101,8 +102,8 @@ class Filing:
                 return
         self._messages.put(message)
 
-    def verdict(self) -> tuple[int, bool] | None:
-        """The next answer of the judge: number of the experiment, whether the next one is needed."""
+    def verdict(self) -> Judgement | None:
+        """The next answer of the judge."""
         return None if self._verdicts.empty() else self._verdicts.get()
 
     def close(self, outcome: Outcome) -> InvidError | None:
@@ -120,9 +121,9 @@ class Filing:
                     self._take(message)
                 except InvidError as error:
                     self.error = self.error or error
-                if message[0] == "rows":
+                if isinstance(message, Rows):
                     with self._lock:
-                        self._waiting -= len(message[1])
+                        self._waiting -= len(message.packed)
             self._end()
         except InvidError as error:
             self._failure = error
@@ -130,32 +131,27 @@ class Filing:
             self._failure = RecordingError(f"{self._out}: cannot be written: {type(error).__name__}: {error}")
         self.error = self.error or self._failure
 
-    def _take(self, message: tuple[Any, ...]) -> None:
-        kind, recorder = message[0], self._recorder
-        if kind == "open":
-            self._open(*message[1:])
-        elif kind == "ask":
-            # here, because what it judges was written by now; the judge takes its time in a thread of its own
-            threading.Thread(target=self._give_verdict, args=message[1:], daemon=True).start()
-        elif recorder is None:
-            return
-        elif kind == "begin":
-            recorder.begin(*message[1:])
-        elif kind == "end":
-            recorder.end()
-        elif kind == "rows" and self.error is None:
-            for slot, time, position, torque, demand, status, fresh in np.frombuffer(
-                message[1], dtype=self._row_format
-            ):
-                sample = Sample(
-                    int(slot),
-                    float(time),
-                    position.tolist(),
-                    torque.tolist(),
-                    status.tolist(),
-                    fresh.tolist(),
-                )
-                recorder.row(sample, demand.tolist())
+    def _take(self, message: Any) -> None:
+        recorder = self._recorder
+        match message:
+            case Open(header=header, cycle_s=cycle_s):
+                self._open(header, cycle_s)
+            case Ask(experiment=number):
+                # here, because what it judges was written by now; in a thread, for the judge takes its time
+                threading.Thread(target=self._give_verdict, args=(number,), daemon=True).start()
+            case Begin(experiment=experiment, hold_gain=gain, scale=scale) if recorder is not None:
+                recorder.begin(experiment, gain, scale)
+            case Finish() if recorder is not None:
+                recorder.end()
+            case Rows(packed=packed) if recorder is not None and self.error is None:
+                self._record(recorder, packed)
+
+    def _record(self, recorder: Recorder, packed: bytes) -> None:
+        for slot, time, position, torque, demand, status, fresh in np.frombuffer(packed, self._row_format):
+            sample = Sample(
+                int(slot), float(time), position.tolist(), torque.tolist(), status.tolist(), fresh.tolist()
+            )
+            recorder.row(sample, demand.tolist())
 
     def _open(self, header: Recording, cycle_s: float) -> None:
         count = len(header.axes)
@@ -172,7 +168,7 @@ class Filing:
         try:
             needed = self._judged is None or self._judged.ask(number)
         finally:
-            self._verdicts.put((number, needed))
+            self._verdicts.put(Judgement(number, needed))
 
     def _end(self) -> None:
         if self._recorder is None:
@@ -184,27 +180,30 @@ class Filing:
 
 
 class Teller:
-    """Thread that passes progress to whoever wants to know: a terminal that stands makes nobody wait."""
+    """Thread that passes news to whoever wants to know: a terminal that stands makes nobody wait."""
 
-    def __init__(self, progress: Callable[[Progress], None] | None) -> None:
-        self._progress = progress
-        self._news: queue.SimpleQueue[Progress | None] = queue.SimpleQueue()
+    def __init__(
+        self, progress: Callable[[Progress], None] | None, seen: Callable[[AxisStates], None] | None
+    ) -> None:
+        self._progress, self._seen = progress, seen
+        self._news: queue.SimpleQueue[Progress | AxisStates | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, daemon=True)
-        if progress is not None:
-            self._thread.start()
+        self._thread.start()
 
-    def tell(self, progress: Progress) -> None:
-        """Queue progress; never waits, and what nobody takes is not kept for long."""
-        if self._news.qsize() < MOST_NEWS:
-            self._news.put(progress)
+    def tell(self, news: Progress | AxisStates) -> None:
+        """Queue news; never waits, and progress that nobody takes is not kept for long."""
+        if isinstance(news, AxisStates) or self._news.qsize() < MOST_NEWS:
+            self._news.put(news)
 
     def end(self) -> None:
         """Pass on what is left where that takes no longer than a moment."""
         self._news.put(None)
-        if self._thread.is_alive():
-            self._thread.join(LAST_NEWS_S)
+        self._thread.join(LAST_NEWS_S)
 
     def _work(self) -> None:
-        while (progress := self._news.get()) is not None:
-            if self._progress is not None:
-                self._progress(progress)
+        while (news := self._news.get()) is not None:
+            if isinstance(news, AxisStates):
+                if self._seen is not None:
+                    self._seen(news)
+            elif self._progress is not None:
+                self._progress(news)

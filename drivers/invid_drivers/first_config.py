@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from invid.planning import bus_load
 from invid.planning.budget import shortest_cycle
+from invid_drivers.cia402.stated.scales import Count, agree, in_words
 from invid_drivers.cia402.stated.vendors import VENDORS
 from invid_drivers.eds_match import Identity, Match
 
@@ -29,9 +29,8 @@ class Found:
     modes: int
     revision: int = 0
     name: str = ""
-    increments: int = 0
-    """Of the encoder in ``revolutions`` of the motor (0x608F)."""
-    revolutions: int = 0
+    counts: tuple[Count, ...] = ()
+    """What it says of a count of 0x6064, of a rotary axis."""
     watches: bool = True
     """Whether it has 0x1016, by which it notices that its master has died."""
 
@@ -149,17 +148,18 @@ def _axis(name: str, node: Found, file: Match | None, beside: Path, asked: dict[
     else:
         lines.append("    rated_torque_Nm: 1  # ASK: 0x6076 is missing or 0; from the plate")
         asked[f"{name} rated_torque_Nm"] = "from the motor's plate: 0x6076 is missing or 0"
-    if node.increments and node.revolutions:
-        size = 2 * math.pi * node.revolutions / node.increments
-        lines.append(
-            f"    # position_rad_per_count: {size:.6g}  # 0x608F: "
-            f"{node.increments} counts in {node.revolutions} turn{'s' * (node.revolutions != 1)} of the motor"
-        )
+    key = "position_rad_per_count"
+    if node.counts and agree(node.counts):
+        said = " and ".join(node.counts[0].objects)
+        lines.append(f"    # {key}: {node.counts[0].value:.6g}  # {said}, at the motor")
     else:
-        lines.append(
-            "    # position_rad_per_count:  # ASK: 0x608F is missing or 0; 2π / counts a turn of the motor"
+        why = (
+            f"the drive contradicts itself: {in_words(node.counts)}"
+            if node.counts
+            else ("0x608F is missing or 0; 2π / counts a turn of the motor")
         )
-        asked[f"{name} position_rad_per_count"] = "2π / counts a turn of the motor: 0x608F is missing or 0"
+        lines.append(f"    # {key}:  # ASK: {why}")
+        asked[f"{name} {key}"] = why
     if not node.modes >> 9 & 1:
         asked[f"{name} modes"] = "0x6502 does not list cyclic torque (bit 9): see docs/reference/drives.md"
         lines.append(

@@ -23,8 +23,9 @@ from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.filing import Judge, Judged
+from invid_drivers.protocol import AxisStates
 from invid_drivers.readiness import prepare, require_plan
-from invid_drivers.relay import ALL_OFF, measure_in_process
+from invid_drivers.relay import ALL_OFF, Listeners, measure_in_process
 from invid_drivers.stopping_budgets import Wish, measured_budgets
 
 __all__ = ["MeasurementResult", "Progress", "measure_to_file"]
@@ -74,19 +75,21 @@ class MeasurementResult:
         }
 
 
-def measure_to_file(
+def measure_to_file(  # noqa: PLR0913 - a run, and who is told, asked and may stop it
     config: CellConfig,
     out: Path,
     wish: Wish = Wish(),
     *,
     progress: Callable[[Progress], None] | None = None,
+    seen: Callable[[AxisStates], None] | None = None,
     stop: threading.Event | None = None,
     judge: Judge | None = None,
 ) -> MeasurementResult:
     """Run the config's experiments, or those that are wished for, and write the recording.
 
-    ``judge`` may end the run early. ``out`` is not touched before the first experiment begins. Whatever ends
-    the run, the drives are stopped and restored, and what was measured is closed and marked in ``out``.
+    ``judge`` may end the run early; ``seen`` hears the states of axes behind hardware. ``out`` is not touched
+    before the first experiment begins. Whatever ends the run, the drives are stopped and restored, and what
+    was measured is closed and marked in ``out``.
 
     Raises
     ------
@@ -100,9 +103,8 @@ def measure_to_file(
     if is_virtual(config):
         return run_measurement(config, wish, connect(config), out, progress=progress, stop=stop, judge=judge)
     _require_file(out)
-    result: MeasurementResult = measure_in_process(
-        config, out, wish, progress=progress, stop=stop, judge=judge
-    )
+    listeners = Listeners(progress, seen, stop or threading.Event())
+    result: MeasurementResult = measure_in_process(config, out, wish, listeners, judge)
     return result
 
 

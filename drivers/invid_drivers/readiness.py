@@ -6,15 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from invid.config import CellConfig
-from invid.errors import InvidError
+from invid.errors import DriveError, InvidError
 from invid.planning import Plan, make_plan
 from invid.planning.budget import RoundTrip, tolerable_share
 from invid.planning.forecast import fit_to_limits
+from invid.planning.hold_laws import master_hold
+from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import journal_path
 from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.cia402.standing.hold_memory import HoldMemory
-from invid_drivers.cia402.standing.holding import Reason, remembered, to_support
+from invid_drivers.cia402.standing.holding import AxisHolding, Reason, remembered, to_support
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.round_trip import probe, require
 from invid_drivers.stopping_budgets import Budgets, Wish, plan_within
@@ -70,11 +72,13 @@ def prepare(
 
 def require_plan(config: CellConfig, wish: Wish) -> None:
     """ConfigError for what no drive could change: before a bus is opened, or a process started."""
+    for axis in config.axes:
+        master_hold(axis, config.bus.cycle_s)
     if wish.plan is None:
         make_plan(config, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model)
 
 
-def foresee(config: CellConfig, wish: Wish = Wish(), *, why: str = "") -> Prepared:
+def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
     """Do as ``prepare``, but touch no bus that hardware may be on: its drives are taken at their best.
 
     Raises
@@ -82,32 +86,15 @@ def foresee(config: CellConfig, wish: Wish = Wish(), *, why: str = "") -> Prepar
     ConfigError, DriveError
         What ``prepare`` would refuse whatever the drives say; in virtual time, what it refuses.
     """
-    if is_virtual(config) and not why:
+    require_plan(config, wish)
+    if is_virtual(config):
         cell = connect(config)
         try:
             return prepare(cell, config, wish)
         finally:
             cell.close()
     found = plan_within(config, None, wish)
-    return Prepared(found.plan, found.config, found.budgets, (why, *found.said) if why else found.said)
-
-
-def ask_drives(config: CellConfig, wish: Wish = Wish()) -> Prepared:
-    """Do as ``prepare``; where nobody can be asked the drives are taken at their best, and why is said."""
-    require_plan(config, wish)
-    try:
-        cell = connect(config)
-    except InvidError as error:
-        return foresee(config, wish, why=f"the drives were not asked, the limits are the config's: {error}")
-    try:
-        try:
-            cell.check()
-        except InvidError as error:
-            why = f"the drives are not ready, the limits are the config's: {error}"
-            return foresee(config, wish, why=why)
-        return prepare(cell, config, wish)
-    finally:
-        cell.close()
+    return Prepared(found.plan, found.config, found.budgets, found.said)
 
 
 def loads_to_support(config: CellConfig) -> tuple[str, ...]:
@@ -138,7 +125,7 @@ def not_ready(config: CellConfig) -> tuple[Reason, ...]:
 
 @dataclass(frozen=True)
 class Asked:
-    """What the drives of a cell said when they were asked."""
+    """What the drives of a cell said when they were asked: the one answer to whether it may be measured."""
 
     reasons: tuple[Reason, ...]
     """Axes that are energised though nobody measures, or at which a run ended."""
@@ -146,28 +133,53 @@ class Asked:
     """The first thing that keeps a measurement from starting."""
     said: tuple[str, ...]
     """What is to be known beside: of drives, bus, limits and adapter."""
+    prepared: Prepared | None = None
+    reports: tuple[DriveReport, ...] = ()
+    holdings: tuple[AxisHolding, ...] = ()
+
+    @property
+    def can_start(self) -> bool:
+        """Whether a measurement can start; an axis that it takes over without letting go does not matter."""
+        return self.refusal is None and all(r.taken_over for r in self.reasons)
+
+    def require(self) -> Prepared:
+        """Return what was prepared; else raise the refusal, or DriveError for an axis that is not ready."""
+        if self.refusal is not None:
+            raise self.refusal
+        for reason in self.reasons:
+            if not reason.taken_over:
+                raise DriveError(f"{reason.text}; {reason.fix}", axis=reason.axis)
+        if self.prepared is None:
+            raise DriveError("the drives were not asked")
+        return self.prepared
 
 
-def ask(config: CellConfig, wish: Wish = Wish()) -> Asked:
-    """Ask the drives what ``invid check`` asks, and restore what an earlier run left in them.
+def ask(
+    config: CellConfig, wish: Wish = Wish(), *, cleared: Sequence[str] = (), probes: bool | None = None
+) -> Asked:
+    """Ask the drives whether a measurement can start, and restore what an earlier run left in them.
 
-    This writes to drives that are off: it is for somebody who asked for it, never for a poll.
+    This writes to drives that are off: it is for somebody who asked for it, never for a poll. ``cleared``:
+    axes at which an earlier run ended and of which a person has found the cause; ``probes``: see ``prepare``.
     """
     try:
         require_plan(config, wish)
         cell = connect(config)
     except InvidError as error:
         return Asked(not_ready(config), error, ())
-    refusal: InvidError | None = None
-    said: tuple[str, ...] = ()
+    refusal, prepared = None, None
     try:
-        said = prepare(cell, config, wish).said
+        cell.clear(cleared)
+        prepared = prepare(cell, config, wish, probes=probes)
     except InvidError as error:
         refusal = error
-    complaints = cell.close()
-    said = (*said, *cell.notes, *(w for r in cell.reports for w in r.warnings), *complaints)
+    finally:
+        complaints = cell.close()
+    said = () if prepared is None else prepared.said
+    said = (*complaints, *cell.notes, *said, *(w for r in cell.reports for w in r.warnings))
     # where the drives did not get to say it, what is remembered stands
-    return Asked(cell.not_ready if cell.holdings else not_ready(config), refusal, said)
+    reasons = cell.not_ready if cell.holdings else not_ready(config)
+    return Asked(reasons, refusal, said, prepared, tuple(cell.reports), tuple(cell.holdings))
 
 
 def known_after_death(config: CellConfig, longest_s: float) -> tuple[str, ...]:

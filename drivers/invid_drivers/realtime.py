@@ -19,20 +19,17 @@ import contextlib
 import ctypes
 import gc
 import os
-import queue
 import signal
 import struct
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from invid.config import CellConfig
 from invid.errors import InvidError, SafetyStop, left_by, note_left
 from invid.numerics.arrays import frozen_float
 from invid.planning.model import PlannedExperiment
@@ -41,7 +38,20 @@ from invid.sweep import Sample
 from invid_drivers.connect import connect
 from invid_drivers.measurement import run_measurement
 from invid_drivers.memory import lock_memory
-from invid_drivers.relay import KEEP_ALIVE_S
+from invid_drivers.protocol import (
+    Ask,
+    AxisStates,
+    Begin,
+    Done,
+    Failed,
+    Finish,
+    Judgement,
+    LastSeen,
+    Open,
+    Rows,
+    line_of_process,
+)
+from invid_drivers.relay import KEEP_ALIVE_S, CycleTask
 from invid_drivers.stop_flag import StopFlag
 
 PRIORITY = 50
@@ -51,8 +61,6 @@ SWITCH_S = 0.0001
 _PR_SET_PDEATHSIG = 1
 POST_S = 0.05
 """Rows leave the cycle process this often: what a sudden death of it may cost."""
-SECOND_LOOK_S = 0.1
-"""Within the keep-alive: where the whole computer stood still, the parent gets this long to speak again."""
 
 
 def make_realtime() -> tuple[str, ...]:
@@ -103,17 +111,17 @@ class RemoteSink:
     process survive it.
     """
 
-    def __init__(self, send: Callable[[tuple[Any, ...]], None], cycle_s: float, axes: int) -> None:
-        self._send = send
+    def __init__(self, tell: Callable[[Any], None], cycle_s: float, count: int) -> None:
+        self._tell = tell
         # row_format, packed
-        self._pack = struct.Struct(f"<qd{3 * axes}d{axes}H{axes}?").pack
+        self._pack = struct.Struct(f"<qd{3 * count}d{count}H{count}?").pack
         self._rows: list[bytes] = []
         self._most = max(1, round(POST_S / cycle_s))
 
     def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
         """Send the start of an experiment to the parent; the planned torque stays here."""
         none = frozen_float(np.zeros((0, len(hold_gain))))
-        self._send(("begin", replace(experiment, torque=none, reference=None), list(hold_gain), scale))
+        self._tell(Begin(replace(experiment, torque=none, reference=None), list(hold_gain), scale))
 
     def row(self, sample: Sample, demand: Sequence[float]) -> None:
         """Pack one row, and send the rows that have gathered."""
@@ -133,13 +141,13 @@ class RemoteSink:
 
     def _post(self) -> None:
         if self._rows:
-            self._send(("rows", b"".join(self._rows)))
+            self._tell(Rows(b"".join(self._rows)))
             self._rows.clear()
 
     def end(self) -> None:
         """Send the rows that are left and the end of the experiment."""
         self._post()
-        self._send(("end",))
+        self._tell(Finish())
 
     def close(self, outcome: Outcome) -> None:
         """Send the rows that are left; the parent closes, when it knows how the run ended."""
@@ -149,83 +157,61 @@ class RemoteSink:
 SILENT = f"the command that started the measurement did not answer for {KEEP_ALIVE_S:g} s"
 
 
-def spoke(connection: Connection) -> bool:
-    """Whether the parent says something within its keep-alive."""
-    return connection.poll(KEEP_ALIVE_S - SECOND_LOOK_S) or connection.poll(SECOND_LOOK_S)
-
-
-def child_main(fd: int) -> None:
-    """Run one measurement; everything goes back over the socket ``fd``."""
-    stop = StopFlag()
-    leave_by(stop)
-    connection = Connection(fd)
-    task: Mapping[str, Any] = connection.recv()
-    die_with_parent(task["parent"])
-    outbox: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
+def main() -> None:
+    """Run one measurement; everything goes back over the line."""
+    line = line_of_process(silence_s=KEEP_ALIVE_S)
+    leave_by(line.stop)
+    task: CycleTask = line.read_task()
+    die_with_parent(task.parent)
     answers: dict[int, bool | None] = {}
 
-    silent = threading.Event()
-
-    def listen() -> None:
-        try:
-            with contextlib.suppress(EOFError, OSError):
-                while spoke(connection):
-                    message = connection.recv()
-                    if message == "stop":
-                        return
-                    if isinstance(message, tuple):
-                        answers[message[0]] = message[1]
-                silent.set()
-        finally:
-            stop.set()  # whatever ended this thread: nobody could stop the axes any more
+    def heard(message: Judgement) -> None:
+        answers[message.experiment] = message.needs_more
 
     def ask(number: int) -> bool | None:
         if number not in answers:
             answers[number] = None
-            outbox.put(("ask", number))
-        return answers[number] if task["awaits"] else False not in list(answers.values())
+            line.tell(Ask(number))
+        return answers[number] if task.awaits else False not in list(answers.values())
 
-    def post() -> None:
-        while (message := outbox.get()) is not None:
-            with contextlib.suppress(OSError):  # the parent is gone; the drives are stopped all the same
-                connection.send(message)
-
-    threading.Thread(target=listen, daemon=True).start()
-    sender = threading.Thread(target=post, daemon=True)
-    sender.start()
-    config = CellConfig.model_validate(task["config"])
+    line.listen(heard)
+    config = task.config
     try:
         cycle_s = config.bus.cycle_s
 
         def open_sink(header: Recording) -> tuple[RemoteSink, tuple[str, ...]]:
-            outbox.put(("open", header, cycle_s))
-            return RemoteSink(outbox.put, cycle_s, len(header.axes)), make_realtime()
+            line.tell(Open(header, cycle_s))
+            return RemoteSink(line.tell, cycle_s, len(header.axes)), make_realtime()
 
+        def seen(states: dict[str, str]) -> None:
+            line.tell(AxisStates(tuple(LastSeen(axis, state, time.time()) for axis, state in states.items())))
+
+        cell = connect(config)
+        cell.seen = seen
         result = run_measurement(
             config,
-            task["wish"],
-            connect(config),
-            Path(task["out"]),
-            progress=lambda p: outbox.put(("progress", p)),
-            stop=stop,
+            task.wish,
+            cell,
+            task.out,
+            progress=line.tell,
+            stop=line.stop,
             open_sink=open_sink,
-            asked=None if task["awaits"] is None else ask,
+            asked=None if task.awaits is None else ask,
         )
-        outbox.put(("result", result))
+        line.tell(Done(result))
     except SafetyStop as error:
-        note_left(error, (SILENT,) * silent.is_set())
-        outbox.put(("error", error))
+        note_left(error, (SILENT,) * line.silent.is_set())
+        line.tell(Failed(error))
     except InvidError as error:
-        outbox.put(("error", error))
+        line.tell(Failed(error))
     except Exception as error:  # the parent must hear of it: its exit status depends on it
         told = RuntimeError(f"{type(error).__name__}: {error}")
         note_left(told, left_by(error))
-        outbox.put(("error", told))
-    outbox.put(None)
+        line.tell(Failed(told))
     # The drives are off. However far behind the parent is, every sample reaches it; once it has gone,
     # sending fails and this ends.
-    sender.join()
+    line.close()
 
 
 if __name__ == "__main__":
-    child_main(int(sys.argv[1]))
+    main()

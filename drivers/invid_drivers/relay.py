@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from invid.recording import Outcome
 from invid.sweep import Progress
 from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.filing import Filing, Judge, Teller
+from invid_drivers.protocol import Alive, AxisStates, Done, Failed, Process, Stop, launch
 from invid_drivers.readiness import known_after_death
 from invid_drivers.stopping_budgets import Wish
 
@@ -39,68 +39,67 @@ SPEAK_S = 0.1
 """The cycle process is told so often that this one is there."""
 
 
+@dataclass(frozen=True)
+class CycleTask:
+    """What the cycle process is to do, and for whom."""
+
+    parent: int
+    """Its process id."""
+    config: CellConfig
+    out: Path
+    wish: Wish
+    awaits: bool | None
+    """Whether the axes are held until the judge has answered; ``None``: there is none."""
+
+
+@dataclass(frozen=True)
+class Listeners:
+    """Who hears of a measurement while it lasts, and who may stop it."""
+
+    progress: Callable[[Progress], None] | None = None
+    seen: Callable[[AxisStates], None] | None = None
+    stop: threading.Event = field(default_factory=threading.Event)
+
+
 def measure_in_process(
-    config: CellConfig,
-    out: Path,
-    wish: Wish,
-    *,
-    progress: Callable[[Progress], None] | None,
-    stop: threading.Event | None,
-    judge: Judge | None = None,
+    config: CellConfig, out: Path, wish: Wish, listeners: Listeners, judge: Judge | None = None
 ) -> Any:
     """Measure with the cycle in a process of its own; return its ``MeasurementResult``.
 
     ``judge`` runs here, beside the relay.
     """
-    ours, theirs = socket.socketpair()
-    with theirs:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "invid_drivers.realtime", str(theirs.fileno())],
-            pass_fds=[theirs.fileno()],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-        )
-    connection = Connection(ours.detach())
-    relay = Relay(Filing(out, judge), stop, progress)
+    awaits = None if judge is None else judge.is_awaited
+    process = launch("invid_drivers.realtime", CycleTask(os.getpid(), config, out, wish, awaits))
+    relay = Relay(Filing(out, judge), listeners)
     try:
-        connection.send(
-            {
-                "parent": os.getpid(),
-                "config": config.model_dump(mode="python"),
-                "out": str(out),
-                "wish": wish,
-                "awaits": None if judge is None else judge.is_awaited,
-            }
-        )
-        result = relay.run(connection)
+        result = relay.run(process.connection)
     except BaseException as error:
         lost = isinstance(error, (EOFError, ConnectionError)) and not isinstance(error, InvidError)
-        ended = (
-            BusError(f"the cycle process ended unexpectedly (exit {child.poll()}){DIED}") if lost else error
-        )
-        failure = _end(relay, connection, child, ended)
-        if child.returncode:  # it was killed, or died: nobody has told
-            note_left(ended, known_after_death(config, 0.0))
+        status = process.child.poll()
+        ended = BusError(f"the cycle process ended unexpectedly (exit {status}){DIED}") if lost else error
+        failure = _end(relay, process, ended)
+        if process.child.returncode:  # it was killed, or died: nobody has told
+            names = [a.name for a in config.axes]
+            note_left(ended, (*relay.states.of(names), *known_after_death(config, 0.0)))
         if failure is not None and failure is not ended:
             note_left(ended, (str(failure),))
         raise ended from None
-    failure = _end(relay, connection, child, None)
+    failure = _end(relay, process, None)
     if failure is not None:
         raise failure
     return result
 
 
-def _end(
-    relay: Relay, connection: Connection, child: subprocess.Popen[bytes], error: BaseException | None
-) -> InvidError | None:
+def _end(relay: Relay, process: Process, error: BaseException | None) -> InvidError | None:
     """Let the child stop the drives, and note in an error what it says of them; then close the file."""
+    child = process.child
     try:
         if error is not None:
-            left = relay.last_words(connection)
+            left = relay.last_words(process.connection)
             note_left(error, (s for s in left if s != ALL_OFF or isinstance(error, KeyboardInterrupt)))
         relay.end()
     finally:
-        connection.close()
+        process.connection.close()
     try:
         child.wait(timeout=max(relay.patience_s, 1.0))
     except subprocess.TimeoutExpired:
@@ -117,37 +116,34 @@ class Relay:
     Nothing here waits for disk, judge or terminal: the file has its own thread, and so has who is told.
     """
 
-    def __init__(
-        self,
-        filing: Filing,
-        stop: threading.Event | None,
-        progress: Callable[[Progress], None] | None,
-    ) -> None:
+    def __init__(self, filing: Filing, listeners: Listeners) -> None:
         self._filing = filing
-        self._stop = stop if stop is not None else threading.Event()
+        self._stop = listeners.stop
         self._leaving = threading.Event()
         """This side ends without a stop of its own: a second Ctrl-C, a fault."""
         self._over = threading.Event()
         self._asked: float | None = None
-        self._ended: tuple[str, Any] | None = None
+        self._ended: Done | Failed | None = None
         self._outcome = Outcome.FAILED
-        self._teller = Teller(progress)
+        self._teller = Teller(listeners.progress, listeners.seen)
         self._speaker: threading.Thread | None = None
+        self.states = AxisStates()
+        """Of the axes, as they were told last."""
 
     def run(self, connection: Connection) -> Any:
         """Relay until the result is there; raises what the child raised, or what the file did."""
         self.speak_to(connection)
-        kind, content = self._await_end(connection)
-        if kind == "result":
+        ended = self._await_end(connection)
+        if isinstance(ended, Done):
             self._outcome = Outcome.COMPLETED
             self._raise_of_file()
-            return content
-        if isinstance(content, SafetyStop):
+            return ended.result
+        if isinstance(ended.error, SafetyStop):
             self._raise_of_file()  # that is why it was stopped
             self._outcome = Outcome.ABORTED
-        raise content
+        raise ended.error
 
-    def _await_end(self, connection: Connection) -> tuple[str, Any]:
+    def _await_end(self, connection: Connection) -> Done | Failed:
         """Pass on what the cycle process says, until its result or its error.
 
         BusError where it does not come within ``STOP_S`` of a stop.
@@ -159,13 +155,16 @@ class Relay:
                 raise BusError(f"the cycle process did not stop within {STOP_S:.0f} s")
             if not connection.poll(SPEAK_S):
                 continue
-            message = connection.recv()
-            if message[0] in ("result", "error"):
-                self._ended = message[0], message[1]
-            elif message[0] == "progress":
-                self._teller.tell(message[1])
-            else:
-                self._filing.put(message)
+            match message := connection.recv():
+                case Done() | Failed():
+                    self._ended = message
+                case AxisStates():
+                    self.states = message
+                    self._teller.tell(message)
+                case Progress():
+                    self._teller.tell(message)
+                case _:
+                    self._filing.put(message)
         return self._ended
 
     @property
@@ -182,12 +181,10 @@ class Relay:
         """Stop the cycle process, if it has not ended, and return what it knows of its axes then."""
         self._leaving.set()
         try:
-            _, content = self._await_end(connection)
+            ended = self._await_end(connection)
         except (EOFError, OSError):  # it has gone, or hangs
             return ()
-        if not isinstance(content, BaseException):
-            return tuple(content.warnings)
-        return left_by(content) or (ALL_OFF,)
+        return tuple(ended.result.warnings) if isinstance(ended, Done) else left_by(ended.error) or (ALL_OFF,)
 
     def _raise_of_file(self) -> None:
         if self._filing.error is not None:
@@ -206,8 +203,8 @@ class Relay:
             while not self._over.is_set():
                 if not asked and self._is_to_stop:
                     asked = True
-                    connection.send("stop")
-                connection.send("alive")
+                    connection.send(Stop())
+                connection.send(Alive())
                 while (verdict := self._filing.verdict()) is not None:
                     connection.send(verdict)
                 if asked:

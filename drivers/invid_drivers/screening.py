@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from invid.comparison.screening import Screening, screen
+from invid.api import read_recording, screen
+from invid.comparison.screening import Screening
 from invid.config import CellConfig
 from invid.model.document import Model
 from invid.planning.belief import Belief, from_model
 from invid.planning.expected_covariance import Noise
 from invid.planning.goal import GoalPlan, GoalWish, plan_for_goal
-from invid.recording import read_recording
 from invid.sweep import Progress
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 from invid_drivers.stopping_budgets import Wish

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
@@ -13,9 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from invid.batch.analysis import Options, Outcome
+from invid.batch.fleet import FALSE_ALARMS, FleetRow, compare_fleet, find_baselines, write_changes
 from invid.batch.helper import Helper, own_helper
 from invid.batch.results import INDEX, Results, checksum_of, find_recordings, row
 from invid.errors import InputError
+from invid.model.diagnosis_document import diagnosis_from_json
+from invid.model.document import Model
+from invid.model.doubts import doubts_of
 
 INDEX_EVERY_S = 2.0
 
@@ -28,6 +33,8 @@ class BatchReport:
     kept: int
     index: str
     seconds: float
+    fleet: tuple[FleetRow, ...] = ()
+    """Recordings beside their baselines, the weightiest change first."""
 
     @property
     def done(self) -> int:
@@ -44,6 +51,7 @@ class BatchReport:
             "kept": self.kept,
             "seconds": round(self.seconds, 3),
             "rows": [row(o) for o in self.outcomes],
+            **({"changes": [r.to_json() for r in self.fleet]} if self.fleet else {}),
             "warnings": [said(o) for o in self.outcomes if o.status == "failed"],
         }
 
@@ -53,13 +61,15 @@ def said(outcome: Outcome) -> str:
     return f"{outcome.recording}: {outcome.verdict or outcome.error.removeprefix(outcome.recording + ': ')}"
 
 
-def run_batch(
+def run_batch(  # noqa: PLR0913 - each is one option of the command
     folder: Path,
     results: Path,
     options: Options,
     *,
     scheduler: str | None = None,
     workers: int | None = None,
+    baseline: Path | None = None,
+    false_alarms: float = FALSE_ALARMS,
     told: Callable[[str], None] = lambda _text: None,
 ) -> BatchReport:
     """Analyse what ``results`` does not have yet.
@@ -70,6 +80,9 @@ def run_batch(
         Address of a Dask scheduler (``tcp://host:8786``); default: processes of this machine.
     workers
         Recordings at once; default: the cores of this machine, or two a thread of the cluster.
+    baseline, false_alarms
+        Models to compare with (see ``fleet``), and the probability of calling anything changed in a fleet
+        that did not.
     told
         Is given a line for each recording.
 
@@ -80,6 +93,7 @@ def run_batch(
     """
     began = time.monotonic()
     found = find_recordings(folder, results)
+    baselines = None if baseline is None else find_baselines(baseline, found)
     with Results(results, options) as store:
         checksums = {name: checksum_of(path) for name, path in found.items()}
         outcomes = {n: o for n in found if (o := store.kept(n, checksums[n])) is not None}
@@ -101,7 +115,21 @@ def run_batch(
             finally:
                 store.write_index(outcomes.values())
     rows = tuple(outcomes[name] for name in sorted(outcomes))
-    return BatchReport(rows, kept, str(results / INDEX), time.monotonic() - began)
+    fleet: tuple[FleetRow, ...] = ()
+    if baselines is not None:
+        models = {o.recording: _model_of(o) for o in rows}
+        fleet = tuple(compare_fleet(models, baselines, false_alarms))
+        write_changes(results, fleet)
+    return BatchReport(rows, kept, str(results / INDEX), time.monotonic() - began, fleet)
+
+
+def _model_of(outcome: Outcome) -> Model | str:
+    """The extended model of a recording; else why there is none to compare."""
+    if outcome.status != "done":
+        return outcome.error
+    model = diagnosis_from_json(json.loads(outcome.diagnosis), source=outcome.recording).model
+    doubts = [d.text for d in doubts_of(model.fit) if d.spoils_changes]
+    return doubts[0] if doubts else model
 
 
 def _analyse(

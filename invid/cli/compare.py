@@ -16,8 +16,8 @@ def register(app: typer.Typer) -> None:
 
     @app.command("compare")
     def _compare(
-        old: Path = typer.Argument(..., help="Model before (invid-model JSON)."),
-        new: Path = typer.Argument(..., help="Model after (invid-model JSON)."),
+        old: Path = typer.Argument(..., help="Model before, or a diagnosis."),
+        new: Path = typer.Argument(..., help="Model after, or a diagnosis."),
         tolerance: float = typer.Option(
             20.0, help="Largest ±x in per cent within which a parameter is still called unchanged."
         ),

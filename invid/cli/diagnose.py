@@ -104,7 +104,9 @@ def register(app: typer.Typer) -> None:
         document = diagnosis_to_json(diagnosis)
         if output is not None:
             diagnosis.save(output)
-            note(f"diagnosis written to {output}")
+            note(
+                f"diagnosis written to {output}; it holds the extended model: simulate, export, tune, compare"
+            )
         if report is not None:
             from invid.report import render_report
             from invid.report.dependence import linear_model_of
@@ -149,15 +151,14 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
 
     ``language`` is that of the headline.
     """
+    from invid.diagnosis.headline import verdict_line
     from invid.planning.separating_experiments import is_measurable
 
     headline = diagnosis.headlines.get(language, diagnosis.headline)
     lines = [headline, ""] if headline else []
     lines += diagnosis.sentences
     lines.append("")
-    lines.append(f"verdict: {diagnosis.verdict}")
-    if diagnosis.explained_fraction is not None:
-        lines[-1] += f", {100 * diagnosis.explained_fraction:.1f} % of what was missing is explained"
+    lines.append(f"verdict: {verdict_line(diagnosis)}")
     lines.append("missing torque, rms on held-out data")
     lines.append(f"  {'axis':<12} {'before':>11} {'after':>11} {'noise':>11}")
     for r in diagnosis.residual:

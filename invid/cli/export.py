@@ -15,7 +15,9 @@ def register(app: typer.Typer) -> None:
 
     @app.command("export")
     def _export(
-        model: Path = typer.Argument(..., metavar="MODEL.json", help="Model to export."),
+        model: Path = typer.Argument(
+            ..., metavar="MODEL.json", help="Model, or a diagnosis: the extended one."
+        ),
         to: str = typer.Option(..., "--to", help="statespace (MAT file), mjcf, urdf or fmu (FMI 3)."),
         output: Path = typer.Option(..., "-o", "--output", metavar="FILE", help="Where it goes."),
         as_json: bool = typer.Option(False, "--json", help="Print one JSON document."),

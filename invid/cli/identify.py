@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -14,7 +14,7 @@ from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, NotIdentifiableError
 
 if TYPE_CHECKING:
-    from invid.api import Masses
+    from invid.api import Masses, Method
     from invid.model.document import Model
     from invid.recording.model import Recording
 
@@ -33,7 +33,9 @@ def register(app: typer.Typer) -> None:
             str | None,
             typer.Option(help="Masses of each axis, as 3,3,3; or auto. Default: what the recording says."),
         ] = None,
-        method: Annotated[str, typer.Option(help="refined or paper.")] = "refined",
+        method: Annotated[
+            str, typer.Option(help="refined, or paper: its inverse on measured resonances, beside refined.")
+        ] = "refined",
         budget: Budget = BUDGET,
         effects: Effects = None,
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
@@ -41,8 +43,6 @@ def register(app: typer.Typer) -> None:
         """Masses, springs, dampers and inertia couplings from a recording, with their uncertainty."""
         from invid.model.document import model_to_json
 
-        if method not in ("refined", "paper"):
-            raise InputError(f"--method {method}: there are refined and paper")
         use_effects(context, effects)
         wanted = parse_masses(masses)
         data = read_recording(recording)
@@ -51,7 +51,7 @@ def register(app: typer.Typer) -> None:
                 model = identify(
                     data,
                     masses=wanted,
-                    method="paper" if method == "paper" else "refined",
+                    method=cast("Method", method),
                     budget=budget,
                     progress=progress,
                 )
@@ -112,10 +112,14 @@ def model_text(model: Model) -> str:
     """The model as a table for a person."""
     from invid.model.document import linear_parameters
 
-    lines = [f"{model.robot}: {model.chains.branches} axes, method {model.method}"]
+    beside = model.fit.get("refined", {})
+    heading = f"{model.robot}: {model.chains.branches} axes, method {model.method}"
+    lines = [heading + (", on the right the estimate by maximum likelihood" if beside else "")]
     for p in linear_parameters(model):
-        name = f"{'-'.join(p.axes)} {'ground' if p.kind == 'ground_spring' else p.kind}"
-        lines.append(_row(f"{name} {p.number}" if p.number else name, p.value, p.std, p.unit))
+        kind = "ground" if p.kind == "ground_spring" else p.kind
+        row = _row(f"{'-'.join(p.axes)} {kind} {p.number or ''}", p.value, p.std, p.unit)
+        estimate = beside.get(".".join(filter(None, ("-".join(p.axes), p.kind, str(p.number or "")))))
+        lines.append(row if estimate is None else f"{row:<72}{estimate:.5g}")
     for effect in model.effects:
         for estimate in effect.parameters.values():
             label = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,7 +47,7 @@ def register(app: typer.Typer) -> None:
         if not source and (chart is None or propose):
             raise InputError("import: name the files to read (SOURCE), or a map that names its 'files'")
         if propose:
-            _print_suggestion(source, chart, as_json=as_json)
+            _print_suggestion(source, chart, map_file, as_json=as_json)
             return
         if out is None:
             raise InputError(
@@ -63,6 +64,8 @@ def register(app: typer.Typer) -> None:
         document, text = _report(result, out)
         for warning in document["warnings"]:
             note(f"warning: {warning}")
+        for lack in result.cannot_tell:
+            note(f"cannot tell: {lack.text}")
         emit(document, text, as_json=as_json)
 
 
@@ -81,7 +84,9 @@ def _check(source: list[Path], map_file: Path, plots: Path | None, *, as_json: b
             if c.recording is None
             else [describe_experiment(e, c.recording) for e in c.recording.experiments],
             "warnings": list(c.warnings),
-            "error": c.error or None,
+            "cannot_tell": [asdict(lack) for lack in c.cannot_tell],
+            "error": str(c.error) if c.error else None,
+            "error_code": c.error.code or None if c.error else None,
         }
         for c in checks
     ]
@@ -122,20 +127,24 @@ def _check_text(files: list[dict[str, Any]], position: str, torque: str) -> str:
                 shown = "  ".join(f"{n} {a[n][0]:.4g} … {a[n][1]:.4g} {u}" for n, u in ranges)
                 lines.append(f"      {a['axis']}: {shown}")
         lines += [f"  warning: {w}" for w in file["warnings"]]
+        lines += [f"  cannot tell: {lack['text']}" for lack in file["cannot_tell"]]
         lines += [f"  error: {file['error']}"] if file["error"] else []
     return "\n".join(lines)
 
 
-def _print_suggestion(source: list[Path], chart: ImportMap | None, *, as_json: bool) -> None:
+def _print_suggestion(
+    source: list[Path], chart: ImportMap | None, map_file: Path | None, *, as_json: bool
+) -> None:
     from invid.recording.import_source import suggest_map
 
-    _, proposal = suggest_map(source, chart)
+    _, proposal = suggest_map(source, chart, map_file.parent if map_file is not None else None)
     document = {
         "format": "invid-import-suggestion",
         "map": proposal.document,
         "reasons": list(proposal.reasons),
         "unsure": list(proposal.unsure),
         "fill_in": proposal.asked,
+        "cannot_tell": list(proposal.cannot_tell),
     }
     emit(document, proposal.as_yaml(), as_json=as_json)
 
@@ -173,6 +182,7 @@ def _report(result: Import, out: Path) -> tuple[dict[str, Any], str]:
         "rows": result.rows,
         "broken_rows": [{"file": b.file, "line": b.line, "reason": b.reason} for b in result.broken],
         "warnings": warnings,
+        "cannot_tell": [asdict(lack) for lack in result.cannot_tell],
     }
     roles = {role: sum(e["role"] == role for e in experiments) for role in ("identify", "validate")}
     text = (

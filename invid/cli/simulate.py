@@ -23,7 +23,9 @@ def register(app: typer.Typer) -> None:
     @app.command("simulate")
     def _simulate(
         context: typer.Context,
-        model: Path = typer.Argument(..., metavar="MODEL.json", help="Model to simulate."),
+        model: Path = typer.Argument(
+            ..., metavar="MODEL.json", help="Model, or a diagnosis: the extended one."
+        ),
         recording: Path = typer.Argument(..., metavar="REC.h5", help="Recording whose torques drive it."),
         output: Path = typer.Option(..., "-o", "--output", metavar="SIM.h5", help="Simulated recording."),
         effects: Effects = None,

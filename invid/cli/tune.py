@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from invid.api import load_diagnosis, load_model, tune, write_tuning
+from invid.api import tune, write_tuning
 from invid.cli.output import EXIT_OK, emit, note
 
 
@@ -35,18 +35,25 @@ def register(app: typer.Typer) -> None:
         cycle: Annotated[float, typer.Option(help="Cycle of the drives' loops in seconds.")] = 0.001,
         notches: Annotated[int, typer.Option(min=0, max=8, help="At most this many an axis.")] = 2,
         draws: Annotated[int, typer.Option(min=50, max=5000, help="Machines that must keep margins.")] = 200,
+        ripple: Annotated[
+            float, typer.Option(min=1e-6, help="Per cent of rated torque that counts may make, rms.")
+        ] = 1.0,
         as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
     ) -> int:
         """Tune a drive's loops on a model and its uncertainty; writes files, never to a drive."""
-        from invid.model.diagnosis_document import FORMAT as DIAGNOSIS
+        from invid.model.diagnosis_document import load_document
         from invid.model.document import load_json
         from invid.tuning.document import repair_sentence
         from invid.tuning.page import headline
 
-        document = load_json(model)
-        is_diagnosis = isinstance(document, dict) and document.get("format") == DIAGNOSIS
-        source = load_diagnosis(model) if is_diagnosis else load_model(model)
-        tuned = tune(source, before=before, cycle=cycle, notches=notches, draws=draws)
+        tuned = tune(
+            load_document(model),
+            before=before,
+            cycle=cycle,
+            notches=notches,
+            draws=draws,
+            ripple=ripple / 100.0,
+        )
         written = write_tuning(tuned, output, drive=drive, motors=motors)
         for text in tuned.remarks:
             note(f"note: {text}")

@@ -8,28 +8,27 @@ from typing import Any, Literal
 import numpy as np
 
 from invid.comparison.changes import Comparison
-from invid.comparison.compare import compare
-from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.headline import NAMELESS, Beside, facts_of, headline
+from invid.diagnosis.headline import NAMELESS, Beside, with_headline
 from invid.effects.registry import BY_CAUSE
-from invid.errors import ModelError, NotIdentifiableError
+from invid.errors import ModelError
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model
 from invid.model.doubts import doubts_of
-from invid.recording.model import Recording
 
 
 @dataclass(frozen=True, eq=False)
 class Screening:
-    """Answer of one record; ``comparison`` is ``None`` where the record carries no model.
+    """Answer of one record; ``comparison`` and ``diagnosis`` are ``None`` where the record carries no model.
 
-    ``changed`` names axes ("A2") and pairs of axes ("A1-A2").
+    ``changed`` names axes ("A2") and pairs of axes ("A1-A2"). The diagnosis names no cause: what a record of
+    seconds finds beside the accepted model is for a full one to name.
     """
 
     verdict: Literal["unchanged", "changed", "cannot tell"]
     changed: tuple[str, ...]
     sentence: str
     comparison: Comparison | None
+    diagnosis: Diagnosis | None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -41,38 +40,17 @@ class Screening:
         }
 
 
-def screen(recording: Recording, model: Model) -> Screening:
-    """Compare what a record says of the machine with the accepted model.
-
-    Raises
-    ------
-    ModelError
-        A model without a covariance, or of other axes.
-    """
-    if model.axes != recording.axes:
+def require_screenable(model: Model, axes: tuple[str, ...]) -> None:
+    """ModelError where nothing can be tested against a model: of other axes, or without a covariance."""
+    if model.axes != axes:
         raise ModelError(
-            f"the model has axes {', '.join(model.axes)}, the cell {', '.join(recording.axes)}; give its own "
-            "model"
+            f"the model has axes {', '.join(model.axes)}, the cell {', '.join(axes)}; give its own model"
         )
     if model.covariance is None:
         raise ModelError(
             "the model has no covariance, so nothing can be tested against it; identify once more with "
             "--method refined and data that show every parameter"
         )
-    try:
-        found = _beside(diagnose(recording, model=with_its_causes(model)), model)
-    except NotIdentifiableError as error:
-        return Screening("cannot tell", (), f"cannot tell: {error}", None)
-    compared = compare(model, found.model)
-    before = verdict_on(model)
-    told = headline(facts_of(replace(found, changes=compared.named), Beside(screened=before)))
-    if _is_open(found, compared, before):
-        return Screening("cannot tell", (), told, compared)
-    if not compared.named:
-        return Screening("unchanged", (), f"{told} {_detectable(compared)}".rstrip(), compared)
-    # Of a coupling both axes: neither has it alone.
-    places = (f"{c.axis}-{c.other_axis}" if c.other_axis else c.axis for c in compared.named)
-    return Screening("changed", tuple(dict.fromkeys(places)), told, compared)
 
 
 def with_its_causes(model: Model) -> Model:
@@ -84,7 +62,29 @@ def with_its_causes(model: Model) -> Model:
     return replace(model, fit={**model.fit, "joint_with_effects": True})
 
 
-def verdict_on(model: Model) -> Verdict:
+def judge_screening(
+    found: Diagnosis, model: Model, compared: Comparison, beside: Beside = Beside()
+) -> Screening:
+    """Return the answer of a diagnosis that began ``with_its_causes`` of the accepted model.
+
+    ``compared``: the accepted model beside the diagnosis' own.
+    """
+    before = _verdict_on(model)
+    found = _beside(found, model)
+    told = with_headline(replace(found, changes=compared.named), replace(beside, screened=before))
+    named = Verdict.CONSISTENT if found.verdict is Verdict.CONSISTENT else Verdict.UNEXPLAINED
+    told = replace(told, findings=(), verdict=named)
+    if _is_open(found, compared, before):
+        return Screening("cannot tell", (), told.headline, compared, told)
+    if not compared.named:
+        sentence = f"{told.headline} {_detectable(compared)}".rstrip()
+        return Screening("unchanged", (), sentence, compared, told)
+    # Of a coupling both axes: neither has it alone.
+    places = (f"{c.axis}-{c.other_axis}" if c.other_axis else c.axis for c in compared.named)
+    return Screening("changed", tuple(dict.fromkeys(places)), told.headline, compared, told)
+
+
+def _verdict_on(model: Model) -> Verdict:
     """Return the verdict of the diagnosis that an accepted model comes from; of one that was only identified,
     that nothing was left."""
     known = model.fit.get("verdict")

@@ -99,6 +99,9 @@ OVERRIDABLE = {
     "0x608F": "position_per_count",
     "0x6091": "position_per_count",
     "0x6092": "position_per_count",
+    "0x6093": "position_per_count",
+    "0x6096": "",
+    "0x607E": "",
 }
 """Objects that an axis may override, and the field that then counts."""
 
@@ -113,6 +116,8 @@ class AxisConfig(Strict):
 
     name: str = Field(min_length=1)
     node_id: int = Field(ge=1, le=126)
+    axis_of_node: int = Field(default=1, ge=1, le=4)
+    """Which of the node's axes: the second one has its objects at 0x6800, 0x800 beyond the first."""
     eds: str | None = None
     """The drive's EDS or DCF file, beside the config: what it lacks is known before the drive is asked."""
     vendor: str = "generic"
@@ -138,9 +143,9 @@ class AxisConfig(Strict):
     """Opt-in needed where the drive cannot watch the master's heartbeat (0x1016)."""
     overrides: dict[str, str] = Field(default_factory=dict)
     """Objects of the drive that this config contradicts on purpose, each with the reason: "0x6076", "0x608F",
-    "0x6091" and "0x6092" give way to the config's rated torque and position per count, "0x6075" to the vendor
-    table's nominal current; "0x6072" may be raised where it is 0 as shipped; "0x1000" may say another kind of
-    drive."""
+    "0x6091", "0x6092" and "0x6093" give way to the config's rated torque and position per count, "0x6075" to
+    the vendor table's nominal current; "0x6072" may be raised where it is 0 as shipped; "0x6096" does not
+    convert 0x607F, "0x607E" turns torque as it turns position; "0x1000" may say another kind of drive."""
     quick_stop_deceleration: float | None = with_units(
         "quick_stop_deceleration",
         "quick_stop_deceleration_rad_per_s2",
@@ -155,6 +160,12 @@ class AxisConfig(Strict):
     limits: LimitsConfig
     acceptable: AcceptableConfig = AcceptableConfig()
     """What of a finding is nothing to worry about on this axis."""
+
+    @property
+    def place(self) -> str:
+        """Node, and which of its axes where that is not the first."""
+        further = f" (axis_of_node {self.axis_of_node})" * (self.axis_of_node > 1)
+        return f"{self.node_id}{further}"
 
     @model_validator(mode="after")
     def _overrides(self) -> AxisConfig:
@@ -223,12 +234,17 @@ class CellConfig(Strict):
     def _consistent(self) -> CellConfig:
         for what, values in (
             ("axis name", [a.name for a in self.axes]),
-            ("node_id", [str(a.node_id) for a in self.axes]),
+            ("node_id", [a.place for a in self.axes]),
         ):
             twice = sorted({v for v in values if values.count(v) > 1})
             if twice:
+                dual = (
+                    ". Further axes of one node (objects from 0x6800 on) are not driven: log its bus, and "
+                    "'invid import' reads them (source.eds)"
+                )
                 raise ValueError(
                     f"{what} {', '.join(twice)} is used by more than one axis; each needs its own"
+                    + dual * (what == "node_id")
                 )
         if "heartbeat_s" not in self.safety.model_fields_set:
             beat = {"heartbeat_s": self.shortest_heartbeat_s}

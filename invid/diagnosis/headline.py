@@ -23,6 +23,7 @@ from invid.wording.clauses import (
     group_clause,
 )
 from invid.wording.expectation import answer_clause
+from invid.wording.figures import explained_percent
 from invid.wording.statement import ENGLISH, LANGUAGES, Clause, Listed, Statement, say, say_sentence
 
 NAMELESS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
@@ -62,6 +63,8 @@ class Facts:
     changes: Sequence[NamedChange] | None = None
     answer: Answer | None = None
     screened: Verdict | None = None
+    is_left_inside: bool = False
+    """Whether all that is left acts behind the motors, whose own torque is explained."""
     has_floor: bool = True
     """Whether the record shows what the sensors' noise alone would leave, on every axis."""
 
@@ -79,6 +82,7 @@ def facts_of(diagnosis: Diagnosis, beside: Beside = Beside()) -> Facts:
         diagnosis.changes,
         beside.answer,
         beside.screened,
+        _is_left_inside(diagnosis),
         all(r.noise_floor is not None for r in diagnosis.residual),
     )
 
@@ -86,6 +90,25 @@ def facts_of(diagnosis: Diagnosis, beside: Beside = Beside()) -> Facts:
 def headline(facts: Facts, language: str = ENGLISH) -> str:
     """Return the headline in a language."""
     return " ".join(say_sentence(parts, language) for parts in headline_order(facts) if parts)
+
+
+def verdict_line(diagnosis: Diagnosis) -> str:
+    """Return the verdict with what it is about: how much torque is explained, and where more is left."""
+    text = str(diagnosis.verdict)
+    if diagnosis.explained_fraction is not None:
+        share = explained_percent(diagnosis.explained_fraction)
+        text += f", {share} of the torque that the linear model missed is explained"
+    if diagnosis.verdict is Verdict.PARTLY_EXPLAINED and _is_left_inside(diagnosis) and diagnosis.forces:
+        worst = max(diagnosis.forces, key=lambda f: f.after)
+        place = " ".join(p for p in (worst.axis, worst.element, worst.other_axis) if p)
+        text += f"; what is left acts behind the motors: {worst.after:.3g} {worst.unit} at {place} in no law"
+    return text
+
+
+def _is_left_inside(diagnosis: Diagnosis) -> bool:
+    """Return whether every motor's residual is at its floor (the contract's 1.2): more is left elsewhere."""
+    rows = diagnosis.residual
+    return bool(rows) and all(r.noise_floor is not None and r.after <= 1.2 * r.noise_floor for r in rows)
 
 
 def with_headline(diagnosis: Diagnosis, beside: Beside = Beside()) -> Diagnosis:
@@ -197,7 +220,7 @@ def _groups(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
         said.append(Statement("headline.more_alike", {"n": more}))
     said += _count_of_rest(rest)
     if facts.verdict is Verdict.PARTLY_EXPLAINED:
-        said.append(Statement("headline.left"))
+        said.append(Statement("headline.left_inside" if facts.is_left_inside else "headline.left"))
     return [*said, *_doubtful_floor(facts)]
 
 

@@ -21,8 +21,8 @@ from invid.effects.sizes import Size
 from invid.errors import InputError, ModelError
 from invid.model.document import EffectTerm
 from invid.model.law_table import LawTable
-from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.model.plant import Structure
 from invid.numerics.arrays import Float64
 
 FAMILIES = (
@@ -97,7 +97,7 @@ class Effect:
     family: str = ""
     home: Literal["motor", "end", "spring", "axis", "base"] = "motor"
     """Place of the effect in a model that does not state one."""
-    stands: ClassVar[tuple[Callable[[ChainStructure], list[Place]], ...] | None] = None
+    stands: ClassVar[tuple[Callable[[Structure], list[Place]], ...] | None] = None
     """Kinds of places where it may sit (``invid.model.place``); none where no search of chains asks."""
     over: str = ""
     """Quantity over which its missing torque is drawn (``invid.effects.curve``); "" where it has no such
@@ -130,7 +130,7 @@ class Effect:
             if name not in cls.__dict__:
                 setattr(cls, name, value)
 
-    def places(self, structure: ChainStructure) -> list[Place]:
+    def places(self, structure: Structure) -> list[Place]:
         """All places where it may sit: those of ``stands``, each once."""
         return list(dict.fromkeys(p for places in self.stands or () for p in places(structure)))
 

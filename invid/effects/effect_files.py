@@ -25,8 +25,8 @@ from invid.effects.motion_effect import OF_MOTION, PAIRS, MotionEffect
 from invid.effects.sizes import Size
 from invid.effects.units import unit_of
 from invid.errors import InputError, InvidError
-from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.model.plant import Structure
 
 GROUP = "invid.effects"
 """Entry point group of installed packages."""
@@ -206,7 +206,7 @@ def _check_methods(effect: Effect, where: str, refuse: Refuse) -> None:
     file = getattr(sys.modules.get(type(effect).__module__), "__file__", None) or ""
     doing = "places"
     try:
-        structure = ChainStructure((2, 2), ("A1", "A2"), viscous=False, grounded=())
+        structure = Structure((2, 2))
         found = effect.places(structure)
         if not isinstance(found, list | tuple) or not all(isinstance(p, Place) for p in found):
             refuse("places", f"places gives {found!r:.60}; {_PLACES}")

@@ -19,8 +19,7 @@ import numpy as np
 from invid.errors import ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model, parameter_vector, stds_by_name
-from invid.model.forward import natural_frequencies
-from invid.model.parameters import structure_of
+from invid.model.matrices import Matrices, natural_frequencies
 from invid.numerics.arrays import Complex128, Float64, frozen_float
 from invid.simulation.laws import Laws, laws_of
 from invid.simulation.plant import matrices
@@ -90,16 +89,19 @@ class LinearPlant:
     @property
     def modes(self) -> Float64:
         """(n,) undamped natural frequencies [rad/s], ascending; 0 for rigid modes."""
-        return natural_frequencies(self.mass, self.stiffness)
+        return self.matrices.natural
+
+    @property
+    def matrices(self) -> Matrices:
+        """All three."""
+        return Matrices(self.stiffness, self.damping, self.mass)
 
     def response(self, omega: Float64) -> Complex128:
         """(F, M, M) positions of the motors per torque reported, at ω > 0 [rad/s]."""
-        w = np.asarray(omega, dtype=float)[:, None, None]
-        dynamic = self.stiffness + 1j * w * self.damping - w**2 * self.mass
-        acting = self.gain / (1.0 + 1j * w[:, 0] * self.lag)  # (F, M)
-        columns = np.eye(self.mass.shape[0])[:, list(self.motors)]
-        motion = np.linalg.solve(dynamic, np.broadcast_to(columns, (w.size, *columns.shape)))
-        result: Complex128 = motion[:, list(self.motors)] * acting[:, None, :]
+        s, motors = 1j * np.asarray(omega, dtype=float), np.array(self.motors)
+        acting = self.gain / (1.0 + s[:, None] * self.lag)  # (F, M)
+        motion = np.linalg.inv(self.matrices.dynamic_stiffness(s))[:, motors[:, None], motors]
+        result: Complex128 = motion * acting[:, None, :]
         return result
 
 
@@ -176,20 +178,20 @@ def parameter_spread(model: Model) -> ParameterSpread:
 def derivatives(plant: LinearPlant, names: tuple[str, ...]) -> tuple[Float64, Float64, Float64]:
     """(p, n, n) each: ∂M, ∂D, ∂K by every parameter. All three are linear in the parameters, so that
     M(p) = M + Σ (p_k − values_k)·∂M_k holds for any step."""
-    structure = structure_of(plant.chains, viscous=False)
-    inner = slice(0, structure.dofs)
-    made = [np.zeros((len(names), *plant.mass.shape)) for _ in range(3)]
-    for k, name in enumerate(names):
-        unit = np.zeros(structure.count)
-        unit[structure.names.index(name)] = 1.0
-        for whole, matrix in zip(made, structure.assembled(unit), strict=True):
-            whole[k, inner, inner] = matrix
-        inertia = made[0][k][np.ix_(plant.chains.end_dofs, plant.chains.end_dofs)]
-        for at, base in enumerate(plant.laws.bases, structure.dofs + len(plant.laws.extra_masses)):
-            shares = np.array(base.shares)  # what stands on it counts as its mass
-            made[0][k, at, plant.chains.end_dofs] = made[0][k, plant.chains.end_dofs, at] = inertia @ shares
-            made[0][k, at, at] = shares @ inertia @ shares
-    return made[0], made[1], made[2]
+    known, ends = parameter_vector(plant.chains)[0], plant.chains.end_dofs
+    element = dict(zip(known, (e for e, _ in plant.chains.parts), strict=False))
+    made = [Matrices.of(plant.mass.shape[0], [(element[name], 1.0)]) for name in names]
+    for at, base in enumerate(plant.laws.bases, plant.chains.dofs + len(plant.laws.extra_masses)):
+        shares = np.array(base.shares)  # what stands on it counts as its mass
+        for mass in (m.mass for m in made):
+            inertia = mass[np.ix_(ends, ends)]
+            mass[at, ends] = mass[ends, at] = inertia @ shares
+            mass[at, at] = shares @ inertia @ shares
+    return (
+        np.array([m.mass for m in made]),
+        np.array([m.damping for m in made]),
+        np.array([m.stiffness for m in made]),
+    )
 
 
 def effect_losses(

@@ -34,9 +34,7 @@ def state_space(plant: LinearPlant) -> StateSpace:
     direct = [i for i in range(count) if i not in lagged]
     a = np.zeros((2 * n + len(lagged),) * 2)
     b = np.zeros((2 * n + len(lagged), count))
-    a[:n, n : 2 * n] = np.eye(n)
-    a[n : 2 * n, :n] = -np.linalg.solve(plant.mass, plant.stiffness)
-    a[n : 2 * n, n : 2 * n] = -np.linalg.solve(plant.mass, plant.damping)
+    a[: 2 * n, : 2 * n] = plant.matrices.rates
     push = np.linalg.solve(plant.mass, np.eye(n)[:, list(plant.motors)])
     b[n : 2 * n, direct] = push[:, direct] * plant.gain[direct]
     for k, i in enumerate(lagged):

@@ -22,8 +22,8 @@ from invid.exchange.linear_plant import (
     loss_comment,
     moved_modes,
 )
-from invid.model.chains import add_link
 from invid.model.document import EffectTerm
+from invid.model.matrices import Matrices, damper, spring
 from invid.numerics.arrays import Float64
 
 POINT_MASS = 1.0
@@ -115,11 +115,13 @@ def _own_way(term: EffectTerm) -> str | None:
 
 def held_matrices(plant: LinearPlant) -> tuple[Float64, Float64, Float64]:
     """(n, n) each: the mass, damping and stiffness matrices that the tree holds, in absolute coordinates."""
-    damping, stiffness = np.zeros_like(plant.damping), np.zeros_like(plant.stiffness)
-    for kept, matrix in ((damping, plant.damping), (stiffness, plant.stiffness)):
-        for a, b in _joints(plant):
-            add_link(kept, a, -1 if b is None else b, _between(matrix, a, b))
-    return np.diag(np.diag(plant.mass)), damping, stiffness
+    parts = [
+        part(_between(matrix, a, b), a, -1 if b is None else b)
+        for part, matrix in ((damper, plant.damping), (spring, plant.stiffness))
+        for a, b in _joints(plant)
+    ]
+    held = Matrices.of(plant.mass.shape[0], parts)
+    return np.diag(np.diag(plant.mass)), held.damping, held.stiffness
 
 
 def _joints(plant: LinearPlant) -> list[tuple[int, int | None]]:

@@ -22,7 +22,6 @@ from invid.identification.first_plants import (
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw, axis_of
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
-from invid.likelihood.unknown_forces.plant import Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, with_law
 from invid.likelihood.unknown_forces.supposition import (
     Bench,
@@ -33,6 +32,7 @@ from invid.likelihood.unknown_forces.supposition import (
 )
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Numbers
+from invid.model.plant import Plant, Structure
 from invid.numerics import budget
 
 Benches = tuple[Bench, Bench | None]

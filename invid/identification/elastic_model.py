@@ -45,7 +45,11 @@ NOISY = 2.0
 
 def model_of_chains(begun: Begun) -> Model:
     """The model of a first fit: with the friction that pays its price, and what is to be doubted."""
-    recording = begun.recording
+    return model_of_fit(begun, *finished_fit(begun))
+
+
+def finished_fit(begun: Begun) -> tuple[Supposed, Sequence[Worth]]:
+    """The fit of all records with the friction that pays its price, and what each part of it is worth."""
     now = _with_late_drives(reshape(scan_friction(begun.first)))
     now = with_masses_seen(now)
     # Dry friction is expected: what is too small to be said would bend what is beside it. Viscous friction
@@ -53,7 +57,13 @@ def model_of_chains(begun: Begun) -> Model:
     dry = [(Part.DRY, m) for m in range(now.hypothesis.structure.motors)]
     worths, end = prune(without_loose_springs(now), _deletions_of, dry)
     if not budget.is_left_out("the records that judged the model"):
-        end = on_all_records(end, recording)
+        end = on_all_records(end, begun.recording)
+    return end, worths
+
+
+def model_of_fit(begun: Begun, end: Supposed, worths: Sequence[Worth]) -> Model:
+    """The model of a finished fit, and what is to be doubted."""
+    recording = begun.recording
     model = model_of(end, _terms(end, worths, begun), recording)
     found = _doubts(begun, end, model)
     fit = dict(model.fit)

@@ -11,8 +11,8 @@ import numpy as np
 from invid.identification.contest import PRICE_OF_MASS
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import LARGEST_STEP
-from invid.likelihood.unknown_forces.plant import Element, Kind
 from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.model.plant import Element, Kind
 from invid.numerics import budget
 
 LOOSE = 0.1

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 from invid.identification.own_stiffness import RUBBING, SMOOTH, follow
-from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.stack import Stack
+from invid.model.plant import Kind, Plant, Structure
 from invid.numerics.arrays import Float64, Int64
 from invid.numerics.linear_algebra import least_squares, real_rows
 from invid.signals.band import apparent_inertia, hann

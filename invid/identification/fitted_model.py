@@ -11,13 +11,13 @@ from invid.effects.units import unit_of
 from invid.identification.identifiability import blind_directions
 from invid.identification.missing_torque import AxisMissing, axis_missing
 from invid.identification.open_holds import open_masses
-from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import curvature
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts
+from invid.model.plant import Kind, Plant, Structure
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Recording, Role
 
@@ -122,6 +122,16 @@ def provenance_of(recording: Recording) -> dict[str, Any]:
         "recording": recording.source,
         "recorded": recording.created,
         "experiments": [e.key for e in recording.experiments if e.role is Role.IDENTIFY],
+        "sensors": _sensors_of(recording),
+    }
+
+
+def _sensors_of(recording: Recording) -> dict[str, dict[str, float]]:
+    """Counts of encoders and rated torques by axis, those that the recording states."""
+    stated = {"encoder_resolution": recording.encoder_resolution, "rated_torque": recording.rated_torque}
+    return {
+        axis: {k: float(v[i]) for k, v in stated.items() if v is not None and np.isfinite(v[i]) and v[i] > 0}
+        for i, axis in enumerate(recording.axes)
     }
 
 

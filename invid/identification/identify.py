@@ -1,4 +1,4 @@
-"""Recording to model: the likelihood of chains with friction at the motors, or the paper's inverse alone."""
+"""Recording to model: the likelihood of chains with friction at the motors, or the paper's inverse."""
 
 from __future__ import annotations
 
@@ -13,26 +13,17 @@ from invid.errors import InputError, NotIdentifiableError
 from invid.identification.begun import Begun, begin_elastic
 from invid.identification.elastic_model import model_of_chains
 from invid.identification.machine_kind import machine_kind, rigid_model
-from invid.identification.paper_model import paper_model, widen_by_method_error
+from invid.identification.paper_model import paper_model
 from invid.identification.stated_inertia import against_stated
-from invid.inverse import PaperResult, identify_paper
 from invid.model.document import Model
-from invid.modes.pole_search import NoisyRecord, search_modes
-from invid.modes.settle import settled_frf
 from invid.numerics import budget
 from invid.recording.model import Recording, Role
 from invid.recording.still_axes import masses_of_moving
-from invid.signals.drive_torque import replace_by_acting_torque
-from invid.signals.frf import FrfMatrix, frf_matrix, local_frf_matrix
-from invid.signals.plausibility import check_excitation, check_shaken
+from invid.signals.plausibility import check_shaken
 from invid.signals.repair import repair
-from invid.signals.spectra import LineSpectra, all_spectra
 
 TIME_TO_SEARCH = 0.9
 """Share of a budget for everything but covariances and sentences about the model (empirical)."""
-
-BLUNT = 0.03
-"""Relative error of an FRF by local regression, which blunts resonances narrower than its window."""
 
 Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["paper", "refined"]
@@ -47,7 +38,7 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
         Masses of each axis; ``None`` takes those of the recording, and "auto" where it names none;
         "auto" lets the data choose.
     method
-        "refined" (maximum likelihood) or "paper" (the inverse eigenvalue method alone).
+        "refined" (maximum likelihood) or "paper" (the inverse eigenvalue method on measured resonances).
 
     Returns
     -------
@@ -84,7 +75,7 @@ def _identify_kind(recording: Recording, masses: Masses, method: Method) -> Mode
     sizes = requested_sizes(recording, masses)
     begin = cache(partial(_begin, recording, sizes))
     if method == "paper":
-        return _model_by_paper(recording, begin().sizes if sizes is None else sizes)
+        return paper_model(begin())
     kind = machine_kind(recording, masses, begin)
     if kind.rigid:
         return rigid_model(recording, kind)
@@ -98,49 +89,6 @@ def _begin(recording: Recording, sizes: tuple[int, ...] | None) -> Begun:
     own = tuple(e for e in recording.experiments if e.role is Role.IDENTIFY)
     begun = begin_elastic(replace(recording, experiments=own), sizes)
     return begun if len(own) == len(recording.experiments) else replace(begun, stopgap=())
-
-
-def _model_by_paper(recording: Recording, sizes: Sequence[int]) -> Model:
-    spectra = all_spectra(recording, Role.IDENTIFY)
-    check_excitation(recording, spectra)
-    spectra = replace_by_acting_torque(spectra, recording.experiments)
-    result, measured = _identify_by_paper(spectra, sizes, recording.axes)
-    return paper_model(recording, result, measured, [w for s in spectra for w in s.warnings])
-
-
-def _identify_by_paper(
-    spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Sequence[str]
-) -> tuple[PaperResult, FrfMatrix]:
-    """The paper's route, its standard deviations widened by the error of its method, and the FRF matrix.
-
-    Held torque acts later than recorded; modes are searched on the records, under their noise, before they
-    are fitted to the FRF matrix.
-    """
-    start, delay = search_modes([NoisyRecord.of_spectra(s) for s in spectra], sizes)
-    spectra = [
-        replace(s, torque=s.torque * np.exp(-1j * s.omega * delay)[:, None], staircase=0.0 * s.staircase)
-        for s in spectra
-    ]
-    measured = settled_frf(spectra, start, _measured_frf(spectra))
-    if measured.frequency_hz.size == 0:
-        raise NotIdentifiableError("no frequency at which all axes are excited: the FRF matrix is incomplete")
-    try:
-        result = identify_paper(
-            measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes, start=start
-        )
-    except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
-        raise NotIdentifiableError(f"the paper's method failed on these data: {error}") from None
-    return widen_by_method_error(result, measured), measured
-
-
-def _measured_frf(spectra: Sequence[LineSpectra]) -> FrfMatrix:
-    """The FRF matrix; where lines do not span the axes by local regression, which blunts resonances."""
-    if not any(s.transient for s in spectra):
-        frf = frf_matrix(spectra)
-        if frf.frequency_hz.size >= 8:
-            return frf
-    frf = local_frf_matrix(spectra)
-    return replace(frf, variance=frf.variance + (BLUNT * np.abs(frf.frf)) ** 2)
 
 
 def requested_sizes(recording: Recording, masses: Masses) -> tuple[int, ...] | None:

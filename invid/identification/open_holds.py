@@ -11,8 +11,8 @@ import numpy as np
 
 from invid.identification.quantities import Quantities
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.model.plant import Kind
 from invid.numerics.arrays import Float64
 
 

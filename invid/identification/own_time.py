@@ -9,10 +9,10 @@ import numpy as np
 from scipy.linalg import eigh
 
 from invid.effects.units import unit_of
-from invid.likelihood.unknown_forces.plant import Plant
 from invid.likelihood.unknown_forces.smoother import smooth
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.diagnosis_document import Unexplained
+from invid.model.plant import Plant
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.recording.model import Recording
 from invid.signals.record import DENSE, Record

@@ -1,4 +1,4 @@
-"""The model of the paper's inverse alone."""
+"""The model of the paper's inverse, on what the records show of resonances near the fitted plant."""
 
 from __future__ import annotations
 
@@ -6,83 +6,68 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.errors import InvidError
-from invid.identification.fitted_model import provenance_of
-from invid.identification.identifiability import LIMIT
-from invid.inverse import PaperResult, identify_paper
-from invid.model.document import Model, parameter_vector, std_by_name
-from invid.model.doubts import Doubt, DoubtCode, doubt_facts
-from invid.model.forward import frf
-from invid.numerics.arrays import frozen_float
-from invid.recording.model import Recording
-from invid.signals.frf import FrfMatrix
+from invid.identification.begun import Begun
+from invid.identification.elastic_model import finished_fit, model_of_fit
+from invid.identification.fitted_model import chains_of
+from invid.inverse import PaperResult, Readings, identify_paper
+from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.value import StackWork, real_rows
+from invid.model.document import Model, parameter_vector, std_by_name, stds_by_name
+from invid.numerics.arrays import Float64, frozen_float
 
 
-def paper_model(recording: Recording, paper: PaperResult, measured: FrfMatrix, warnings: list[str]) -> Model:
-    """The model of the paper's route alone."""
-    chains = paper.chains
-    names_all, values = parameter_vector(chains)
-    known = {n: float(np.sqrt(max(v, 0.0))) for n, (_, v) in paper.named.items()}
-    std = np.array([known.get(name, np.nan) for name in names_all])
-    doubts: list[Doubt] = []
-    warnings = [*warnings, *paper.warnings]
-    for name, value, error in zip(names_all, values, std, strict=True):
-        if ".damper." in name or ".coupling" in name:
-            continue
-        if not np.isfinite(error) or error > LIMIT * abs(value):
-            said = f"{name}: {value:.4g} ± {error:.2g} is not known; measure longer or use refined"
-            doubts.append(Doubt(DoubtCode.UNSEEN, said))
-            warnings.append(said)
-    return Model(
-        robot=recording.robot,
+def paper_model(begun: Begun) -> Model:
+    """The fitted model with masses, springs and couplings by the paper's inverse; ``fit["refined"]`` has the
+    estimates beside them.
+
+    Raises
+    ------
+    NotIdentifiableError
+        Readings that belong to no chain.
+    """
+    end, worths = finished_fit(begun)
+    refined, found = model_of_fit(begun, end, worths), _read(end, begun.recording.axes)
+    deviation = dict(zip(found.names, np.sqrt(np.diag(found.covariance)).tolist(), strict=True))
+    names, values = parameter_vector(refined.chains)
+    return replace(
+        refined,
         method="paper",
-        chains=chains,
-        std=std_by_name(chains, known),
-        linear=recording.linear,
-        warnings=tuple(dict.fromkeys(warnings)),
-        covariance=frozen_float(paper.covariance),
-        parameter_names=tuple(known),
+        chains=found.chains,
+        std=std_by_name(found.chains, {**stds_by_name(refined), **deviation}),
+        covariance=frozen_float(found.covariance),
+        parameter_names=found.names,
         fit={
-            **doubt_facts(doubts),
-            "resonances_hz": (np.sort(paper.modes.omega) / 2 / np.pi).tolist(),
-            "frf_error": float(paper.modes.model_error),
-            "band_hz": [float(measured.frequency_hz[0]), float(measured.frequency_hz[-1])],
+            **refined.fit,
+            "refined": dict(zip(names, values.tolist(), strict=True)),
+            "resonances_hz": (found.resonances / 2 / np.pi).tolist(),
+            "antiresonances_hz": [(z / 2 / np.pi).tolist() for z in found.antiresonances],
         },
-        provenance=provenance_of(recording),
     )
 
 
-def widen_by_method_error(paper: PaperResult, measured: FrfMatrix) -> PaperResult:
-    """The paper's result with the error of its method added to the covariance.
+def _read(end: Supposed, axes: tuple[str, ...]) -> PaperResult:
+    """Readings by least squares on what the records miss, laws free beside them, and the paper's inverse."""
+    readings, value = Readings.of(chains_of(end, axes)[0]), end.fit.value
+    rows = [_rows(readings, work) for work in value.work]
+    missing = [(work.missing + work.laws @ value.coefficients).ravel() for work in value.work]
+    matrix, right = np.concatenate([r for r, _ in rows]), np.concatenate(missing)
+    size = np.linalg.norm(matrix, axis=0) + 1e-300
+    normal = np.linalg.pinv((matrix / size).T @ (matrix / size), hermitian=True)
+    x = normal @ ((matrix / size).T @ right)
+    left = float(np.sum((right - matrix / size @ x) ** 2))
+    # What the rows still miss beyond their noise counts as noise.
+    excess = max(left / max(right.size - x.size, 1), 1.0)
+    own = rows[0][1]
+    covariance = excess * normal / size[:, None] / size
+    return identify_paper(readings, (x / size)[:own], covariance[:own, :own])
 
-    The method takes damping to first order. Applied to the FRF of its own result it has to return that
-    result; the standard deviations are widened by the difference.
-    """
-    omega = 2 * np.pi * measured.frequency_hz
-    sizes, axes = paper.chains.masses_per_branch, paper.chains.axes
-    try:
-        repeated = identify_paper(
-            measured.frequency_hz,
-            frf(paper.chains, omega),
-            measured.variance,
-            sizes,
-            axes=axes,
-            start=paper.modes,
-        )
-        values = np.array([v for v, _ in paper.named.values()])
-        method_error = np.array([v for v, _ in repeated.named.values()]) - values
-    except (InvidError, np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
-        warning = f"the method could not be checked on its own result ({error}): its errors may be larger"
-        return replace(paper, warnings=(*paper.warnings, warning))
-    covariance = paper.covariance + np.diag(method_error**2)
-    deviation = np.sqrt(np.maximum(np.diag(paper.covariance), 1e-300))
-    found = paper.warnings
-    if np.any((np.abs(method_error) > 2.0 * deviation) & (np.abs(method_error) > 1e-3 * np.abs(values))):
-        worst = int(np.argmax(np.abs(method_error) / deviation))
-        found = (
-            *found,
-            f"damping: applied to its own result the paper's method is off by "
-            f"{abs(method_error[worst] / values[worst]):.1%} in {list(paper.named)[worst]}; standard "
-            "deviations include it; refined has no such error",
-        )
-    return replace(paper, covariance=covariance, warnings=found)
+
+def _rows(readings: Readings, work: StackWork) -> tuple[Float64, int]:
+    """(R·2FM, p + J) whitened slopes of the missing torque by readings and laws without ends; p."""
+    omega, stiffness = np.where(work.turning > 0, work.stack.omega, 1.0), work.condensed.stiffness
+    torque = (stiffness @ work.stack.position[..., None])[..., 0]
+    slopes = work.whitener @ stiffness @ readings.motion_slopes(omega, torque)
+    rows = real_rows(np.where((work.turning > 0)[:, None, None], slopes, 0.0))
+    rows = rows - work.ends @ (work.ends.T @ rows)
+    whole = np.concatenate((rows, -work.laws), axis=2)
+    return whole.reshape(-1, whole.shape[2]), rows.shape[2]

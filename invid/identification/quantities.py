@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.likelihood.unknown_forces.forces import Spot, Where
-from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.shapes import Curvature, curvature
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.document import Estimate
+from invid.model.plant import Structure
 from invid.numerics.arrays import Float64
 
 STEP = 1e-4

@@ -11,11 +11,11 @@ from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
 from invid.identification.quantities import Quantities, axis_and_element
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.likelihood.unknown_forces.worth import FRICTION
 from invid.model.document import EffectTerm
+from invid.model.plant import Kind
 from invid.numerics.arrays import Float64
 
 Sizes = dict[str, tuple[Callable[[Float64], float], list[int | None]]]

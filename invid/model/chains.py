@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from invid.errors import ModelError
+from invid.model.matrices import Matrices, Part, coupling, damper, mass, spring
 from invid.numerics.arrays import Float64, frozen_float
 
 
@@ -199,30 +201,39 @@ class CoupledChains:
         return rigid
 
     @property
+    def parts(self) -> tuple[Part, ...]:
+        """Every element, in the order of ``document.parameter_vector``, then what damps motors to ground."""
+        out: list[Part] = []
+        for i, first in enumerate(self.motor_dofs.tolist()):
+            out += [mass(value, first + q) for q, value in enumerate(self.masses[i].tolist())]
+            out += [spring(k, first + q, first + q + 1) for q, k in enumerate(self.springs[i].tolist())]
+            out += [damper(d, first + q, first + q + 1) for q, d in enumerate(self.dampers[i].tolist())]
+            out += [spring(k, first) for k in (float(self.ground_springs[i]),) if k]
+        ends = self.end_dofs.tolist()
+        for i, j in combinations(range(self.branches), 2):
+            out.append(coupling(float(self.couplings[i, j]), ends[i], ends[j]))
+        grounds = zip(self.motor_dofs.tolist(), self.ground_dampers.tolist(), strict=True)
+        return (*out, *(damper(d, at) for at, d in grounds if d))
+
+    @property
+    def matrices(self) -> Matrices:
+        """Stiffness, damping and inertia, (ΣN, ΣN) each, what goes to ground included."""
+        return Matrices.of(self.dofs, self.parts)
+
+    @property
     def mass_matrix(self) -> Float64:
         """(ΣN, ΣN) mass matrix."""
-        matrix: Float64 = np.diag(np.concatenate(self.masses))
-        ends = self.end_dofs
-        matrix[np.ix_(ends, ends)] += self.couplings
-        return matrix
+        return self.matrices.mass
 
     @property
     def stiffness_matrix(self) -> Float64:
         """(ΣN, ΣN) stiffness matrix, ground springs included."""
-        return self._chain_matrix(self.springs, self.ground_springs)
+        return self.matrices.stiffness
 
     @property
     def damping_matrix(self) -> Float64:
         """(ΣN, ΣN) damping matrix, ground dampers included."""
-        return self._chain_matrix(self.dampers, self.ground_dampers)
-
-    def _chain_matrix(self, links: tuple[Float64, ...], ground: Float64) -> Float64:
-        matrix = np.zeros((self.dofs, self.dofs))
-        for start, values in zip(self.motor_dofs, links, strict=True):
-            for q, value in enumerate(values):
-                add_link(matrix, start + q, start + q + 1, value)
-        matrix[self.motor_dofs, self.motor_dofs] += ground
-        return matrix
+        return self.matrices.damping
 
     def as_dict(self) -> dict[str, Any]:
         """Plain lists, for messages and provenance; the JSON contract is in ``invid.model``."""
@@ -235,15 +246,6 @@ class CoupledChains:
             "ground_springs": self.ground_springs.tolist(),
             "ground_dampers": self.ground_dampers.tolist(),
         }
-
-
-def add_link(matrix: Float64, a: int, b: int, value: float) -> None:
-    """A spring or damper between a and b (b = −1: ground), in place."""
-    matrix[a, a] += value
-    if b >= 0:
-        matrix[b, b] += value
-        matrix[a, b] -= value
-        matrix[b, a] -= value
 
 
 def case_study(*, damping_ratio: float = 0.0) -> CoupledChains:

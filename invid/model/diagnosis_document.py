@@ -14,6 +14,7 @@ from typing import Any, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from invid.errors import InputError
+from invid.model.document import FORMAT as MODEL_FORMAT
 from invid.model.document import (
     EffectTerm,
     Estimate,
@@ -326,6 +327,32 @@ def _finding(document: Mapping[str, Any], source: str) -> dict[str, Any]:
     return {**document, "effect": effect_from_json(place, source=source), **sizes}
 
 
+def document_from_json(document: Any, *, source: str = "document") -> Model | Diagnosis:
+    """Model or diagnosis, whichever the parsed document says that it is; InputError names what else it is."""
+    found = document.get("format") if isinstance(document, Mapping) else None
+    if found == FORMAT:
+        return diagnosis_from_json(document, source=source)
+    if found == MODEL_FORMAT:
+        return model_from_json(document, source=source)
+    what = f"format is {found!r}" if found is not None else "it names no format"
+    raise InputError(f"{source}: neither a model nor a diagnosis: {what}, not {MODEL_FORMAT!r} or {FORMAT!r}")
+
+
+def load_document(path: str | Path) -> Model | Diagnosis:
+    """Model or diagnosis from a file."""
+    return document_from_json(load_json(Path(path)), source=str(path))
+
+
+def load_model(path: str | Path) -> Model:
+    """Model from a file of it, or from a diagnosis: the extended one."""
+    return model_of(load_document(path))
+
+
 def load_diagnosis(path: str | Path) -> Diagnosis:
-    """Diagnosis from an ``invid-diagnosis`` file."""
+    """Diagnosis from a file; InputError where it is none, a model say."""
     return diagnosis_from_json(load_json(Path(path)), source=str(path))
+
+
+def model_of(document: Model | Diagnosis) -> Model:
+    """The model itself, or the extended one of a diagnosis."""
+    return document.model if isinstance(document, Diagnosis) else document

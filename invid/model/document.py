@@ -175,6 +175,35 @@ def parameter_vector(chains: CoupledChains) -> tuple[tuple[str, ...], Float64]:
     return tuple(_name(*p[:3]) for p in found), np.array([p[3] for p in found])
 
 
+def with_parameters(chains: CoupledChains, values: Mapping[str, float]) -> CoupledChains:
+    """The chains with numbers by the names of ``parameter_vector`` in the place of their own.
+
+    Raises
+    ------
+    ModelError
+        Numbers that no machine has.
+    """
+    own = numbers_by_name(chains.axes, chains) | dict(values)
+
+    def column(kind: str, like: tuple[Float64, ...]) -> list[list[float]]:
+        return [
+            [own[_name((axis,), kind, q + 1)] for q in range(part.size)]
+            for axis, part in zip(chains.axes, like, strict=True)
+        ]
+
+    couplings = np.zeros(chains.couplings.shape)
+    for (i, a), (j, b) in combinations(enumerate(chains.axes), 2):
+        couplings[i, j] = couplings[j, i] = own[_name((a, b), "coupling", 0)]
+    return CoupledChains.build(
+        column("mass", chains.masses),
+        column("spring", chains.springs),
+        column("damper", chains.dampers),
+        couplings,
+        ground_springs=[own[_name((a,), "ground_spring", 0)] for a in chains.axes],
+        axes=chains.axes,
+    )
+
+
 def numbers_by_name(axes: Sequence[str], numbers: CoupledChains | ChainStd) -> dict[str, float]:
     """Numbers by the names of ``parameter_vector``; a coupling under both orders of its axes."""
     out: dict[str, float] = {}
@@ -474,17 +503,20 @@ def load_json(path: Path) -> Any:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as UTF-8 text: {error}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: {_binary_kind(path)}, no JSON document") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
     try:
         return json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not JSON: {error}") from None
 
 
-def load_model(path: str | Path) -> Model:
-    """Model from an ``invid-model`` file."""
-    return model_from_json(load_json(Path(path)), source=str(path))
+def _binary_kind(path: Path) -> str:
+    with path.open("rb") as file:
+        head = file.read(8)
+    return "an HDF5 file (a recording?)" if head == b"\x89HDF\r\n\x1a\n" else "binary data"
 
 
 def save_text(path: Path, text: str) -> None:

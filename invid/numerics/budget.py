@@ -1,7 +1,7 @@
 """Bound how long a computation takes and report how far it is, at the heads of its loops.
 
 The budget in force is a context variable: searches and fits are reached through thirty functions that
-neither know nor need it, and a forked helper has its parent's. No clock is read here; whoever sets a budget
+neither know nor need it. No clock is read here; whoever sets a budget
 gives it one (``run_clock``: processor time). Without a budget nothing is ever spent, and the same data give
 the same answer.
 """
@@ -13,8 +13,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import TypeVar
-
-from invid.numerics.run_clock import RunClock
 
 T = TypeVar("T")
 
@@ -237,27 +235,3 @@ def tell_found(causes: Sequence[Found]) -> None:
         return
     budget.found = tuple(causes)
     tell("still looking", 0.0)
-
-
-@contextmanager
-def use_helpers(processes: int) -> Iterator[None]:
-    """Context manager in which so many processes work, this one among them."""
-    budget = _IN_FORCE.get()
-    clock = None if budget is None else budget.clock
-    if not isinstance(clock, RunClock):
-        yield
-        return
-    clock.begin_helpers(processes)
-    try:
-        yield
-    finally:
-        clock.end_helpers()
-
-
-def enter_helper() -> None:
-    """Prepare a forked helper: its parent reports, and its clock goes on from its parent's."""
-    budget = _IN_FORCE.get()
-    if budget is not None:
-        budget.report = None
-        if isinstance(budget.clock, RunClock):
-            budget.clock.enter_helper()

@@ -1,4 +1,4 @@
-"""Linear algebra on data: complex lines as real rows, least squares, eigenvalues where there are any."""
+"""Linear algebra on data: complex lines as real rows, least squares."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Float64
 
 
 def real_rows(values: npt.NDArray[Any]) -> Float64:
@@ -23,14 +23,3 @@ def least_squares(columns: Float64, right: Float64, rcond: float | None = None) 
     found: Float64 = np.linalg.lstsq(columns / scale, right, rcond=rcond)[0]
     scaled: Float64 = (found.T / scale).T
     return scaled
-
-
-def eigenvalues(matrix: Float64) -> Complex128 | None:
-    """(n,) eigenvalues of an (n, n) matrix; ``None`` where it is not finite or LAPACK finds none."""
-    if not np.isfinite(matrix).all():
-        return None
-    try:
-        out: Complex128 = np.linalg.eigvals(matrix).astype(np.complex128)
-    except np.linalg.LinAlgError:
-        return None
-    return out

@@ -16,16 +16,17 @@ import numpy as np
 
 from invid.config import CellConfig, MultisineSpec
 from invid.errors import ConfigError
+from invid.model.chains import CoupledChains
 from invid.model.document import parameter_vector
-from invid.model.parameters import ChainStructure, structure_of
+from invid.model.matrices import Condensed, Terms, damper
 from invid.numerics.arrays import Complex128, Float64, Int64, frozen_float
 from invid.planning.belief import Belief
 from invid.planning.build import CREEP_TRAVEL
-from invid.planning.expected_covariance import Expected, Noise, expected, parameter_scale
+from invid.planning.expected_covariance import Expected, Noise, expected, is_in_goal, parameter_scale
 from invid.planning.forecast import QUANTITIES, usable, with_margin
 from invid.planning.model import PlannedExperiment
 from invid.planning.phases import played_once
-from invid.planning.response import foretold_motion, hold_gains
+from invid.planning.response import foretold_motion, hold_gains, rubbing
 from invid.recording.model import Kind
 from invid.signals import excitation
 
@@ -191,15 +192,9 @@ class BlockDesigner:
         )
 
     def _scale(self) -> Float64:
-        """Scale of every parameter of the structure in the units of the fit (logarithms: 1)."""
-        structure = structure_of(self.belief.chains)
+        """What the uncertainty of each of the chains' parameters is relative to; infinite for dampers."""
         names, _ = parameter_vector(self.belief.chains)
-        relative = dict(zip(names, parameter_scale(self.belief.chains), strict=True))
-        scale = np.full(structure.count, np.inf)
-        for k, name in enumerate(structure.names):
-            if ".damper." in name or name not in relative or name.endswith(".ground_spring"):
-                continue
-            scale[k] = 1.0 if structure.logarithmic[k] else relative[name]
+        scale: Float64 = np.where(is_in_goal(names), parameter_scale(self.belief.chains), np.inf)
         return scale
 
     def warnings(self) -> list[str]:
@@ -265,20 +260,18 @@ def line_design(  # noqa: PLR0913 - the terms of the optimum
     torque_noise, position_noise
         (M,) standard deviations per sample (only their ratio to each other matters).
     goal_scale
-        (n,) scale of the structure's parameters in fit units; infinite for those that do not matter.
+        (n,) scale of the chains' parameters; infinite for those that do not matter.
         ``None``: amplitudes ∝ f^−½, no optimisation.
     prices
         (M,) price of travel² and of speed² of each motor beside a torque² of 1.
     """
-    structure = structure_of(belief.chains)
-    p = structure.vector(belief.chains)
-    p[structure.slices["viscous"]][: structure.motors] = belief.viscous
     omega: Float64 = np.asarray(2 * np.pi * spacing_hz * lines, dtype=np.float64)
-    motion, plant = _condense(structure, p, omega)
-    motors = structure.motors
+    chains, motors = belief.chains, belief.chains.branches
+    plant = rubbing(chains, belief.viscous).dynamic_stiffness(1j * omega)
+    seen = Condensed.of(plant, chains.motor_dofs.tolist())
     law = hold[0] + 1j * omega[:, None] * hold[1]
     index = np.arange(motors)
-    closed = plant.copy()
+    closed = seen.stiffness.copy()
     closed[:, index, index] += law
     push = np.eye(motors)[axis]
     unit_push: Complex128 = push[..., None].astype(np.complex128)
@@ -291,8 +284,8 @@ def line_design(  # noqa: PLR0913 - the terms of the optimum
         power = _normalised(robust / cost, axis)
         return LineDesign(lines, axis, np.sqrt(power))
     torque: Complex128 = np.asarray(push - law * theta, dtype=np.complex128)
-    response = _Response(omega, motion, plant, theta, torque)
-    matrices = _information(structure, p, response, torque_noise, position_noise)
+    response = _Response(omega, seen, theta, torque)
+    matrices = _information(chains, response, torque_noise, position_noise)
     weight = _normalised(np.full(lines.size, 1.0) / cost, axis)
     importance = np.where(np.isfinite(goal_scale), 1.0 / goal_scale, 0.0)
     importance = np.concatenate((importance, np.zeros(matrices.shape[1] - importance.size)))
@@ -309,18 +302,6 @@ def line_design(  # noqa: PLR0913 - the terms of the optimum
     return LineDesign(lines, axis, np.sqrt(_normalised(power, axis)))
 
 
-def _condense(structure: ChainStructure, p: Float64, omega: Float64) -> tuple[Complex128, Complex128]:
-    """Motion (L, ΣN, M) of all coordinates per motor motion, dynamic stiffness (L, M, M) at the motors."""
-    mass, damping, stiffness = structure.matrices(p)
-    full = stiffness + 1j * omega[:, None, None] * damping - (omega**2)[:, None, None] * mass
-    motors, inner = list(structure.motor_dofs), np.array(structure.inner_dofs, dtype=int)
-    motion = np.zeros((omega.size, structure.dofs, len(motors)), dtype=complex)
-    motion[:, motors] = np.eye(len(motors))
-    if inner.size:
-        motion[:, inner] = -np.linalg.solve(full[:, inner[:, None], inner], full[:, inner[:, None], motors])
-    return motion, np.asarray(full[:, motors] @ motion, dtype=np.complex128)
-
-
 def _normalised(power: Float64, axis: Int64, cost: Float64 | None = None) -> Float64:
     spent = power if cost is None else power * cost
     sums = np.bincount(axis, weights=spent, minlength=int(axis.max()) + 1)
@@ -332,32 +313,29 @@ def _normalised(power: Float64, axis: Int64, cost: Float64 | None = None) -> Flo
 class _Response:
     """The held cell under unit torque on each line.
 
-    ``omega`` (L,) [rad/s], ``motion`` (L, ΣN, M) of all coordinates per motor motion, ``plant`` (L, M, M)
-    dynamic stiffness at the motors, ``theta`` and ``torque`` (L, M) of the motors, loops included.
+    ``omega`` (L,) [rad/s], ``seen`` by the motors, ``theta`` and ``torque`` (L, M) of the
+    motors, loops included.
     """
 
     omega: Float64
-    motion: Complex128
-    plant: Complex128
+    seen: Condensed
     theta: Complex128
     torque: Complex128
 
 
 def _information(
-    structure: ChainStructure,
-    p: Float64,
-    response: _Response,
-    torque_noise: Float64,
-    position_noise: Float64,
+    chains: CoupledChains, response: _Response, torque_noise: Float64, position_noise: Float64
 ) -> Float64:
-    """(L, n + M, n + M) Fisher information of unit torque on each line; time offsets are the last M."""
-    omega, motion, plant = response.omega, response.motion, response.plant
+    """(L, p, p) Fisher information of unit torque on each line: on the chains' parameters, then on viscous
+    friction and time offset of each motor."""
+    omega, motion, plant = response.omega, response.seen.motion, response.seen.stiffness
     theta, torque = response.theta, response.torque
-    q = np.einsum("fqm,fm->fq", motion, theta)
-    jacobian = structure.torque_derivative(p, omega, motion, q[None])[0]
-    offset = np.zeros((omega.size, structure.motors, structure.motors), dtype=complex)
-    index = np.arange(structure.motors)
-    offset[:, index, index] = 1j * omega[:, None] * torque
+    elements = [e for e, _ in (*chains.parts, *(damper(1.0, at) for at in chains.motor_dofs.tolist()))]
+    terms = Terms.of(chains.dofs, elements)
+    reach = motion @ terms.vectors
+    moved = np.einsum("fmt,fm->ft", reach, theta) * terms.factors(omega, np.ones(len(elements)))
+    jacobian = terms.by_parameter(reach * moved[:, None])
+    offset = (1j * omega[:, None] * torque)[..., None] * np.eye(chains.branches)
     both = np.concatenate((jacobian, offset), axis=2)
     noise = np.einsum("fij,j,fkj->fik", plant, position_noise**2 + 0j, plant.conj())
     noise = noise + np.diag(torque_noise**2)

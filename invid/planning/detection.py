@@ -20,8 +20,8 @@ from invid.effects.units import unit_of
 from invid.identification.fitted_model import chains_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Supposed
-from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.model.plant import Structure
 from invid.planning.belief import Belief
 from invid.planning.expected_covariance import Noise, fit_about
 from invid.planning.model import PlannedExperiment
@@ -115,7 +115,7 @@ def _of_friction(now: Supposed, screen: Screen, key: tuple[Part, int], parameter
 
 
 def _places(screen: Screen, cause: str, axis: int) -> Iterator[Place]:
-    chains = ChainStructure(screen.structure.sizes, screen.recording.axes)
+    chains = Structure(screen.structure.sizes)
     return (p for e in effects() if e.cause == cause for p in e.places(chains) if p.axis == axis)
 
 

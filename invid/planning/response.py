@@ -1,9 +1,8 @@
 """The predicted motion of a planned experiment on the assumed plant.
 
-The loop is closed as the sweep closes it: excitation held over each sample, and a PD hold on every
-axis. It is solved on lines of the shifted Laplace plane s = σ + jω: with σ·T = 14 what wraps round the
-record's end is a millionth, rounding errors 1e-10, and a record from rest needs no padding. Coulomb
-friction enters as a torque of its own, iterated, since its sign follows the motion that it changes.
+The loop is closed as the sweep closes it: excitation held over each sample, and a PD hold on every axis: the
+master's answers a sample at the next SYNC, with the mean velocity of the last cycle, and keeps its torque
+for a cycle; the loop inside a drive is fast against all that is shaken.
 """
 
 from __future__ import annotations
@@ -14,19 +13,19 @@ from functools import lru_cache
 import numpy as np
 
 from invid.config import CellConfig
+from invid.effects.elements import ForceLaw, Law, dry_parameters
 from invid.model.chains import CoupledChains
-from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.model.matrices import Matrices, damper, spring
+from invid.numerics.arrays import Bool, Float64
 from invid.planning.belief import Belief
 from invid.planning.hold_laws import centring, following, master_hold
 from invid.planning.model import PlannedExperiment
 from invid.planning.phases import lowest_frequency
 from invid.recording.model import Kind
+from invid.simulation.kernel import march_held
+from invid.simulation.laws import compiled_laws
+from invid.simulation.plant import Step, discretise
 
-SHIFT = 14.0
-PADDING = 0.05
-"""Share of the record that is worked out beyond its end."""
-ITERATIONS, RELAXATION = 8, 0.6
-"""Of the friction torque. Empirical: converged to 1 % where friction is below half of the peak."""
 DRIVE_HOLD_HZ = 10.0
 """Assumed bandwidth [Hz] of a position loop inside a drive (with a damping ratio of 0.7)."""
 
@@ -90,90 +89,48 @@ def foretold_motion(
 
     ``drive_hold_hz`` is the bandwidth believed of the position loops inside the drives.
     """
-    cycle, count = config.bus.cycle_s, experiment.cycles
+    cycle = config.bus.cycle_s
     stiffness, damping = hold_gains(config, experiment, belief, drive_hold_hz)
     drive = experiment.torque
     if experiment.reference is not None:
         path = experiment.reference
         speed = np.diff(path, axis=0, prepend=path[:1]) / cycle
         drive = drive + stiffness * path + damping * speed
-    # The last samples would carry the ringing of the jump from the record's end to its start.
-    padded = count + max(round(PADDING * count), 64)
-    drive = np.concatenate((drive, np.zeros((padded - count, drive.shape[1]))))
-    sigma = SHIFT / (padded * cycle)
-    fade = np.exp(-sigma * cycle * np.arange(padded))[:, None]
-    # Ten times the band holds the harmonics of friction that still move a mass.
-    top = max(10 * float(experiment.frequencies_hz.max(initial=5.0)), 100.0)
     inside = held_by_drive(config, experiment)
-    loops = np.stack((stiffness, damping, inside, belief.viscous))
-    found = _closed_loop(belief.chains, loops.tobytes(), cycle, padded, min(top, 0.45 / cycle))
-    keep, s, held, law, answer = found
-
-    def spectrum(values: Float64) -> Complex128:
-        transformed: Complex128 = np.fft.rfft(values * fade, axis=0)[keep]
-        return transformed
-
-    def wave(values: Complex128) -> Float64:
-        full = np.zeros((keep.size, values.shape[1]), dtype=complex)
-        full[keep] = values
-        over_time: Float64 = np.fft.irfft(full, n=padded, axis=0) / fade
-        return over_time
-
-    commanded = held[:, None] * spectrum(drive)
-    friction = np.zeros_like(drive)
-    motion = np.einsum("fij,fj->fi", answer, commanded)
-    if belief.coulomb.any():
-        for _ in range(ITERATIONS):
-            velocity = wave(s[:, None] * motion)
-            smooth = 1e-3 * np.maximum(np.sqrt(np.mean(velocity**2, axis=0)), 1e-300)
-            new = -belief.coulomb * np.tanh(velocity / smooth)
-            friction = new if not friction.any() else friction + RELAXATION * (new - friction)
-            motion = np.einsum("fij,fj->fi", answer, commanded + spectrum(friction))
-    position, velocity = wave(motion), wave(s[:, None] * motion)
-    torque = drive - wave(law * motion)
-    return Motion(position[:count], velocity[:count], torque[:count])
+    loops = np.stack((stiffness * inside, damping * inside, belief.viscous))
+    step, substeps = _sub_step(belief.chains, loops.tobytes(), cycle)
+    motors = belief.chains.motor_dofs.astype(np.int64)
+    rubs = zip(motors.tolist(), belief.coulomb.tolist(), strict=True)
+    laws = compiled_laws(
+        [ForceLaw(Law.DRY, at, -1, dry_parameters(c)) for at, c in rubs if c], np.zeros((1, 2))
+    )
+    hold = np.where(inside, 0.0, np.stack((stiffness, damping / cycle)))
+    drive = np.ascontiguousarray(drive)
+    motion, torque = np.zeros((*drive.shape, 2)), np.zeros(drive.shape)
+    march_held(
+        np.zeros(2 * belief.chains.dofs), step.compiled, laws, drive, hold, motors, substeps, motion, torque
+    )
+    position, velocity = motion[:, :, 0], motion[:, :, 1]
+    return Motion(position, velocity, torque - inside * (stiffness * position + damping * velocity))
 
 
 @lru_cache(maxsize=16)
-def _closed_loop(
-    chains: CoupledChains, loops: bytes, cycle: float, samples: int, top_hz: float
-) -> tuple[Bool, Complex128, Complex128, Complex128, Complex128]:
-    """Return which of the frequencies of a padded record are used, s (F,) [1/s], the hold (F,), the law
-    (F, M) and the answer (F, M, M) of the motors' positions to torque.
+def _sub_step(chains: CoupledChains, loops: bytes, cycle: float) -> tuple[Step, int]:
+    """One sub-step, and how many make a cycle.
 
     Kept, because a plan is lowered step by step and only its torque changes. ``loops`` are the bytes of
-    (4, M) stiffness, damping, whether a loop is inside the drive, and viscous friction of each motor.
+    (3, M): stiffness and damping of the loops inside the drives, and viscous friction of each motor.
     """
-    stiffness, damping, inside, viscous = np.frombuffer(loops).reshape(4, -1)
-    sigma = SHIFT / (samples * cycle)
-    omega = 2 * np.pi * np.fft.rfftfreq(samples, cycle)
-    keep: Bool = omega <= 2 * np.pi * top_hz
-    s: Complex128 = np.asarray(sigma + 1j * omega[keep], dtype=np.complex128)
-    held: Complex128 = np.exp(-s * cycle / 2) * np.sinc(1j * s * cycle / 2 / np.pi)  # (1 − e^{−sh})/(sh)
-    # A hold of the master answers a sample at the next SYNC, with the mean velocity of the last cycle, and
-    # keeps its torque for a cycle; the loop inside a drive is fast against all that is shaken.
-    z = np.exp(-s * cycle)[:, None]
-    law: Complex128 = np.where(
-        inside > 0,
-        stiffness + damping * s[:, None],
-        held[:, None] * z * (stiffness + damping * (1.0 - z) / cycle),
+    stiffness, damping, viscous = np.frombuffer(loops).reshape(3, -1)
+    held = rubbing(chains, viscous + damping).plus(
+        [spring(k, at) for k, at in zip(stiffness.tolist(), chains.motor_dofs.tolist(), strict=True)]
     )
-    plant = _condensed_stiffness(chains, viscous, s)
-    index = np.arange(law.shape[1])
-    plant[:, index, index] += law
-    return keep, s, held, law, np.asarray(np.linalg.inv(plant), dtype=np.complex128)
+    # Dry friction is solved within a sub-step: it must not span more than a radian of the fastest mode.
+    substeps = max(1, int(np.ceil(cycle * held.natural[-1])))
+    return discretise(held, cycle / substeps), substeps
 
 
-def _condensed_stiffness(chains: CoupledChains, viscous: Float64, s: Complex128) -> Complex128:
-    """(F, M, M) condensed motor stiffness at complex frequencies s [1/s], motor friction included."""
-    outer = chains.motor_dofs
-    damping = np.array(chains.damping_matrix)
-    damping[outer, outer] += viscous
-    mass = chains.mass_matrix
-    full = chains.stiffness_matrix + s[:, None, None] * damping + (s**2)[:, None, None] * mass
-    inner = np.setdiff1d(np.arange(mass.shape[0]), outer)
-    result: Complex128 = full[:, outer[:, None], outer]
-    if inner.size:
-        across = full[:, inner[:, None], outer]
-        result = result - across.transpose(0, 2, 1) @ np.linalg.solve(full[:, inner[:, None], inner], across)
-    return result
+def rubbing(chains: CoupledChains, viscous: Float64) -> Matrices:
+    """Matrices of chains with viscous friction (M,) at their motors."""
+    motors = zip(chains.motor_dofs.tolist(), viscous.tolist(), strict=True)
+    return chains.matrices.plus([damper(value, at) for at, value in motors])

@@ -375,6 +375,26 @@ def _coarse(stamps: Float64, same: float) -> str:
     return text
 
 
+def find_restarts(raw: Float64, how: StampsRead) -> list[int]:
+    """Rows at which a clock starts anew, as another record behind the first; empty where there is none.
+
+    After each fall stamps ``raw`` [s] begin again where the first ones did. A counter of 2^n ticks that
+    wraps does too where it began at 0: it falls by that number, which no record is as long as by chance.
+    """
+    rows = np.flatnonzero(np.isfinite(raw))
+    stamps = raw[rows]
+    d = np.diff(stamps)
+    if how.wraps_at is not None or how.differences or not (d > 0).any():
+        return []
+    step = float(np.median(d[d > 0]))
+    falls = np.flatnonzero(d < -10 * step)
+    if not 0 < falls.size * 16 < stamps.size or (np.abs(stamps[falls + 1] - stamps[0]) > 2 * step).any():
+        return []
+    if _modulus(-d[falls], step, how.unit, rounds=False) is not None:
+        return []
+    return [int(rows[k + 1]) for k in falls.tolist() if _stays(stamps, int(k), step)]
+
+
 def _unwrapped(stamps: Float64, how: StampsRead, where: str) -> tuple[Float64, list[str]]:
     """Stamps of a counter that starts over, or of a clock that was set back or forth by an hour."""
     d = np.diff(stamps)
@@ -405,11 +425,12 @@ def _stays(stamps: Float64, k: int, step: float) -> bool:
     return bool(before - after > 5 * step)
 
 
-def _modulus(falls: Float64, step: float, unit: float) -> float | None:
+def _modulus(falls: Float64, step: float, unit: float, *, rounds: bool = True) -> float | None:
     """The number at which a counter wraps that falls like this, with the least time between."""
-    known = {2.0**p * tick for p in _POWERS for tick in (*_TICKS, unit)} | set(_ROUNDS)
+    known = {2.0**p * tick for p in _POWERS for tick in (*_TICKS, unit)} | (set(_ROUNDS) if rounds else set())
     left = {m: m - falls for m in known}
-    fitting = [m for m, e in left.items() if (e > -0.5 * step).all() and (e < LONGEST_WRAP * step).all()]
+    most = LONGEST_WRAP if rounds else 2
+    fitting = [m for m, e in left.items() if (e > -0.5 * step).all() and (e < most * step).all()]
     return min(fitting, key=lambda m: float(np.sum(left[m])), default=None)
 
 
@@ -451,6 +472,7 @@ __all__ = [
     "StampsRead",
     "best_clock",
     "count_slots",
+    "find_restarts",
     "is_count",
     "nice_rate",
     "read_stamps",

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from invid.config.load import explain_errors, load_yaml
 from invid.errors import ConfigError, InputError
 from invid.recording.model import Kind, Role
-from invid.recording.text_format import decode_text
+from invid.recording.text_encoding import decode_text
 
 FORMAT = "invid-import-map"
 MAX_BYTES = 1_000_000
@@ -63,13 +63,14 @@ class Controller(Strict):
 
 
 class AxisMap(Strict):
-    """One axis: a torque, and a position or a velocity."""
+    """One axis: a torque, or the law that made it; and a position or a velocity."""
 
     name: str = Field(min_length=1)
     position: Channel | None = None
     velocity: Channel | None = None
     """Only where there is no position; the position is then the velocity's integral, and marked so."""
-    torque: TorqueChannel
+    torque: TorqueChannel | None = None
+    """Only where there is a ``controller`` may it be missing: its torque is then read as demanded."""
     torque_demand: TorqueChannel | None = None
     position_reference: Channel | None = None
     """What the controller was told; kept beside the contract's datasets, for simulating closed-loop data."""
@@ -91,6 +92,14 @@ class AxisMap(Strict):
     def _one_motion(self) -> AxisMap:
         if (self.position is None) == (self.velocity is None):
             raise ValueError(f"axis {self.name}: give either 'position' or 'velocity', not both or none")
+        if self.torque is None and (
+            self.controller is None or self.position_reference is None or self.position is None
+        ):
+            raise ValueError(
+                f"axis {self.name}: give 'torque', or where the file has none the law that made it: "
+                "'controller' "
+                "with 'position_reference' and 'position'"
+            )
         return self
 
 
@@ -119,13 +128,18 @@ class Signal(Strict):
     """One mapped object of a PDO; becomes a column of this name."""
 
     name: str
-    type: Literal[
-        "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64", "skip"
-    ]
+    type: str = Field(pattern=r"^(u?int([1-9]|[1-5]\d|6[0-4])|float(16|32|64)|skip)$")
+    """int or uint with any number of bits (int8, uint12, …, uint64), float32, float64, or skip."""
     bits: int | None = Field(default=None, gt=0, le=64)
     """Length of a ``skip``."""
     byte_order: Literal["little", "big"] | None = None
-    """Of numbers of more than one byte; little-endian as CANopen has them where nothing is said."""
+    """Little-endian as CANopen has them where nothing is said; a number that is no whole bytes long follows
+    the other signals of its frame."""
+
+    @property
+    def size(self) -> int:
+        """Return its length in bits."""
+        return self.bits or 8 if self.type == "skip" else int(self.type.lstrip("uintfloa"))
 
 
 class Pdo(Strict):
@@ -161,9 +175,24 @@ class Source(Strict):
     byte_order: Literal["little", "big"] | None = None
     """Of all signals that do not say their own."""
     pdos: list[Pdo] = []
+    dbc: str | None = None
+    """Database of frames beside the map (DBC, KCD, SYM, ARXML): columns ``Message.Signal`` in its units."""
     eds: str | None = None
     """EDS file beside the map: the PDOs are read from it, for ``nodes``."""
     nodes: list[int] = []
+
+
+class JoinedSource(Source):
+    """One of several files that are one record: its columns are ``name:column``, its clock
+    ``name:time`` [s]."""
+
+    name: str = Field(pattern=r"^[\w.-]+$")
+    file: str
+    """Pattern of its file's name; with several matches the first of each source are a record, the second,
+    …"""
+    time: TimeMap
+    shift_s: float = 0.0
+    """Added to its clock [s]."""
 
 
 class ExperimentMap(Strict):
@@ -214,6 +243,8 @@ class ImportMap(Strict):
     motion: Literal["rotary", "linear"] | None = None
     """Needed only where the units do not tell (counts, raw)."""
     source: Source = Source()
+    sources: list[JoinedSource] = Field(default=[], max_length=16)
+    """Files that are joined by time, each with a clock of its own."""
     time: TimeMap
     axes: list[AxisMap] = Field(min_length=1, max_length=64)
     experiments: list[ExperimentMap] = Field(default=[ExperimentMap()], min_length=1, max_length=1000)

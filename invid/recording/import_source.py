@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,16 @@ import numpy as np
 
 from invid.errors import ChoiceNeeded, InputError
 from invid.numerics.arrays import Float64, frozen_float
+from invid.recording.cannot_tell import Lack
 from invid.recording.clock import count_slots
 from invid.recording.hdf5 import FORMAT, read_recording
 from invid.recording.import_map import ImportMap, Source
-from invid.recording.importer import Import, assign, files_inside, import_files, named_files
+from invid.recording.importer import Import, import_files
 from invid.recording.model import Experiment, Recording
 from invid.recording.readers.kinds import read_table
+from invid.recording.record_files import assign, files_inside, named_files
 from invid.recording.spool import is_spool
-from invid.recording.suggest import Found, Suggestion, suggest_for_all
+from invid.recording.suggest import Found, Suggestion, suggest_for_all, together
 
 
 def import_source(
@@ -77,8 +80,10 @@ def guess_map(sources: Sequence[Path]) -> tuple[ImportMap, tuple[str, ...]]:
     doubts += [f"{key} is needed: {question}" for key, question in proposal.asked.items()]
     if doubts:
         raise InputError(
-            f"{path}: cannot tell the columns without a map: {doubts[0]}; write a first map with "
-            f"'invid import --suggest {path}', correct it and give it with --map"
+            f"{path}: cannot tell the columns without a map: {doubts[0]}",
+            way_out=f"write a first map with 'invid import --suggest {path}', correct it and give it with "
+            "--map",
+            code="map_needed",
         )
     return proposal.as_map(), tuple(f"no map was given: {u}" for u in proposal.unsure)
 
@@ -87,34 +92,44 @@ MOST_FILES = 50
 """Files that a suggestion looks at; the others are said to be unread."""
 
 
-def suggest_map(sources: Sequence[Path], chart: ImportMap | None) -> tuple[Path, Suggestion]:
+def suggest_map(
+    sources: Sequence[Path], chart: ImportMap | None, beside: Path | None = None
+) -> tuple[Path, Suggestion]:
     """A first map for all the files, with the reason for every guess; ``chart`` says how to read them."""
     files = [f for s in sources for f in (files_inside(s) if s.is_dir() else [s])]
     if not files:
         raise InputError(f"{sources[0]}: the folder is empty")
     source = chart.source if chart else Source()
-    path, proposal = suggest_for_all([_found(f, source) for f in files[:MOST_FILES]])
+    path, proposal = suggest_for_all([_found(f, source, beside) for f in files[:MOST_FILES]])
     if len(files) > MOST_FILES:
         rest = f"{len(files) - MOST_FILES} of {len(files)} files were not looked at"
         proposal = replace(proposal, unsure=(rest, *proposal.unsure))
+    if not proposal.asked:
+        # Which columns are a guess; what they cannot tell is said before anything is fitted to them.
+        with suppress(InputError):
+            read = import_files([path], proposal.as_map(), created="1970-01-01T00:00:00+00:00")
+            proposal = replace(proposal, cannot_tell=together([lack.text for lack in read.cannot_tell]))
     return path, proposal
 
 
-def _found(path: Path, source: Source) -> Found:
+def _found(path: Path, source: Source, beside: Path | None) -> Found:
     """The file's table; where it can be read in several ways the first of them, with the doubt."""
+    # What the map says of reading them stays in the map.
+    given: dict[str, Any] = source.model_dump(exclude_defaults=True, mode="json")
     chosen: dict[str, str | int] = {}
     doubts: list[str] = []
     while True:
         try:
-            return Found(path, read_table(path, source.model_copy(update=chosen)), chosen, tuple(doubts))
+            table = read_table(path, source.model_copy(update=chosen), beside=beside)
+            return Found(path, table, given | chosen, tuple(doubts))
         except ChoiceNeeded as choice:
             if choice.key in chosen:
-                return Found(path, None, error=str(choice))
+                return Found(path, None, error=choice)
             chosen[choice.key] = choice.value
             reason = str(choice).removeprefix(f"{path}: ")
             doubts.append(f"{choice.key} {choice.value!r} is taken, which may be another robot's: {reason}")
         except InputError as error:
-            return Found(path, None, error=str(error))
+            return Found(path, None, error=error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +141,8 @@ class FileCheck:
     rows: int
     broken: int
     warnings: tuple[str, ...]
-    error: str = ""
+    cannot_tell: tuple[Lack, ...] = ()
+    error: InputError | None = None
 
 
 def check_files(
@@ -134,19 +150,26 @@ def check_files(
 ) -> tuple[tuple[FileCheck, ...], tuple[str, ...]]:
     """Every file that the map takes, each read for itself, and a sentence for each that it leaves out."""
     files, left_out = named_files(sources, chart, beside)
+    if chart.sources:
+        return (_checked(files[0], files, chart, created, beside),), left_out
     by_file: dict[Path, list[Any]] = {}
     for entry, path in assign(files, chart.experiments):
         by_file.setdefault(path, []).append(entry.model_copy(update={"file": "*"}))
     checks = []
     for path, entries in by_file.items():
         alone = chart.model_copy(update={"experiments": entries, "files": [], "skip": {}})
-        try:
-            found = import_files([path], alone, created=created, beside=beside)
-        except InputError as error:
-            checks.append(FileCheck(path, None, 0, 0, (), str(error)))
-        else:
-            checks.append(FileCheck(path, found.recording, found.rows, len(found.broken), found.warnings))
+        checks.append(_checked(path, [path], alone, created, beside))
     return tuple(checks), left_out
+
+
+def _checked(
+    path: Path, files: Sequence[Path], chart: ImportMap, created: str, beside: Path | None
+) -> FileCheck:
+    try:
+        found = import_files(files, chart, created=created, beside=beside)
+    except InputError as error:
+        return FileCheck(path, None, 0, 0, (), error=error)
+    return FileCheck(path, found.recording, found.rows, len(found.broken), found.warnings, found.cannot_tell)
 
 
 def clock_time(e: Experiment) -> Float64:

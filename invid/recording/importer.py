@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import fnmatch
 import json
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,16 +12,19 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InputError
-from invid.numerics.arrays import Bool, Float64, frozen, frozen_float
+from invid.numerics.arrays import Float64, frozen, frozen_float
+from invid.recording.cannot_tell import Lack, what_it_cannot_tell
 from invid.recording.check import check_recording
-from invid.recording.clock import StampsRead, read_stamps
-from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap
+from invid.recording.clock import count_slots
+from invid.recording.import_map import AxisMap, Channel, Controller, ExperimentMap, ImportMap
+from invid.recording.joined import read_joined
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
-from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs, held_rows, with_sign
-from invid.recording.readers.file_kind import is_document
+from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs
 from invid.recording.readers.kinds import read_table
-from invid.recording.tables import BrokenRow, SparseRows, Table, good_rows, on_clock, slowest_rows
-from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
+from invid.recording.record_files import all_inside, assign, named_files
+from invid.recording.record_rows import RecordRows, has_column, on_one_clock, record_spans, usable_rows
+from invid.recording.tables import BrokenRow, Table
+from invid.recording.units import BY_MACHINE, LINEAR, Quantity, normal_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,7 @@ class Import:
     broken: tuple[BrokenRow, ...]
     rows: int
     warnings: tuple[str, ...]
+    cannot_tell: tuple[Lack, ...] = ()
 
 
 def import_files(
@@ -46,31 +48,37 @@ def import_files(
     sources, left_out = named_files(sources, chart, beside)
     warnings = [*left_out, *_unsaid(chart)]
     tables: dict[Path, Table] = {}
-    read: dict[tuple[Path, tuple[str | int, ...], tuple[int, int, int]], _Rows] = {}
+    read: dict[tuple[Path, tuple[str | int, ...], tuple[int, int, int]], RecordRows] = {}
     counted: dict[Path, int] = {}
+    if chart.sources:
+        files = [f for s in sources for f in (all_inside(s) if s.is_dir() else [s])]
+        tables = read_joined(files, chart.sources, beside)
+        sources = list(tables)
     pairs = assign(sources, chart.experiments)
     several = len({path for _, path in pairs}) > 1
     for entry, path in pairs:
         with _named_with_way_out(path, several=several):
             if path not in tables:
                 tables[path] = read_table(path, chart.source, beside=beside)
-                warnings += [f"{path.name}: {r}" for r in tables[path].remarks]
+            warnings += [f"{path.name}: {r}" for r in tables[path].remarks]
             own = chart.read_for(entry).renamed(tables[path].aliases)
             needed = tuple(own.columns())
-            table, moved = _on_one_clock(tables[path], own)
-            span = _span(table, entry, own, f"{path}: experiment {len(experiments):03d}")
-            if (path, needed, span) not in read:
-                rows_read, skipped, remarks = _usable_rows(table, own, span, path)
-                read[path, needed, span] = rows_read
-                broken += [b for b in skipped if b not in broken]
-                told = (*moved, *remarks, *_doubts_of_columns(rows_read, own))
-                warnings += [f"{path.name}: {m}" for m in told]
-            counted[path] = max(counted.get(path, 0), read[path, needed, span].good.size)
-            experiment, lost_period = _experiment(
-                f"{len(experiments):03d}", entry, read[path, needed, span], own, path
-            )
-            experiments.append(experiment)
-            warnings += lost_period
+            table, moved = on_one_clock(tables[path], own)
+            spans, split = record_spans(table, entry, own, f"{path}: experiment {len(experiments):03d}")
+            warnings += [f"{path.name}: {s}" for s in split]
+            for span in spans:
+                if (path, needed, span) not in read:
+                    rows_read, skipped, remarks = usable_rows(table, own, span, path)
+                    read[path, needed, span] = rows_read
+                    broken += [b for b in skipped if b not in broken]
+                    told = (*moved, *remarks, *_doubts_of_columns(rows_read, own))
+                    warnings += [f"{path.name}: {m}" for m in told]
+                counted[path] = max(counted.get(path, 0), read[path, needed, span].good.size)
+                experiment, lost_period = _experiment(
+                    f"{len(experiments):03d}", entry, read[path, needed, span], own, path
+                )
+                experiments.append(experiment)
+                warnings += lost_period
     for path in sources:
         if path.is_file() and path not in tables:
             raise InputError(f"{path}: no experiment of the map takes this file; see 'file' in the map")
@@ -89,7 +97,10 @@ def import_files(
     )
     check_recording(recording)
     warnings += doubts(recording)
-    return Import(recording, tuple(broken), max(sum(counted.values()), 1), tuple(dict.fromkeys(warnings)))
+    rows = max(sum(counted.values()), 1)
+    return Import(
+        recording, tuple(broken), rows, tuple(dict.fromkeys(warnings)), what_it_cannot_tell(recording)
+    )
 
 
 @contextmanager
@@ -101,8 +112,11 @@ def _named_with_way_out(path: Path, *, several: bool) -> Iterator[None]:
         if not several:
             raise
         raise InputError(
-            f"{error}; to read the others without this file, write 'skip: {{{path.name!r}: the reason}}' in "
-            f"the map"
+            str(error),
+            way_out=f"to read the others without this file, write 'skip: {{{path.name!r}: the reason}}' in "
+            "the map",
+            code=error.code,
+            values=error.values,
         ) from None
 
 
@@ -112,7 +126,13 @@ def _unsaid(chart: ImportMap) -> list[str]:
         f"axis {a.name}: the map does not say the 'meaning' of its torque; 'measured' is assumed (a torque "
         "that was only asked for is 'demanded': the drive's delay then counts as the machine's)"
         for a in chart.axes
-        if "meaning" not in a.torque.model_fields_set
+        if a.torque is not None and "meaning" not in a.torque.model_fields_set
+    ] + [
+        f"axis {a.name}: its torque is what the stated 'controller' asks for, not a measured one: the "
+        "drive's delay "
+        "and what it loses count as the machine's"
+        for a in chart.axes
+        if a.torque is None
     ]
 
 
@@ -159,172 +179,7 @@ def _is_linear(chart: ImportMap) -> bool:
     return linear
 
 
-def _natural(path: Path) -> list[Any]:
-    return [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", str(path))]
-
-
-def named_files(
-    sources: Sequence[Path], chart: ImportMap, beside: Path | None
-) -> tuple[list[Path], tuple[str, ...]]:
-    """Files and folders to read: those given, else the map's ``files``; and a sentence for each left out.
-
-    Where ``skip`` leaves files out, folders are written out as their files.
-    """
-    found = list(sources)
-    for pattern in [] if sources else chart.files:
-        root = beside or Path()
-        matched = sorted(root.glob(pattern), key=_natural)
-        if not matched:
-            raise InputError(f"map: 'files': nothing matches {pattern!r} in {root}")
-        found += matched
-    if not found:
-        raise InputError("no file is named: give SOURCE, or 'files' in the map (names or patterns beside it)")
-    for source in found:
-        if not source.exists():
-            raise InputError(f"{source}: no such file or folder")
-    documents = [p.name for s in found if s.is_dir() for p in documents_inside(s)]
-    aside = (f"documents are left out: {', '.join(documents[:8])}",) if documents else ()
-    if not chart.skip:
-        return found, aside
-    every = [f for s in found for f in (_all_inside(s) if s.is_dir() else [s])]
-    reasons = {f: r for p, r in chart.skip.items() for f in every if _matches(f.as_posix(), p)}
-    unused = [p for p in chart.skip if not any(_matches(f.as_posix(), p) for f in every)]
-    if unused:
-        raise InputError(f"map: 'skip' names {unused[0]!r}, and no file is called so")
-    return [f for f in every if f not in reasons and (f in found or not is_document(f))], (
-        *aside,
-        *(f"{f.name} is left out: {reason}" for f, reason in reasons.items()),
-    )
-
-
-def files_inside(folder: Path) -> list[Path]:
-    """Every file below a folder but documents and programs, numbers in names in their order."""
-    return [p for p in _all_inside(folder) if not is_document(p)]
-
-
-def documents_inside(folder: Path) -> list[Path]:
-    """The others: what no import takes unless a map names it."""
-    return [p for p in _all_inside(folder) if is_document(p)]
-
-
-def _all_inside(folder: Path) -> list[Path]:
-    return sorted((p for p in folder.rglob("*") if p.is_file()), key=_natural)
-
-
-def _matches(name: str, pattern: str) -> bool:
-    return fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(name, f"*/{pattern}")
-
-
-def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tuple[ExperimentMap, Path]]:
-    """Each entry of the map with each file that it takes."""
-    pairs: list[tuple[ExperimentMap, Path]] = []
-    for entry in entries:
-        found = False
-        for source in sources:
-            if source.is_dir():
-                inside = files_inside(source) if entry.file in _ANY else _all_inside(source)
-                names = [(p, p.relative_to(source).as_posix()) for p in inside]
-            else:
-                names = [(source, source.as_posix())]
-            taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
-            pairs += taken
-            found = found or bool(taken)
-        if not found and any(s.is_dir() for s in sources):
-            raise InputError(f"map: no file matches {entry.file!r} below {', '.join(map(str, sources))}")
-    if not pairs:
-        raise InputError(
-            f"map: no experiment takes {', '.join(map(str, sources))}; the map's 'file' patterns are "
-            f"{[e.file for e in entries]}"
-        )
-    return pairs
-
-
-_ANY = ("*", "**", "**/*")
-
-
-def _feedforward(chart: ImportMap) -> set[str | int]:
-    return {a.torque_feedforward.column for a in chart.axes if a.torque_feedforward is not None}
-
-
-def _on_one_clock(table: Table, chart: ImportMap) -> tuple[Table, tuple[str, ...]]:
-    time = chart.time.column
-    if not table.clocks or not isinstance(time, str) or time not in table.clocks.values():
-        return table, ()
-    needed = [n for n in chart.columns() if isinstance(n, str) and n in table.columns]
-    return on_clock(table, time, needed)
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The rows of a table that one or more experiments take.
-
-    ``good`` is a mask of all rows, ``use`` their numbers, ``each`` the rows of the file that one stands for;
-    ``instants`` [s] of all rows count from ``origin``.
-    """
-
-    table: Table
-    good: Bool
-    use: np.typing.NDArray[np.intp]
-    asked: int
-    each: float
-    instants: Float64 | None
-    origin: float
-    sparse: SparseRows | None
-
-    def values(self, channel: Channel, axis: AxisMap, quantity: Quantity, where: str) -> Float64:
-        """(rows used,) SI values of a channel."""
-        values = _values(self.table, channel, axis, quantity, where)
-        return (values if self.sparse is None else self.sparse.bring(channel.column, values))[self.use]
-
-    def words(self, column: str | int) -> Float64:
-        """Return (rows used,) numbers that mean their bits: the last one known, never one between."""
-        words = self.table.column(column)
-        if self.sparse is not None:
-            known = np.where(np.isfinite(words), np.arange(words.size), 0)
-            words = words[np.maximum.accumulate(known)]
-        return np.asarray(np.mod(np.round(words[self.use]), 65536), dtype=np.float64)
-
-
-def _span(table: Table, entry: ExperimentMap, chart: ImportMap, where: str) -> tuple[int, int, int]:
-    """First row of an experiment, the one after its last, and the step between them."""
-    size = table.column(chart.columns()[0]).size
-    for edge in entry.rows:
-        if edge is not None and abs(edge) > size:
-            raise InputError(f"{where}: 'rows' is {list(entry.rows)}, but the file has {size} rows of data")
-    first, stop, _ = slice(*entry.rows).indices(size)
-    first += entry.drop_periods * entry.period_samples
-    if stop - first < 2:
-        raise InputError(
-            f"{where}: rows {list(entry.rows)} leave {max(stop - first, 0)} samples of the file's {size}; "
-            f"at least 2 are needed"
-        )
-    if entry.every > 1:
-        measured = [table.column(a.torque.column)[first:stop] for a in chart.axes]
-        hold = held_rows(np.stack(measured, axis=1))
-        first += hold.first % entry.every if hold is not None else 0
-    return first, stop, entry.every
-
-
-def _usable_rows(
-    table: Table, chart: ImportMap, span: tuple[int, int, int], path: Path
-) -> tuple[_Rows, list[BrokenRow], tuple[str, ...]]:
-    # A feedforward may be logged in some of the files only.
-    needed = [n for n in chart.columns() if n not in _feedforward(chart) or n in table.columns]
-    inside = np.zeros(table.column(needed[0]).size, dtype=np.bool_)
-    inside[slice(*span)] = True
-    each, told = float(span[2]), list[str]()
-    sparse = slowest_rows(table, chart.time.column, needed)
-    if sparse is not None:
-        inside &= sparse.rows
-        each, told = each * sparse.each, [sparse.remark]
-    instants, origin, remarks = _instants(table, inside, chart, str(path))
-    filled = {n: table.column(n) if sparse is None else sparse.bring(n, table.column(n)) for n in needed}
-    good, skipped = good_rows(table, filled, instants, inside, path)
-    rows = _Rows(table, good, np.flatnonzero(good), int(inside.sum()), each, instants, origin, sparse)
-    return rows, skipped, (*told, *remarks)
-
-
-def _doubts_of_columns(rows: _Rows, chart: ImportMap) -> list[str]:
+def _doubts_of_columns(rows: RecordRows, chart: ImportMap) -> list[str]:
     """Return what the names and the bare numbers of the map's columns say against their reading."""
     said, bare = [], []
     for axis in chart.axes:
@@ -334,14 +189,18 @@ def _doubts_of_columns(rows: _Rows, chart: ImportMap) -> list[str]:
         said += [doubt] if doubt else []
         for field, channel in axis.channels().items():
             # Positions that wrap are unwrapped where they are read.
-            if channel.read_as is None and not field.startswith("position") and _has(rows.table, channel):
+            if (
+                channel.read_as is None
+                and not field.startswith("position")
+                and has_column(rows.table, channel)
+            ):
                 numbers = rows.table.column(channel.column)[rows.use]
                 bare.append((f"{field} of {axis.name}", str(channel.column), numbers))
     return [*said, *doubts_of_signs(bare)]
 
 
 def _experiment(
-    key: str, entry: ExperimentMap, rows: _Rows, chart: ImportMap, path: Path
+    key: str, entry: ExperimentMap, rows: RecordRows, chart: ImportMap, path: Path
 ) -> tuple[Experiment, list[str]]:
     where = f"{path}: experiment {key}"
     table, use = rows.table, rows.use
@@ -375,15 +234,26 @@ def _experiment(
         p if v is None else integrated(time, v)
         for p, v in zip(columns(lambda a: a.position, "position"), velocity, strict=True)
     ]
-    demand = columns(
-        lambda a: a.torque_demand or (a.torque if a.torque.meaning == "demanded" else None), "torque"
-    )
+    reference = columns(lambda a: a.position_reference, "position")
     # A feedforward may be logged in some of the files only: zero in the others.
-    added = columns(lambda a: a.torque_feedforward if _has(table, a.torque_feedforward) else None, "torque")
+    added = columns(
+        lambda a: a.torque_feedforward if has_column(table, a.torque_feedforward) else None, "torque"
+    )
     feedforward = [np.zeros(use.size) if f is None else f for f in added]
+    torque = [
+        _asked_for(a.controller, r, p, time) + f if t is None and a.controller and r is not None else t
+        for t, a, r, p, f in zip(
+            columns(lambda a: a.torque, "torque"), chart.axes, reference, position, feedforward, strict=True
+        )
+    ]
+    sources = [a.torque.meaning if a.torque is not None else "demanded" for a in chart.axes]
+    demand = [
+        d if d is not None else t if m == "demanded" else None
+        for d, t, m in zip(columns(lambda a: a.torque_demand, "torque"), torque, sources, strict=True)
+    ]
     status = [None if a.status is None else rows.words(a.status) for a in chart.axes]
     words = _every(status)
-    meanings = sorted({a.torque.meaning for a in chart.axes})
+    meanings = sorted(set(sources))
     attributes: dict[str, Any] = {
         "source_file": path.name,
         "torque_source": meanings[0] if len(meanings) == 1 else "mixed",
@@ -412,24 +282,30 @@ def _experiment(
         sample_rate_hz=(chart.time.sample_rate_hz or 0.0) / rows.each or _rate(time),
         time=time,
         position=_matrix(position),  # type: ignore[arg-type]
-        torque=_matrix(columns(lambda a: a.torque, "torque")),  # type: ignore[arg-type]
+        torque=_matrix(torque),  # type: ignore[arg-type]
         torque_demand=_matrix(demand),
         status=None if words is None else frozen(np.stack(words, axis=1), np.uint16),  # type: ignore[arg-type]
         attributes=attributes,
-        position_reference=_matrix(columns(lambda a: a.position_reference, "position")),
+        position_reference=_matrix(reference),
         torque_feedforward=_matrix(feedforward) if any(f.any() for f in feedforward) else None,
     )
     return experiment, remarks
+
+
+def _asked_for(law: Controller, reference: Float64, position: Float64 | None, time: Float64) -> Float64:
+    """(n,) torque that a known law asks for, by the even clock that the rows keep."""
+    if position is None:
+        raise InputError("map: a 'controller' without 'torque' needs 'position'")
+    slots = count_slots(time)
+    clock = slots.index * slots.step if slots.even else time
+    torque: Float64 = law.stiffness * (reference - position) - law.damping * np.gradient(position, clock)
+    return torque if law.limit is None else np.clip(torque, -law.limit, law.limit)
 
 
 def _matrix(columns: Sequence[Float64 | None]) -> Float64 | None:
     """(n, M); ``None`` where an axis has none."""
     every = _every(columns)
     return None if every is None else frozen_float(np.stack(every, axis=1))
-
-
-def _has(table: Table, channel: Channel | None) -> bool:
-    return channel is not None and (isinstance(channel.column, int) or channel.column in table.columns)
 
 
 def _rate(time: Float64) -> float:
@@ -439,58 +315,12 @@ def _rate(time: Float64) -> float:
     return mean if abs(mean / median - 1) < 0.01 else median
 
 
-def _instants(
-    table: Table, inside: Bool, chart: ImportMap, where: str
-) -> tuple[Float64 | None, float, tuple[str, ...]]:
-    """Instants [s] of the rows ``inside`` from the origin [s], the origin, and what was done about them."""
-    said = chart.time
-    if said.column is None:
-        return None, 0.0, ()
-    if said.column in table.stamped and said.unit != "s":
-        raise InputError(
-            f"{where}: time {said.column!r} holds dates or times of day, which are read as seconds; "
-            f"its unit is {said.unit!r}, write 's'"
-        )
-    unit = factor("time", said.unit, MachineConstants(), f"{where}: time")
-    raw = table.column(said.column)
-    first = raw[inside & np.isfinite(raw)][:1]
-    # Seconds since 1970 leave 0.2 µs in a float64: the start is taken out before anything is computed.
-    origin = float(first[0]) if first.size and abs(first[0] * unit) > 1e6 else 0.0
-    sums = table.sums.get(str(said.column))
-    how = StampsRead(
-        str(said.column),
-        unit,
-        None if said.wraps_at is None else said.wraps_at * unit,
-        said.differences,
-        None if sums is None else sums[inside] * unit,
-    )
-    stamps = read_stamps((raw[inside] - origin) * unit, how, where)
-    instants = np.full(raw.size, np.nan)
-    instants[inside] = stamps.instants
-    return instants, origin * unit, stamps.remarks
-
-
-def _time(rows: _Rows, chart: ImportMap) -> tuple[Float64, float]:
+def _time(rows: RecordRows, chart: ImportMap) -> tuple[Float64, float]:
     if rows.instants is None:
         return frozen_float(rows.use / (chart.time.sample_rate_hz or 1.0)), 0.0
     time = rows.instants[rows.use]
     offset = float(time[0]) if rows.origin else 0.0
     return frozen_float(time - offset), rows.origin + offset if rows.origin else 0.0
-
-
-def _values(table: Table, channel: Channel, axis: AxisMap, quantity: Quantity, where: str) -> Float64:
-    constants = MachineConstants(
-        torque_constant=getattr(channel, "torque_constant", None),
-        rated_torque=axis.rated_torque,
-        per_count=channel.per_count,
-    )
-    unit = factor(quantity, channel.unit, constants, f"{where}: {quantity} of {axis.name}")
-    raw = table.column(channel.column)
-    raw = (raw if channel.read_as is None else with_sign(raw, channel.read_as)) - channel.offset
-    if channel.remove_mean:
-        raw = raw - float(np.mean(raw[np.isfinite(raw)]))
-    values: Float64 = channel.sign * channel.scale * unit * raw
-    return values
 
 
 def integrated(time: Float64, velocity: Float64) -> Float64:

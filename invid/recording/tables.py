@@ -50,8 +50,6 @@ class Table:
         What the reader found out about the file, in words, for ``--suggest``.
     remarks
         What was assumed of the file, in words, for the warnings of an import.
-    added
-        Columns that the file has in parts only.
     sums
         Time column → its stamps added up over everything the file stamps, where rows are only some of it.
     """
@@ -69,7 +67,6 @@ class Table:
     reasons: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     sums: Mapping[str, Float64] = field(default_factory=dict)
-    added: frozenset[str] = frozenset()
 
     def column(self, key: str | int) -> Float64:
         """One column by name or index; InputError lists what there is."""
@@ -83,7 +80,7 @@ class Table:
             close = [n for n in names if n.lower().strip() == key.lower().strip()]
             if len(close) == 1:
                 return self.columns[close[0]]
-            raise InputError(f"{self.name}: no column {key!r}; found {shorten(names)}")
+            raise InputError(f"{self.name}: no column {key!r}; found {shorten(names)}", code="no_column")
         return self.columns[key]
 
 
@@ -97,9 +94,7 @@ def with_whole_stamps(table: Table) -> Table:
             if part in table.columns and stem not in table.columns and table.columns[part].size == whole.size:
                 columns[stem or "stamp"] = frozen_float(whole + 1e-9 * table.columns[part])
                 units[stem or "stamp"] = "s"
-    return replace(
-        table, columns=columns, units=units, added=frozenset(columns.keys() - table.columns.keys())
-    )
+    return replace(table, columns=columns, units=units)
 
 
 _NANO = ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds", "ns")
@@ -162,7 +157,10 @@ def good_rows(
         shown = "; ".join(f"{table.line_word} {b.line}: {b.reason}" for b in skipped[:5])
         raise InputError(
             f"{path}: {worst} of {count} rows are broken, more than {BROKEN_LIMIT:.0%} ({shown}"
-            f"{'; …' if len(skipped) > 5 else ''}); check the map's {_keys(table)}, or repair the file"
+            f"{'; …' if len(skipped) > 5 else ''})",
+            way_out=f"check the map's {_keys(table)}, or repair the file",
+            code="broken_rows",
+            values={"broken": worst, "rows": count},
         )
     return good, skipped
 
@@ -307,7 +305,10 @@ def on_clock(table: Table, time: str, needed: Sequence[str]) -> tuple[Table, tup
             f"interpolated to those of {time!r} ({_interval(instants)})"
         )
     if moved and keep.sum() < 2:
-        raise InputError(f"{table.name}: {time!r} and the instants of {moved} have no time in common")
+        raise InputError(
+            f"{table.name}: {time!r} and the instants of {moved} have no time in common",
+            code="no_common_time",
+        )
     rows = keep if moved else np.ones(instants.size, dtype=np.bool_)
     columns = {n: frozen_float(c[rows]) for n, c in (own | brought).items() if c.size == rows.size}
     lines = np.arange(rows.size, dtype=np.int64) if table.lines is None else table.lines[: rows.size]

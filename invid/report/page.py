@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from invid.diagnosis.headline import verdict_line
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import EffectTerm, Model, linear_parameters
 from invid.recording.model import Recording
@@ -25,6 +26,8 @@ from invid.report.labels import printable
 from invid.report.plots import replay_picture
 from invid.wording.figures import differing_number
 
+MOST_SAID = 3
+"""Sentences, and warnings, before the pictures; more is folded (a convention)."""
 HEADLINE = {
     Verdict.CONSISTENT: "The model explains this measurement down to its noise.",
     Verdict.EXPLAINED: "The cause is named, and with it the model is down to the noise.",
@@ -77,6 +80,9 @@ def render_report(
         parameters=_parameters(shown),
         effects=[_effect(e) for e in shown.effects],
         findings=[_finding(f) for f in findings],
+        verdict=None if diagnosis is None else verdict_line(diagnosis),
+        folded=_folded(pictures),
+        MOST_SAID=MOST_SAID,
         warnings=list(dict.fromkeys([*model.warnings, *(() if diagnosis is None else diagnosis.warnings)])),
         run=dict(run or {}),
         facts=[*(run or {}).items(), *_facts(recording, model)],
@@ -85,6 +91,17 @@ def render_report(
         details={} if diagnosis is None else _flat(diagnosis.details),
         simulated=bool(recording.attributes.get("simulated", False)),
     )
+
+
+def _folded(pictures: Mapping[str, str]) -> list[tuple[str, list[str]]]:
+    """Return what is opened by who wants to see it: titles, each with the names of its pictures."""
+    kinds = (
+        ("What is missing, over what", ("forces", "cause-", "missing-torque")),
+        ("The recorded torque through the model", ("replay-",)),
+        ("Motion per torque, over frequency", ("frf-",)),
+    )
+    rows = [(title, [n for n in pictures if n.startswith(begins)]) for title, begins in kinds]
+    return [(title, names) for title, names in rows if names]
 
 
 def _headline(model: Model, diagnosis: Diagnosis | None) -> str:
@@ -279,7 +296,10 @@ def _agreement(axis: Mapping[str, Any]) -> str:
             curve = np.interp(hz, axis["frequency_hz"], axis["simulated"][name]["magnitude"])
             off = float(np.median(np.abs(measured - curve) / np.maximum(np.abs(curve), 1e-300)))
             said.append(f"{100 * off:.2g} % {words}")
-    return f" Measured and simulated differ by {' and '.join(said)}, in the median." if said else ""
+    if len(said) == 2 and said[0].split()[0] == said[1].split()[0]:
+        said = [f"{said[0].split()[0]} % with the linear part of either model"]
+    why = ", by noise and by what bends the straight line: friction and play are in no such curve"
+    return f" Measured and simulated differ by {' and '.join(said)}, in the median{why}." if said else ""
 
 
 def replay_caption(row: Mapping[str, Any]) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.model.chains import CoupledChains
-from invid.model.forward import condense
+from invid.model.matrices import Condensed
 from invid.numerics.arrays import Bool, Complex128, Float64, Int64
 from invid.numerics.linear_algebra import least_squares, real_rows
 from invid.signals.spectra import LineSpectra
@@ -44,8 +44,8 @@ def missing_torque(s: LineSpectra, chains: CoupledChains, known: Complex128 | No
     the offset are fitted without it. Near an antiresonance, where Z is large and noise weighs little, they
     would else take a multiple of it along.
     """
-    seen = condense(chains, s.omega)
-    z, w = seen.stiffness, seen.motion
+    seen = Condensed.of(chains.matrices.dynamic_stiffness(1j * s.omega), chains.motor_dofs.tolist())
+    z, w = seen.stiffness, seen.motion.transpose(0, 2, 1)
     needed = np.einsum("fij,fj->fi", z, s.position)
     both = np.concatenate((z, -np.broadcast_to(np.eye(s.axis_count), z.shape)), axis=2)
     cover = both @ s.covariance @ both.conj().transpose(0, 2, 1)

@@ -23,7 +23,7 @@ from invid.effects.supposed.of_effect import EffectLaw
 from invid.effects.supposed_laws import supposed_laws
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part, force
 from invid.likelihood.unknown_forces.worth import FRICTION
-from invid.model.parameters import ChainStructure
+from invid.model.plant import Structure
 from invid.numerics.arrays import Float64
 from invid.signals.motion_record import Motion
 
@@ -52,7 +52,7 @@ RISE, BEND, ANY_BEND = LowSpeed(0.0), LowSpeed(-np.inf, -np.inf), LowSpeed(-np.i
 SPRINGS = (CubicStiffnessLaw(), QuadraticStiffnessLaw())
 LOADS = (LoadFrictionLaw(whole=False), LoadFrictionLaw(whole=True))
 CAUSES = dict(FRICTION)
-ONE_MASS = ChainStructure((1,), ("axis",), viscous=False)
+ONE_MASS = Structure((1,))
 
 
 @dataclass(frozen=True)

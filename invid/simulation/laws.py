@@ -124,13 +124,16 @@ def elements_of(chains: CoupledChains, term: EffectTerm, *, rigid: bool = False)
     return effect.simulation(ModelPlace(chains, term, rigid=rigid))
 
 
-def law_table(forces: list[ForceLaw]) -> tuple[Float64, Float64]:
-    """(E, 3) law, a, b and (E, PARAMETERS) parameters for the kernel."""
+CompiledLaws = tuple[Float64, Float64, Float64, Float64, Float64]
+
+
+def compiled_laws(forces: Sequence[ForceLaw], tables: Float64) -> CompiledLaws:
+    """The kernel's ``laws``, at rest, with ``tables`` (S, P) of static ones."""
     kinds = np.array([[f.law, f.a, f.b] for f in forces], dtype=float).reshape(-1, 3)
     parameters = np.zeros((len(forces), PARAMETERS))
     for row, force in zip(parameters, forces, strict=True):
         row[: len(force.parameters)] = force.parameters
-    return kinds, parameters
+    return kinds, parameters, tables, np.zeros((len(forces), 3)), np.zeros(len(forces))
 
 
 def static_table(

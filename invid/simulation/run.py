@@ -11,15 +11,15 @@ from scipy.interpolate import CubicHermiteSpline
 
 from invid.effects.elements import Law
 from invid.errors import InputError
-from invid.model.chains import add_link
 from invid.model.document import Model
+from invid.model.matrices import Matrices, damper, mass, spring
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording
 from invid.recording.still_axes import moving_part
 from invid.signals.plausibility import check_units
 from invid.simulation.kernel import march
-from invid.simulation.laws import Laws, law_table, laws_of, static_table
-from invid.simulation.plant import Matrices, Step, discretise, matrices
+from invid.simulation.laws import CompiledLaws, Laws, compiled_laws, laws_of, static_table
+from invid.simulation.plant import Step, discretise, matrices
 from invid.simulation.replay import Drive, drift_torque, drive
 from invid.simulation.rigid import simulate_motion, time_offsets
 
@@ -168,15 +168,15 @@ class _Tables:
         self._reach = [(2.0 * max(size, 1e-300), 2.0 * max(speed, 1e-300))] * len(laws.static)
         self.made = self._build()
 
-    def _build(self) -> tuple[Float64, Float64, Float64]:
+    def _build(self) -> CompiledLaws:
         static, tables = static_table(self._laws.static, self._reach)
-        return *law_table([*self._laws.forces, *static]), tables
+        return compiled_laws([*self._laws.forces, *static], tables)
 
     def cover(self, memory: Float64) -> bool:
         """Return whether the motion stayed within the tables and used most of them; else they are
         computed anew.
         """
-        reached = memory[len(self._laws.forces) :, ::2]
+        reached = memory[len(self._laws.forces) :, :2]
         if not np.isfinite(reached).all():
             return True
         most = np.array(self._reach).reshape(-1, 2)
@@ -193,37 +193,21 @@ def _march_stretches(
     start: Float64,
     pieces: list[_Stretch],
     given: Drive,
-    laws: tuple[Float64, Float64, Float64],
+    laws: CompiledLaws,
     motors: np.ndarray,
 ) -> tuple[Float64, Float64]:
-    """(n, M, 2) motion of the motors and what the laws remember (E, 3); ``laws``: see ``_Tables.made``."""
-    (kinds, parameters, tables), every = laws, given.substeps
-    states = start.size - motors.size
+    """(n, M, 2) motion of the motors and what the laws remember (E, 3)."""
+    every, states = given.substeps, start.size - motors.size
     state, applied = start[:states].copy(), given.applied + start[states:]
-    memory = np.zeros((kinds.shape[0], 3))
-    for e, (law, a, b) in enumerate(kinds.astype(int)):
-        begin_row = state.size // 2 if law == Law.TABLE else 0
-        memory[e, 1] = state[begin_row + a] - (state[begin_row + b] if b >= 0 else 0.0)
+    memory = laws[3]
+    for e, (law, a, b) in enumerate(laws[0].astype(int)):
+        place, rate = (x[a] - (x[b] if b >= 0 else 0.0) for x in np.split(state, 2))
+        memory[e] = place if law in (Law.SLIDER, Law.PAIR_SLIDER) else 0.0, 0.0, rate
     motion = np.zeros((given.time.size, motors.size, 2))
     for piece in pieces:
         part = np.zeros(((piece.end - piece.begin) // every + 1, motors.size, 2))
-        s = piece.step
-        march(
-            state,
-            s.transition,
-            s.now,
-            s.next,
-            s.force,
-            np.ascontiguousarray(applied[piece.begin : piece.end + 1]),
-            kinds,
-            parameters,
-            tables,
-            memory,
-            given.step,
-            every,
-            part,
-            motors,
-        )
+        torque = np.ascontiguousarray(applied[piece.begin : piece.end + 1])
+        march(state, piece.step.compiled, laws, torque, motors, every, part)
         motion[piece.begin // every : piece.end // every + 1] = part
     return motion, memory
 
@@ -238,23 +222,19 @@ def _stretches(
         borders.add(int(np.clip(np.searchsorted(given.time, load.time), 0, samples - 1)))
     if laws.drifts:
         borders |= {int(b) for b in np.linspace(0, samples - 1, min(_DRIFT_PIECES, samples - 1) + 1)}
-    inputs = np.zeros((plant.mass.shape[0], motors.size))
-    inputs[motors, np.arange(motors.size)] = 1.0
     pieces = []
     edges = sorted(borders)
     for begin, end in pairwise(edges):
-        mass, stiffness, damping = plant.mass.copy(), plant.stiffness.copy(), plant.damping.copy()
-        for load in laws.payloads:
-            if given.time[begin] >= load.time:
-                mass[load.at, load.at] += load.mass
         middle = 0.5 * (given.time[begin] + given.time[end]) - origin
-        for drift in laws.drifts:
-            add_link(mass if drift.b < 0 else stiffness, drift.a, drift.b, drift.rate * middle)
-        stiffness[motors, motors] += given.stiffness
-        damping[motors, motors] += given.damping
-        if np.linalg.eigvalsh(mass)[0] <= 0:
+        parts = [mass(load.mass, load.at) for load in laws.payloads if given.time[begin] >= load.time]
+        for d in laws.drifts:
+            parts.append(mass(d.rate * middle, d.a) if d.b < 0 else spring(d.rate * middle, d.a, d.b))
+        for at, k, c in zip(motors.tolist(), given.stiffness, given.damping, strict=True):
+            parts += [spring(k, at), damper(c, at)]
+        now = plant.plus(parts)
+        if np.linalg.eigvalsh(now.mass)[0] <= 0:
             raise InputError("simulation: payload or drift makes the mass matrix not positive definite")
-        step = discretise(Matrices(mass, damping, stiffness), inputs, given.step)
+        step = discretise(now, given.step)
         pieces.append(_Stretch(begin * given.substeps, end * given.substeps, step))
     return pieces
 
@@ -262,7 +242,7 @@ def _stretches(
 def _fastest_motion(plant: Matrices, laws: Laws) -> float:
     """Fastest angular frequency of force laws [rad/s]."""
     stiff = max((f.parameters[0] / plant.mass[f.a, f.a] for f in laws.forces if f.law in (2, 7)), default=0.0)
-    return float(np.hypot(plant.fastest, np.sqrt(stiff)))
+    return float(np.hypot(plant.natural[-1], np.sqrt(stiff)))
 
 
 def _rigid_start(given: Drive, size: int, masses: tuple[int, ...], motors: np.ndarray) -> Float64:
@@ -282,7 +262,7 @@ def _free_response(step: Step, given: Drive, motors: np.ndarray) -> tuple[np.nda
     states, count = step.transition.shape[0], motors.size
     whole = np.eye(states + count)
     whole[:states, :states] = step.transition
-    whole[:states, states:] = step.now + step.next
+    whole[:states, states:] = step.held[:, motors]
     jump = np.linalg.matrix_power(whole, given.substeps * stride)
     points = (samples - 1) // stride + 1
     response = np.zeros((points, count, jump.shape[0]))

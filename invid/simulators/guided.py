@@ -24,12 +24,13 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.optimize import minimize_scalar
 
 from invid.model.document import Model
+from invid.model.matrices import Condensed, Matrices
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.recording.model import Experiment
 from invid.signals.noise import quiet_power
 from invid.signals.timebase import resample_uniformly
 from invid.simulation.laws import laws_of
-from invid.simulation.plant import Matrices, matrices
+from invid.simulation.plant import matrices
 from invid.simulation.rigid import time_offsets
 
 BANDS = 6
@@ -273,11 +274,7 @@ def motor_stiffness(plant: Model, omega: Float64, step: float = 0.0) -> Complex1
     if step:
         w = 2.0 / step * np.sin(0.5 * step * w)
     dynamic = made.stiffness + 1j * w * turn * made.damping - w**2 * made.mass
-    motors = plant.chains.motor_dofs
-    inner = np.setdiff1d(np.arange(made.mass.shape[0]), motors)
-    to = dynamic[:, motors[:, None], inner]
-    bent: Complex128 = to @ np.linalg.solve(dynamic[:, inner[:, None], inner], to.transpose(0, 2, 1))
-    return np.asarray(dynamic[:, motors[:, None], motors] - bent)
+    return Condensed.of(dynamic, plant.chains.motor_dofs.tolist()).stiffness
 
 
 def _free_motion(plant: Model, interval: float, count: int) -> tuple[Float64, float]:
@@ -289,11 +286,7 @@ def _free_motion(plant: Model, interval: float, count: int) -> tuple[Float64, fl
     n = inner.size
     if not n:
         return np.zeros((0, count, motors.size)), np.inf
-    here, to = np.ix_(inner, inner), np.ix_(motors, inner)
-    away = np.linalg.inv(made.mass[here])
-    rate = np.zeros((2 * n, 2 * n))
-    rate[:n, n:] = np.eye(n)
-    rate[n:, :n], rate[n:, n:] = -away @ made.stiffness[here], -away @ made.damping[here]
+    to, rate = np.ix_(motors, inner), made.among(inner.tolist()).rates
     value, vector = np.linalg.eig(rate)
     decay = np.exp(np.outer(np.arange(count) * interval, value))
     pull = np.hstack([made.stiffness[to], made.damping[to]]) + made.mass[to] @ rate[n:]

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from invid.errors import InputError
-from invid.model.document import Model, load_model
+from invid.model.diagnosis_document import load_model
+from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.simulation.replay import HOLD_DAMPING

@@ -18,6 +18,12 @@ KINDS = {
     ".fmu": "fmu_engine",
 }
 """Modules of this folder by a file's ending; each has ``opened(path, axes)``."""
+WAYS = {
+    ".xacro": "expand it first: xacro {0} > {1}.expanded.urdf",
+    ".sdf": "give the URDF that it was made of",
+    ".usd": "export the robot as URDF or MJCF there (Isaac Sim: File, Export, URDF)",
+}
+"""The way to a file that is taken, by the ending of one that is not."""
 TAKEN = "a MuJoCo XML (.xml), a URDF (.urdf), an invid model (.json) or an FMU (.fmu)"
 
 
@@ -33,14 +39,26 @@ def open_simulator(path: Path, axes: Sequence[str]) -> Simulator:
         raise InputError(f"{path}: no such file; --against takes {TAKEN}")
     ending = path.suffix.lower()
     if ending not in KINDS:
-        raise InputError(f"{path}: --against takes {TAKEN}")
+        way = next((w for e, w in WAYS.items() if ending.startswith(e)), "").format(
+            path.name, path.name.split(".")[0]
+        )
+        raise InputError(f"{path}: --against takes {TAKEN}", way_out=way, code="simulator_not_read")
     if ending == ".xml" and _root(path) == "robot":
         ending = ".urdf"
     try:
         module = import_module(f"invid.simulators.{KINDS[ending]}")
-    except ModuleNotFoundError as error:
+    except ImportError as error:
+        package = (error.name or "mujoco").split(".")[0]
+        if package == "invid":
+            raise
+        # An upgrade in place may leave a package that is there and does not load.
+        is_missing = isinstance(error, ModuleNotFoundError)
+        state = "is not installed" if is_missing else f"does not load ({str(error).splitlines()[0][:160]})"
+        way = "pip install 'invid[against]'" if is_missing else f"pip install --force-reinstall {package}"
         raise InputError(
-            f"{path}: needs the package {error.name}, which is not installed: pip install 'invid[against]'"
+            f"{path}: needs the package {package}, which {state}",
+            way_out=way,
+            code="package_missing" if is_missing else "package_broken",
         ) from None
     simulator: Simulator = module.opened(path, tuple(axes))
     return simulator

@@ -79,7 +79,12 @@ class UrdfSimulator(MujocoSimulator):
         if self.root.tag != "robot":
             raise InputError(f"{path}: its root is <{self.root.tag}>; a URDF has <robot>")
         if any(str(e.tag).startswith("xacro:") for e in self.root.iter()):
-            raise InputError(f"{path}: holds xacro macros; expand them first: xacro {path.name} > robot.urdf")
+            raise InputError(
+                f"{path}: holds xacro macros",
+                # Never into the file that is read: the shell would empty it first.
+                way_out=f"expand them first: xacro {path.name} > {path.name.split('.')[0]}.expanded.urdf",
+                code="xacro",
+            )
         self.drives = self._drives()
         self.followers = _followers(self.root, self.drives, self.path)
         spec = _spec(self.root, self.drives, self.path)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from invid.config import CellConfig
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.numerics.arrays import Float64
-from invid.sweep.falling import Fall, Falling, Kind
+from invid.sweep.axis_estimator import AxisEstimator, AxisLimits, Fall, Kind
 from invid.sweep.obedience import Obedience
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.shortfall import HeldTorque, Shortfall, is_energised
@@ -25,11 +25,6 @@ from invid.sweep.torque_sign import TorqueSign
 
 VELOCITY_CYCLES = 4
 """Baseline of the velocity: four cycles halve the noise of two encoder counts twice."""
-LEAP = 4.0
-"""Times the permitted speed from one sample to the next: a mass does not get there in a cycle, an encoder
-has leapt."""
-LEAP_COUNTS = 8
-"""And so many counts."""
 STAMP_CYCLES = 0.2
 """When SYNC was on the wire is known to a fifth of a cycle on a busy computer: what is surely too fast is so
 over a way that took that much longer. Five per cent over four cycles."""
@@ -41,20 +36,6 @@ REST_SHARE = 0.1
 """Of the window: an axis that its drive holds at rest and that goes further is not held. A stiff loop yields
 by a hundredth of that to a person who leans on it; one whose torque limit is lowered too far by a few steps
 of 0.2 % until it has the drive's own again (empirical)."""
-
-
-@dataclass(frozen=True)
-class AxisLimits:
-    """Limits of one axis in SI units, and its encoder count."""
-
-    name: str
-    torque: float
-    position: float
-    velocity: float
-    resolution: float
-    rated_torque: float
-    unit: str
-    torque_unit: str
 
 
 @dataclass
@@ -92,13 +73,8 @@ class Bounds:
             [a.velocity for a in limits],
             limits[0].unit,
         )
-        self._falling = Falling(
-            [a.resolution for a in limits],
-            cycle_s,
-            [a.position for a in limits],
-            [a.rated_torque for a in limits],
-            [a.torque for a in limits],
-        )
+        self.estimators = [AxisEstimator(a, cycle_s) for a in limits]
+        """Place, speed and standing of each axis."""
         self.falls: dict[int, Fall] = {}
         """Axes that were to stand and did not, from the sample on that ended the run."""
         self.blind: set[int] = set()
@@ -149,7 +125,8 @@ class Bounds:
         self._last_slot = None
         for history in self._history:
             history.clear()
-        self._falling.forget()
+        for estimator in self.estimators:
+            estimator.begin()
         self._shortfall.forget()
         self._signs.forget()
         self.unmoved.forget()
@@ -159,6 +136,7 @@ class Bounds:
         """Set another limit for the velocity of one axis, from here on; never above that of the config."""
         velocity = min(velocity, self._fastest[axis])
         self.limits[axis] = replace(self.limits[axis], velocity=velocity)
+        self.estimators[axis].limits = self.limits[axis]
         self._yielding.permit(axis, velocity)
         self._speed[axis] = min(self._speed[axis], velocity)  # only what is faster than ever is looked at
 
@@ -167,11 +145,27 @@ class Bounds:
         """(3, M) largest travel, velocity and torque so far."""
         return np.array([self._travel, self._speed, self._torque])
 
+    def observe(self, sample: Sample) -> None:
+        """Take in where every axis is; what its encoder or its torque gives away is in ``blind``."""
+        for i, estimator in enumerate(self.estimators):
+            estimator.expect_standing(i not in self.led)
+            if sample.fresh[i]:
+                quiet = bool(self.resting)
+                estimator.take(sample.time, sample.position[i], sample.torque[i], quiet=quiet)
+                if estimator.leapt:
+                    self.blind.add(i)  # no loop that this encoder closes holds
+
+    def uncarried(self, sample: Sample, axes: Collection[int]) -> list[int]:
+        """Loaded ones of these axes that their drives do not carry, though their encoders show no motion."""
+        held = {i for i in axes if sample.fresh[i] and is_energised(sample.status[i])}
+        return self._held_torque.missing(sample, self.weights, held)
+
     def check(self, sample: Sample, asked: Sequence[float] | None = None) -> None:
         """Raise SafetyStop, DriveError or BusError where the motion must stop.
 
         ``asked``: torque that each axis in torque mode was sent with this SYNC; 0 where its drive holds it.
         """
+        self.observe(sample)
         if sample.events:
             self._events(sample)
         self.statistics.cycles += 1
@@ -185,7 +179,6 @@ class Bounds:
                     self._missing(i, sample)
                 continue
             self._missed[i] = 0
-            self._look_for_leap(i, limit, sample)
             self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
             self.speeds[i] = self._check_speed(i, limit, sample.time, sample.position[i])
             self._check_torque(i, limit, abs(sample.torque[i]))
@@ -213,8 +206,7 @@ class Bounds:
 
     def _check_standing(self, sample: Sample) -> None:
         standing = self._all - self.led
-        held = {i for i in standing if sample.fresh[i] and is_energised(sample.status[i])}
-        for i in self._held_torque.missing(sample, self.weights, held):
+        for i in self.uncarried(sample, standing):
             self.blind.add(i)
             raise SafetyStop(
                 f"axis {self.limits[i].name}: it took {abs(self.weights[i]):.3g} to hold it, its drive shows "
@@ -224,7 +216,8 @@ class Bounds:
                 code="halted",
                 axis=self.limits[i].name,
             )
-        self.falls = self._falling.check(sample, standing, is_energised, quiet=bool(self.resting))
+        found = {i: self.estimators[i].fall for i in standing if sample.fresh[i]}
+        self.falls = {i: f for i, f in found.items() if f is not None and is_energised(sample.status[i])}
         for i, fall in self.falls.items():
             limit = self.limits[i]
             driven = fall.kind is Kind.DRIVEN
@@ -294,13 +287,6 @@ class Bounds:
                 axis=limit.name,
             )
 
-    def _look_for_leap(self, i: int, limit: AxisLimits, sample: Sample) -> None:
-        """Whatever ends the run then: no loop that this encoder closes holds."""
-        if self._history[i]:
-            last, place = self._history[i][-1]
-            if has_leapt(sample.position[i] - place, sample.time - last, limit.velocity, limit.resolution):
-                self.blind.add(i)
-
     def _check_speed(self, i: int, limit: AxisLimits, time: float, position: float) -> float:
         """Check and return the speed over the last cycles less one count of the encoder; 0 with one
         sample only.
@@ -366,11 +352,6 @@ class Bounds:
                 raise DriveError(event.text, code="drive_fault", axis=event.axis)
             if event.severity is Severity.BUS:
                 raise BusError(event.text, code="bus")
-
-
-def has_leapt(way: float, seconds: float, velocity: float, resolution: float) -> bool:
-    """Whether an encoder went further between two samples than its axis can, at a permitted ``velocity``."""
-    return abs(way) > max(LEAP * velocity * seconds, LEAP_COUNTS * resolution)
 
 
 def bounds_of(config: CellConfig, resolution: Sequence[float], rated: Sequence[float]) -> Bounds:

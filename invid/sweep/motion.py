@@ -27,7 +27,7 @@ from invid.planning.phases import CATCH_HZ, SETTLE_S, highest_frequency
 from invid.sweep.bounds import Bounds, Statistics, bounds_of
 from invid.sweep.loads import CONFIRM_S, STEADY_S, Load, differing, judge_loads
 from invid.sweep.moment import TRACE_S, Moment
-from invid.sweep.ports import Cell, Mode, Sample, Sink
+from invid.sweep.ports import Cell, Loop, Mode, Sample, Sink
 from invid.sweep.watch import Watch
 
 FADE_S = 0.1
@@ -211,9 +211,11 @@ class Motion:
     def _begin(self) -> None:
         """Watch every axis; its feedback is around where it stands now."""
         bounds = self._bounds
-        self._watch = Watch(bounds, cycle_s=self.plan.cycle_s)
+        own = getattr(self.cell, "bounds", None) is not None
+        self._watch = Watch(bounds, cycle_s=self.plan.cycle_s, cell_checks=own)
         sample = self.cell.exchange(self._zero)
-        bounds.check(sample, getattr(self.cell, "asked", None))
+        if not own:
+            bounds.check(sample, getattr(self.cell, "asked", None))
         self.origin = list(sample.position)
         self._last, self._last_time = list(sample.position), [sample.time] * self.count
         if bounds.origin is None:
@@ -418,6 +420,10 @@ class Motion:
             self.watching.halting.pause()
             self.watching.words.resume()
         self.feedback, self._demand = feedback, demand
+        loops: list[Loop | None] = [None] * self.count
+        for f in feedback:
+            loops[f.axis] = Loop(f.bias, f.gains.damping)
+        self.cell.set_loops(loops)
         self.watching.bounds.led = {f.axis for f in feedback}
         masses = {f.axis: (self.inertia.get(f.axis, math.inf), f.bias) for f in feedback}
         self.watching.bounds.unmoved.begin({i: m for i, m in masses.items() if not self.by_offset(i)})

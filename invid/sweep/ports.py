@@ -59,6 +59,14 @@ class Sample:
     """True where answers of earlier SYNCs came since the last fresh one: late, not lost."""
 
 
+@dataclass(frozen=True)
+class Loop:
+    """The loop by which a led axis is brought to rest: torque − damping·v."""
+
+    torque: float
+    damping: float
+
+
 class Clock(Protocol):
     """Real or virtual time [s]."""
 
@@ -104,6 +112,9 @@ class Cell(Protocol):
 
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; they may come about in later cycles (``changing``)."""
+
+    def set_loops(self, loops: Sequence[Loop | None]) -> None:
+        """Loops by which led axes are brought to rest when the run ends."""
 
     @property
     def changing(self) -> bool:

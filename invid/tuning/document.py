@@ -117,6 +117,10 @@ def _finite(value: Any) -> Any:
 
 
 def _axis_to_json(a: AxisTuning) -> dict[str, Any]:
+    def spread(name: str) -> list[float]:
+        sizes = [getattr(m, name) for m in a.moves_drawn]
+        return [min(sizes), max(sizes)]
+
     def side(loop: AxisLoop, margins: Any, move: Any) -> dict[str, Any]:
         return {
             "gains": asdict(loop.gains),
@@ -133,6 +137,8 @@ def _axis_to_json(a: AxisTuning) -> dict[str, Any]:
         "antiresonance_hz": a.antiresonance,
         "resonance_hz": a.resonance,
         "backlash": a.backlash,
+        "rated_torque": a.rated_torque,
+        "spread": {name: spread(name) for name in ("following", "at_load", "settling", "overshoot")},
         "before": side(a.before, a.margins_before, a.move_before),
         "after": side(a.after, a.margins_after, a.move_after),
     }

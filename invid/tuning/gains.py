@@ -65,8 +65,14 @@ def own_inertias(plant: LinearPlant) -> Float64:
     return out / plant.gain
 
 
-def design_gains(drawn: DrawnPlants, nominal: LinearPlant, notches: int) -> tuple[Gains, ...]:
-    """Gains of every axis with at most ``notches`` notches each."""
+def design_gains(
+    drawn: DrawnPlants, nominal: LinearPlant, notches: int, noise_gain: Float64 | None = None
+) -> tuple[Gains, ...]:
+    """Gains of every axis with at most ``notches`` notches each.
+
+    ``noise_gain`` (M,): most that a loop may make of its encoder's noise, rms torque per rms position.
+    """
+    bounds = np.full(len(nominal.motors), math.inf) if noise_gain is None else noise_gain
     inertia = own_inertias(nominal)
     loads = held_modes(nominal, range(len(nominal.motors)))
     slow = 0.005 * float(loads[0]) if loads.size else 1.0
@@ -75,7 +81,7 @@ def design_gains(drawn: DrawnPlants, nominal: LinearPlant, notches: int) -> tupl
     for _ in range(SWEEPS):
         for i in range(len(gains)):
             plant = drawn.behind_axis(i, gains)
-            search = _AxisSearch(plant, drawn, float(inertia[i]), slow)
+            search = _AxisSearch(plant, drawn, float(inertia[i]), slow, float(bounds[i]))
             filters = search.notches(corners[0], notches)
             permitted = [g for corner in corners for g in search.permitted(corner, filters)]
             gains[i] = _stiffest(i, gains, permitted, nominal, drawn.timing)
@@ -95,12 +101,13 @@ def slower(gains: Gains, factor: float) -> Gains:
 @dataclass(frozen=True, eq=False)
 class _AxisSearch:
     """Loops of one axis on its ``plant`` (D, F) under the other axes' control, no slower than ``slow``
-    [rad/s]."""
+    [rad/s]; ``noise_gain`` as in ``design_gains``."""
 
     plant: Complex128
     drawn: DrawnPlants
     inertia: float
     slow: float
+    noise_gain: float
 
     def notches(self, corner: float, most: int) -> tuple[Notch, ...]:
         """Notch filters that are worth their phase: each where the growth of the loop ends without it."""
@@ -138,10 +145,15 @@ class _AxisSearch:
         draws."""
         for rows in (slice(0, 1), slice(1, None)):  # one draw refuses most of what fails
             omega = self.drawn.omega[rows]
-            seen = 1.0 + self.plant[rows] * controller_response(gains, self.drawn.timing, omega)
+            own = controller_response(gains, self.drawn.timing, omega)
+            seen = 1.0 + self.plant[rows] * own
             size = np.abs(seen)
             if size.min() < 1.0 / SENSITIVITY or not _is_stable(seen):
                 return float(omega.flat[int(size.argmin())]) / (2 * np.pi)
+            power = np.abs(own / seen) ** 2
+            mean = np.trapezoid(power, omega, axis=1) * self.drawn.timing.cycle / np.pi
+            if mean.max() > self.noise_gain**2:
+                return float(omega.flat[int(power.argmax())]) / (2 * np.pi)
         return None
 
 
@@ -173,5 +185,6 @@ def _h2(system: control.StateSpace) -> float:
     """Rms of the response to a unit impulse."""
     with warnings.catch_warnings():  # of loops that hardly decay, which lose anyway
         warnings.simplefilter("ignore", LinAlgWarning)
+        warnings.simplefilter("ignore", RuntimeWarning)
         spread = control.dlyap(system.A, system.B @ system.B.T)
     return math.sqrt(max(float((system.C @ spread @ system.C.T)[0, 0]), 0.0))

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from invid.exchange.linear_plant import LinearPlant
-from invid.model.forward import natural_frequencies
+from invid.model.matrices import natural_frequencies
 from invid.numerics.arrays import Complex128, Float64
 from invid.tuning.servo_loop import DriveTiming, Gains, closed_loop, controller_response, held_plant_response
 
@@ -33,7 +33,8 @@ class Margins:
 
     ``gain`` as a factor ≥ 1, ``phase`` [°], ``sensitivity`` max |S|; ``unstable`` is the share of draws
     that are unstable with all loops closed, ``kept`` the share whose peak of sensitivity is within the
-    promise.
+    promise. ``ripple`` is the rms torque [N·m or N] that counts of the encoders make, NaN where they are not
+    known.
     """
 
     gain: float
@@ -41,6 +42,7 @@ class Margins:
     sensitivity: float
     unstable: float
     kept: float
+    ripple: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +71,19 @@ class DrawnPlants:
         k = self.controllers(gains)
         whole: Any = np.linalg.inv(np.eye(len(gains)) + k[..., :, None] * self.response)
         return np.asarray(1.0 / np.diagonal(whole, axis1=-2, axis2=-1) - 1.0, dtype=complex)
+
+    def ripple(self, gains: Sequence[Gains], counts: Float64) -> Float64:
+        """(D, M) rms torque that white noise of an encoder's count [rad or m], c/√12, makes in closed loop.
+
+        NaN where a count (M,) is not known. In motion a count is such noise (Widrow and Kollár 2008); at rest
+        it is less.
+        """
+        k = self.controllers(gains)
+        loops: Any = np.eye(len(gains)) + k[..., :, None] * self.response
+        torque: Any = np.abs(np.linalg.solve(loops, k[..., :, None] * np.eye(len(gains)))) ** 2
+        power = (torque * (counts**2 / 12.0)).sum(axis=-1)
+        mean = np.trapezoid(power, self.omega[..., None], axis=1) * self.timing.cycle / np.pi
+        return np.asarray(np.sqrt(mean), dtype=float)
 
 
 def drawn_plants(
@@ -150,15 +165,22 @@ def axis_margins(loop: Complex128) -> tuple[Float64, Float64, Float64]:
 
 
 def worst_margins(
-    plants: Sequence[LinearPlant], gains: tuple[Gains, ...], timing: DriveTiming, promise: float
+    plants: Sequence[LinearPlant],
+    gains: tuple[Gains, ...],
+    timing: DriveTiming,
+    promise: float,
+    counts: Float64 | None = None,
 ) -> tuple[Margins, ...]:
-    """Margins of every axis in the worst of ``plants``; ``promise`` is the peak of sensitivity to be kept."""
+    """Margins of every axis in the worst of ``plants``; ``promise`` is the peak of sensitivity to be kept,
+    ``counts`` (M,) those of the encoders.
+    """
     loops = [closed_loop(p, gains, timing) for p in plants]
     stable = np.array([loop.is_stable for loop in loops])
     poles = [2 * np.pi * loop.modes()[0] for loop in loops]
     most = max(p.size for p in poles)
     drawn = drawn_plants(plants, timing, [np.resize(p, most) if p.size else p for p in poles])
     broken = drawn.loops(gains)
+    ripples = drawn.ripple(gains, np.full(len(gains), math.nan) if counts is None else counts).max(axis=0)
     out = []
     for i in range(len(gains)):
         gain, phase, peak = axis_margins(broken[..., i])
@@ -166,7 +188,6 @@ def worst_margins(
         unstable = 1.0 - float(stable.mean())
         if unstable:
             gain, phase, peak = np.ones(1), np.zeros(1), np.full(1, np.inf)
-        out.append(
-            Margins(float(gain.min()), float(phase.min()), float(peak.max()), unstable, float(kept.mean()))
-        )
+        sizes = float(gain.min()), float(phase.min()), float(peak.max())
+        out.append(Margins(*sizes, unstable, float(kept.mean()), float(ripples[i])))
     return tuple(out)

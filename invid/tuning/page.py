@@ -134,6 +134,9 @@ def _axis_rows(a: AxisTuning, unit: str) -> tuple[str, list[tuple[str, str, str]
         ("worst gain margin (factor)", before[1], after[1]),
         ("worst phase margin [°]", before[2], after[2]),
     ]
+    if math.isfinite(a.margins_after.ripple) and math.isfinite(a.rated_torque):
+        was, now = (number(100 * m.ripple / a.rated_torque) for m in (a.margins_before, a.margins_after))
+        rows.append(("torque that counts make, rms [% of rated]", was, now))
     old, new = a.move_before, a.move_after
     rows += [
         (f"rms following error [m{unit}]", number(1e3 * old.following), number(1e3 * new.following)),
@@ -141,4 +144,7 @@ def _axis_rows(a: AxisTuning, unit: str) -> tuple[str, list[tuple[str, str, str]
         ("settling of the load [s]", number(old.settling), number(new.settling)),
         ("overshoot of the load [%]", number(100 * old.overshoot), number(100 * new.overshoot)),
     ]
+    drawn = [1e3 * m.at_load for m in a.moves_drawn]
+    span = f"{number(min(drawn))} … {number(max(drawn))}"
+    rows.append((f"the same in {len(drawn)} machines of the covariance, at the load [m{unit}]", "–", span))
     return a.axis, rows

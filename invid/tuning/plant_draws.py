@@ -11,8 +11,7 @@ import numpy as np
 from invid.errors import ModelError, NotIdentifiableError
 from invid.exchange.linear_plant import LINEAR, parameter_spread
 from invid.model.diagnosis_document import Diagnosis, Finding
-from invid.model.document import EffectTerm, Estimate, Model
-from invid.model.parameters import structure_of
+from invid.model.document import EffectTerm, Estimate, Model, with_parameters
 from invid.numerics.arrays import Float64
 
 LOOP_CAUSES = (*LINEAR, "torque_delay")
@@ -110,7 +109,6 @@ def drawn_models(models: Sequence[Model], count: int, rng: np.random.Generator) 
 
 def _drawn(model: Model, rng: np.random.Generator) -> Model:
     spread = parameter_spread(model)
-    structure = structure_of(model.chains, viscous=False)
     known = np.isfinite(np.diag(spread.covariance))
     lost = [
         n for n, k in zip(spread.names, known, strict=True)
@@ -133,10 +131,8 @@ def _drawn(model: Model, rng: np.random.Generator) -> Model:
                 values[name] = value + step
             else:
                 values[name] = value * math.exp(step / value)
-        p = np.array([values.get(n, 0.0) for n in structure.names])
-        p = np.where(structure.logarithmic, np.log(np.where(structure.logarithmic, p, 1.0)), p)
         try:
-            chains = structure.chains(p)
+            chains = with_parameters(model.chains, values)
         except ModelError:  # couplings too large for these masses
             continue
         return replace(model, chains=chains, effects=tuple(_drawn_term(e, rng) for e in model.effects))

@@ -13,7 +13,7 @@ controller is the same law as a PID position controller with velocity feedforwar
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import control
@@ -82,17 +82,21 @@ class DriveTiming:
         return (self.cycles(delay) + 1.0) * self.cycle + lag
 
 
+def _sections(gains: Gains, timing: DriveTiming) -> list[tuple[Float64, Float64]]:
+    """Numerators and denominators (3,) in z⁻¹ of the cascade: its loops, then its notches."""
+    t = timing.cycle
+    pi = gains.velocity_gain * np.array([1.0 + t / gains.integral_time, -1.0])
+    loops = np.convolve(pi, [gains.position_gain + 1.0 / t, -1.0 / t])
+    return [(loops, np.array([1.0, -1.0, 0.0])), *(notch.coefficients(t) for notch in gains.notches)]
+
+
 def controller_response(gains: Gains, timing: DriveTiming, omega: Float64) -> Complex128:
     """(F,) torque per position error at ω [rad/s], without dead time and hold."""
-    t = timing.cycle
-    late = np.exp(-1j * np.asarray(omega) * t)
-    out = gains.velocity_gain * (1.0 + t / gains.integral_time / (1.0 - late))
-    out = out * (gains.position_gain + (1.0 - late) / t)
-    for notch in gains.notches:
-        b, a = notch.coefficients(t)
+    late = np.exp(-1j * np.asarray(omega) * timing.cycle)
+    out: Complex128 = np.ones(late.shape, dtype=np.complex128)
+    for b, a in _sections(gains, timing):
         out = out * np.polyval(b[::-1], late) / np.polyval(a[::-1], late)
-    result: Complex128 = out
-    return result
+    return out
 
 
 def held_plant_response(plant: LinearPlant, timing: DriveTiming, omega: Float64) -> Complex128:
@@ -155,13 +159,8 @@ def closed_loop(plant: LinearPlant, gains: tuple[Gains, ...], timing: DriveTimin
 
 def controller(gains: Gains, timing: DriveTiming) -> Any:
     """``control.StateSpace`` of ``controller_response``."""
-    t = timing.cycle
-    pi = gains.velocity_gain * np.array([1.0 + t / gains.integral_time, -1.0])
-    velocity = np.array([gains.position_gain + 1.0 / t, -1.0 / t])
-    whole = control.tf2ss(control.tf(np.convolve(pi, velocity), [1.0, -1.0, 0.0], t))
-    for notch in gains.notches:
-        whole = control.tf2ss(control.tf(*notch.coefficients(t), t)) * whole
-    return whole
+    parts = [control.tf2ss(control.tf(b, a, timing.cycle)) for b, a in _sections(gains, timing)]
+    return reduce(lambda before, part: part * before, parts)
 
 
 def _late(system: Any, cycles: int) -> Any:

@@ -15,8 +15,8 @@ from invid.exchange.linear_plant import LinearPlant, linear_plant
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.simulation.kernel import march
-from invid.simulation.laws import law_table, laws_of, static_table
-from invid.simulation.plant import Matrices, discretise, matrices
+from invid.simulation.laws import compiled_laws, laws_of, static_table
+from invid.simulation.plant import discretise, matrices
 from invid.tuning.feedforward import Feedforward
 from invid.tuning.margins import held_modes
 from invid.tuning.servo_loop import DriveTiming, Gains
@@ -108,23 +108,29 @@ def reference_move(
     return Command(p, v, a, n, 2 * n)
 
 
-def run_loops(model: Model, loops: Sequence[AxisLoop], command: Command, timing: DriveTiming) -> LoopRun:
-    """Simulate ``command`` on ``model``; values that have run away are NaN from then on."""
+def run_loops(
+    model: Model,
+    loops: Sequence[AxisLoop],
+    command: Command,
+    timing: DriveTiming,
+    counts: Float64 | None = None,
+) -> LoopRun:
+    """Simulate ``command`` on ``model``; values that have run away are NaN from then on.
+
+    ``counts`` (M,) are those of the encoders [rad or m], NaN: ideal.
+    """
+    count_of = np.zeros(len(loops)) if counts is None else np.nan_to_num(counts)
+    coarse = np.where(count_of > 0, count_of, 1.0)
     laws = laws_of(model.chains, model.effects)
     made = matrices(model.chains, laws)
     motors = model.chains.motor_dofs.astype(np.int64)
     ends = model.chains.end_dofs
-    substeps = max(4, int(np.ceil(timing.cycle * made.fastest / FINENESS)))
-    step = discretise(
-        Matrices(made.mass, made.damping, made.stiffness),
-        np.eye(made.mass.shape[0])[:, motors],
-        timing.cycle / substeps,
-    )
+    substeps = max(4, int(np.ceil(timing.cycle * made.natural[-1] / FINENESS)))
+    step = discretise(made, timing.cycle / substeps).compiled
     n, count = command.position.shape
     reach = (4.0 * float(np.abs(command.position).max()), 4.0 * float(np.abs(command.velocity).max()))
     static, tables = static_table(laws.static, [reach] * len(laws.static))
-    kinds, parameters = law_table([*laws.forces, *static])
-    memory = np.zeros((kinds.shape[0], 3))
+    forces = compiled_laws([*laws.forces, *static], tables)
     plant = linear_plant(model)
     drives = _Drives(loops, command, timing, plant)
     decay = np.exp(-timing.cycle / substeps / np.maximum(plant.lag, 1e-12))
@@ -138,15 +144,13 @@ def run_loops(model: Model, loops: Sequence[AxisLoop], command: Command, timing:
         motor[k], load[k] = state[motors], state[ends]
         if not np.abs(motor[k]).max() < 1e3 * reach[0]:
             break
-        torque[k] = drives.torque(k, motor[k])
+        shown = np.where(count_of > 0, np.round(motor[k] / coarse) * coarse, motor[k])
+        torque[k] = drives.torque(k, shown)
         goal = np.clip(plant.gain * torque[k], -limit, limit)
         for j in range(substeps + 1):
             applied[j] = goal + (acting - goal) * decay**j
         acting = applied[-1].copy()
-        march(
-            state, step.transition, step.now, step.next, step.force, applied, kinds, parameters, tables,
-            memory, timing.cycle / substeps, substeps, out, motors,
-        )  # fmt: skip
+        march(state, step, forces, applied, motors, substeps, out)
     return LoopRun(np.arange(n, dtype=float) * timing.cycle, drives.shaped[0], motor, load, torque)
 
 

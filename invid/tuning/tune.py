@@ -42,18 +42,51 @@ SATURATED = 0.5
 UNTUNED = 0.25
 """Crossover of the loops of a drive that nobody has tuned, as a share of the first antiresonance: slow
 enough to shake nothing. Stands in for its values as delivered, which are not known here."""
+RIPPLE = 0.01
+"""Torque that an encoder's counts may make, rms, as a share of rated torque (a convention; drives are heard
+from a few per cent)."""
+_RIPPLE_SLACK = 1.15
+"""The promise of draws that the design has not seen, over what it kept in those that it saw."""
+SPREAD_DRAWS = 6
+"""Machines of the covariance in which the reference move is made as well."""
 STAND_IN = "timid gains without feedforward (the drive's own values were not given)"
 
 
 @dataclass(frozen=True)
 class TuneSettings:
     """``timing`` of the drives, most ``notches`` an axis, ``draws`` on which margins are promised,
-    ``seed``."""
+    ``seed``, ``ripple``: torque that counts may make, rms, as a share of rated torque."""
 
     timing: DriveTiming = field(default_factory=DriveTiming)
     notches: int = 2
     draws: int = 200
     seed: int = 0
+    ripple: float = RIPPLE
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """Counts of the encoders [rad or m] and rated torques [N·m or N] (M,), NaN: not stated."""
+
+    counts: Float64
+    rated: Float64
+
+    def noise_gain(self, ripple: float) -> Float64:
+        """(M,) rms torque per rms position that keeps to ``ripple``; infinite where it is not known."""
+        bound = ripple * self.rated / (self.counts / math.sqrt(12.0))
+        return np.asarray(np.where(np.isfinite(bound), bound, math.inf), dtype=float)
+
+
+def sensors_of(model: Model) -> Sensors:
+    """What the recording that a model comes from stated of its drives."""
+    stated = model.provenance.get("sensors")
+    by_axis = stated if isinstance(stated, Mapping) else {}
+
+    def column(name: str) -> Float64:
+        found = [by_axis.get(a, {}) for a in model.axes]
+        return np.array([float(f.get(name, math.nan)) if isinstance(f, Mapping) else math.nan for f in found])
+
+    return Sensors(column("encoder_resolution"), column("rated_torque"))
 
 
 @dataclass(frozen=True)
@@ -74,6 +107,10 @@ class AxisTuning:
     margins_after: Margins
     move_before: MoveFigures
     move_after: MoveFigures
+    moves_drawn: tuple[MoveFigures, ...]
+    """With the new values in machines drawn from the covariance."""
+    rated_torque: float
+    """NaN where the model does not say."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +167,10 @@ def tune_model(
     seen = [linear_plant(m) for m in drawn_models(known, DESIGN_DRAWS, rng)]
     soft = [linear_plant(m) for m in (_softened(m) for m in known) if m is not None]
     fresh = [linear_plant(m) for m in drawn_models(known, settings.draws, rng)]
-    gains = design_gains(drawn_plants([plant, *seen, *soft], timing), plant, settings.notches)
-    gains, margins = _kept(fresh, gains, timing)
+    sensors = sensors_of(model)
+    most = sensors.noise_gain(settings.ripple)
+    gains = design_gains(drawn_plants([plant, *seen, *soft], timing), plant, settings.notches, most)
+    gains, margins = _kept(fresh, gains, timing, sensors, settings.ripple)
     loop = closed_loop(plant, gains, timing)
     shapers = _shapers(loop, [closed_loop(p, gains, timing) for p in fresh[:_SHAPER_DRAWS]])
     forward = [feedforward(model, plant, i, float(inertia[i]), found.open_terms) for i in range(len(gains))]
@@ -140,18 +179,22 @@ def tune_model(
         (before or {}).get(name) or AxisLoop(untuned(plant, i, float(inertia[i]), timing), NONE)
         for i, name in enumerate(model.axes)
     ]
-    margins_before = worst_margins(fresh, tuple(a.gains for a in old), timing, PROMISE)
+    margins_before = worst_margins(fresh, tuple(a.gains for a in old), timing, PROMISE, sensors.counts)
     command = reference_move(plant, timing, _bearable(model, inertia))
-    run_before, run_after = (run_loops(model, loops, command, timing) for loops in (old, after))
+    run_before, run_after = (run_loops(model, each, command, timing, sensors.counts) for each in (old, after))
+    drawn = drawn_models(known, SPREAD_DRAWS, rng)
+    spread = [move_figures(run_loops(m, after, command, timing, sensors.counts), command) for m in drawn]
     moves_before, moves_after = move_figures(run_before, command), move_figures(run_after, command)
     axes = tuple(
         AxisTuning(
             name, *_inertias(model, i, forward[i].inertia_std), *seen_modes(plant, i), _backlash(model, name),
             old[i], after[i], margins_before[i], margins[i], moves_before[i], moves_after[i],
+            tuple(s[i] for s in spread), float(sensors.rated[i]),
         )
         for i, name in enumerate(model.axes)
     )  # fmt: skip
     remarks = [*found.remarks, *_left_out(lost, forward, model.axes), *_held_badly(axes)]
+    remarks += _ripples(axes, settings.ripple)
     repairs = _repairs(model, after, command, timing, moves_after)
     return Tuning(
         model, settings, axes, repairs, tuple(remarks), "as given" if before else STAND_IN, command,
@@ -172,18 +215,29 @@ def _without(model: Model, terms: Sequence[EffectTerm]) -> Model:
 
 
 def _kept(
-    fresh: Sequence[LinearPlant], gains: tuple[Gains, ...], timing: DriveTiming
+    fresh: Sequence[LinearPlant],
+    gains: tuple[Gains, ...],
+    timing: DriveTiming,
+    sensors: Sensors,
+    ripple: float,
 ) -> tuple[tuple[Gains, ...], tuple[Margins, ...]]:
-    """Gains slowed down until the margins hold in ``KEPT`` of draws that the design has not seen."""
+    """Gains slowed down until margins and ripple hold in ``KEPT`` of draws that the design has not seen."""
+    margins: tuple[Margins, ...] = ()
     for _ in range(_ROUNDS):
-        margins = worst_margins(fresh, gains, timing, PROMISE)
-        if all(m.kept >= KEPT and m.unstable == 0 for m in margins):
+        margins = worst_margins(fresh, gains, timing, PROMISE, sensors.counts)
+        short = [m.kept < KEPT or m.unstable > 0 for m in margins]
+        loud = [
+            m.ripple > _RIPPLE_SLACK * ripple * rated for m, rated in zip(margins, sensors.rated, strict=True)
+        ]
+        if not any(short) and not any(loud):
             return gains, margins
         unstable = any(m.unstable for m in margins)
         gains = tuple(
-            slower(g, _SLOWER) if unstable or m.kept < KEPT else g
-            for g, m in zip(gains, margins, strict=True)
+            slower(g, _SLOWER) if unstable or s or n else g
+            for g, s, n in zip(gains, short, loud, strict=True)
         )
+    if all(m.kept >= KEPT and m.unstable == 0 for m in margins):  # such encoders leave no quieter loop: said
+        return gains, worst_margins(fresh, gains, timing, PROMISE, sensors.counts)
     raise NotIdentifiableError(
         f"no gains keep a peak of sensitivity of {PROMISE:g} in {KEPT:.0%} of the machines drawn",
         way_out="measure longer, or with more amplitude, until the model is surer",
@@ -244,6 +298,24 @@ def _held_badly(axes: Sequence[AxisTuning]) -> list[str]:
         for a in axes
         if a.backlash
     ]
+
+
+def _ripples(axes: Sequence[AxisTuning], most: float) -> list[str]:
+    unknown = [a.axis for a in axes if math.isnan(a.margins_after.ripple) or math.isnan(a.rated_torque)]
+    said = []
+    for a in axes:
+        share = a.margins_after.ripple / a.rated_torque
+        if share > _RIPPLE_SLACK * most:
+            said.append(
+                f"{a.axis}: its encoder's counts make {share:.2g} of rated torque, rms, more than {most:g}; "
+                "a slower loop is not quieter enough: a finer encoder is needed"
+            )
+    if unknown:
+        said.append(
+            f"{', '.join(unknown)}: the model does not say the encoder's count and rated torque, so the "
+            "torque that counts make is not bounded; identify a recording that states both"
+        )
+    return said
 
 
 def _repairs(

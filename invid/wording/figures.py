@@ -24,6 +24,11 @@ def percent(fraction: float) -> str:
     return f"{value:.2g} %" if value < 99.5 else f"{value:.0f} %" if value < 1e4 else "any size"
 
 
+def explained_percent(fraction: float) -> str:
+    """Return an explained share, rounded down: 100 % is said of all alone."""
+    return f"{math.floor(1000 * min(fraction, 1.0) + 1e-9) / 10:.1f} %"
+
+
 def signed(difference: float, std: float) -> str:
     """Return "+1.31 ± 0.02" of a difference and its standard deviation."""
     sign = "+" if difference >= 0 else "−"

@@ -7,7 +7,6 @@ one, everyone is asked for a key, loopback too: behind a reverse proxy every req
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from http import HTTPStatus
 from typing import Annotated
 
 from fastapi import Depends, Request
@@ -18,6 +17,7 @@ from invid_service.problems import Problem
 from invid_service.query import refuse_unknown_parameters
 from invid_service.settings import Settings, is_loopback
 
+OWN_PAGE = "x-requested-with"
 FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip", "via")
 """Headers that a reverse proxy adds: with one of them a request from loopback may come from anywhere."""
 
@@ -77,7 +77,7 @@ def _refused(why: str) -> Problem:
 
 def _refuse_from_elsewhere(request: Request) -> None:
     name = _host_name(request)
-    if name and not is_loopback(name) and name != "testserver":
+    if name and not is_loopback(name):
         raise Problem(
             "foreign-origin",
             f"host {name!r} is not this machine, and the service is bound to loopback without keys; "
@@ -97,15 +97,22 @@ def _host_name(request: Request) -> str:
 
 
 def _refuse_other_sites(request: Request) -> None:
+    """Raise Problem where another site's page calls: its origin is not the host that was asked for.
+
+    A proxy may have changed the host: our own page is known by a header too that a browser adds to no other
+    site's request without asking the service first.
+    """
     origin = request.headers.get("origin")
-    if origin and request.method not in ("GET", "HEAD", "OPTIONS"):
-        host = request.headers.get("host", "")
-        if origin not in (f"http://{host}", f"https://{host}"):
-            raise Problem(
-                "foreign-origin",
-                f"a page of {origin!r} may not call this service, which was asked for as {host!r}; a reverse "
-                "proxy has to pass the header Host on",
-            )
+    if not origin or request.method in ("GET", "HEAD", "OPTIONS"):
+        return
+    host = request.headers.get("host", "")
+    if origin in (f"http://{host}", f"https://{host}") or request.headers.get(OWN_PAGE) == "invid":
+        return
+    raise Problem(
+        "foreign-origin",
+        f"a page of {origin!r} may not call this service, which was asked for as {host!r}; a reverse "
+        f"proxy has to pass the header Host on, or the page has to send {OWN_PAGE}: invid",
+    )
 
 
 class Require:
@@ -133,12 +140,13 @@ Admin = Annotated[Caller, Depends(Require(Scope.ADMIN))]
 
 
 async def _stopping_caller(request: Request) -> Caller:
-    """Return whoever asks for a stop: a key that is missing, wrong or revoked stops as well."""
+    """Return whoever asks for a stop: with a key that is missing, wrong or revoked, or through a proxy that
+    changes the host, it stops as well.
+    """
+    _refuse_other_sites(request)
     try:
         return identify_caller(request)
-    except Problem as problem:
-        if problem.status != HTTPStatus.UNAUTHORIZED:
-            raise
+    except Problem:
         return NOBODY
 
 

@@ -80,6 +80,7 @@ EXAMPLES: dict[str, Any] = {
         "found": [],
         "known": None,
         "recorded": True,
+        "tuned": False,
         "error": {
             "code": "bus",
             "text": "can0: the adapter is gone",

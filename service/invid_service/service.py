@@ -24,8 +24,16 @@ from invid_drivers.relay import STOP_S
 from invid_drivers.stopping_budgets import Wish
 from invid_service.audit import AuditLog
 from invid_service.auth import check_bind
-from invid_service.cells.readiness import Checked, Readiness, RecentAnswers, Situation, readiness
+from invid_service.cells.readiness import (
+    Answer,
+    Checked,
+    Readiness,
+    RecentAnswers,
+    Situation,
+    readiness,
+)
 from invid_service.cells.registry import Cell, load_cells
+from invid_service.jobs.last_words import LastWords, interruption
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager, Limits
@@ -48,6 +56,8 @@ log = logging.getLogger(__name__)
 Clock = Callable[[], datetime]
 _NAMED = re.compile(rf"{API}/(cells|identifications)/([^/]+)")
 """The cell, or the run, that a path is about."""
+_DRIVES_REFUSED = ("drive", "bus")
+"""Codes of runs that ended because a drive or the bus did not do its part."""
 _RETENTION_PERIOD_S = 3600.0
 _STORE_PROBE_S = 1.0
 _KEY_PERIOD_S = 1.0
@@ -76,6 +86,7 @@ class Service:
     can_start: RecentAnswers = field(default_factory=RecentAnswers)
     shutting_down: bool = False
     _planning: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _answers: dict[str, Answer] = field(default_factory=dict)
     _refusals: dict[tuple[object, ...], InvidError | None] = field(default_factory=dict)
     _housekeeping: asyncio.Task[None] | None = None
     _key_watch: asyncio.Task[None] | None = None
@@ -86,7 +97,11 @@ class Service:
         set_root(self.settings.root_path)  # for what tells of a run outside any request
         await asyncio.to_thread(settle, self.blobs.work, self.settings.stop_grace_s + _ORPHAN_S)
         now = self.clock()
-        cut = await asyncio.to_thread(self.store.interrupt_unfinished, now)
+        cut = await asyncio.to_thread(
+            self.store.interrupt_unfinished,
+            now,
+            lambda run: interruption(run, LastWords.read(self.blobs.work / run.id)),
+        )
         for record in cut:
             tell_ended(record)
         await asyncio.to_thread(self._keep_leftovers, now)
@@ -172,6 +187,8 @@ class Service:
         Nothing is sent to them.
         """
         occupied = self.jobs.occupying(cell.id)
+        if asked is not None:
+            self._answers[cell.id] = _answer_of(asked, self.clock())
         drives: tuple[CellReason, ...] = ()
         if asked is not None:
             drives = asked.reasons
@@ -183,7 +200,6 @@ class Service:
                 in_force = await asyncio.to_thread(self.results.in_force, cell.id)
         except (TimeoutError, SQLAlchemyError):
             answers = False
-        refusal = None if asked is None else asked.refusal
         return readiness(
             Situation(
                 config=cell.config,
@@ -196,9 +212,23 @@ class Service:
                 mode=mode,  # type: ignore[arg-type]
                 axes=axes,
                 drives=drives,
-                refusal=refusal or await self._refusal(cell, mode, axes, in_force),
+                refusal=await self._refusal(cell, mode, axes, in_force),
+                answer=self._answer(cell),
             )
         )
+
+    def _answer(self, cell: Cell) -> Answer | None:
+        """Return what the drives of a cell said last: to somebody who asked, or to the last run."""
+        known, run = self._answers.get(cell.id), self.jobs.latest(cell.id)
+        if run is None or run.record.mode == "simulate":
+            return known
+        record = run.record
+        if known is not None and known.at >= (record.ended or record.created):
+            return known
+        error = record.facts.get("error") or {}
+        if record.state is State.FAILED and error.get("code") in _DRIVES_REFUSED:
+            return Answer(record.ended or record.created, error["text"], error["fix"])
+        return known if record.started is None else Answer(record.started)
 
     async def check(self, cell: Cell) -> Checked:
         """Ask the drives of a cell in which nothing runs; Problem 409 where something does.
@@ -215,9 +245,15 @@ class Service:
                     identification=busy.record.id,
                     simulated=cell.simulated,
                 )
-            asked = await asyncio.to_thread(ask, cell.config)
-        ready = await self.readiness(cell, asked=asked)
+            ready, asked = await self.ask_drives(cell)
         return Checked(**dict(ready), warnings=list(dict.fromkeys(asked.said)))
+
+    async def ask_drives(
+        self, cell: Cell, mode: str | None = None, axes: tuple[str, ...] | None = None
+    ) -> tuple[Readiness, Asked]:
+        """Ask the drives and judge by what they say; whoever calls it holds the cell's start lock."""
+        asked = await asyncio.to_thread(ask, cell.config)
+        return await self.readiness(cell, mode, axes=axes, asked=asked), asked
 
     async def _refusal(
         self, cell: Cell, mode: str | None, axes: tuple[str, ...] | None, in_force: StoredModel | None
@@ -300,6 +336,14 @@ def _refusal_of(
     except InvidError as error:
         return error
     return None
+
+
+def _answer_of(asked: Asked, now: datetime) -> Answer:
+    error = asked.refusal
+    if error is None:
+        return Answer(now)
+    fix = error.way_out or "mend what it says, then ask the drives again (`invid check` does, too)"
+    return Answer(now, error.reason or str(error), fix)
 
 
 def utc_now() -> datetime:

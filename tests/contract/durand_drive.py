@@ -78,7 +78,8 @@ class Axis:
 
     def mark(self) -> None:
         self.origin = self.x[0]
-        self.travel = self.speed = self.powered_speed = self.commanded = self.by_loop = 0.0
+        self.travel = self.speed = self.commanded = self.by_loop = 0.0
+        self.powered_speed = self.powered_travel = 0.0
 
     def energise(self, on: bool, now: float) -> None:
         if on and not self.energised:
@@ -110,6 +111,7 @@ class Axis:
         self.speed = max(self.speed, abs(self.v[0]))
         if self.energised:
             self.powered_speed = max(self.powered_speed, abs(self.v[0]))
+            self.powered_travel = self.travel
 
 
 class Drive:

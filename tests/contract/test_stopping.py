@@ -15,7 +15,7 @@ from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.stated.vendors import VENDORS
 from invid_drivers.connect import connect
-from invid_drivers.readiness import ask_drives
+from invid_drivers.readiness import ask
 from invid_drivers.stopping_budgets import plan_within
 
 TIMED = VENDORS.pop(TIMER)
@@ -127,7 +127,7 @@ def test_an_event_timer_that_the_cycle_cannot_keep_is_refused_with_the_way_out()
 
 def test_a_slow_heartbeat_is_refused_before_motion_with_the_way_out() -> None:
     with pytest.raises(ConfigError, match=r"A1.*even from rest.*0x1016.*shorten safety.heartbeat_s"):
-        ask_drives(cell(safety={"heartbeat_s": 0.5}))
+        ask(cell(safety={"heartbeat_s": 0.5})).require()
 
 
 def test_a_run_keeps_the_speed_that_was_permitted() -> None:

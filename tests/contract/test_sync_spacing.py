@@ -57,6 +57,8 @@ def test_two_syncs_are_never_closer_than_half_a_cycle_wherever_the_computer_was_
     bus.send = paused_send  # type: ignore[method-assign]
     cell.check()
     cell.energise([Mode.HOLD] * 3)
+    assert cell.bounds is not None
+    cell.bounds._most_missed = cell.bounds._most_skipped = 10**6  # when SYNC is sent is looked at
     sent.clear()
     clock.share = 0.02
     slots = []

@@ -16,7 +16,7 @@ from invid.recording import read_recording
 from invid.sweep import Mode
 from invid_drivers.connect import connect
 from invid_drivers.measurement import measure_to_file
-from invid_drivers.readiness import ask_drives
+from invid_drivers.readiness import ask
 
 MULTISINE = {"kind": "multisine", "band_Hz": [1, 30], "period_s": 2.048, "periods": 4}
 
@@ -111,7 +111,7 @@ def test_a_path_that_such_a_drive_cannot_be_led_along_is_refused_with_the_way_ou
     with pytest.raises(
         ConfigError, match=r"constant_velocity.*A1.*torque offset only.*cyclic synchronous torque"
     ):
-        ask_drives(cell(experiments=[MULTISINE, path]))
+        ask(cell(experiments=[MULTISINE, path])).require()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@ of each at connect, with the same file named in the config."""
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,11 @@ from invid_drivers.connect import connect
 from invid_drivers.eds import parse_eds
 from invid_drivers.simulated import open_virtual_bus
 from invid_drivers.simulated.cell import SimulatedCell
-from invid_drivers.simulated.eds import eds_text, table
 
 ROOT = Path(__file__).parents[2]
 EDS = ROOT / "drivers" / "eds"
+TABLES = runpy.run_path(str(ROOT / "scripts" / "drive-tables.py"))
+eds_text, table = TABLES["eds_text"], TABLES["table"]
 SCALES = {"rated_torque_Nm": 100, "position_rad_per_count": 1.1984e-5}
 
 

@@ -1,94 +1,20 @@
-"""Demand against motion, on drives of another author: signs and encoders that change what 0x6077 never shows.
+"""Demand against motion: signs and encoders that change what 0x6077 never shows, told by the statistic.
 
-Judged on the plant: how fast an axis ever was under power, beside the speed that was permitted.
+Whole runs of such drives: `test_foreign_kinds.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
-from other_cell import SPEED, WINDOW, OtherCell
 
-from invid.errors import InvidError, SafetyStop
+from invid.errors import SafetyStop
 from invid.sweep.obedience import ROWS, Obedience
 from invid.sweep.ports import Sample
 
-NOTHING = {"gravity_loaded": False}
 CYCLE = 0.004
 
 
-def turn(cell: OtherCell) -> None:
-    """The motor gives the opposite of what is asked, and 0x6077 shows what is asked."""
-    cell.drives[0].turned = -1.0
-
-
-def turn_encoder(cell: OtherCell) -> None:
-    cell.drives[0].sign = -1.0
-
-
-def freeze(cell: OtherCell) -> None:
-    cell.drives[0].frozen = cell.drives[0].seen
-
-
-def broken_at(
-    tmp_path: Path, seconds: float, what: Callable[[OtherCell], None]
-) -> tuple[OtherCell, InvidError | None]:
-    cell = OtherCell(tmp_path, [{}], [NOTHING])
-    cell.bus.at.append((seconds, lambda: what(cell)))
-    return cell, cell.measure()
-
-
-BEFORE = [(turn, t) for t in (1.7, 4.4, 9.4)]
-SHAKEN = [(turn, 11.35), (turn, 14.05), (turn_encoder, 13.35), (freeze, 11.35), (freeze, 14.05)]
-
-
-@pytest.mark.parametrize(("what", "seconds"), BEFORE)
-def test_a_sign_that_turns_before_the_amplitude_was_tried_stays_in_the_window(
-    tmp_path: Path, what: Callable[[OtherCell], None], seconds: float
-) -> None:
-    """The permitted velocity finds it (listed among what the link does not hold against)."""
-    cell, error = broken_at(tmp_path, seconds, what)
-    assert error is not None
-    axis = cell.drives[0].axis
-    assert axis.powered_speed < SPEED / 2
-    assert axis.travel < WINDOW
-    assert not axis.energised
-
-
-@pytest.mark.parametrize(("what", "seconds"), SHAKEN)
-def test_a_shaken_axis_that_disobeys_is_stopped_before_it_is_fast(
-    tmp_path: Path, what: Callable[[OtherCell], None], seconds: float
-) -> None:
-    cell, error = broken_at(tmp_path, seconds, what)
-    assert error is not None
-    axis = cell.drives[0].axis
-    assert axis.powered_speed < SPEED / 2  # up to 1.5 by the instant: the torque of a quarter of a second
-    assert axis.travel < WINDOW
-    assert not axis.energised
-
-
-@pytest.mark.parametrize("seconds", [1.3, 9.0])
-def test_an_encoder_that_dies_while_its_axis_is_at_rest_is_found_when_it_is_shaken(
-    tmp_path: Path, seconds: float
-) -> None:
-    """Nothing shows it before (listed among what the link does not hold against)."""
-    cell, error = broken_at(tmp_path, seconds, freeze)
-    assert isinstance(error, SafetyStop)
-    assert cell.drives[0].axis.powered_speed < SPEED / 3
-    assert not cell.drives[0].axis.energised
-
-
-def test_a_turn_in_the_middle_of_the_shaking_is_told_from_the_motion_alone(tmp_path: Path) -> None:
-    _, error = broken_at(tmp_path, 13.35, turn)
-    assert isinstance(error, SafetyStop)
-    assert error.code == "disobeys"
-    assert "A1" in str(error)
-
-
-# --- the statistic itself, on a mass of two that is pushed by known torques -------------------------
 class Pushed:
     """A mass on a spring under a random torque; what a drive's encoder shows of it."""
 

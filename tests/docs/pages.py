@@ -49,13 +49,10 @@ def _absolute(word: str) -> str:
     return re.sub(r"^configs/", f"{ROOT}/configs/", re.sub(r"^records\b", str(DATA), word))
 
 
-def unhurried(command: str) -> list[str]:
-    """No end of the time for an analysis: a page is held to what it shows, not to a busy machine's speed."""
-    return ["--budget", "inf"] if command in ("identify", "diagnose") else []
-
-
 def run_page(page: Path, where: Path) -> list[Ran]:
-    """Every command of the page in the folder ``where``; skipped loudly where its data are not there."""
+    """Every command of the page, word for word and with the reader's budget, in the folder ``where``; skipped
+    loudly where its data are not there.
+    """
     words = {w for s in steps(page) for c in s.commands for w in c}
     missing = sorted(w for w in words if w.startswith(str(DATA)) and not Path(w).exists())
     if missing:
@@ -70,7 +67,7 @@ def run_page(page: Path, where: Path) -> list[Ran]:
             with contextlib.redirect_stdout(out):
                 for words in step.commands:
                     assert words[0] == "invid"
-                    statuses.append(run([*words[1:], *unhurried(words[1])]))
+                    statuses.append(run(list(words[1:])))
             ran.append(Ran(step, tuple(statuses), out.getvalue()))
     return ran
 

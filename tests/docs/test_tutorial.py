@@ -10,8 +10,9 @@ import pytest
 import scipy.io
 from pages import DATA, ROOT, Ran, assert_shows, run_page, steps
 
-from invid.model.document import Model, load_model
-from invid.model.forward import natural_frequencies, resonances
+from invid.model.diagnosis_document import load_model
+from invid.model.document import Model
+from invid.model.matrices import natural_frequencies
 from invid.recording import read_recording
 
 TUTORIAL = ROOT / "docs" / "tutorial" / "flexible-drive.md"
@@ -19,7 +20,7 @@ RAW = DATA / "flexible_drive" / "MultisineTypeB.mat"
 pytestmark = [
     pytest.mark.campaign,
     pytest.mark.xdist_group("tutorial"),  # the commands take minutes: once, not once a worker
-    pytest.mark.timeout(1500),  # without a budget
+    pytest.mark.timeout(1500),
 ]
 PERIOD = 2500  # samples of one second: the line of index k is k Hz
 
@@ -79,7 +80,7 @@ def test_antiresonance_and_resonance_from_the_motor_side_alone(model):
     mass, stiffness = model.chains.mass_matrix, model.chains.stiffness_matrix
     locked = natural_frequencies(mass[1:, 1:], stiffness[1:, 1:])
     assert locked[0] / (2 * np.pi) == pytest.approx(54.03, abs=0.5)
-    assert resonances(model.chains)[1] / (2 * np.pi) == pytest.approx(76.36, abs=0.5)
+    assert model.chains.matrices.natural[1] / (2 * np.pi) == pytest.approx(76.36, abs=0.5)
 
 
 def load_frf_error(model: Model, *, friction: bool = True) -> float:

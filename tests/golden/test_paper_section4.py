@@ -23,7 +23,8 @@ from invid.inverse import (
     springs_and_masses,
 )
 from invid.model.chains import CoupledChains, case_study
-from invid.model.forward import dynamic_stiffness, natural_frequencies, resonances
+from invid.model.forward import resonances
+from invid.model.matrices import Condensed, natural_frequencies
 
 LAMBDA_ROOT = [0, 24.63, 29.59, 34.16, 44.92, 48.60, 51.28]
 LAMBDA0_ROOT = [
@@ -110,7 +111,11 @@ def lists(chains: CoupledChains) -> list[tuple[np.ndarray, np.ndarray]]:
 def acceleration_gain(chains: CoupledChains, omega: float, held: list[int]) -> np.ndarray:
     """θ̈/τ of the motors at one frequency, the motors ``held`` locked: their rows and columns leave Z."""
     free = [i for i in range(chains.branches) if i not in held]
-    stiffness = dynamic_stiffness(chains, [omega])[0].real
+    stiffness = (
+        Condensed.of(chains.matrices.dynamic_stiffness(np.array([1j * omega])), chains.motor_dofs.tolist())
+        .stiffness[0]
+        .real
+    )
     gain = np.zeros((chains.branches, chains.branches))
     gain[np.ix_(free, free)] = -(omega**2) * np.linalg.inv(stiffness[np.ix_(free, free)])
     return gain

@@ -21,7 +21,7 @@ from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Recording, read_recording
 from invid_drivers.connect import connect
 from invid_drivers.measurement import run_measurement
-from invid_drivers.readiness import ask_drives
+from invid_drivers.readiness import ask
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.cell import SimulatedCell
 from invid_drivers.stopping_budgets import Wish
@@ -137,7 +137,7 @@ def measure(config: CellConfig) -> Measured:
     """Dry run, then the whole run in virtual time."""
     found = Measured(config, peaks=np.zeros((3, len(config.axes))))
     try:
-        dry = ask_drives(config)
+        dry = ask(config).require()
         found.plan, found.budgets = dry.plan, dry.budgets
         cell = connect(config)
         bus: Any = cell.link.bus

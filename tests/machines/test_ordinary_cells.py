@@ -4,7 +4,7 @@ import pytest
 
 from invid.config import CellConfig
 from invid.errors import ConfigError
-from invid_drivers.readiness import ask_drives, foresee
+from invid_drivers.readiness import ask, foresee
 from machines.ordinary import measure, ordinary
 
 BY_NIGHT = pytest.mark.campaign
@@ -39,7 +39,7 @@ def test_a_heartbeat_that_a_user_has_set_is_kept_and_the_refusal_names_one_that_
     refused: list[str] = []
     for _ in config.axes:  # one axis after another may need a shorter one
         try:
-            budgets = ask_drives(with_heartbeat(heartbeat)).budgets
+            budgets = ask(with_heartbeat(heartbeat)).require().budgets
             break
         except ConfigError as error:
             refused.append(str(error))

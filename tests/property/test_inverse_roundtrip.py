@@ -9,10 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from invid.errors import InputError, NotIdentifiableError
-from invid.inverse import (
-    chain_from_spectrum,
-    paper_inverse,
-)
+from invid.inverse import Readings, chain_from_spectrum, paper_inverse
 from invid.model.chains import CoupledChains
 
 BOUNDED = settings(
@@ -86,6 +83,17 @@ def test_exact_spectra_give_every_parameter_back_to_1e_6(truth: CoupledChains) -
     high = [1 / m[0] for m in truth.masses]
     found = paper_inverse(exact_lists(truth), high, low, cross, truth.masses_per_branch)
     assert_same(found, truth, 1e-6)
+
+
+@BOUNDED
+@given(chains(most_branches=4, most_masses=4))
+def test_the_readings_of_a_plant_belong_to_it(truth: CoupledChains) -> None:
+    assert_same(Readings.of(truth).chains(), truth, 1e-4)
+
+
+def test_equal_branches_whose_modes_share_their_poles_come_back() -> None:
+    truth = CoupledChains.build([[1.0, 2.0, 3.0]] * 2, [[1000.0, 2000.0]] * 2)
+    assert_same(Readings.of(truth).chains(), truth, 1e-6)
 
 
 def two_branches() -> CoupledChains:

@@ -99,7 +99,9 @@ def test_the_database_keeps_the_promises_of_the_store(server: str) -> None:
     with pytest.raises(CellBusyError):
         store.add_run(record("pg-4"))
     store.save_state(record("pg-1", State.RUNNING), StoredEvent(2**41, "state", {"state": "running"}))
-    (cut,) = [r for r in store.interrupt_unfinished(now) if r.cell == "pg"]
+    (cut,) = [
+        r for r in store.interrupt_unfinished(now, lambda run: {"code": "interrupted"}) if r.cell == "pg"
+    ]
     assert cut.state is State.INTERRUPTED
     assert cut.created == now
     assert next(e.id for e in store.events("pg-1")) == 2**41

@@ -14,11 +14,11 @@ from invid.errors import BusError, DriveError
 from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
+from invid_drivers.cia402.cycle_requests import BUSY_S, NOT_NOW
 from invid_drivers.cia402.failures import ReadRefused, WriteRefused, WrongMode
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
 from invid_drivers.cia402.link import Link, SdoError
-from invid_drivers.cia402.mode_change import BUSY_S, NOT_NOW
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.protection import Protection
 from invid_drivers.cia402.restoration import restore
@@ -337,6 +337,25 @@ class Drive(Access):
         """Give the drive its own protection before it is enabled, never less than it has."""
         self.protection.write(report.scaling, report.limits)
         self._timer = self._timer_ms()
+        added = (od.POSITION_OFFSET,) if self.by_offset else (od.POSITION_OFFSET, od.TORQUE_OFFSET)
+        for what in added:
+            self._clear(what, "it adds to every command")
+        self._clear(od.SYNC_COUNTER, "SYNC of this master has no counter")
+
+    def _clear(self, what: Object, why: str) -> None:
+        """Set an object to 0; DriveError where it stands otherwise and cannot be written."""
+        found = self.find(what)
+        if not found:
+            return
+        try:
+            self.write(what, 0)
+        except WriteRefused as error:
+            raise DriveError(
+                f"{self.who}: {what.address} {what.name} is {found}: {why}, and it cannot be set to 0 "
+                f"({error})",
+                way_out="set it to 0 with the drive's tool",
+                axis=self.name,
+            ) from None
 
     def map_pdos(self) -> None:
         """RPDO 1: controlword, target torque. TPDO 1: position, torque, statusword. Both with SYNC.
@@ -363,6 +382,8 @@ class Drive(Access):
                 self.write(od.pdo_communication(kind, 1, 2), SYNCHRONOUS)
                 if kind == "RPDO":
                     self._write_timer()
+                else:
+                    self._clear(od.INHIBIT_TIME, "TPDO 1 would not follow every SYNC")
                 self.write(od.pdo_communication(kind, 1, 1), cob | present & NO_RTR)
             except (ReadRefused, WriteRefused) as error:
                 names = ", ".join(f"{o.address} {o.name}" for o in wanted)

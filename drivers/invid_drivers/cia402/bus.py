@@ -1,7 +1,7 @@
-"""The cell: every drive on one bus, exchanged with once per SYNC. Implements ``invid.sweep.ports.Cell``.
+"""The cell: every drive on one bus. Implements ``invid.sweep.ports.Cell``.
 
-Raw ``struct`` in the cycle; SDO, maps and states before and after it. Whoever energises also stops:
-``stop`` works from any state, any number of times, and never raises.
+SDO, maps and states before power; from then on every cycle is the supervisor's. Whoever energises also
+stops: ``stop`` works from any state, any number of times, and never raises.
 """
 
 from __future__ import annotations
@@ -17,43 +17,34 @@ from invid.config import CellConfig
 from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
 from invid.sweep.bounds import Bounds, bounds_of
 from invid.sweep.motion import FADE_S
-from invid.sweep.ports import Clock, Mode, Sample
+from invid.sweep.ports import Clock, Loop, Mode, Sample
 from invid_drivers.cia402 import objects as od
-from invid_drivers.cia402 import states
+from invid_drivers.cia402 import procedures
 from invid_drivers.cia402.axis import Drive, DriveReport, ModeSet
+from invid_drivers.cia402.axis_state import LONGEST_RAMP_S, QUICK_STOP_S, AxisState, longest_way_out
 from invid_drivers.cia402.cycle import Cycle
+from invid_drivers.cia402.cycle_requests import CHANGE_S
 from invid_drivers.cia402.cycle_time import tell_cycle
 from invid_drivers.cia402.disk import PATIENCE_S
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import tighten
-from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, Link, never
-from invid_drivers.cia402.mode_change import CHANGE_S
+from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link, never
 from invid_drivers.cia402.standing.held_axes import HeldAxes
-from invid_drivers.cia402.standing.holding import (
-    AxisHolding,
-    Reason,
-)
-from invid_drivers.cia402.standing.moving_cell import MovingCell
-from invid_drivers.cia402.standing.stop_test import StopTest
+from invid_drivers.cia402.standing.holding import AxisHolding, Reason
 from invid_drivers.cia402.standing.takeover import find_powered, require_mode, require_ours
-from invid_drivers.cia402.standing.way_out import WAY_OUT_S, Loads, WayOut
-from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
+from invid_drivers.cia402.states import OperationMode, is_energised
+from invid_drivers.cia402.supervised_axis import SupervisedAxis
+from invid_drivers.cia402.supervisor import STOPPING, Procedure, Supervisor, Want
 
+ENABLING = "stopped on request while the drives were being enabled"
+RAMP_MARGIN = 1.25
+"""On the time of a ramp from the speed limit: the axis may be faster, the drive settles at its end."""
 RESTORE_S = 30.0
 """Longest restoring of all drives together: tenths of a second for each, ten for one that takes 0.2 s for an
 answer. The rest is left to the next start, which finds it in the journal."""
 LEAVING_S = 0.1
 """Longest wait on the way out for a setting that a loaded axis is better held with."""
-LOOK_S = 0.35
-"""At rest, before power: longer than the longest window in which a fall is seen (0.32 s), and than a drive
-takes from showing a mode to being in it (0.1 s, one report)."""
-LOOK_CYCLES = 600
-"""Where the adapter is in doubt: 99 % are then bounded by the second worst."""
-ENABLE_S = 3.0
-"""Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
-
-
-STOPPED_S = FADE_S + HEARD_S + LEAVING_S + WAY_OUT_S + 2 * PATIENCE_S + RESTORE_S
+STOPPED_S = FADE_S + HEARD_S + LEAVING_S + longest_way_out() + 2 * PATIENCE_S + RESTORE_S + procedures.AFTER_S
 """From a request to stop to drives that are off or held, restored, and a bus that is free: longest, whatever
 drives, disk and bus do."""
 
@@ -87,11 +78,11 @@ class Cia402Cell:
         self.touched = False
         """Whether the drives were prepared to be enabled."""
         self._late_share: tuple[float, float] | None = None
+        self._supervisor: Supervisor | None = None
+        self._wants: list[Want] = []
         self._stopped = True
         self.bounds: Bounds | None = None
         """What no cycle may pass, from before the first axis is enabled to the last one off."""
-        self._torque_off: dict[int, float] = {}
-        """What each drive showed as torque without voltage [N·m or N]."""
         self.held_at_end: tuple[str, ...] = ()
         """Axes that their drives hold in quick stop active."""
         self.complaints: list[str] = []
@@ -104,6 +95,8 @@ class Cia402Cell:
         them."""
         self.cancelled: Callable[[], bool] = never
         """Asked in every wait until the way out: brakes and drives take their time, a stop must not."""
+        self.seen: Callable[[dict[str, str]], None] = lambda states: None
+        """Hears the states of all axes, in words, whenever one changes."""
         self.tell: Callable[[str], None] = lambda phase: None
         """Hears what is being done on the way out, while it lasts."""
 
@@ -217,6 +210,7 @@ class Cia402Cell:
             self._link.peers[drive.node_id].booted = False
         self._stopped = False
         self.touched = True
+        self._supervisor = self._supervise()
         self._link.beating = True
         self._pre_operational()
         for drive, report, holding in zip(self._drives, self.reports, self.holdings, strict=True):
@@ -226,18 +220,8 @@ class Cia402Cell:
                 drive.map_pdos()
                 tell_cycle(drive, self._config.bus.cycle_s)
         self.held.foresee_options()
-        unset: list[ModeSet] = []
-        for i, mode in enumerate(modes):
-            self._now_in(i, mode)
-        for i, (drive, report, mode) in enumerate(zip(self._drives, self.reports, modes, strict=True)):
-            drive.command(od.TORQUE_OFFSET if drive.by_offset else od.TARGET_TORQUE, 0)
-            if mode is Mode.HOLD or drive.by_offset:
-                drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
-            operation = self._operation_mode(report, mode)
-            set_by_now = drive.set_mode(operation, CHANGE_S)
-            if set_by_now is ModeSet.LATER and self.holdings[i].taken_over:
-                set_by_now = require_mode(drive, operation)
-            unset.append(set_by_now)
+        for axis, mode in zip(self._supervisor.axes, modes, strict=True):
+            self._set_first_mode(axis, mode)
         self._refuse_disturbed()
         self.held.note_begin()
         self._link.events.clear()
@@ -248,32 +232,87 @@ class Cia402Cell:
             self._link.nmt(NMT_START, drive.node_id)
         self._link.wait(0.005)
         self._cycle.restart_slots()
-        self._cycle.support[:] = [0.0] * len(self._drives)
         self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._look_first()
-        self._enable(modes, unset)
+        self._wants = [Want.HOLD if mode is Mode.HOLD else Want.LEAD for mode in modes]
+        self._run(procedures.enable(self._stage), ENABLING)
+        self._watch.resting = set()
+
+    def _supervise(self) -> Supervisor:
+        cycle = self._config.bus.cycle_s
+        quick_stop = min(max(QUICK_STOP_S, RAMP_MARGIN * self._ramp_s), LONGEST_RAMP_S)
+        axes = [
+            SupervisedAxis(i, holding, self._watch.estimators[i], report.torque_mode, cycle, quick_stop)
+            for i, (holding, report) in enumerate(zip(self.holdings, self.reports, strict=True))
+        ]
+        for axis in axes:
+            if axis.holding.taken_over:
+                axis.state = AxisState.STANDS
+        supervisor = Supervisor(self._cycle, self._link, self._watch, axes)
+        supervisor.changed = lambda: self.seen(self.axis_states)
+        supervisor.tell = lambda phase: self.tell(phase)
+        supervisor.note = lambda axis, **seen: axis.holding.note(self.held.memory, **seen)
+        return supervisor
+
+    def _set_first_mode(self, axis: SupervisedAxis, mode: Mode) -> None:
+        """Set the mode of an axis without power, and its targets to where it stands."""
+        drive, report = self._drives[axis.index], self.reports[axis.index]
+        drive.command(od.TORQUE_OFFSET if drive.by_offset else od.TARGET_TORQUE, 0)
+        if mode is Mode.HOLD or drive.by_offset:
+            drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
+        operation = report.torque_mode if mode is Mode.TORQUE else OperationMode.CYCLIC_POSITION
+        axis.target = AxisState.LED if mode is Mode.TORQUE else AxisState.HELD
+        axis.takes_mode = drive.set_mode(operation, CHANGE_S)
+        if axis.takes_mode is ModeSet.LATER and axis.holding.taken_over:
+            axis.takes_mode = require_mode(drive, operation)
+        if axis.takes_mode is ModeSet.SHOWN:
+            self._cycle.operation[axis.index] = operation
+
+    @property
+    def _stage(self) -> procedures.Stage:
+        supervisor = self._supervised
+        return procedures.Stage(
+            supervisor.axes,
+            self.clock.now,
+            supervisor.mute,
+            supervisor.speak,
+            lambda: supervisor.is_mute,
+            supervisor.note,
+        )
+
+    def _run(self, procedure: Procedure, asked: str) -> None:
+        def stopped() -> InvidError | None:
+            if not self.cancelled():
+                return None
+            return SafetyStop(f"{asked}; nothing was recorded yet", code="asked")
+
+        self._supervised.run(procedure, stopped)
+
+    @property
+    def _supervised(self) -> Supervisor:
+        if self._supervisor is None:
+            raise DriveError("the cell was not energised: no axis is supervised")
+        return self._supervisor
 
     def _look_first(self) -> None:
         """See every axis at rest before the first is enabled; a mode that is shown has begun to act by
         then."""
-        self._cycle.control[:] = [
-            states.QUICK_STOP if h.taken_over else states.DISABLE_VOLTAGE for h in self.holdings
-        ]
         cycle = self._config.bus.cycle_s
         asked = self._late_share is not None
-        late, count = [0] * len(self._drives), 0
-        end = self.clock.now() + (max(LOOK_S, LOOK_CYCLES * cycle) if asked else LOOK_S)
+        seconds = max(procedures.LOOK_S, procedures.LOOK_CYCLES * cycle) if asked else procedures.LOOK_S
+        answers = procedures.Answers([0] * len(self._drives))
         self._cycle.apart = asked
         try:
-            while self.clock.now() < end and not self.cancelled():
-                sample = self._watched([0.0] * len(self._drives))
-                count += 1
-                late = [n + (not came) for n, came in zip(late, sample.fresh, strict=True)]
-                if self._watch.origin is None and all(sample.fresh):
-                    self._watch.start(sample.position)
+            self._run(
+                procedures.look(self._stage, seconds, answers),
+                ENABLING,
+            )
         finally:
             self._cycle.apart = False  # on the way out no SYNC waits
+        sample = self._cycle.sample
+        count = answers.cycles
+        late = [count - n for n in answers.came]
         if self._late_share is not None and max(late) > self._late_share[0] * count:
             names = ", ".join(name for name, n in zip(self.axes, late, strict=True) if n == max(late))
             raise ConfigError(
@@ -281,6 +320,14 @@ class Cia402Cell:
                 f"of axis {names} "
                 f"came too late or not at all; set bus.cycle_s to {self._late_share[1]:g} or longer"
             )
+        silent = [d.name for d, n in zip(self._drives, answers.came, strict=True) if not n]
+        if silent:
+            raise DriveError(
+                f"axis {', '.join(silent)}: silence (no TPDO comes) after {seconds:.2g} s of SYNC; check its "
+                "supply and its PDOs",
+                axes=silent,
+            )
+        self._watch.start(sample.position)
 
     def expect_answers(self, share: float, cycle_s: float) -> None:
         """Refuse to enable drives of whose answers to SYNC more than a share comes too late; the cycle that
@@ -304,105 +351,38 @@ class Cia402Cell:
                     axis=peer.name,
                 )
 
-    def _operation_mode(self, report: DriveReport, mode: Mode) -> OperationMode:
-        return report.torque_mode if mode is Mode.TORQUE else OperationMode.CYCLIC_POSITION
-
-    def _now_in(self, axis: int, mode: Mode) -> None:
-        self._cycle.modes[axis] = mode
-        self._cycle.operation[axis] = self._operation_mode(self.reports[axis], mode)
-
-    def _enable(self, modes: Sequence[Mode], unset: list[ModeSet]) -> None:
-        """To operation enabled; ``unset``: what came of each mode, which is set and seen on the way."""
-        zero = [0.0] * len(self._drives)
-        end = self.clock.now() + ENABLE_S
-        self._cycle.control[:] = [
-            states.QUICK_STOP if h.taken_over else states.DISABLE_VOLTAGE for h in self.holdings
-        ]
-        while True:
-            sample = self._watched(zero)
-            found = [state_of(s) for s in sample.status]
-            if self._watch.origin is None and all(sample.fresh):
-                self._watch.start(sample.position)  # nothing was enabled before that
-            for i, state in enumerate(found):
-                if sample.fresh[i] and not is_energised(state):
-                    self._torque_off[i] = sample.torque[i]
-            enabled = all(sample.fresh) and all(s is DriveState.OPERATION_ENABLED for s in found)
-            if enabled and not self.changing and all(m is ModeSet.SHOWN for m in unset):
-                return
-            for i, state in enumerate(found):
-                if sample.fresh[i] and self._watch.origin is not None:
-                    if not self._mode_follows(i, state, modes[i], unset):
-                        continue
-                    resumes = self.holdings[i].taken_over and state is DriveState.QUICK_STOP_ACTIVE
-                    self._cycle.control[i] = (
-                        states.ENABLE_OPERATION if resumes else states.towards_enabled(state)
-                    )
-            if self.cancelled():
-                raise SafetyStop(
-                    "stopped on request while the drives were being enabled; nothing was recorded yet"
-                )
-            late = self.clock.now() - end
-            if late >= (CHANGE_S if enabled else 0.0):  # a mode that is asked for in the cycle takes its time
-                missing = [
-                    i
-                    for i, state in enumerate(found)
-                    if not sample.fresh[i] or state is not DriveState.OPERATION_ENABLED
-                ]
-                raise self._not_enabled(missing, sample, unset)
-
-    def _not_enabled(self, missing: Sequence[int], sample: Sample, unset: Sequence[ModeSet]) -> DriveError:
-        """The error of the first axis that is not enabled, or else has no mode yet."""
-        i = next(iter(missing), next((k for k, m in enumerate(unset) if m is not ModeSet.SHOWN), 0))
-        seen = state_of(sample.status[i]).words if sample.fresh[i] else "silence (no TPDO comes)"
-        what = f"not enabled after {ENABLE_S:g} s, the drive shows {seen}"
-        if not missing:
-            what = f"enabled, but without its mode (0x6060) after {ENABLE_S + CHANGE_S:g} s"
-        return DriveError(
-            f"axis {self.axes[i]} (node {self._drives[i].node_id}): {what}; check its supply, its enable "
-            "input, safe torque off and the brake",
-            axis=self.axes[i],
-        )
-
-    def _mode_follows(self, axis: int, state: DriveState, mode: Mode, unset: list[ModeSet]) -> bool:
-        """Ask for a mode that was not set without power, where the drive takes it; whether to go on."""
-        late = unset[axis]
-        due = {ModeSet.LATER: DriveState.SWITCHED_ON, ModeSet.TAKEN: DriveState.OPERATION_ENABLED}.get(late)
-        if state is due:
-            operation = self._operation_mode(self.reports[axis], mode)
-            self._cycle.change(axis, mode, operation, taken=late is ModeSet.TAKEN)
-            unset[axis] = ModeSet.SHOWN  # or the change ends the run
-        return self._cycle.has_taken(axis)
-
     def secure(self, loaded: Sequence[bool]) -> bool:
-        """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""
+        """Take over what carries a load, and see how each axis is held when nobody commands it.
+
+        Whether axes were let go or stopped for it: they are held again, perhaps in another place.
+        """
+        supervisor = self._supervised
         self._watch.pause()  # whoever made the cycles before may have watched them otherwise
         self._watch.resting = set()  # the tests let axes go
         self.held.settle(loaded, self._cycle.permille)
-        self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self.reports)
-        self.held.set_options(self._cycle, self.clock, self._watched)
+        off = {a.index: a.torque_off for a in supervisor.axes if a.torque_off is not None}
+        self.held.refuse_dead_displays(self._cycle.sample, off, self.reports)
+        self._wants = [Want.HOLD] * len(self._drives)
+        self._set_options(CHANGE_S)
         permitted = [limit.velocity for limit in self._watch.limits]
         for i in range(len(self._drives)):
             self._watch.permit(i, math.inf)  # a fall in the tests is none of what was planned
+        before = [len(a.story) for a in supervisor.axes]
         try:
-            test = StopTest(self._moving(self._watched), self.holdings, self.held.memory, self.cancelled)
-            return test.run()
+            test = procedures.test_stops(self._stage, 3 * self._config.safety.heartbeat_s)
+            self._run(test, "stopped on request in the stop test")
         finally:
-            self._cycle.rest_s[:] = [h.rest_s for h in self.holdings]
             for i, velocity in enumerate(permitted):
                 self._watch.permit(i, velocity)
+        return before != [len(a.story) for a in supervisor.axes]
 
-    def _moving(self, exchange: Callable[[Sequence[float]], Sample]) -> MovingCell:
-        return MovingCell(
-            self._config,
-            self._link,
-            self._drives,
-            self._cycle,
-            exchange,
-            self.resolution,
-            self.rated_torque,
-            [r.torque_mode for r in self.reports],
-            self.tell,
-        )
+    def _set_options(self, longest_s: float) -> None:
+        """Write 0x605A of drives that turned out to have to hold a load, between two SYNCs."""
+        if not self.held.set_options(self._cycle):
+            return
+        end = self.clock.now() + longest_s
+        while self._cycle.is_changing and self.clock.now() < end:
+            self._supervised.tick([Want.STAY] * len(self._drives))
 
     @property
     def _watch(self) -> Bounds:
@@ -413,88 +393,98 @@ class Cia402Cell:
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; the change goes on in the cycles to come (``changing``).
 
-        An axis that is to be held keeps the place at which it is asked; torque for every axis that changes is
-        taken from ``exchange`` meanwhile.
+        Torque for every axis that changes is taken from ``exchange`` meanwhile.
         """
-        for i, (report, mode) in enumerate(zip(self.reports, modes, strict=True)):
-            operation = self._operation_mode(report, mode)
-            if operation is not self._cycle.operation[i]:
-                self._cycle.change(i, mode, operation)
-            elif report.by_offset:
-                self._cycle.modes[i] = mode  # its mode stays; what changes is whether it is sent torque
+        self._wants = [Want.HOLD if mode is Mode.HOLD else Want.LEAD for mode in modes]
+        for axis, want in zip(self._supervised.axes, self._wants, strict=True):
+            self._supervised.grant(axis, want)
+
+    def set_loops(self, loops: Sequence[Loop | None]) -> None:
+        """Loops by which led axes are brought to rest when the run ends."""
+        self._supervised.loops = list(loops)
 
     @property
     def changing(self) -> bool:
         """Whether a drive does not show yet the mode that it was asked for."""
-        return self._cycle.changing
+        return self._supervisor is not None and self._supervisor.is_changing
 
     # --- the cycle -----------------------------------------------------------------------------
     def exchange(self, torque: Sequence[float]) -> Sample:
-        """Targets out, SYNC at its slot, samples in."""
-        return self._cycle.exchange(torque)
-
-    def _watched(self, torque: Sequence[float]) -> Sample:
-        """A cycle that the cell makes by itself: checked as the sweep checks those that it makes."""
-        sample = self.exchange(torque)
-        if self._cycle.paused:
-            self._watch.pause()
-            self._cycle.paused = False
-        self._watch.check(sample, self.asked)
-        return sample
+        """One cycle of the supervisor; ``torque`` (M,) for the axes that are led."""
+        supervisor = self._supervised
+        for axis, value in zip(supervisor.axes, torque, strict=True):
+            axis.torque = value
+        return supervisor.tick(self._wants)
 
     # --- the way out ---------------------------------------------------------------------------
     def stop(self) -> None:
-        """Quick stop, disable voltage, NMT stop; idempotent, from any state, never raises.
+        """Every axis to rest, held or off; idempotent, from any state, never raises.
 
         Where it is interrupted itself (a second Ctrl-C), the next call begins again.
         """
         self._link.cancelled = never
-        if self._stopped:
+        supervisor = self._supervisor
+        if self._stopped or supervisor is None:
             return
-        falls = {} if self.bounds is None else self.bounds.falls
+        supervisor.is_leaving = True
         with contextlib.suppress(Exception):
-            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes, falls):
-                self.held.set_options(self._cycle, self.clock, self.exchange, LEAVING_S)
+            supervisor.speak()  # it may have been silent on purpose
+        with contextlib.suppress(Exception):  # whoever listens may have gone
+            self.tell(STOPPING)
+        self._weigh_at_once(supervisor)
         weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
-        loads = Loads(
-            [h.stays for h in self.holdings],
-            {
-                i
-                for i, h in enumerate(self.holdings)
-                if h.loaded is not False and h.config.brake == "drive" and not h.stays
-            },
-            self.held.doubted,
-            {i for i, h in enumerate(self.holdings) if h.has_position_mode},
-            falls,
-            set() if self.bounds is None else self.bounds.blind,
-            {i: h.seen.brake_s for i, h in enumerate(self.holdings) if h.seen.brake_s is not None},
-            {i: h.seen.brake_drop for i, h in enumerate(self.holdings) if h.seen.brake_drop is not None},
-            {} if self.bounds is None else self.bounds.weights,
-        )
-        way = WayOut(self._moving(self.exchange), loads, self._ramp_s, weigh)
-        self.not_off = way.take()
-        for i in way.too_heavy:
-            self.held.too_heavy(i, self.holdings[i].limit + 1)
-        self.held_at_end = tuple(
-            h.config.name
-            for i, h in enumerate(self.holdings)
-            if (h.stays or i in way.caught)
-            and h.config.name not in self.not_off
-            and not self._is_surely_off(i)
-        )
-        self.not_held = tuple(self.axes[i] for i in sorted(way.unheld | way.failed_brakes))
-        for i in way.failed_brakes:
-            self.holdings[i].note(self.held.memory, brake_drop=self.holdings[i].config.limits.position)
-            self.holdings[i].brake_failed = i in way.caught and i not in way.unheld
-        self.held.note_end(self.held_at_end, self.not_off)
+        way_out = procedures.leave(self._stage, longest_way_out(), weigh, self.held.doubted)
+        self._leave_by(way_out)
+        self._note_ends(supervisor)
+        for a in supervisor.axes:
+            if a.state in (AxisState.OFF, AxisState.BRAKED, AxisState.FAULT, AxisState.UNHEARD):
+                with contextlib.suppress(BusError):
+                    self._link.nmt(NMT_STOP, a.holding.config.node_id)
         self._link.until = math.inf
         self._stopped = True
 
-    def _is_surely_off(self, axis: int) -> bool:
-        """By its last TPDO; where that did not come, it is asked."""
-        sample = self._cycle.sample
-        state = state_of(sample.status[axis]) if sample.fresh[axis] else self._drives[axis].quiet_state()
-        return state is not None and not is_energised(state)
+    def _leave_by(self, procedure: Procedure) -> None:
+        """Run a part of the way out, whatever fails in a cycle of it."""
+        for wants in procedure:
+            try:
+                self._supervised.tick(wants)
+            except (
+                Exception
+            ):  # a queue that is full has room again; a fault of this program ends nothing here
+                with contextlib.suppress(Exception):
+                    self._link.wait(self._config.bus.cycle_s)
+
+    @property
+    def axis_states(self) -> dict[str, str]:
+        """The state of every axis that was supervised, in words."""
+        return {} if self._supervisor is None else {a.name: a.state.value for a in self._supervisor.axes}
+
+    def _weigh_at_once(self, supervisor: Supervisor) -> None:
+        held = [a.state in (AxisState.ENABLING, AxisState.HELD) for a in supervisor.axes]
+        falls = {} if self.bounds is None else self.bounds.falls
+        with contextlib.suppress(Exception):
+            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, held, falls):
+                self._set_options(LEAVING_S)
+
+    def _note_ends(self, supervisor: Supervisor) -> None:
+        """What is said at the end is read from the states."""
+        axes = supervisor.axes
+        for a in axes:
+            if a.too_heavy:
+                self.held.too_heavy(a.index, a.holding.limit + 1)
+            if a.brake_failed:
+                a.holding.note(self.held.memory, brake_drop=a.holding.config.limits.position)
+                a.holding.brake_failed = a.state is AxisState.STANDS
+        self.not_off = tuple(a.name for a in axes if a.deaf or not a.is_final or a.state is AxisState.UNHEARD)
+        on = [a for a in axes if a.is_energised and a.name not in self.not_off]
+        self.held_at_end = tuple(a.name for a in on)
+        holds = (AxisState.STANDS, AxisState.BRAKED)
+        self.not_held = tuple(
+            a.name
+            for a in axes
+            if a.story and a.carries and (a.state not in holds or a.blind or a.brake_failed)
+        )
+        self.held.note_end(self.held_at_end, self.not_off)
 
     @property
     def _ramp_s(self) -> float:
@@ -508,12 +498,9 @@ class Cia402Cell:
             default=0.0,
         )
 
-    def states(self) -> dict[str, DriveState]:
-        """The last state heard of each drive."""
-        return {d.name: state_of(s) for d, s in zip(self._drives, self._cycle.sample.status, strict=True)}
-
     def close(self) -> list[str]:
-        """Stop, restore every object that was written, close the bus; what could not be restored.
+        """Stop, restore every object that was written, look at what is left held, close the bus; what could
+        not be restored.
 
         Once closed, or where it is interrupted, ``complaints`` has what was found by then.
         """
@@ -522,6 +509,8 @@ class Cia402Cell:
         if self._closed:
             return complaints
         try:
+            if self.held_at_end:
+                self._link.attend = lambda: self._supervised.tick([Want.END] * len(self._drives))
             for disk in (self.journal, self.held.memory):
                 try:
                     disk.settle()
@@ -531,14 +520,30 @@ class Cia402Cell:
             self._link.until = self.clock.now() + RESTORE_S
             if self.touched or self.journal.entries:
                 self._restore(complaints)
+            self._look_after()
         except InvidError as error:
             complaints.append(str(error))
         finally:
             self._closed = True
+            self._link.attend = None
             self._link.beating = False
             self._link.close()
             self.journal.release()
+        complaints += [said for said in self.endings if said not in complaints]
         return complaints
+
+    def _look_after(self) -> None:
+        """See what is left held without its master, and say what was seen."""
+        self._link.attend = None
+        supervisor = self._supervisor
+        if supervisor is None or not any(a.state is AxisState.STANDS for a in supervisor.axes):
+            return
+        self._link.until = math.inf
+        self._leave_by(procedures.look_after(self._stage))
+        if not all(a.is_final for a in supervisor.axes):
+            supervisor.speak()
+            self._leave_by(procedures.leave(self._stage, longest_way_out(), None, ()))
+        self._note_ends(supervisor)
 
     @property
     def left(self) -> tuple[str, ...]:
@@ -579,7 +584,6 @@ class Cia402Cell:
 
     def _perhaps_on(self, complaints: list[str]) -> set[str]:
         """Axes that keep their heartbeat watch and limits until the next start, because they may be on."""
-        complaints += self.endings
         for name in self.not_off:
             complaints.append(
                 f"axis {name} was not seen to switch off; its objects, its heartbeat watch among them, stay "

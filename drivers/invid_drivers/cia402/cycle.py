@@ -14,12 +14,12 @@ import can
 
 from invid.config import CellConfig
 from invid.errors import BusError
-from invid.sweep.ports import Event, Mode, Sample, Severity
+from invid.sweep.ports import Event, Sample, Severity
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
+from invid_drivers.cia402.cycle_requests import EVERY_CYCLES, ModeChange, SettingWrite, StateQuestion, upload
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
-from invid_drivers.cia402.mode_change import EVERY_CYCLES, ModeChange, SettingWrite, upload
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.stated.units import wrapped_difference
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
@@ -63,9 +63,7 @@ class Cycle:
         self._cycle = config.bus.cycle_s
         nodes = [a.node_id for a in config.axes]
         count = len(nodes)
-        self.modes = [Mode.TORQUE] * count
-        """What each axis does; the target of a held one is left to its drive."""
-        self.operation = [OperationMode.CYCLIC_TORQUE] * count
+        self.operation: list[OperationMode | None] = [None] * count
         """What 0x6061 of each axis is to show."""
         self.control = [states.DISABLE_VOLTAGE] * count
         """Controlword of each axis in the next cycle."""
@@ -76,12 +74,8 @@ class Cycle:
             fresh=[False] * count,
             late=[False] * count,
         )
-        self.support = [0.0] * count
-        """Torque that carries the load of each axis [N·m or N], sent on while its drive is to hold it: a
-        drive may show its mode before it acts."""
-        self.rest_s: list[float | None] = [None] * count
-        """How long each axis takes to stand without torque, where a drive changes modes without power only;
-        ``None``: it does not stand."""
+        self.waits_for_power_off = [False] * count
+        """Whether an axis may be switched off for a mode that its drive takes without power only."""
         self.asked = [0.0] * count
         """Torque that each axis was sent with the last SYNC [N·m or N]; 0 where its drive holds it, or
         may."""
@@ -115,6 +109,11 @@ class Cycle:
         self._mode_asked = 0
         self._changes: dict[int, ModeChange | SettingWrite] = {}
         self._changes_asked = 0
+        self.asking: set[int] = set()
+        """Axes that are asked for state and place by SDO: their process data do not come."""
+        self._questions = [StateQuestion() for _ in nodes]
+        self._told: set[int] = set()
+        """Axes of which an SDO answer told a place, or a state, since the last cycle."""
         self._counts = [0] * count
         self._next_mode_poll = 0.0
 
@@ -133,29 +132,42 @@ class Cycle:
         """Size of the torque that each drive showed last [‰ of rated]."""
         return [round(abs(t / u)) for t, u in zip(self.sample.torque, self._torque_unit, strict=True)]
 
-    @property
-    def changing(self) -> bool:
-        """Whether a drive does not show yet the mode that it was asked for."""
-        return bool(self._changes)
-
-    def change(self, axis: int, mode: Mode, operation: OperationMode, *, taken: bool = False) -> None:
+    def change(self, axis: int, operation: OperationMode, *, taken: bool = False) -> None:
         """Ask a drive for another mode, in the cycles to come.
 
         From now on until it shows its mode, an axis is sent torque: it follows that as soon as it is in
         torque mode, and until it holds. ``taken``: it has the mode, and is only to show it.
         """
-        self.modes[axis] = Mode.TORQUE
-        held = mode is Mode.HOLD
+        held = operation is OperationMode.CYCLIC_POSITION
         self._changes[axis] = ModeChange(operation, self._link.clock.now(), held=held, taken=taken)
+
+    def change_of(self, axis: int) -> ModeChange | None:
+        """The change of mode that goes on at an axis."""
+        change = self._changes.get(axis)
+        return change if isinstance(change, ModeChange) else None
+
+    def drop_change(self, axis: int) -> None:
+        """Go on no longer with the mode that was asked for."""
+        if self.change_of(axis) is not None:
+            del self._changes[axis]
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether something asked of a drive beside the cycle has not been answered."""
+        return bool(self._changes)
+
+    def is_free_for_sdo(self, axis: int) -> bool:
+        """Whether nothing is being written to a drive."""
+        return axis not in self._changes
 
     def has_taken(self, axis: int) -> bool:
         """Whether a drive has taken the mode that it was asked for in the cycle."""
-        change = self._changes.get(axis)
-        return not isinstance(change, ModeChange) or change.taken
+        change = self.change_of(axis)
+        return change is None or change.taken
 
-    def leave(self) -> None:
-        """On the way out nobody goes on changing modes that were asked for before."""
-        self._changes = {i: c for i, c in self._changes.items() if c.operation is None}
+    def is_in(self, axis: int, operation: OperationMode) -> bool:
+        """Whether a drive shows a mode."""
+        return self.operation[axis] is operation and axis not in self._changes
 
     def place_of(self, axis: int, counts: int) -> float:
         """Position [rad or m] of counts that were read beside the cycle."""
@@ -183,12 +195,11 @@ class Cycle:
         """Send the targets, SYNC at its slot, and return the samples that answer it."""
         link, clock = self._link, self._link.clock
         sample, put = self.sample, link.put
-        hold = Mode.HOLD
         sample.listened = 0
         if self._doubt or self.apart:
             self._listen()
         for i, cob in enumerate(self._rpdo_ids):
-            value = round((self.support[i] if self.modes[i] is hold else torque[i]) * self._per_mille[i])
+            value = round(torque[i] * self._per_mille[i])
             if value > self._most[i] or value < -self._most[i]:
                 value = self._most[i] if value > 0 else -self._most[i]
             by_torque = self.operation[i] is not OperationMode.CYCLIC_POSITION and i not in self._changes
@@ -213,16 +224,45 @@ class Cycle:
             if came:
                 sample.late[i] = False
         link.beat(instant)
+        self._ask_beside(instant)
+        return sample
+
+    def silent_cycle(self) -> Sample:
+        """Let a slot pass in which nothing is commanded: drives are only asked, which is no sign of life."""
+        link, sample = self._link, self.sample
+        self._slot += 1
+        end = self._started + self._slot * self._cycle
+        while (rest := end - link.clock.now()) > 0:
+            message = link.get(rest)
+            if message is not None:
+                self._sort(message)
+        sample.slot, sample.time = self._slot, link.clock.now()
+        sample.fresh[:] = [False] * len(self._nodes)
+        self._ask_beside(sample.time)
+        return sample
+
+    def _ask_beside(self, instant: float) -> None:
+        """Ask drives by SDO what the cycle does not tell, and hand out what was heard besides it."""
+        link, sample = self._link, self.sample
+        if self.asking:
+            self._ask_states()
         if self._changes:
             self._go_on_changing(instant)
-        elif instant >= self._next_mode_poll:
+        elif instant >= self._next_mode_poll and not self.asking:
             self._watch_slowly(instant)
         if link.events:
             sample.events = link.events
             link.events = []
         elif sample.events:
             sample.events = []
-        return sample
+
+    def _ask_states(self) -> None:
+        for axis in self.asking:
+            if axis not in self._changes:
+                self._link.ask(self._nodes[axis], self._questions[axis].request())
+            if axis in self._told and not self.sample.fresh[axis]:
+                self.sample.fresh[axis] = True
+        self._told.clear()
 
     def _collect(self, instant: float, end: float) -> None:
         """Take in the TPDOs of the SYNC at ``instant`` until all came or ``end``.
@@ -380,16 +420,33 @@ class Cycle:
         self._link.answered(self._nodes[axis])
         data = bytes(message.data)
         change = self._changes.get(axis)
+        if axis in self.asking:
+            self._hear_state(axis, data)
         if change is not None:
             change.answered(data, self._link.clock.now())
         elif len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
             shown = int.from_bytes(data[4:5], "little", signed=True)
             wanted = self.operation[axis]
             enabled = state_of(self.sample.status[axis]) is DriveState.OPERATION_ENABLED
-            if shown != int(wanted) and (shown or enabled):  # some drives show none until they are enabled
+            if (
+                wanted is not None and shown != int(wanted) and (shown or enabled)
+            ):  # some drives show none until they are enabled
                 name = self._config.axes[axis].name
                 text = f"axis {name}: the drive left mode {wanted.name.lower()} for mode {shown} (0x6061)"
                 self._link.events.append(Event(Severity.DRIVE, text, name))
+        self._link.sort(message)  # whoever waits for it hears it, too
+
+    def _hear_state(self, axis: int, data: bytes) -> None:
+        told = self._questions[axis].answered(data)
+        if told is None:
+            return
+        what, value = told
+        if what is od.STATUSWORD:
+            self.sample.status[axis] = value
+        else:
+            self._counts[axis] = value
+            self.sample.position[axis] = self.place_of(axis, value)
+            self._told.add(axis)
 
     def _drain(self) -> None:
         """Take in all that waits before a SYNC: it is of an earlier one and would pass for this one's."""
@@ -408,10 +465,8 @@ class Cycle:
     def _go_on_changing(self, now: float) -> None:
         """Conclude the changes of mode that are done or failed; send the next request of one of them."""
         for axis, change in list(self._changes.items()):
-            if isinstance(change, ModeChange) and change.without_power:
-                rest_s = self.rest_s[axis]
-                if rest_s is not None and not self._without_power(axis, change, now, rest_s):
-                    continue
+            if isinstance(change, ModeChange) and change.without_power and self.waits_for_power_off[axis]:
+                continue
             why = change.failure(now)
             if why is not None:
                 del self._changes[axis]
@@ -423,8 +478,6 @@ class Cycle:
                 if change.operation is None:
                     continue
                 self.operation[axis] = change.operation
-                held = change.operation is OperationMode.CYCLIC_POSITION
-                self.modes[axis] = Mode.HOLD if held else Mode.TORQUE
         if self._slot % EVERY_CYCLES:
             return
         waiting = list(self._changes)
@@ -434,18 +487,6 @@ class Cycle:
             if request is not None and self._link.ask(self._nodes[axis], request):
                 self._changes_asked += k + 1
                 return
-
-    def _without_power(self, axis: int, change: ModeChange, now: float, rest_s: float) -> bool:
-        """Switch a drive off for its new mode and on again; whether the change can be judged."""
-        state = state_of(self.sample.status[axis])
-        off = self.sample.fresh[axis] and not states.is_energised(state)
-        if not change.done or (off and not change.ask_again(now, rest_s)):
-            self.control[axis] = states.DISABLE_VOLTAGE
-            if off:
-                change.ask_again(now, rest_s)
-            return off and not change.done
-        self.control[axis] = states.towards_enabled(state)
-        return state is DriveState.OPERATION_ENABLED
 
     def _watch_slowly(self, now: float) -> None:
         """Check heartbeats and the state of the bus; ask one axis after another for 0x6061."""

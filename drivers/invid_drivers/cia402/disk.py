@@ -1,19 +1,15 @@
-"""Writes to disk that no cycle waits for, and the folder that every user of this computer shares."""
+"""Writes to disk that no cycle waits for."""
 
 from __future__ import annotations
 
-import os
 import queue
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
 from invid.errors import BusError
 
 PATIENCE_S = 10.0
 """Longest wait for a disk while no axis is energised."""
-SERVICES, SHARED = Path("/var/lib/invid"), Path("/var/tmp/invid")
-"""Folders for what every user must know: the service's, where there is one, else one that is everybody's."""
 
 
 class Disk:
@@ -66,22 +62,3 @@ class Disk:
                 if not self._left:
                     self._idle.set()
                     return
-
-
-def shared_folder() -> Path:
-    """Folder of the journal and the memory of a bus, for whoever measures on it.
-
-    ``XDG_STATE_HOME`` overrides it.
-    """
-    own = os.environ.get("XDG_STATE_HOME")
-    if own:
-        return Path(own) / "invid"
-    return SERVICES if SERVICES.is_dir() else SHARED
-
-
-def open_folder(folder: Path) -> None:
-    """Make a folder; the shared one writable for every user."""
-    if not folder.is_dir():
-        folder.mkdir(parents=True, exist_ok=True)
-        if folder == SHARED:
-            folder.chmod(0o777)

@@ -8,15 +8,23 @@ from the last to the first also undoes PDO maps in the one order that drives acc
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
 from invid.errors import BusError
-from invid_drivers.cia402.disk import Disk, open_folder, shared_folder
+from invid_drivers.cia402.disk import Disk
 from invid_drivers.cia402.reservation import Reservation
+from invid_drivers.cia402.state_folder import (
+    append_line,
+    files_of_others,
+    owner_of,
+    read_state,
+    replace_state,
+    require_writable,
+    state_folder,
+)
 
 
 @dataclass(frozen=True)
@@ -33,7 +41,11 @@ class Entry:
 
 
 class Journal:
-    """Writes not yet undone; ``path`` ``None`` keeps them in memory (a simulated cell forgets anyway)."""
+    """Writes not yet undone; ``path`` ``None`` keeps them in memory (a simulated cell forgets anyway).
+
+    BusError where it cannot be written, or says what another user could have made it say: before a drive is
+    touched.
+    """
 
     def __init__(self, path: Path | None) -> None:
         self.path = path
@@ -41,7 +53,8 @@ class Journal:
         self._disk = Disk()
         self.reservation: Reservation | None = None
         """Held as long as the bus is this process's."""
-        if path is not None and path.exists():
+        if path is not None:
+            _require_writable(path)
             self._entries = _read(path)
 
     @property
@@ -89,35 +102,31 @@ class Journal:
             self._disk.put(partial(_replace, self.path, b"".join(map(_line, self._entries))))
 
 
+def _require_writable(path: Path) -> None:
+    try:
+        require_writable(path.parent)
+    except OSError as error:
+        raise BusError(_unwritable(path, error)) from None
+
+
+def _unwritable(path: Path, error: OSError) -> str:
+    return (
+        f"journal {path}: cannot be written ({error.strerror}); nothing is written into a drive "
+        "that could not be restored after a power cut; set XDG_STATE_HOME to a folder of yours that lasts, "
+        "in a container one on a volume"
+    )
+
+
 def _append(path: Path, line: bytes) -> None:
     try:
-        open_folder(path.parent)
-        with path.open("a+b") as file:
-            # A line that a power cut left half written must not take this one with it.
-            file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
-            torn = file.read(1) not in (b"", b"\n")
-            file.write(b"\n" * torn + line)
-            file.flush()
-            os.fsync(file.fileno())
+        append_line(path, line)
     except OSError as error:
-        raise BusError(
-            f"journal {path}: cannot be written ({error.strerror}); nothing is written into a drive "
-            "that could not be restored after a power cut; set XDG_STATE_HOME to a writable folder"
-        ) from None
+        raise BusError(_unwritable(path, error)) from None
 
 
 def _replace(path: Path, text: bytes) -> None:
     try:
-        if not text:
-            path.unlink(missing_ok=True)
-            return
-        part = path.with_suffix(".part")
-        with part.open("wb") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())  # before it takes the old one's place: a power cut leaves one of them
-        part.chmod(0o666)
-        part.replace(path)
+        replace_state(path, text)
     except OSError as error:
         raise BusError(
             f"journal {path}: cannot be written ({error.strerror}); what it says of settings that "
@@ -131,14 +140,15 @@ def _line(entry: Entry) -> bytes:
 
 def _read(path: Path) -> list[Entry]:
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        data = read_state(path) or b""
     except OSError as error:
         raise BusError(
             f"journal {path}: cannot be read ({error.strerror}), and what an earlier run left in the "
-            "drives is not known without it; make it readable, or set XDG_STATE_HOME to another folder"
+            "drives is not known without it; make it readable for you alone, or set XDG_STATE_HOME to "
+            "another folder"
         ) from None
     entries = []
-    for line in text.splitlines():
+    for line in data.decode(errors="replace").splitlines():
         try:
             entry = Entry(**json.loads(line))
             bytes.fromhex(entry.before + (entry.wrote or ""))
@@ -151,4 +161,14 @@ def _read(path: Path) -> list[Entry]:
 def journal_path(interface: str, channel: str) -> Path:
     """Where the journal of a bus stands."""
     safe = "".join(c if c.isalnum() else "-" for c in f"{interface}-{channel}")
-    return shared_folder() / f"{safe}.journal"
+    return state_folder() / f"{safe}.journal"
+
+
+def refuse_left_by_others(path: Path) -> None:
+    """BusError where a run of another user wrote into the drives of this bus and has not undone it: what he
+    remembers of that is for him to write back, since anybody may have put it there."""
+    for other in files_of_others(path):
+        raise BusError(
+            f"journal {other}: a run of user {owner_of(other)} left settings in the drives of this bus; run "
+            "`invid check` as that user, which restores them, or remove the journal if they are to stay"
+        )

@@ -109,7 +109,7 @@ class Link:
         self.events: list[Event] = []
         self._sdo: dict[int, _PumpedSdo] = {}
         self._asked: dict[int, float] = {}
-        self._heartbeat_s = heartbeat_s
+        self.heartbeat_s = heartbeat_s
         self._next_heartbeat = 0.0
         self._heartbeat = can.Message(
             arbitration_id=0x700 + MASTER_ID, data=b"\x05", is_extended_id=False, check=False
@@ -124,6 +124,8 @@ class Link:
         """How long a request waits for its answer, twice."""
         self.until = math.inf
         """No answer is waited for beyond this instant; requests leave all the same."""
+        self.attend: Callable[[], object] | None = None
+        """Makes one cycle: whoever waits while axes are held goes on attending to them."""
         self.cancelled: Callable[[], bool] = never
         """Asked in every wait but those of the way out, which a stop does not end."""
 
@@ -161,7 +163,7 @@ class Link:
     def beat(self, now: float) -> None:
         """Send the master's heartbeat when it is due."""
         if self.beating and now >= self._next_heartbeat:
-            self._next_heartbeat = now + self._heartbeat_s
+            self._next_heartbeat = now + self.heartbeat_s
             self.put(self._heartbeat)
 
     def pump(self, timeout: float) -> None:
@@ -171,8 +173,11 @@ class Link:
         """
         if self.cancelled():
             raise SafetyStop("stopped on request; nothing was recorded yet", code="asked")
+        if self.attend is not None:
+            self.attend()
+            return
         self.beat(self.clock.now())
-        message = self.get(min(timeout, HEARD_S, self._heartbeat_s / 2 if self.beating else HEARD_S))
+        message = self.get(min(timeout, HEARD_S, self.heartbeat_s / 2 if self.beating else HEARD_S))
         if message is not None:
             self.sort(message)
 
@@ -209,7 +214,7 @@ class Link:
 
     def listen(self) -> None:
         """Send nothing, and hear who is there; then the gate opens."""
-        self.wait(max(LISTEN_S, LISTEN_BEATS * self._heartbeat_s))
+        self.wait(max(LISTEN_S, LISTEN_BEATS * self.heartbeat_s))
         self.gate.listened = True
 
     def refuse_others(self) -> None:
@@ -325,6 +330,10 @@ class Link:
             return True
         return False
 
+    def occupy(self, node_id: int) -> None:
+        """A node is asked something, and asked nothing else until it has answered."""
+        self._asked[node_id] = self.clock.now()
+
     def answered(self, node_id: int) -> None:
         """An SDO answer of the node was seen."""
         self._asked.pop(node_id, None)
@@ -385,6 +394,7 @@ class _PumpedSdo(SdoClient):
 
     def send_request(self, request: bytes) -> None:
         """One SDO frame."""
+        self._link.occupy(self.rx_cobid - 0x600)
         self._link.send(self.rx_cobid, bytes(request))
 
     def read_response(self) -> bytes:

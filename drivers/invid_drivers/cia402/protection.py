@@ -325,8 +325,17 @@ class Protection:
             (od.ABORT_CONNECTION, 3),  # quick stop
         ):
             found = drive.find(what)
-            if found is not None:
+            if found is None:
+                continue
+            try:
                 drive.write(what, tighter(what, found, wanted))
+            except WriteRefused:
+                if what is not od.PRODUCER_HEARTBEAT:
+                    raise
+                self.notes += (
+                    f"axis {drive.name}: {what.address} takes no {wanted} ms and stays {found}: the master "
+                    "only notices by missing TPDOs when the drive dies",
+                )
         self._write_quick_stop_option()
         self._write_ramp(scaling, limits)
         for what, found, wanted in self._wanted(scaling, limits):

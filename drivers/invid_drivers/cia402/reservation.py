@@ -71,7 +71,7 @@ class Reservation:
 
     def _take_file(self, digest: str) -> None:
         path = Path(tempfile.gettempdir()) / f"invid-bus-{digest}.lock"
-        held = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        held = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         try:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BaseException:

@@ -12,12 +12,10 @@ import typer
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
 from invid.errors import DriveError, InputError
-from invid.planning.hold_laws import master_hold
 from invid_drivers.cia402.stated.scales import MUCH_OF_RATED
 from invid_drivers.cli.measure import budget_lines, plan_text
-from invid_drivers.connect import connect, is_virtual
-from invid_drivers.readiness import Prepared, prepare, require_plan
-from invid_drivers.stopping_budgets import Wish
+from invid_drivers.connect import is_virtual
+from invid_drivers.readiness import Prepared, ask
 from invid_drivers.timing import timing_of
 
 IN_TIME = "the way that the axis needs to come to rest"
@@ -33,27 +31,19 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared
     ConfigError, DriveError, BusError
         The first thing that would keep a measurement from starting.
     """
-    for axis in config.axes:
-        master_hold(axis, config.bus.cycle_s)
-    require_plan(config, Wish())
-    cell = connect(config)
-    try:
-        cell.clear(cleared)
-        within = prepare(cell, config, probes=not is_virtual(config))
-    finally:
-        complaints = cell.close()
-    reports, reasons, found = cell.reports, cell.not_ready, within.round_trip
-    plan, tighter = within.plan, within.config
+    asked = ask(config, cleared=cleared, probes=not is_virtual(config))
+    if asked.refusal is not None or asked.prepared is None:
+        raise asked.refusal or DriveError("the drives were not asked")
+    within, reports = asked.prepared, asked.reports
+    plan, tighter, found = within.plan, within.config, within.round_trip
     timing = timing_of(config)
-    warnings = [*plan.warnings, *complaints, *cell.notes, *within.said, *timing.warnings(plan)]
-    for r in reports:
-        warnings += r.warnings
+    warnings = [*plan.warnings, *asked.said, *timing.warnings(plan)]
     return within, {
         "robot": config.robot,
         "simulated": config.simulated,
-        "ready": not reasons,
-        "reasons": [asdict(r) for r in reasons],
-        "holding": [h.to_json() for h in cell.holdings],
+        "ready": asked.can_start,
+        "reasons": [asdict(r) for r in asked.reasons],
+        "holding": [h.to_json() for h in asked.holdings],
         "bus": {
             "interface": config.bus.interface,
             "channel": config.bus.channel,
@@ -116,7 +106,10 @@ def _text(config: CellConfig, within: Prepared, document: dict[str, Any]) -> str
         )
         lines += [f"    {what} limited by {source}" for what, source in limit["sources"].items()]
         lines += [f"    lacks {what}" for what in drive["lacks"]]
-    lines += [f"  not ready: {r['text']}; {r['fix']}" for r in document["reasons"]]
+    lines += [
+        f"  {'note' if r['taken_over'] else 'not ready'}: {r['text']}; {r['fix']}"
+        for r in document["reasons"]
+    ]
     lines += budget_lines(within.budgets, linear=config.linear)
     lines.append(plan_text(plan, "plan"))
     lines += [f"  note: {w}" for w in document["warnings"] if w not in plan.warnings]

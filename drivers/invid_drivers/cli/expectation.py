@@ -9,7 +9,8 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.errors import InputError
-from invid.model.document import load_model, units
+from invid.model.diagnosis_document import load_model
+from invid.model.document import units
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model, guess
 from invid.planning.detection import DetectionLimit, detection_limits

@@ -15,6 +15,7 @@ from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoError
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.reservation import Reservation
+from invid_drivers.cia402.stated.scales import position_counts
 from invid_drivers.connect import is_virtual, open_bus
 from invid_drivers.eds_match import match, read_all
 from invid_drivers.first_config import CYCLES, Adapter, Found, first_config
@@ -86,8 +87,7 @@ def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
                 read(od.SUPPORTED_MODES) or 0,
                 revision=read(od.REVISION_NUMBER) or 0,
                 name=name(),
-                increments=read(od.ENCODER_INCREMENTS) or 0,
-                revolutions=read(od.ENCODER_REVOLUTIONS) or 0,
+                counts=position_counts(read, linear=False),
                 watches=has(od.CONSUMER_HEARTBEAT),
             )
         )

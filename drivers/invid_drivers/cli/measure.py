@@ -13,8 +13,9 @@ import typer
 
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.config import CellConfig, load_config
-from invid.errors import InputError, SafetyStop, left_by, note_left
-from invid.model.document import Model, load_json, load_model
+from invid.errors import BusError, DriveError, InputError, SafetyStop, left_by, note_left
+from invid.model.diagnosis_document import load_model
+from invid.model.document import Model, load_json
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid.planning.build import require_all_axes
@@ -35,7 +36,7 @@ from invid_drivers.cli.expectation import (
 )
 from invid_drivers.goal import Reached, judge_of, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, measure_to_file
-from invid_drivers.readiness import ask_drives
+from invid_drivers.readiness import ask, foresee
 from invid_drivers.screening import screen_cell, screening_plan
 from invid_drivers.stop_flag import StopFlag
 from invid_drivers.stopping_budgets import Wish
@@ -203,11 +204,16 @@ def parse_goal(text: str) -> float:
 
 def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, noise: Noise, *, as_json: bool) -> int:
     """Print the dry run of a plan, within what the drives that are there leave."""
-    within = ask_drives(cell, wish)
+    why: tuple[str, ...] = ()
+    try:
+        within = ask(cell, wish).require()
+    except (BusError, DriveError) as error:  # at a desk, say
+        within = foresee(cell, wish)
+        why = (f"the drives were not asked or are not ready, the limits are the config's: {error}",)
     plan, cell, budgets = within.plan, within.config, within.budgets
     found, timing = expectation(cell, plan, belief, noise), timing_of(cell)
     limits = limits_of(cell, plan, belief, noise)
-    beyond = [*within.said, *timing.warnings(plan)]
+    beyond = [*why, *within.said, *timing.warnings(plan)]
     document = {
         "dry_run": True,
         "robot": cell.robot,

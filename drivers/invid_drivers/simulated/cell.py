@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from invid.config.schema import AxisConfig, CellConfig
+from invid.effects.elements import ReadingError, RepeatedRows, TorqueChannel
 from invid.errors import ConfigError
 from invid.numerics.arrays import Float64
 from invid_drivers.simulated import kernel
@@ -74,12 +75,13 @@ class SimulatedCell:
         cycle = config.bus.cycle_s
         # friction and brakes are solved within a sub-step: it must not span more than a radian of the
         # fastest mode, or a push could leave a mass moving the other way
-        longest = min(self.simulation.plant.substep_s, 1.0 / max(structure.fastest_mode(), 1e-9))
+        fastest = float(structure.still.natural[-1])
+        longest = min(self.simulation.plant.substep_s, 1.0 / max(fastest, 1e-9))
         substeps = math.ceil(cycle / longest - 1e-9)
         if substeps > _MOST_SUBSTEPS:
             raise ConfigError(
                 f"config of {config.robot!r}: simulation.plant has a mode at "
-                f"{structure.fastest_mode() / (2.0 * math.pi):.3g} Hz, which needs {substeps} sub-steps "
+                f"{fastest / (2.0 * math.pi):.3g} Hz, which needs {substeps} sub-steps "
                 f"a cycle; at most {_MOST_SUBSTEPS} are allowed: take softer springs or heavier masses"
             )
         self.plant = Plant(structure, cycle / substeps)
@@ -191,7 +193,7 @@ class SimulatedCell:
             external[int(motor) + (count - 1 if last else 0)] -= settings.load.torque
         inner = np.setdiff1d(np.arange(structure.dofs), structure.motors)
         if inner.size and external.any():
-            stiffness = structure.stiffness[np.ix_(inner, inner)]
+            stiffness = structure.still.stiffness[np.ix_(inner, inner)]
             self.plant.state[inner] = np.linalg.lstsq(stiffness, external[inner], rcond=None)[0]
 
     def _after(self, delay_ns: int, callback: Callable[[int], None]) -> None:
@@ -202,28 +204,28 @@ class SimulatedCell:
         self.schedule(self.now_ns + delay_ns, due)
 
     def _set_motor_effects(self) -> None:
-        names = [a.name for a in self.config.axes]
-        for effect in self.plant.structure.motor_effects:
-            i, p = names.index(effect.axis), effect.parameters
+        for i, element in self.plant.structure.channels:
             command = self.plant.command[i]
-            if effect.cause == "torque_delay":
-                if p["delay"] < 0.0:
-                    raise ConfigError(
-                        f"simulation.effects: torque_delay on {effect.axis} is {p['delay']}; a torque cannot "
-                        "act before its command; let the record lag with actual_torque_lag_cycles"
-                    )
-                self.plant.set_delay(i, p["delay"])
-            elif effect.cause == "torque_lag":
-                command[kernel.HIDDEN_LAG] = _lag(self.plant.h, p["time_constant"])
-            elif effect.cause == "torque_gain":
-                command[kernel.TORQUE_GAIN] *= p["gain"]
-            elif effect.cause == "torque_saturation":
-                command[kernel.SATURATION] = p["limit"]
-            elif effect.cause == "encoder_eccentricity":
-                command[kernel.ECCENTRICITY] = p["amplitude"]
-                command[kernel.ECCENTRICITY_PHASE] = p.get("phase", 0.0)
-            elif effect.cause == "dropped_samples":
-                self._drop_rate[i] = p["fraction"]
+            match element:
+                case TorqueChannel(_, gain, delay, lag, limit):
+                    if delay < 0.0:
+                        raise ConfigError(
+                            f"simulation.effects: torque_delay on {self.config.axes[i].name} is {delay}; a "
+                            "torque cannot act before its command; let the record lag with "
+                            "actual_torque_lag_cycles"
+                        )
+                    command[kernel.TORQUE_GAIN] *= gain
+                    if delay:
+                        self.plant.set_delay(i, delay)
+                    if lag is not None:
+                        command[kernel.HIDDEN_LAG] = _lag(self.plant.h, lag)
+                    if limit is not None:
+                        command[kernel.SATURATION] = limit
+                case ReadingError(_, amplitude, phase):
+                    command[kernel.ECCENTRICITY] = amplitude
+                    command[kernel.ECCENTRICITY_PHASE] = phase
+                case RepeatedRows(fraction):
+                    self._drop_rate[i] = fraction
 
     # --- host of the nodes ---------------------------------------------------------------------
     def emit(self, node: Node, can_id: int, data: bytes, delay_ns: int = 0) -> None:

@@ -1,14 +1,4 @@
-"""Compiled integration of the coupled chains over whole sub-steps.
-
-The linear part is stepped exactly (matrix exponential, torques held over a sub-step), so that the
-stiffest mode needs no smaller step than the slowest. Smooth nonlinear forces enter by a second-order
-exponential predictor-corrector (ETD2RK: Cox and Matthews 2002, eq. 22). Dry friction is a complementarity
-problem in the velocity at the end of the sub-step, solved by projected Gauss-Seidel (Moreau's
-time stepping): either the mass sticks with a force below the level or it slides at the level,
-with no regularisation velocity and no event search.
-
-Written independently of ``invid.simulate`` and of the estimators.
-"""
+"""The simulated drives' own loops around the plant's sub-step, compiled, and what they measure."""
 
 from __future__ import annotations
 
@@ -18,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from invid.numerics.arrays import Float64, Int64
-from invid.numerics.compiled import compiled, inlined
+from invid.numerics.compiled import compiled
+from invid.simulation.kernel import advance
 
 # columns of the command table, one row per motor
 MODE, TORQUE, POSITION, VELOCITY, DECELERATION, INTERPOLATE, GAIN_P, GAIN_D, LIMIT, BRAKE = range(10)
@@ -35,75 +26,6 @@ MODE_OFF, MODE_TORQUE, MODE_POSITION = 0.0, 1.0, 2.0
 # columns of the motor state
 RECORDED, LAGGED, ACTING, PREVIOUS, ACCELERATION = range(5)
 STATE_COLUMNS = 5
-
-# columns of a nonlinear element: kind, coordinates a and b (−1: ground), parameters
-KIND, END_A, END_B, P0, P1, P2, P3 = range(7)
-ELEMENT_COLUMNS = 7
-OFFSET, SINE, CUBIC, BACKLASH, JENKINS, TRANSMISSION, ABSOLUTE = range(7)
-
-# columns of a dry friction row: coordinate, levels, Stribeck excess and velocity, motor of its brake
-DOF, LEVEL_POSITIVE, LEVEL_NEGATIVE, EXCESS, STRIBECK_VELOCITY, BRAKE_OF = range(6)
-FRICTION_COLUMNS = 6
-
-_SWEEPS = 60  # of projected Gauss-Seidel; two or three are used, the cap only bounds the time
-
-
-@inlined
-def _slider(
-    x: float, stiffness: float, level: float, memory: Float64, e: int, update: bool
-) -> float:  # pragma: no cover - compiled
-    """Force of a spring whose far end slides at ``level``; ``memory`` is where that end stands."""
-    f: float = stiffness * (x - memory[e])
-    if f > level:
-        f = level
-        if update:
-            memory[e] = x - level / stiffness
-    elif f < -level:
-        f = -level
-        if update:
-            memory[e] = x + level / stiffness
-    return f
-
-
-@compiled
-def _nonlinear(
-    q: Float64, n: int, elements: Float64, memory: Float64, force: Float64, update: bool
-) -> None:  # pragma: no cover - compiled
-    """Add the force of every nonlinear element at state ``q`` (positions, then velocities)."""
-    for e in range(elements.shape[0]):
-        kind = int(elements[e, KIND])
-        a = int(elements[e, END_A])
-        b = int(elements[e, END_B])
-        x = q[a] - (q[b] if b >= 0 else 0.0)
-        v = q[n + a] - (q[n + b] if b >= 0 else 0.0)
-        p0, p1, p2 = elements[e, P0], elements[e, P1], elements[e, P2]
-        f = 0.0
-        if kind == OFFSET:
-            f = p0
-        elif kind == SINE:  # torque, cycles, phase
-            f = p0 * math.sin(p1 * x + p2)
-        elif kind == CUBIC:
-            f = p0 * x * x * x
-        elif kind == BACKLASH:  # stiffness, damper, gap: replaces the linear spring
-            half = 0.5 * p2
-            f = -(p0 * x + p1 * v)
-            if x > half:
-                f += max(p0 * (x - half) + p1 * v, 0.0)
-            elif x < -half:
-                f += min(p0 * (x + half) + p1 * v, 0.0)
-        elif kind == JENKINS:  # stiffness, torque: a spring in series with a dry slider
-            f = _slider(x, p0, p1, memory, e, update)
-        elif kind == TRANSMISSION:  # stiffness, amplitude, cycles, phase of the angle at a
-            # the spring stretches x − error; what the motor side feels makes no energy
-            error = p1 * math.sin(p2 * q[a] + elements[e, P3])
-            slope = p1 * p2 * math.cos(p2 * q[a] + elements[e, P3])
-            f = -p0 * error
-            force[a] += p0 * (x - error) * slope
-        elif kind == ABSOLUTE:  # viscous friction that differs between the two directions
-            f = p0 * abs(v)
-        force[a] -= f
-        if b >= 0:
-            force[b] += f
 
 
 @compiled
@@ -167,123 +89,44 @@ def _motors(
 
 
 @compiled
-def _friction(
-    q: Float64, free: Float64, n: int, gamma: Float64, friction: Float64, level: Float64, command: Float64
-) -> None:  # pragma: no cover - compiled
-    """Solve for the dry friction forces ``level`` and add their effect to ``free``."""
-    rows = friction.shape[0]
-    active = False
-    for i in range(rows):
-        brake = int(friction[i, BRAKE_OF])
-        extra = command[brake, BRAKE] if brake >= 0 else 0.0
-        if friction[i, LEVEL_POSITIVE] + friction[i, LEVEL_NEGATIVE] + extra > 0.0:
-            active = True
-        else:
-            level[i] = 0.0
-    if not active:
-        return
-    for _ in range(_SWEEPS):
-        worst = 0.0
-        for i in range(rows):
-            a = int(friction[i, DOF])
-            brake = int(friction[i, BRAKE_OF])
-            extra = command[brake, BRAKE] if brake >= 0 else 0.0
-            if friction[i, EXCESS] > 0.0:
-                ratio = q[n + a] / friction[i, STRIBECK_VELOCITY]
-                extra += friction[i, EXCESS] * math.exp(-ratio * ratio)
-            upper = friction[i, LEVEL_NEGATIVE] + extra  # pushes up while it slides down
-            lower = -friction[i, LEVEL_POSITIVE] - extra
-            if upper - lower <= 0.0:
-                continue
-            v = free[n + a]
-            for j in range(rows):
-                v += gamma[int(friction[j, DOF]), n + a] * level[j]
-            new = min(max(level[i] - v / gamma[a, n + a], lower), upper)
-            change = abs(new - level[i]) / (upper - lower)
-            worst = max(worst, change)
-            level[i] = new
-        if worst < 1e-13:
-            break
-    for i in range(rows):
-        if level[i] != 0.0:
-            a = int(friction[i, DOF])
-            for k in range(2 * n):
-                free[k] += gamma[a, k] * level[i]
-
-
-@inlined
-def _propagate(
-    free: Float64, q: Float64, force: Float64, phi: Float64, gamma: Float64
-) -> None:  # pragma: no cover - compiled
-    """Put into ``free`` what the linear part makes of ``q`` under the forces held over the sub-step."""
-    # column by column: the inner loops are then vectorised without reordering any sum
-    for k in range(q.size):
-        free[k] = 0.0
-    for c in range(q.size):
-        value = q[c]
-        for k in range(q.size):
-            free[k] += phi[c, k] * value
-    for c in range(q.size // 2):
-        value = force[c]
-        if value != 0.0:
-            for k in range(q.size):
-                free[k] += gamma[c, k] * value
-
-
-@compiled
-def advance(
+def march(
     q: Float64,
     steps: int,
     h: float,
-    phi: Float64,
-    gamma: Float64,
-    ramp: Float64,
+    step: Any,
+    laws: Any,
     motors: Int64,
     command: Float64,
     state: Float64,
     ring: Float64,
     slot: int,
     external: Float64,
-    elements: Float64,
-    memory: Float64,
-    friction: Float64,
-    level: Float64,
     work: Float64,
     blend: float,
 ) -> int:  # pragma: no cover - compiled
     """Advance ``q`` in place by ``steps`` sub-steps; returns the new slot of the delay ring.
 
-    ``blend`` is the share of the first sub-step that had passed when the commands were last set.
-    ``phi``, ``gamma`` and ``ramp`` are transposed: row c is what coordinate or force c adds.
+    ``blend`` is the share of the first sub-step that had passed when the commands were last set. ``step``,
+    ``laws`` and ``work``: see ``invid.simulation.kernel``; the first laws are the motors' brakes.
     """
     n = external.shape[0]
     count = motors.shape[0]
-    free, force, later = work[0], work[1], work[2]
+    for i in range(count):
+        laws[1][i, 0] = laws[1][i, 1] = command[i, BRAKE]
     for _ in range(steps):
         slot = (slot + 1) % ring.shape[1]
         _motors(q, n, motors, command, state, ring, slot, h, blend)
         blend = 0.0
         for k in range(n):
-            force[k] = external[k]
+            work[1, k] = external[k]
         for i in range(count):
-            force[motors[i]] += state[i, ACTING]
+            work[1, motors[i]] += state[i, ACTING]
+            state[i, ACCELERATION] = -q[n + motors[i]] / h
         for k in range(n):
-            later[k] = force[k]
-        if elements.shape[0]:
-            _nonlinear(q, n, elements, memory, force, False)
-        _propagate(free, q, force, phi, gamma)
-        if elements.shape[0]:
-            _nonlinear(free, n, elements, memory, later, True)
-            for c in range(n):
-                difference = later[c] - force[c]
-                if difference != 0.0:
-                    for k in range(2 * n):
-                        free[k] += ramp[c, k] * difference
-        _friction(q, free, n, gamma, friction, level, command)
+            work[2, k] = work[1, k]
+        advance(q, work, step, laws)
         for i in range(count):
-            state[i, ACCELERATION] = (free[n + motors[i]] - q[n + motors[i]]) / h
-        for k in range(2 * n):
-            q[k] = free[k]
+            state[i, ACCELERATION] += q[n + motors[i]] / h
     return slot
 
 
@@ -322,12 +165,12 @@ def sample(
 
 
 @compiled
-def advance_and_sample(
-    rest: float, noise: Float64, out: Int64, *march: Any
+def march_and_sample(
+    rest: float, noise: Float64, out: Int64, *given: Any
 ) -> int:  # pragma: no cover - compiled
-    """``advance`` and ``sample`` in one call: the crossing into compiled code costs as much as a step."""
-    slot = advance(*march)
-    sample(march[0], rest, march[6], march[7], march[8], noise, out)
+    """``march`` and ``sample`` in one call: the crossing into compiled code costs as much as a step."""
+    slot = march(*given)
+    sample(given[0], rest, given[5], given[6], given[7], noise, out)
     return slot
 
 

@@ -10,9 +10,10 @@ import math
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
 
 from invid.numerics.arrays import Float64
+from invid.simulation.laws import compiled_laws
+from invid.simulation.plant import Step, discretise
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.structure import Structure
 
@@ -45,14 +46,13 @@ class Plant:
         """Step to every instant asked for. In real time, where instants never repeat and each new part
         of a sub-step would cost a matrix exponential, False: whole sub-steps only, what is measured
         is extrapolated and a command's impulse is kept."""
-        self._level = np.zeros(structure.friction.shape[0])
-        self._memory = np.zeros(structure.elements.shape[0])
+        self._laws = compiled_laws(structure.forces, np.zeros((1, 2)))
         self._work = np.zeros((3, 2 * n))
         self._ring = np.zeros((motors, 4))
         self._slot = 0
         self._blend = 0.0
         self._time_ns = 0
-        self._parts: dict[int, tuple[Float64, Float64, Float64]] = {}
+        self._parts: dict[int, Step] = {}
         self._set_matrices(0.0)
         self._next_change_ns = self._change_due(0)
 
@@ -69,15 +69,14 @@ class Plant:
         self._parts.clear()
         self._whole = self._part(self._h_ns)
 
-    def _part(self, length_ns: int) -> tuple[Float64, Float64, Float64]:
-        """Step matrices for one sub-step or a part of it, kept because bus timing repeats."""
+    def _part(self, length_ns: int) -> Step:
+        """The step of one sub-step or a part of it, kept because bus timing repeats."""
         found = self._parts.get(length_ns)
         if found is None:
             if len(self._parts) >= _PARTS_KEPT:
                 self._parts.clear()
-            step = discretise(*self._matrices, length_ns / _NS)
-            found = self._parts[length_ns] = tuple(np.ascontiguousarray(m.T) for m in step)  # type: ignore[assignment]
-        return found  # type: ignore[return-value]
+            found = self._parts[length_ns] = discretise(self._matrices, length_ns / _NS)
+        return found
 
     def _change_due(self, now_ns: int) -> int:
         """When the matrices are next due for renewal [ns]."""
@@ -104,17 +103,15 @@ class Plant:
             self._run(1, rest_ns / _NS, self._part(rest_ns))
             self._time_ns = now_ns
 
-    def _run(self, steps: int, h: float, matrices: tuple[Float64, Float64, Float64]) -> None:
-        self._slot = kernel.advance(*self._march(steps, h, matrices))
+    def _run(self, steps: int, h: float, step: Step) -> None:
+        self._slot = kernel.march(*self._march(steps, h, step))
         self._blend = 0.0
 
-    def _march(self, steps: int, h: float, matrices: tuple[Float64, Float64, Float64]) -> tuple[Any, ...]:
-        """The arguments of ``kernel.advance``."""
-        structure = self.structure
+    def _march(self, steps: int, h: float, step: Step) -> tuple[Any, ...]:
+        """The arguments of ``kernel.march``."""
         return (
-            self.state, steps, h, *matrices, structure.motors, self.command, self.motor_state, self._ring,
-            self._slot, self.external, structure.elements, self._memory, structure.friction, self._level,
-            self._work, self._blend,
+            self.state, steps, h, step.compiled, self._laws, self.structure.motors, self.command,
+            self.motor_state, self._ring, self._slot, self.external, self._work, self._blend,
         )  # fmt: skip
 
     def observe(self, now_ns: int, noise: Float64) -> list[list[int]]:
@@ -126,7 +123,7 @@ class Plant:
         if self._next_change_ns <= now_ns or (rest_ns and self.exact_instants):
             self.advance_to(now_ns)
             whole, rest_ns = divmod(now_ns - self._time_ns, self._h_ns)
-        self._slot = kernel.advance_and_sample(
+        self._slot = kernel.march_and_sample(
             rest_ns / _NS if whole >= 0 else 0.0,
             noise,
             self.measured,
@@ -147,24 +144,3 @@ class Plant:
     def velocities(self) -> Float64:
         """Velocities [rad/s or m/s]."""
         return self.state[self.structure.dofs :]
-
-
-def discretise(
-    mass: Float64, damping: Float64, stiffness: Float64, h: float
-) -> tuple[Float64, Float64, Float64]:
-    """Exact step of M q̈ + C q̇ + K q = f over h, for f held and for f rising from 0 to f.
-
-    Returns Φ (2n, 2n), Γ (2n, n) with x⁺ = Φx + Γf, and the ramp matrix (2n, n).
-    Van Loan's augmented matrix exponential.
-    """
-    n = mass.shape[0]
-    inverse = np.linalg.inv(mass)
-    augmented = np.zeros((4 * n, 4 * n))
-    augmented[:n, n : 2 * n] = np.eye(n)
-    augmented[n : 2 * n, :n] = -inverse @ stiffness
-    augmented[n : 2 * n, n : 2 * n] = -inverse @ damping
-    augmented[n : 2 * n, 2 * n : 3 * n] = inverse
-    augmented[2 * n : 3 * n, 3 * n :] = np.eye(n) / h
-    step = expm(augmented * h)
-    top = step[: 2 * n]
-    return top[:, : 2 * n], top[:, 2 * n : 3 * n], top[:, 3 * n :]

@@ -12,10 +12,10 @@ from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import axis_of
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.worth import Worth
 from invid.model.diagnosis_document import ForceAt
+from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.recording.model import Recording
 

@@ -34,15 +34,14 @@ from invid.likelihood.unknown_forces.descent import fit
 from invid.likelihood.unknown_forces.forces import Spot, Where, colours
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.slope import inner_motion, whitened_rows
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, CONVENTION, EXPECTED_DELAY, HOLD
 from invid.likelihood.unknown_forces.value import Value
 from invid.likelihood.unknown_forces.worth import FRICTION, LEAST_FITTED, LEAST_KEPT, PRICE, PRICE_OF_FRICTION
 from invid.model.diagnosis_document import Finding, RuledOut
-from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.model.plant import Kind, Structure
 from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.distributions import normal_isf
@@ -88,7 +87,7 @@ def ruled_out(found: ElasticSearch, findings: Sequence[Finding]) -> tuple[RuledO
     Of as many as the budget allows. What is found, or one of its alternatives, is not among them.
     """
     recording, structure = found.recording, found.end.hypothesis.structure
-    chains = ChainStructure(structure.sizes, recording.axes)
+    chains = Structure(structure.sizes)
     taken = [(f.cause, {f.axis, f.other_axis}, f.element) for f in findings]
     taken += [(a.cause, {a.axis, a.other_axis}, a.element) for f in findings for a in f.alternatives]
     screen = Screen(found.end, recording)

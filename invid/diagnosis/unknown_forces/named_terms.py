@@ -14,8 +14,8 @@ from invid.identification.terms import Sizes, TermWriter
 from invid.likelihood.unknown_forces.forces import Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.plant import Kind
 from invid.model.document import EffectTerm, Estimate
+from invid.model.plant import Kind
 from invid.numerics.arrays import Float64
 
 

@@ -25,10 +25,10 @@ from invid.effects.supposed_laws import SUPPOSED
 from invid.identification.late_drives import late_drives
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
-from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, smoothed_with_shapes, with_law
 from invid.likelihood.unknown_forces.supposition import Supposed, excess
 from invid.likelihood.unknown_forces.worth import LEAST_FITTED, NUMBER, pays, role_falls
+from invid.model.plant import Kind
 from invid.numerics import budget
 
 PROMISING = 0.3

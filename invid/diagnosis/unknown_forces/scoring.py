@@ -13,12 +13,11 @@ from invid.effects.supposed.law import SupposedLaw
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.shapes import joint_rows
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.value import bounded_minimum
-from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 
@@ -29,8 +28,7 @@ known to a thousandth, so a hundredth of a law's size (its square) is the least 
 
 def spots_of(law: SupposedLaw, structure: Structure) -> list[Spot]:
     """Where a law may stand."""
-    axes = tuple(str(i) for i in range(structure.motors))
-    return [spot_at(structure, place) for place in law.places(ChainStructure(structure.sizes, axes))]
+    return [spot_at(structure, place) for place in law.places(Structure(structure.sizes))]
 
 
 def spot_at(structure: Structure, place: Place) -> Spot:

@@ -19,8 +19,8 @@ from invid.identification.contest import (
     torque_rms,
 )
 from invid.identification.own_time import tones_of
-from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.supposition import Bench, Supposed
+from invid.model.plant import Structure
 
 LOST = 0.1
 """Unknown force behind the motors over the torque's rms from which a chain may lack a mode: what is weaker a

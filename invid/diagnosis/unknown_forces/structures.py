@@ -16,8 +16,8 @@ from invid.identification.first_plants import fraction_chains
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import TO_THE_END
 from invid.likelihood.unknown_forces.forces import Spot, Where
-from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
 from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.model.plant import Element, Kind, Structure
 from invid.numerics.arrays import Float64
 
 LEAST_FALL = 20.0

@@ -26,8 +26,8 @@ from invid.effects.elements import AddedBase, Element, ModelPlace
 from invid.effects.laws.moving_base import SHARE, moved_by_base, shares_of
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_base
 from invid.model.document import EffectTerm
-from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.model.plant import Structure
 
 
 class BaseCompliance(Effect):
@@ -59,7 +59,7 @@ class BaseCompliance(Effect):
             self.parameters = {**kept[0], **shares}  # type: ignore[misc]
             self.optional = {**kept[1], **dict.fromkeys(shares, 1.0)}  # type: ignore[misc]
 
-    def places(self, structure: ChainStructure) -> list[Place]:
+    def places(self, structure: Structure) -> list[Place]:
         return [Place("base", 0)]
 
     def known(self, term: EffectTerm) -> BaseCompliance:

@@ -11,8 +11,8 @@ from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.parameter import Parameter
 from invid.effects.sizes import CONSTANT_SOURCE, SCALE, Size, scale_error
 from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw
-from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
+from invid.model.plant import Structure
 from invid.numerics.arrays import Float64
 
 
@@ -34,7 +34,7 @@ class TorqueGain(Effect):
     sizes = (Size(SCALE, scale_error, 0.10, 0.20, CONSTANT_SOURCE),)
     numbers = (Parameter("gain", "ratio", low=-0.95, high=20.0),)
 
-    def places(self, structure: ChainStructure) -> list[Place]:
+    def places(self, structure: Structure) -> list[Place]:
         return axis_places(structure) if structure.motors > 1 else []
 
     def size_text(self, size: str) -> str:

@@ -16,8 +16,8 @@ from invid.effects.units import unit_of
 from invid.errors import ModelError
 from invid.model.document import EffectTerm
 from invid.model.law_table import LawTable
-from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places, pair_places, spring_places
+from invid.model.plant import Structure
 from invid.numerics.arrays import Float64, frozen_float
 
 IN_SPRING = ("deflection", "deflection rate")
@@ -146,7 +146,7 @@ class EmpiricalLaw(MotionEffect):
         lines = [x.ravel() / np.abs(x).max() for x in at]
         return np.linalg.qr(np.column_stack((np.ones(lines[0].size), *lines)))[0]
 
-    def places(self, structure: ChainStructure) -> list[Place]:
+    def places(self, structure: Structure) -> list[Place]:
         if self.over not in IN_SPRING:
             return mass_places(structure)
         return spring_places(structure) + (pair_places(structure) if self.over == "deflection" else [])

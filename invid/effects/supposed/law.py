@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from invid.effects.effect import Effect
-from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.model.plant import Structure
 from invid.numerics.arrays import Float64
 
 
@@ -110,7 +110,7 @@ class SupposedLaw(ABC):
         """Most instants between two of a grid of time on which its waves are smooth."""
         return 1
 
-    def places(self, chains: ChainStructure) -> list[Place]:
+    def places(self, chains: Structure) -> list[Place]:
         """Where it may stand."""
         return self.effect.places(chains)
 
@@ -139,14 +139,14 @@ class SupposedLaw(ABC):
 class AtMotor(SupposedLaw):
     """A law of motors."""
 
-    def places(self, chains: ChainStructure) -> list[Place]:
+    def places(self, chains: Structure) -> list[Place]:
         return [p for p in self.effect.places(chains) if p.number == 1]
 
 
 class InnerLaw(SupposedLaw):
     """A law of masses behind motors."""
 
-    def places(self, chains: ChainStructure) -> list[Place]:
+    def places(self, chains: Structure) -> list[Place]:
         return [p for p in self.effect.places(chains) if p.number > 1]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.likelihood.unknown_forces.forces import Spot, Where
-from invid.likelihood.unknown_forces.plant import Element, Plant, Structure
+from invid.model.plant import Element, Plant, Structure
 
 
 @dataclass(frozen=True)

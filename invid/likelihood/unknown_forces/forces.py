@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.likelihood.unknown_forces.plant import Structure
+from invid.model.plant import Structure
 from invid.numerics.arrays import Complex128, Float64
 
 CORNER = 0.4

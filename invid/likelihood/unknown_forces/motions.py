@@ -11,10 +11,10 @@ from invid.effects.supposed.law import Shape, SpotMotion, SupposedLaw
 from invid.likelihood.unknown_forces.consistent_motion import LawOfMotion, agree
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.forces import Spot, Spots, Where
-from invid.likelihood.unknown_forces.plant import Kind, Structure
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value
+from invid.model.plant import Kind, Structure
 from invid.numerics.arrays import Complex128, Float64
 
 

@@ -16,9 +16,9 @@ from functools import partial
 
 import numpy as np
 
-from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Column
+from invid.model.plant import Structure
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.record import Record
 

@@ -12,10 +12,10 @@ import numpy as np
 from invid.effects.supposed.law import Shape
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part
-from invid.likelihood.unknown_forces.plant import Structure
 from invid.likelihood.unknown_forces.slope import number_rows, whitened_rows
 from invid.likelihood.unknown_forces.supposition import Hypothesis, Supposed
 from invid.likelihood.unknown_forces.value import along, evaluate
+from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64, Int64
 

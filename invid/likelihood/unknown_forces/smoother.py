@@ -18,10 +18,10 @@ from functools import cached_property
 import numpy as np
 
 from invid.likelihood.unknown_forces.forces import MissingNoise, colours, missing_noise
-from invid.likelihood.unknown_forces.plant import Condensed, Plant
 from invid.likelihood.unknown_forces.slope import ends_of
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
+from invid.model.plant import Condensed, Plant
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.record import line_weight
 

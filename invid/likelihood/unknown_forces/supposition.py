@@ -16,11 +16,11 @@ from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, co
 from invid.likelihood.unknown_forces.motions import Motions, PlacedLaw, axis_of, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws, Part
 from invid.likelihood.unknown_forces.motor_motion import Friction, agreed_records
-from invid.likelihood.unknown_forces.plant import Element, Kind, Structure
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.timing import CONVENTION
 from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate
+from invid.model.plant import Element, Kind, Structure
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.record import Record
 

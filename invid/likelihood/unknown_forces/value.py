@@ -27,9 +27,9 @@ from functools import cached_property
 import numpy as np
 
 from invid.likelihood.unknown_forces.forces import CORNER, LEAST, MissingNoise, Spots, colours, missing_noise
-from invid.likelihood.unknown_forces.plant import Condensed, Plant
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.timing import Timing
+from invid.model.plant import Condensed, Plant
 from invid.numerics.arrays import Bool, Complex128, Float64, Int64
 
 

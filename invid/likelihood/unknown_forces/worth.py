@@ -11,9 +11,9 @@ import numpy as np
 from invid.likelihood.unknown_forces.descent import Ended
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.plant import Kind
 from invid.likelihood.unknown_forces.shapes import reshape
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
+from invid.model.plant import Kind
 from invid.numerics import budget
 
 PRICE, LEAST_FITTED, LEAST_KEPT = 120.0, 40.0, 10.0

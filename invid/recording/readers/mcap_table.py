@@ -1,85 +1,37 @@
 """Tables from MCAP, the container of rosbag2: ROS 2 messages (CDR) and JSON.
 
 Every number in a message is a column, by the joint's name where the message gives names:
-``/joint_states.position[elbow]``. Each topic has its own clock, and each publisher where several with other
-joints share one: ``header.stamp`` where it is ever set, else the time of logging.
+``/joint_states.position[elbow]``, or where another message gave them under the same ``names_version``. Each
+topic has its own clock, and each publisher where several with other joints share one: ``header.stamp``
+where it is ever set, else the time of logging.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import mcap.reader
+import mcap_ros2.decoder
 import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64, frozen_float
+from invid.recording.import_map import Source
 from invid.recording.tables import Table
 
 MAX_VALUES = 50_000_000
-_MAX_WIDTH = 64
+MAX_WIDTH = 64
+"""Entries without names up to which a list is a set of channels; a longer one is an image, a scan, a
+matrix."""
 _DEPTH = 6
 _DAY = 86_400 * 10**9
-_ENCODINGS = ("cdr", "json")
-
-
-def read_mcap_table(path: Path) -> Table:
-    """Columns of all topics whose messages hold numbers."""
-    try:
-        import mcap.reader  # noqa: PLC0415 (an extra: not everybody has it)
-        import mcap_ros2.decoder  # noqa: PLC0415
-    except ImportError:
-        raise InputError(
-            f"{path}: MCAP needs the packages mcap and mcap-ros2-support; "
-            "install them with pip install 'invid[mcap]'"
-        ) from None
-    streams: dict[tuple[str, tuple[str, ...]], _Stream] = {}
-    passed: set[str] = set()
-    try:
-        with path.open("rb") as file:
-            ros = mcap_ros2.decoder.DecoderFactory()
-            left = MAX_VALUES
-            for schema, channel, message in mcap.reader.make_reader(file).iter_messages():
-                if channel.message_encoding not in _ENCODINGS:
-                    passed.add(channel.message_encoding)
-                    continue
-                if channel.message_encoding == "json":
-                    body = json.loads(message.data)
-                else:
-                    decode = ros.decoder_for(channel.message_encoding, schema)
-                    if decode is None:
-                        passed.add(schema.encoding if schema is not None else "no schema")
-                        continue
-                    body = decode(message.data)
-                joints = tuple(_names(body))
-                row = dict(_numbers("", body, 0))
-                left -= len(row)
-                if left < 0:
-                    raise InputError(
-                        f"{path}: more than {MAX_VALUES} numbers; cut the bag to the topics needed"
-                    )
-                key = channel.topic, tuple(sorted(joints))
-                stream = streams.setdefault(key, _Stream(channel.topic))
-                stream.add(message.log_time, _stamp(body), row, joints)
-    except InputError:
-        raise
-    except Exception as error:  # mcap and the decoders raise by kind of damage: McapError, struct.error, …
-        said = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        raise InputError(f"{path}: cannot be read as MCAP: {said}") from None
-    columns, clocks, aliases = _columns(list(streams.values()))
-    if not clocks:
-        other = f" (messages in {', '.join(sorted(passed))} are not read)" if passed else ""
-        raise InputError(f"{path}: holds no topic with numbers in at least two messages{other}")
-    reasons = ["the file is MCAP"]
-    reasons += [f"joints of {s.topic}: {', '.join(s.orders[0])}" for s in streams.values() if any(s.orders)]
-    reasons += [f"messages in {e} are not read" for e in sorted(passed)]
-    return Table(
-        str(path), columns, line_word="message", units=dict.fromkeys(clocks.values(), "s"), clocks=clocks,
-        aliases=aliases, reasons=tuple(reasons),
-    )  # fmt: skip
+_NAMES = ("name", "names", "joint_names", "interface_names")
+"""Fields that hold the names of what lists of the same length in a message hold the numbers of."""
 
 
 @dataclass(eq=False)
@@ -96,36 +48,119 @@ class _Stream:
     orders: list[tuple[str, ...]] = field(default_factory=list)
     """Orders in which the joints came."""
 
-    def add(self, logged: int, stamp: int | None, row: Mapping[str, float], joints: tuple[str, ...]) -> None:
-        for key, value in row.items():
-            self.cells.setdefault(key, {})[len(self.logged)] = value
-        self.logged.append(logged)
-        self.stamps.append(stamp)
-        if joints not in self.orders:
-            self.orders.append(joints)
-
-    @property
-    def is_stamped(self) -> bool:
-        return any(self.stamps)
-
     def instants(self, start: int) -> Float64:
         """(n,) [s] from ``start`` [ns]: of the header where it was ever set, else of the logging.
 
         A simulated clock begins at 0; a 0 before stamps that are further away than the record is long is one
         that was not set.
         """
-        if not self.is_stamped:
+        if not any(self.stamps):
             return np.array([(t - start) * 1e-9 for t in self.logged])
         first = min(t for t in self.stamps if t)
         unset = None if first <= 2 * (self.logged[-1] - self.logged[0]) + 10**9 else 0
-        known = [None if t == unset else t for t in self.stamps]
-        return np.array([np.nan if t is None else (t - start) * 1e-9 for t in known])
+        return np.array([np.nan if t is None or t == unset else (t - start) * 1e-9 for t in self.stamps])
+
+    def name_entries(self, names: Sequence[str]) -> None:
+        """Give lists the names that another message has for their entries."""
+        places = {f"[{i}]": f"[{name}]" for i, name in enumerate(names)}
+        self.cells = {
+            key[: key.rfind("[")] + places.get(key[key.rfind("[") :], key[key.rfind("[") :])
+            if "[" in key
+            else key: cells
+            for key, cells in self.cells.items()
+        }
 
     def column(self, key: str) -> Float64:
         column = np.full(len(self.logged), np.nan)
-        cells = self.cells[key]
-        column[list(cells)] = list(cells.values())
+        column[list(self.cells[key])] = list(self.cells[key].values())
         return frozen_float(column)
+
+
+@dataclass
+class _Bag:
+    streams: dict[tuple[Any, ...], _Stream] = field(default_factory=dict)
+    names: dict[Any, list[str]] = field(default_factory=dict)
+    """Names by the version that other messages refer to."""
+    passed: set[str] = field(default_factory=set)
+    long: dict[str, int] = field(default_factory=dict)
+
+    def add(self, topic: str, logged: int, body: Any) -> int:
+        """Take a message; the count of its numbers."""
+        fields = dict(_fields(body))
+        version = fields.get("names_version")
+        joints = _names_in(body)
+        if version is not None and joints:
+            self.names[version] = joints
+            return 0
+        row = dict(self.numbers(topic, "", body, 0, joints, math.inf if version is not None else MAX_WIDTH))
+        key = (topic, version, *sorted(joints))
+        stream = self.streams.setdefault(key, _Stream(topic))
+        for name, value in row.items():
+            stream.cells.setdefault(name, {})[len(stream.logged)] = value
+        stream.logged.append(logged)
+        stream.stamps.append(_stamp(fields))
+        if (order := tuple(joints)) not in stream.orders:
+            stream.orders.append(order)
+        return len(row)
+
+    def numbers(
+        self, topic: str, name: str, value: Any, depth: int, names: Sequence[str], most: float
+    ) -> Iterator[tuple[str, float]]:
+        """Names and numbers of everything in a message."""
+        if isinstance(value, bool | int | float):
+            yield name, float(value)
+        elif isinstance(value, list | tuple | np.ndarray):
+            if len(value) > most and len(names) != len(value):
+                self.long[f"{topic}{name}"] = len(value)
+                return
+            keys = names if len(names) == len(value) else range(len(value))
+            for key, entry in zip(keys, value, strict=True):
+                yield from self.numbers(topic, f"{name}[{key}]", entry, depth + 1, (), most)
+        elif depth <= _DEPTH and not isinstance(value, str | bytes):
+            own = _names_in(value) or names
+            for field_name, entry in _fields(value):
+                if not (depth == 0 and field_name == "header"):
+                    yield from self.numbers(topic, f"{name}.{field_name}", entry, depth + 1, own, most)
+
+
+def read_mcap(path: Path, source: Source, *, beside: Path | None = None) -> Table:
+    """Columns of all topics whose messages hold numbers."""
+    bag, left = _Bag(), MAX_VALUES
+    with path.open("rb") as file:
+        ros = mcap_ros2.decoder.DecoderFactory()
+        for schema, channel, message in mcap.reader.make_reader(file).iter_messages():
+            decode = (
+                json.loads
+                if channel.message_encoding == "json"
+                else ros.decoder_for(channel.message_encoding, schema)
+            )
+            if decode is None:
+                bag.passed.add(channel.message_encoding if schema is None else schema.encoding)
+                continue
+            left -= bag.add(channel.topic, message.log_time, decode(message.data))
+            if left < 0:
+                raise InputError(
+                    f"{path}: more than {MAX_VALUES} numbers; cut the bag to the topics needed",
+                    code="too_large",
+                )
+    for (_, version, *_), stream in bag.streams.items():
+        # Names may be said once, before the values or after them.
+        stream.name_entries(bag.names.get(version, []))
+    streams = list(bag.streams.values())
+    columns, clocks, aliases = _columns(streams)
+    if not clocks:
+        other = f" (messages in {', '.join(sorted(bag.passed))} are not read)" if bag.passed else ""
+        raise InputError(
+            f"{path}: holds no topic with numbers in at least two messages{other}", code="no_data"
+        )
+    reasons = ["the file is MCAP"]
+    reasons += [f"joints of {s.topic}: {', '.join(s.orders[0])}" for s in streams if any(s.orders)]
+    reasons += [f"messages in {e} are not read" for e in sorted(bag.passed)]
+    reasons += [f"{n!r} is a list of {k} numbers without names: not read" for n, k in bag.long.items()]
+    return Table(
+        str(path), columns, line_word="message", units=dict.fromkeys(clocks.values(), "s"), clocks=clocks,
+        aliases=aliases, reasons=tuple(reasons),
+    )  # fmt: skip
 
 
 def _columns(streams: Sequence[_Stream]) -> tuple[dict[str, Float64], dict[str, str], dict[str, str]]:
@@ -135,16 +170,15 @@ def _columns(streams: Sequence[_Stream]) -> tuple[dict[str, Float64], dict[str, 
     set_ = [t for s in full for t in s.stamps if t]
     # Stamps of a simulated clock are no dates: they count from their own first.
     near = bool(set_) and abs(set_[0] - logged) < _DAY
-    stamped = logged if near or not set_ else min(t for s in full if s.is_stamped for t in s.stamps if t)
+    stamped = logged if near or not set_ else min(set_)
     columns: dict[str, Float64] = {}
     clocks: dict[str, str] = {}
     aliases: dict[str, str] = {}
     for stream in sorted(full, key=lambda s: (s.topic, -len(s.logged))):
         clock = f"time of {stream.topic}"
-        alone = clock not in columns
-        if not alone:
+        if clock in columns:
             clock = f"time of {stream.topic} ({', '.join(stream.orders[0][:3])})"
-        columns[clock] = frozen_float(stream.instants(stamped if stream.is_stamped else logged))
+        columns[clock] = frozen_float(stream.instants(stamped if any(stream.stamps) else logged))
         own = {key: f"{stream.topic}{key}" for key in stream.cells}
         own = {k: n if n not in columns else f"{n} of {clock}" for k, n in own.items()}
         columns |= {name: stream.column(key) for key, name in own.items()}
@@ -158,11 +192,7 @@ def _columns(streams: Sequence[_Stream]) -> tuple[dict[str, Float64], dict[str, 
     return columns, clocks, aliases
 
 
-_NAMES = ("name", "names", "joint_names", "interface_names")
-"""Fields that hold the names of what lists of the same length in a message hold the numbers of."""
-
-
-def _names(value: Any) -> list[str]:
+def _names_in(value: Any) -> list[str]:
     """Names that a message gives the entries of its lists; none where one comes twice."""
     for key, found in _fields(value):
         if key in _NAMES and isinstance(found, list | tuple) and found:
@@ -171,32 +201,15 @@ def _names(value: Any) -> list[str]:
     return []
 
 
-def _numbers(name: str, value: Any, depth: int, names: Sequence[str] = ()) -> Iterator[tuple[str, float]]:
-    if isinstance(value, bool | int | float):
-        yield name, float(value)
-    elif isinstance(value, str | bytes) or value is None or depth > _DEPTH:
-        return
-    elif isinstance(value, list | tuple | np.ndarray):
-        if len(value) <= _MAX_WIDTH:
-            keys = names if len(names) == len(value) else range(len(value))
-            for key, entry in zip(keys, value, strict=True):
-                yield from _numbers(f"{name}[{key}]", entry, depth + 1)
-    else:
-        own = _names(value) or names
-        for field_name, entry in _fields(value):
-            if not (depth == 0 and field_name == "header"):
-                yield from _numbers(f"{name}.{field_name}", entry, depth + 1, own)
-
-
 def _fields(value: Any) -> list[tuple[str, Any]]:
     if isinstance(value, dict):
         return [(str(k), v) for k, v in value.items()]
     return [(s, getattr(value, s)) for s in getattr(value, "__slots__", ()) if not s.startswith("_")]
 
 
-def _stamp(body: Any) -> int | None:
+def _stamp(fields: Mapping[str, Any]) -> int | None:
     """Nanoseconds of the header's stamp; ``None`` where there is none."""
-    parts = dict(_fields(dict(_fields(dict(_fields(body)).get("header"))).get("stamp")))
+    parts = dict(_fields(dict(_fields(fields.get("header"))).get("stamp")))
     seconds = parts.get("sec", parts.get("secs"))
     rest = parts.get("nanosec", parts.get("nsec", parts.get("nsecs", 0)))
     return seconds * 1_000_000_000 + rest if isinstance(seconds, int) and isinstance(rest, int) else None

@@ -1,4 +1,9 @@
-"""Tables from MDF 4 (ASAM measurement data: CANape, INCA, Vector and CSS loggers), through asammdf."""
+"""Tables from MDF 4 (ASAM measurement data: CANape, INCA, Vector and CSS loggers), through asammdf.
+
+asammdf reads in C. A damaged file makes it print, and one in a few hundred corrupts memory ("malloc():
+invalid size"), so it works in a process of its own, where nothing else can be lost:
+``python -m invid.recording.readers.mdf_table FILE OUT``.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +11,31 @@ import pickle
 import subprocess
 import sys
 import tempfile
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from invid.errors import InputError
-from invid.numerics.arrays import frozen_float
+from invid.recording.import_map import Source
+from invid.recording.readers.arrays import table_of
+from invid.recording.readers.kinds import first_line, further_kind, limit_numbers
 from invid.recording.tables import Table
 
 TIME_LIMIT = 600.0
 """Seconds; a gigabyte takes one or two minutes."""
 
 
-def read_mdf_table(path: Path) -> Table:
-    """Columns of an MDF file: one clock for each channel group, values physical as the file converts them."""
+def read_mdf(path: Path, source: Source, *, beside: Path | None = None) -> Table:
+    """Columns of an MDF file, a clock for each channel group, values as the file converts them; or a CAN
+    log."""
     if find_spec("asammdf") is None:
-        raise InputError(f"{path}: MDF needs the package asammdf; install it with pip install 'invid[mdf]'")
+        raise ModuleNotFoundError("asammdf", name="asammdf")
     with tempfile.TemporaryDirectory(prefix="invid-mdf-") as folder:
-        out = Path(folder) / "columns"
-        command = [sys.executable, "-m", "invid.recording.readers.mdf_process", str(path.resolve()), str(out)]
+        out = Path(folder) / "table"
+        command = [sys.executable, "-m", "invid.recording.readers.mdf_table", str(path.resolve()), str(out)]
         try:
             subprocess.run(
                 command, check=True, timeout=TIME_LIMIT, capture_output=True, stdin=subprocess.DEVNULL
@@ -34,12 +46,46 @@ def read_mdf_table(path: Path) -> Table:
             raise InputError(f"{path}: reading it as MDF took more than {TIME_LIMIT:.0f} s") from None
         except (subprocess.CalledProcessError, OSError):
             raise InputError(
-                f"{path}: cannot be read as MDF: asammdf broke off on it; it is damaged"
+                f"{path}: cannot be read as MDF: asammdf broke off on it; it is damaged", code="unreadable"
             ) from None
-    if found["error"]:
-        raise InputError(f"{path}: cannot be read as MDF: {found['error']}")
-    if not found["clocks"]:
-        raise InputError(f"{path}: holds no channel of real numbers with at least two samples")
-    columns = {n: frozen_float(c) for n, c in found["columns"].items()}
-    said = ("the file is ASAM MDF",)
-    return Table(str(path), columns, units=found["units"], clocks=found["clocks"], reasons=said)
+    if isinstance(found, str):
+        raise InputError(f"{path}: cannot be read as MDF: {found}", code="unreadable")
+    if source.kind != "mdf" and any(n.startswith("CAN_DataFrame") for n in found.columns):
+        return further_kind("can_log")(path, source, beside=beside)
+    return Table(
+        str(path), found.columns, units=found.units, clocks=found.clocks, reasons=("the file is ASAM MDF",)
+    )
+
+
+def _table(path: Path) -> Table:
+    columns: dict[str, Any] = {}
+    clocks: dict[str, str] = {}
+    units: dict[str, str] = {}
+    # Only here: the reader above waits for a process that has it.
+    with import_module("asammdf").MDF(path) as file:
+        groups: list[Any] = list(file.groups)
+        claimed = {str(i): g.channel_group.cycles_nr * len(g.channels) for i, g in enumerate(groups)}
+        limit_numbers(claimed, path)
+        for index, group in enumerate(groups):
+            clock = f"time of group {index}" if "time" in columns else "time"
+            for number, channel in enumerate(group.channels):
+                if channel.channel_type in (2, 3):
+                    continue  # the master itself
+                signal = file.get(group=index, index=number)
+                values, instants = np.asarray(signal.samples), np.asarray(signal.timestamps, dtype=float)
+                numbers = values.dtype.kind in "iufb" and values.ndim == 1 and values.size >= 2
+                if not numbers or instants.size != values.size:
+                    continue  # text and arrays
+                columns[clock], units[clock] = instants, "s"
+                name = channel.name if channel.name not in columns else f"{channel.name}.{index}.{number}"
+                columns[name], clocks[name] = values.astype(np.float64), clock
+                units |= {name: signal.unit} if signal.unit else {}
+    return Table(str(path), table_of(path, columns, {}).columns, units=units, clocks=clocks)
+
+
+if __name__ == "__main__":
+    try:
+        result: Table | str = _table(Path(sys.argv[1]))
+    except Exception as error:  # by kind of damage: MdfException, struct.error, ValueError, …
+        result = first_line(error)
+    Path(sys.argv[2]).write_bytes(pickle.dumps(result, protocol=5))

@@ -4,44 +4,32 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import nptdms.log
 import numpy as np
 
-from invid.errors import InputError
 from invid.numerics.arrays import Float64, frozen_float
+from invid.recording.import_map import Source
+from invid.recording.readers.arrays import table_of
+from invid.recording.readers.kinds import limit_numbers
 from invid.recording.tables import BrokenRow, Table
 
-MAX_VALUES = 200_000_000
+# What it would print of a file that was cut off is said of the file here.
+nptdms.log.log_manager.set_level(logging.CRITICAL)
 
 
-def read_tdms_table(path: Path) -> Table:
+def read_tdms(path: Path, source: Source, *, beside: Path | None = None) -> Table:
     """Columns of a TDMS file: a clock for each waveform's start and step, dates as seconds since 1970."""
-    if find_spec("nptdms") is None:
-        raise InputError(f"{path}: TDMS needs the package npTDMS; install it with pip install 'invid[tdms]'")
-    import nptdms.log  # noqa: PLC0415 (an extra: not everybody has it)
-
-    # What it would print of a file that was cut off is said of the file here.
-    nptdms.log.log_manager.set_level(logging.CRITICAL)
-    try:
-        with nptdms.TdmsFile.open(path) as file:
-            channels = [c for group in file.groups() for c in group.channels()]
-            claimed = sum(len(c) for c in channels)
-            if claimed > MAX_VALUES:
-                raise InputError(f"{path}: {claimed} numbers, more than this program reads from one file")
-            table = _table(path, channels)
-            if not file.file_status.incomplete_final_segment:
-                return table
-            last = max(c.size for c in table.columns.values())
-            cut = BrokenRow(path.name, last, "the file ends within its last segment")
-            return replace(table, broken=(cut,))
-    except InputError:
-        raise
-    except Exception as error:  # by kind of damage: ValueError, struct.error, KeyError, …
-        said = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        raise InputError(f"{path}: cannot be read as TDMS: {said}; is it whole?") from None
+    with nptdms.TdmsFile.open(path) as file:
+        channels = [c for group in file.groups() for c in group.channels()]
+        limit_numbers({f"{c.group_name}/{c.name}": len(c) for c in channels}, path)
+        table = _table(path, channels)
+        if not file.file_status.incomplete_final_segment:
+            return table
+    last = max(c.size for c in table.columns.values())
+    return replace(table, broken=(BrokenRow(path.name, last, "the file ends within its last segment"),))
 
 
 def _table(path: Path, channels: list[Any]) -> Table:
@@ -65,15 +53,13 @@ def _table(path: Path, channels: list[Any]) -> Table:
         step = float(channel.properties.get("wf_increment", 0.0))
         if step > 0:
             start = float(channel.properties.get("wf_start_offset", 0.0))
-            key = (start, step, values.size)
-            clock = known.setdefault(key, "time" if not known else f"time of {name}")
-            clock = known[key] = f"waveform {clock}" if clock in names else clock
+            clock = "time" if not known else f"time of {name}"
+            clock = known.setdefault(
+                (start, step, values.size), f"waveform {clock}" if clock in names else clock
+            )
             columns.setdefault(clock, frozen_float(start + step * np.arange(values.size)))
             units[clock] = "s"
             clocks[name] = clock
-    if not columns:
-        raise InputError(f"{path}: holds no channel of real numbers with at least two samples")
-    return Table(
-        str(path), columns, units=units, stamped=frozenset(stamped), clocks=clocks,
-        reasons=("the file is TDMS",),
-    )  # fmt: skip
+    return replace(
+        table_of(path, columns, units, frozenset(stamped)), clocks=clocks, reasons=("the file is TDMS",)
+    )

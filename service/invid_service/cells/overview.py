@@ -25,7 +25,7 @@ def overview(runs: Sequence[RunRecord], occupied_by: LiveRun | None, ready: Read
     elif last is not None and last.state is State.AWAITING_ACCEPT:
         state = str(last.state)
     else:
-        state = "ready" if ready.can_start else "not_ready"
+        state = ("ready" if ready.is_asked else "unknown") if ready.can_start else "not_ready"
     return Overview(
         state=state,
         last_run=None if last is None else _last_run(last),

@@ -17,6 +17,7 @@ from invid.errors import InvidError
 from invid.planning.build import axes_left_out, subset_sentence
 from invid_drivers.cia402.standing.holding import Reason as CellReason
 from invid_drivers.cia402.stated.scales import MUCH_OF_RATED, limit_over_rated
+from invid_drivers.connect import is_virtual
 from invid_service.jobs.live import LiveRun
 
 _KEPT_S = 4.0
@@ -53,10 +54,11 @@ class Reason(_Said):
 class Note(_Said):
     """What keeps nothing from starting and must be known: a stable code, a sentence, a way out.
 
-    Axes that are energised and will be taken over; torque limits beyond what their drives give.
+    Axes that are energised and will be taken over; torque limits beyond what their drives give; drives that
+    nobody has asked.
     """
 
-    code: Literal["axis_energised", "limit_beyond_drive"]
+    code: Literal["axis_energised", "limit_beyond_drive", "drives_not_asked"]
 
 
 class Readiness(BaseModel):
@@ -66,6 +68,11 @@ class Readiness(BaseModel):
     reasons: list[Reason]
     notes: list[Note] = []
     simulated: bool = False
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether the drives were asked, so that nothing against a start means that the cell is ready."""
+        return all(n.code != "drives_not_asked" for n in self.notes)
 
 
 class Checked(Readiness):
@@ -94,17 +101,30 @@ class Situation:
     """What is known against the drives: remembered, or as they were asked."""
     refusal: InvidError | None = None
     """With what ``invid check`` and the run would refuse to plan."""
+    answer: Answer | None = None
+    """The last answer of the drives; ``None``: nobody has asked them."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the drives said last: nothing against a start, or why not and what to do."""
+
+    at: datetime
+    text: str = ""
+    fix: str = ""
 
 
 class RecentAnswers:
     """Cache of whether cells can start, so that a poll waits for no store and no plan."""
 
     def __init__(self) -> None:
-        self._said: dict[str, bool] = {}
+        self._said: dict[str, bool | None] = {}
         self._asked: dict[str, tuple[float, asyncio.Task[None]]] = {}
 
     def of(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> bool | None:
-        """Return the last answer, ``None`` before the first: a plan takes its time, and no poll waits."""
+        """Return the last answer, ``None`` before the first (a plan takes its time, and no poll waits) and
+        where nobody has asked the drives.
+        """
         at, task = self._asked.get(cell, (0.0, None))
         if task is None or (task.done() and time.monotonic() - at >= _KEPT_S):
             task = asyncio.create_task(self._ask(cell, ask))
@@ -112,7 +132,8 @@ class RecentAnswers:
         return self._said.get(cell)
 
     async def _ask(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> None:
-        self._said[cell] = (await ask()).can_start
+        answer = await ask()
+        self._said[cell] = answer.can_start if answer.is_asked else None
 
 
 def readiness(s: Situation) -> Readiness:
@@ -190,8 +211,19 @@ def readiness(s: Situation) -> Readiness:
                 code="check_refused",
                 text=text,
                 fix=s.refusal.way_out
-                or "change the config as it says; `invid check` tells whether it will do",
+                or "mend what it says, then ask the drives again (`invid check` does, too)",
                 values={"text": str(s.refusal)},
+            )
+        )
+    hardware = s.mode != "simulate" and not is_virtual(s.config)
+    if hardware and s.answer is not None and s.answer.text:
+        reasons.append(
+            Reason(
+                code="check_refused",
+                text=s.answer.text,
+                fix=s.answer.fix,
+                values={"text": s.answer.text},
+                seen=s.answer.at,
             )
         )
     left_out = axes_left_out(s.config, s.axes)
@@ -205,6 +237,14 @@ def readiness(s: Situation) -> Readiness:
             )
         )
     notes = [_taken_over(d) for d in drives if d.taken_over] + _limits_beyond_drives(s.config)
+    if hardware and s.answer is None and not reasons:
+        notes.append(
+            Note(
+                code="drives_not_asked",
+                text="the drives have not been asked: whether they answer is not known",
+                fix="ask them; a measurement asks them before anything moves",
+            )
+        )
     return Readiness(can_start=not reasons, reasons=reasons, notes=notes, simulated=s.config.simulated)
 
 

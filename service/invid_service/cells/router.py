@@ -168,6 +168,7 @@ def _stop(service: Service, cell: Cell, caller: Caller) -> StopAnswer:
         cell=cell.id,
         stopping=run is not None,
         moved=run is not None and run.record.state is State.RUNNING,
+        unknown=run is None and service.jobs.is_lost(cell.id),
         identification=identification,
         simulated=cell.simulated,
     )
@@ -352,11 +353,21 @@ async def change_simulation(
     return answer
 
 
+def _refuse_files(patch: Any) -> None:
+    """InputError where a body names a file of this machine: only the config's author may."""
+    if isinstance(patch, dict):
+        if patch.get("eds") is not None:
+            raise InputError("patch: eds names a file of the service's machine; only the cell's config may")
+        for value in patch.values():
+            _refuse_files(value)
+
+
 def _change(cell: Cell, body: SimulationPatch) -> SimulationView:
     if body.reset:
         cell.set_simulation(None)
     if body.payload is not None:
         cell.set_simulation(cell.with_payload(body.payload.axis, body.payload.mass))
     if body.patch is not None:
+        _refuse_files(body.patch)
         cell.set_simulation(merged(cell.simulation, body.patch))
     return _simulation(cell)

@@ -57,7 +57,8 @@ class Overview(BaseModel):
     """One line of a plant's list of cells."""
 
     state: str
-    """Of the run in progress, or ``awaiting_accept``; else ``ready``, or ``not_ready`` (see readiness)."""
+    """Of the run in progress, or ``awaiting_accept``; else ``ready``, ``not_ready`` (see readiness), or
+    ``unknown`` while nobody has asked the drives."""
     last_run: LastRun | None
     changed: str | None
     """What the last result says of changes against the model in force; ``null`` where nothing changed, or
@@ -99,6 +100,8 @@ class StopAnswer(BaseModel):
     """false: nothing was going on, or the run has ended: asked until then, a stop is confirmed by it."""
     moved: bool
     """The run had its drives enabled."""
+    unknown: bool = False
+    """The process of the last run was lost, and nobody saw its axes at rest: look."""
     identification: str | None
     simulated: bool
     note: str = "this stops motion through the drives' protocol; it is not a safety function"

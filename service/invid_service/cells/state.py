@@ -14,10 +14,10 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
 
+from invid_drivers.protocol import Known
 from invid_service.auth import Reader
 from invid_service.cells.registry import Cell
 from invid_service.context import Context
-from invid_service.jobs.protocol import Known
 from invid_service.jobs.schema import FoundCause, polling_headers
 from invid_service.jobs.states import IDLE, OCCUPYING, State
 from invid_service.problems import EVERYWHERE, RETRY_AFTER

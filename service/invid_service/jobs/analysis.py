@@ -7,23 +7,22 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
-from invid.api import diagnose, identify
+from invid.api import diagnose, identify, screen
 from invid.comparison.news import with_stated_inertia
-from invid.comparison.screening import with_its_causes
 from invid.config import CellConfig
-from invid.errors import InputError, RecordingError
+from invid.errors import InputError, NotIdentifiableError, RecordingError
 from invid.identification.stated_inertia import against_stated
 from invid.model.diagnosis_document import Diagnosis, Finding, diagnosis_to_json
-from invid.model.document import dump_json, model_from_json, model_to_json, save_text
+from invid.model.document import Model, dump_json, model_from_json, model_to_json, save_text
 from invid.model.doubts import doubts_of
 from invid.planning.separating_experiments import to_separate
-from invid.recording import read_recording
+from invid.recording import Recording, read_recording
 from invid.report import render_report
 from invid.simulators.open import masses_of
+from invid_drivers.protocol import Line, Read
 from invid_service.jobs.analysis_progress import AnalysisProgress
-from invid_service.jobs.line import Line
 from invid_service.jobs.plots import plot_data
-from invid_service.jobs.protocol import Job, Read
+from invid_service.jobs.protocol import Job
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
 
@@ -48,37 +47,22 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         simulated = job.simulated or bool(recording.attributes.get("simulated", False))
         flag = {"simulated": simulated}
         line.tell(Read(robot=recording.robot, axes=recording.axes, simulated=simulated))
-        tell.begin("identifying")
-        budget = 0.3 * job.budget_s
         accepted = None if job.model is None else model_from_json(job.model, source="accepted model")
-        simulator = None if job.simulator is None else job.folder / job.simulator
-        masses = None if simulator is None else masses_of(simulator, recording.axes)
-        screened = accepted if job.mode == "screen" else None
-        if screened is not None:
-            model = with_its_causes(screened)
+        if job.mode == "screen" and accepted is not None:
+            tell.begin("diagnosing")
+            screening = screen(recording, accepted, budget=job.budget_s, progress=tell.weigh)
+            if screening.diagnosis is None:
+                raise NotIdentifiableError(screening.sentence)
+            diagnosis = screening.diagnosis
+            model = best = diagnosis.model
         else:
-            model = identify(recording, masses=masses, budget=budget, progress=tell.weigh)
-            save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
-        tell.begin("diagnosing")
-        budget = job.budget_s - budget
-        diagnosis = diagnose(
-            recording, model=model, budget=budget, progress=tell.weigh, against=simulator,
-            corrected=None if simulator is None else job.folder / f"corrected{simulator.suffix}",
-        )  # fmt: skip
-        if simulator is not None:
-            diagnosis = _with_copy(diagnosis, job, simulator.suffix)
-        model = against_stated(model, recording, accepted)
-        diagnosis = with_stated_inertia(diagnosis, recording, accepted)
+            diagnosis, model = _diagnose_anew(recording, accepted, job, tell, flag)
+            best = diagnosis.model
+            if not diagnosis.findings:
+                # The identification's own numbers, with what the search for causes said of them.
+                said = ("verdict", "trustworthy", "doubts", "distrust", "unseen")
+                best = replace(model, fit={**model.fit, **{k: best.fit[k] for k in said if k in best.fit}})
         tell.begin("writing the report")
-        best = diagnosis.model
-        if not diagnosis.findings and screened is None:
-            # The identification's own numbers, with what the search for causes said of them.
-            judged = {
-                k: v
-                for k, v in best.fit.items()
-                if k in ("verdict", "trustworthy", "doubts", "distrust", "unseen")
-            }
-            best = replace(model, fit={**model.fit, **judged})
         save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
         save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
         started = {"run": job.id, "started by": job.requested_by}
@@ -102,6 +86,28 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         "separating": separating(diagnosis, job),
         "analysis_s": round(tell.elapsed_s, 1),
     }
+
+
+def _diagnose_anew(
+    recording: Recording, accepted: Model | None, job: Job, tell: AnalysisProgress, flag: Mapping[str, bool]
+) -> tuple[Diagnosis, Model]:
+    """Return the diagnosis of a full record and the model that was identified for it, which is saved at
+    once.
+    """
+    tell.begin("identifying")
+    budget = 0.3 * job.budget_s
+    simulator = None if job.simulator is None else job.folder / job.simulator
+    masses = None if simulator is None else masses_of(simulator, recording.axes)
+    model = identify(recording, masses=masses, budget=budget, progress=tell.weigh)
+    save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
+    tell.begin("diagnosing")
+    diagnosis = diagnose(
+        recording, model=model, budget=job.budget_s - budget, progress=tell.weigh, against=simulator,
+        corrected=None if simulator is None else job.folder / f"corrected{simulator.suffix}",
+    )  # fmt: skip
+    if simulator is not None:
+        diagnosis = _with_copy(diagnosis, job, simulator.suffix)
+    return with_stated_inertia(diagnosis, recording, accepted), against_stated(model, recording, accepted)
 
 
 def _with_copy(diagnosis: Diagnosis, job: Job, suffix: str) -> Diagnosis:

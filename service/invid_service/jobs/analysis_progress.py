@@ -4,14 +4,14 @@ before.
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
-from invid_service.jobs.protocol import Progress
+from invid_drivers.protocol import RunProgress
+from invid_service.jobs.countdown import Countdown, Ticker
 
 BEGINS, ENDS = 0.8, 0.99
 """Shares of a whole run between which the analysis lies; motion comes before it."""
@@ -22,7 +22,6 @@ STAGES = {
     "writing the report": (0.93, 1.0),
 }
 """Shares of the analysis. Empirical: the case study and cells of one to six axes (``bench_service.py``)."""
-EVERY_S = 1.0
 PACE_S = 40.0
 """What a first analysis is thought to take, until its own stages say more: the case study on two cores."""
 _LEAST_S = {"diagnosing": PACE_S, "writing the report": 0.0}
@@ -31,7 +30,7 @@ _LEAST_S = {"diagnosing": PACE_S, "writing the report": 0.0}
 Tell = Callable[..., None]
 
 
-class AnalysisProgress:
+class AnalysisProgress(Ticker):
     """Reports progress every second, and whenever the analysis says what it weighs, until closed.
 
     Time left is by what the last analyses took, of a first one by its own stages. What an analysis says of
@@ -56,7 +55,9 @@ class AnalysisProgress:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        super().__init__()
         self._tell, self._clock = tell, clock
+        self._countdown = Countdown(clock)
         self._expected, self._most = expected_s or PACE_S, most_s
         self._first = expected_s is None
         self._began = clock()
@@ -65,27 +66,11 @@ class AnalysisProgress:
         self._phase, self._axis, self._cause = "", None, None
         self._found: list[dict[str, Any]] = []
         self._lock = threading.Lock()
-        self._over = threading.Event()
 
     @property
     def elapsed_s(self) -> float:
         """Return the seconds since the analysis began."""
         return self._clock() - self._began
-
-    @contextlib.contextmanager
-    def told(self) -> Iterator[None]:
-        """Context manager in which a thread reports progress every second."""
-        ticker = threading.Thread(target=self._tick, name="analysis progress", daemon=True)
-        ticker.start()
-        try:
-            yield
-        finally:
-            self._over.set()
-            ticker.join()
-
-    def _tick(self) -> None:
-        while not self._over.wait(EVERY_S):
-            self.say()
 
     def begin(self, stage: str) -> None:
         """Begin the next stage."""
@@ -113,13 +98,13 @@ class AnalysisProgress:
             # a stage that tells nothing moves on by the clock, up to its end
             share = max(self._share, min(elapsed / self._expected, self._high))
             left, most = self._expected - elapsed, max(self._most - elapsed, 0.0)
-            told = Progress(
+            told = RunProgress(
                 fraction=BEGINS + share * (ENDS - BEGINS),
                 phase=self._phase,
                 axis=self._axis,
                 cause=self._cause,
                 found=tuple(self._found),
-                eta_s=min(left, most) if left > 0.0 else None,
+                eta_s=self._countdown.left(min(left, most) if left > 0.0 else None),
                 most_s=most,
             )
         self._tell(told, always=always)

@@ -12,8 +12,7 @@ from fastapi import APIRouter, Depends, Query, Response
 
 from invid.comparison.pairs import name_of
 from invid.errors import InvidError
-from invid.model.diagnosis_document import Diagnosis, load_diagnosis
-from invid.model.document import load_model
+from invid.model.diagnosis_document import Diagnosis, load_diagnosis, load_model
 from invid.report.branch_drawing import branch_drawing
 from invid_service.auth import Reader
 from invid_service.context import Context

@@ -1,29 +1,26 @@
-"""Start the runner process and talk to it."""
+"""Start processes that work for the service, and follow them on its event loop."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
 import os
-import sys
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-from pydantic import ValidationError
-
-from invid_service.jobs.protocol import TOLD, Job, Told, Wish
+from invid_drivers.protocol import Arm, Process, Stop, launch
+from invid_service.jobs.protocol import Job, Told
 
 log = logging.getLogger(__name__)
-_LINE_LIMIT = 16 * 1024 * 1024
 
 
 class Worker(Protocol):
     """Protocol of a running job, whatever process or double runs it."""
 
-    async def send(self, wish: Wish) -> None:
+    def send(self, wish: Arm | Stop) -> None:
         """Tell the runner what is wished; nothing happens where it is gone."""
 
     def messages(self) -> AsyncIterator[Told]:
@@ -40,83 +37,62 @@ Launcher = Callable[[Job], Awaitable[Worker]]
 
 
 class ProcessWorker:
-    """Runner as a process of its own session: a Ctrl-C meant for the service does not reach it."""
+    """A process of its own session: a Ctrl-C meant for the service does not reach it."""
 
-    def __init__(self, process: asyncio.subprocess.Process) -> None:
+    def __init__(self, process: Process) -> None:
         self._process = process
+        self._loop = asyncio.get_running_loop()
+        self._said: asyncio.Queue[Any] = asyncio.Queue()
+        self._status: asyncio.Future[int] = self._loop.create_future()
+        threading.Thread(target=self._read, name="reader", daemon=True).start()
 
-    @property
-    def pid(self) -> int:
-        """Return the process id."""
-        return self._process.pid
+    @classmethod
+    async def start(cls, module: str, task: object, printed: Path) -> ProcessWorker:
+        """Start a module in a process and hand it its task; what it prints goes to a file."""
+        return cls(await asyncio.to_thread(_launch, module, task, printed))
 
-    async def send(self, wish: Wish) -> None:
-        """Write one line to the runner."""
-        await self.write(json.dumps({"type": wish}))
-
-    async def write(self, line: str) -> None:
-        """Write one line of JSON."""
-        pipe = self._process.stdin
-        if pipe is None or pipe.is_closing():
-            return
-        with contextlib.suppress(ConnectionError, OSError):
-            pipe.write(line.encode() + b"\n")
-            await pipe.drain()
-
-    async def messages(self) -> AsyncIterator[Told]:
-        """Yield what the lines say; one that is not of the protocol is passed over."""
-        pipe = self._process.stdout
-        while pipe is not None:
+    def _read(self) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody wants to know
             try:
-                line = await pipe.readline()
-            except ValueError:  # longer than the limit: not of our protocol
-                continue
-            if not line:
-                return
-            try:
-                message = TOLD.validate_json(line)
-            except ValidationError as error:
-                log.warning("runner %d: %s", self.pid, error)
-                continue
+                while True:
+                    self._loop.call_soon_threadsafe(self._said.put_nowait, self._process.connection.recv())
+            except (EOFError, OSError):
+                pass
+            except Exception as error:  # half a message, or none of ours
+                log.warning("process %d: %s", self._process.child.pid, error)
+            self._loop.call_soon_threadsafe(self._said.put_nowait, None)
+            self._loop.call_soon_threadsafe(self._end, self._process.child.wait())
+
+    def _end(self, status: int) -> None:
+        if not self._status.done():
+            self._status.set_result(status)
+
+    def send(self, wish: Arm | Stop) -> None:
+        """Tell it what is wished."""
+        self._process.send(wish)
+
+    async def messages(self) -> AsyncIterator[Any]:
+        """Yield what it says, until it ends."""
+        while (message := await self._said.get()) is not None:
             yield message
 
     def kill(self) -> None:
         """End the process now (SIGKILL)."""
-        with contextlib.suppress(ProcessLookupError):
-            self._process.kill()
+        self._process.child.kill()
 
     async def wait(self) -> int:
         """Return the exit status."""
-        return await self._process.wait()
+        return await asyncio.shield(self._status)
 
 
 async def launch_process(job: Job) -> ProcessWorker:
     """Start ``invid_service.jobs.worker`` and hand it the job."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    log = _open_log(job.folder / "worker.log")
-    try:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "invid_service.jobs.worker",
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=log,
-            limit=_LINE_LIMIT,
-            start_new_session=True,
-            env=one_thread(),
-        )
-    finally:
-        os.close(log)
-    worker = ProcessWorker(process)
-    await worker.write(job.model_dump_json())
-    return worker
+    return await ProcessWorker.start("invid_service.jobs.worker", job, job.folder / "worker.log")
 
 
-def one_thread() -> dict[str, str]:
-    """The environment of a process that computes on one thread."""
-    return {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-
-
-def _open_log(path: Path) -> int:
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+def _launch(module: str, task: object, printed: Path) -> Process:
+    one_thread = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    descriptor = os.open(printed, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "wb") as log_file:
+        return launch(module, task, log=log_file, environment=one_thread, own_session=True)

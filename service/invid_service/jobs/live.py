@@ -8,19 +8,19 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Literal
 
+from invid_drivers.protocol import AxisStates, RunProgress
 from invid_service.events import EventLog
 from invid_service.jobs.launcher import Worker
-from invid_service.jobs.protocol import Progress
 from invid_service.jobs.states import ENDED, OCCUPYING, UPLOAD, State, may_follow
 from invid_service.store.store import RunRecord, StoredEvent
 
 Wish = Literal["stop", "cancel", "shutdown"]
 
 
-def progress_of(record: RunRecord) -> Progress:
+def progress_of(record: RunRecord) -> RunProgress:
     """Return the progress of a stored run, in which nothing goes on any more."""
     done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
-    return Progress(fraction=1.0 if done else record.facts.get("progress", 0.0), phase=str(record.state))
+    return RunProgress(fraction=1.0 if done else record.facts.get("progress", 0.0), phase=str(record.state))
 
 
 class WrongStateError(Exception):
@@ -41,6 +41,8 @@ class LiveRun:
         """When it came into its state; the ids of events are a clock."""
         self.worker: Worker | None = None
         self.wish: Wish | None = None
+        self.axes = AxisStates()
+        """What its axes were seen to be last."""
         self.killed = False
         """Its runner did not stop in time: nobody knows what its axes do."""
         self.unsaved = False
@@ -73,10 +75,10 @@ class LiveRun:
         )
         if state in ENDED or state is State.AWAITING_ACCEPT:
             done = state in (State.AWAITING_ACCEPT, State.SUCCEEDED)
-            self.progress = Progress(fraction=1.0 if done else self.progress.fraction, phase=str(state))
+            self.progress = RunProgress(fraction=1.0 if done else self.progress.fraction, phase=str(state))
         else:
             # What belongs to the last state alone does not outlive it.
-            self.progress = Progress(fraction=self.progress.fraction, phase=str(state))
+            self.progress = RunProgress(fraction=self.progress.fraction, phase=str(state))
         if state in ENDED:
             facts = {**self.record.facts, "progress": self.progress.fraction}
             self.record = replace(self.record, facts=facts)
@@ -93,10 +95,10 @@ class LiveRun:
             self.events.close()
         return event
 
-    def advance(self, progress: Progress) -> None:
+    def advance(self, progress: RunProgress) -> None:
         """Take over progress; it never runs backwards."""
         fraction = min(max(progress.fraction, self.progress.fraction), 1.0)
-        self.progress = progress.model_copy(update={"fraction": fraction})
+        self.progress = replace(progress, fraction=fraction)
         data = {
             "state": str(self.record.state),
             "simulated": self.record.simulated,

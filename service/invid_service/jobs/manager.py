@@ -18,21 +18,23 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from invid import disk
 from invid.config import CellConfig
-from invid_drivers.readiness import known_after_death
-from invid_service.jobs.launcher import Launcher
-from invid_service.jobs.live import LiveRun, Wish, WrongStateError
-from invid_service.jobs.protocol import (
-    DISK_FULL_FIX,
-    End,
+from invid_drivers.protocol import (
+    Arm,
+    AxisStates,
+    Done,
     EndedEarly,
-    Job,
     Measured,
     Planned,
-    Progress,
     Read,
     Running,
-    Told,
+    RunProgress,
+    Stop,
 )
+from invid_drivers.readiness import known_after_death
+from invid_service.jobs.last_words import UNKNOWN, unknown_axes
+from invid_service.jobs.launcher import Launcher
+from invid_service.jobs.live import LiveRun, Wish, WrongStateError
+from invid_service.jobs.protocol import DISK_FULL_FIX, End, Job, Told
 from invid_service.jobs.results import Results
 from invid_service.jobs.run_log import tell_began, tell_ended
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
@@ -122,6 +124,11 @@ class JobManager:
         """Return the last started measurement of a cell, in progress or ended; the store is not asked."""
         return self._latest.get(cell)
 
+    def is_lost(self, cell: str) -> bool:
+        """Whether the last measurement of a cell ended and nobody saw its axes at rest."""
+        run = self._latest.get(cell)
+        return run is not None and "axes" in (run.record.facts.get("error") or {})
+
     def remember(self, record: RunRecord) -> None:
         """Take up what was the last measurement of its cell before a restart, or until it ended."""
         if record.cell is not None and record.mode != UPLOAD:
@@ -186,7 +193,7 @@ class JobManager:
             if run.record.state is not State.AWAITING_ARM or run.worker is None or run.wish:
                 raise WrongStateError(str(run.record.state))
             await self._persist(run, run.set(State.RUNNING, self._clock()))
-        await run.worker.send("arm")
+        run.worker.send(Arm())
 
     async def decide(self, run: LiveRun, decision: Decision) -> None:
         """Accept or reject the result; WrongStateError where there is none to decide on."""
@@ -228,7 +235,7 @@ class JobManager:
             return
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self._limits.stop_grace_s):
-                await worker.send("stop")
+                worker.send(Stop())
                 await run.motion_ended.wait()
                 return
         log.error("run %s: the runner did not stop in time and is killed", run.record.id)
@@ -285,7 +292,7 @@ class JobManager:
             if run.wish is not None:
                 worker.kill()
             async for message in worker.messages():
-                if isinstance(message, End):
+                if isinstance(message, Done | EndedEarly):
                     verdict = message
                     run.motion_ended.set()
                     break
@@ -318,8 +325,10 @@ class JobManager:
             case Running():
                 if run.record.state is State.CHECKING:
                     await self._move(run, State.RUNNING)
-            case Progress():
+            case RunProgress():
                 run.advance(message)
+            case AxisStates():
+                run.axes = message
             case Measured(measurement=measurement):
                 run.motion_ended.set()
                 if run.wish is None:
@@ -364,7 +373,7 @@ class JobManager:
     ) -> None:
         self._note_stop(run, verdict)
         moved = run.record.state is State.RUNNING
-        if verdict is None and moved and (run.killed or run.wish is None):
+        if verdict is None and moved:
             await self._lost(run, job, status)
         elif run.wish is not None:
             await self._finish_early(run)
@@ -388,7 +397,7 @@ class JobManager:
                 "please report it, with the log of the service",
             )
         else:
-            await self._succeed(run, job, verdict.summary)
+            await self._succeed(run, job, verdict.result)
 
     async def _lost(self, run: LiveRun, job: Job, status: int) -> None:
         """End a run whose runner was killed, or died, in motion: nobody has seen its axes at rest."""
@@ -401,23 +410,16 @@ class JobManager:
             if run.killed
             else f"the runner process ended without a result (exit status {status})"
         )
-        text = f"{what}; its drives stop by themselves when the master's heartbeat is missing"
-        await self._fail(
-            run,
-            "not-stopped" if run.killed else "runner-died",
-            ". ".join((text, *known)),
-            "look at the robot: make sure that every axis stands, and is off or held; then start again; the "
-            "log of the service says more",
-        )
+        told = unknown_axes(what, run.axes, run.record.axes, known)
+        await self._fail(run, "not-stopped" if run.killed else "runner-died", **told)
 
     @staticmethod
     def _note_stop(run: LiveRun, verdict: End | None) -> None:
         """Note where a motion that ended early stood: what the runner told, or what was seen of it last."""
         stopped = verdict.stopped if isinstance(verdict, EndedEarly) else None
         if verdict is None and run.record.state is State.RUNNING:
-            code = "asked" if run.wish is not None else ""
-            reason = "stopped on request" if run.wish is not None else "the runner process ended by itself"
-            stopped = without_trace(run.progress.phase, run.progress.axis, reason, code)
+            reason = f"the process that moved it was lost; {UNKNOWN}"
+            stopped = without_trace(run.progress.phase, run.progress.axis, reason)
         if stopped is not None:
             run.record = replace(run.record, facts={**run.record.facts, "stopped": stopped})
 
@@ -467,9 +469,9 @@ class JobManager:
             if not run.ended:
                 await self._persist(run, run.set(state, now, {"error": error}))
 
-    async def _fail(self, run: LiveRun, code: str, text: str, fix: str) -> None:
+    async def _fail(self, run: LiveRun, code: str, text: str, fix: str, **more: Any) -> None:
         if not run.ended:
-            await self._move(run, State.FAILED, {"error": {"code": code, "text": text, "fix": fix}})
+            await self._move(run, State.FAILED, {"error": {"code": code, "text": text, "fix": fix, **more}})
 
     async def _move(self, run: LiveRun, state: State, facts: dict[str, Any] | None = None) -> None:
         async with run.lock:

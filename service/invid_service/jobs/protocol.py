@@ -1,23 +1,33 @@
-"""Messages between the service and its runner process: JSON lines over pipes.
-
-Service → runner: the job, then ``Wish`` by ``Wish``; the end of the pipe means stop, so that a service that
-dies takes its motion with it. Runner → service: ``Told``, one after the other; the last is an ``End``.
-"""
+"""The task of a runner; what is said between it and the service is ``invid_drivers.protocol``."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from invid_drivers.protocol import (
+    AxisStates,
+    Done,
+    EndedEarly,
+    Measured,
+    Planned,
+    Read,
+    Running,
+    RunProgress,
+)
 
-Wish = Literal["arm", "stop"]
+End = Done | EndedEarly
+Told = Planned | Running | RunProgress | AxisStates | Measured | Read | End
+DISK_FULL_FIX = "make room on the disk of the service, then start again; what was measured is kept"
 
 
-class Job(BaseModel):
+@dataclass(frozen=True, kw_only=True)
+class Job:
     """Everything a runner needs to know."""
 
-    model_config = ConfigDict(extra="forbid")
     id: str
     kind: Literal["measure", "analyse"]
     mode: Literal["simulate", "test", "full", "screen", "upload"]
@@ -49,107 +59,6 @@ class Job(BaseModel):
     the service takes a run for hung."""
 
 
-DISK_FULL_FIX = "make room on the disk of the service, then start again; what was measured is kept"
-
-
-class ErrorInfo(BaseModel):
-    """Why a run ended early: a stable code, a sentence, a way out."""
-
-    model_config = ConfigDict(extra="allow")
-    code: str
-    text: str
-    fix: str
-
-
-class _Message(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Planned(_Message):
-    """What will move; without ``arm`` the runner waits for a person."""
-
-    type: Literal["planned"] = "planned"
-    plan: dict[str, Any]
-    arm: bool = False
-
-
-class Running(_Message):
-    """The drives are about to be enabled."""
-
-    type: Literal["running"] = "running"
-
-
-class Known(BaseModel):
-    """What the runs of a measurement that still moves tell so far."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    relative_std: float = Field(ge=0)
-    """Of the mass, spring or coupling that is known worst."""
-    shown: int = Field(ge=0)
-    """Causes that would show at their size of interest."""
-    asked: int = Field(ge=0)
-    """Causes that are of interest."""
-
-
-class Progress(_Message):
-    """How far a run is."""
-
-    type: Literal["progress"] = "progress"
-    fraction: float = 0.0
-    phase: str = ""
-    axis: str | None = None
-    frequency: float | None = None
-    """[Hz]"""
-    eta_s: float | None = None
-    motion_left_s: float | None = None
-    cause: str | None = None
-    """What the analysis weighs."""
-    most_s: float | None = None
-    found: tuple[dict[str, Any], ...] = ()
-    known: Known | None = None
-
-    @property
-    def place(self) -> tuple[float, str, str | None]:
-        """Where it is: a run that goes on comes to another one."""
-        return self.fraction, self.phase, self.axis
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the members that the contract names."""
-        document = self.model_dump(exclude={"type", "fraction"}, mode="json")
-        return {"progress": self.fraction, **document}
-
-
-class Measured(_Message):
-    """The axes are at rest, and what was seen meanwhile."""
-
-    type: Literal["measured"] = "measured"
-    measurement: dict[str, Any] | None = None
-
-
-class Read(_Message):
-    """Whose recording is analysed."""
-
-    type: Literal["recording"] = "recording"
-    robot: str
-    axes: tuple[str, ...]
-    simulated: bool
-
-
-class Done(_Message):
-    """Everything is written into the folder of the job."""
-
-    type: Literal["done"] = "done"
-    summary: dict[str, Any] = {}
-
-
-class EndedEarly(_Message):
-    """Why a run ended without a result, and where its motion stood."""
-
-    type: Literal["stopped", "failed"]
-    error: ErrorInfo
-    stopped: dict[str, Any] | None = None
-
-
-End = Done | EndedEarly
-Told = Planned | Running | Progress | Measured | Read | End
-TOLD: TypeAdapter[Told] = TypeAdapter(Annotated[Told, Field(discriminator="type")])
+def plain(document: Mapping[str, Any]) -> Any:
+    """Return the document as JSON has it."""
+    return json.loads(json.dumps(document, default=float))

@@ -16,10 +16,10 @@ from sqlalchemy.exc import SQLAlchemyError
 from invid.comparison.changes import Comparison
 from invid.comparison.compare import compare
 from invid.comparison.expectation import answer_expectation
-from invid.comparison.screening import verdict_on
+from invid.comparison.screening import judge_screening
 from invid.diagnosis.headline import Beside, with_headline
 from invid.errors import InvidError
-from invid.model.diagnosis_document import Diagnosis, Verdict, diagnosis_to_json, load_diagnosis
+from invid.model.diagnosis_document import Diagnosis, diagnosis_to_json, load_diagnosis
 from invid.model.document import Model, dump_json, model_from_json, save_text
 from invid.model.doubts import Doubt, DoubtCode
 from invid.model.expectation import Agreement, Answer
@@ -140,22 +140,24 @@ class Results:
                 said = {} if found is None else found[1]["headlines"]
                 return {**summary, **({"headline": said["en"], "headlines": said} if said else {})}
             test = next((d for d in doubts if d.code is DoubtCode.TEST), None)
-            changes = None if found is None else found[0].named
-            beside = Beside(test, answer, self._screened(run))
-            told = with_headline(replace(diagnosis, changes=changes), beside)
+            beside = Beside(test, answer)
+            if run.mode == "screen" and found is not None:
+                screening = judge_screening(diagnosis, found[2], found[0], beside)
+                told = screening.diagnosis or diagnosis
+                summary["screening"] = {"verdict": screening.verdict, "changed": list(screening.changed)}
+                summary["findings"] = []
+            else:
+                changes = None if found is None else found[0].named
+                told = with_headline(replace(diagnosis, changes=changes), beside)
             self._rewrite(run, told, now)
         except (InvidError, SQLAlchemyError, OSError) as error:
             log.error("run %s: no comparison with the accepted model: %s", run.id, error)
             return summary
-        if beside.screened is not None and told.verdict is not Verdict.CONSISTENT:
-            # What a record of seconds finds beside the accepted model is for a full one to name.
-            summary["findings"] = []
-            told = replace(told, findings=(), verdict=Verdict.UNEXPLAINED)
         grade = None if told.grade is None else str(told.grade)
         return {**summary, "headline": told.headline, "headlines": dict(told.headlines), "grade": grade}
 
-    def _against_accepted(self, run: RunRecord) -> tuple[Comparison, dict[str, Any]] | None:
-        """Return what changed since the model in force, and how the interface shows it; ``None``
+    def _against_accepted(self, run: RunRecord) -> tuple[Comparison, dict[str, Any], Model] | None:
+        """Return what changed since the model in force, how the interface shows it, and that model; ``None``
         without one.
         """
         if run.cell is None:
@@ -164,12 +166,7 @@ class Results:
         if old is None or new is None:
             return None
         found, sides = self.changes(run.cell, old, new, averaged=True)
-        return found, {"from": old.id, **changes_view(found, sides)}
-
-    def _screened(self, run: RunRecord) -> Verdict | None:
-        """Return, of a short check, the verdict on the model in force; ``None`` of any other run."""
-        old = None if run.mode != "screen" or run.cell is None else self.in_force(run.cell)
-        return None if old is None else verdict_on(load(old))
+        return found, {"from": old.id, **changes_view(found, sides)}, load(old)
 
     def _diagnosis(self, run: RunRecord) -> Diagnosis | None:
         """Return the stored diagnosis; ``None`` where there is none that can be read."""

@@ -123,16 +123,16 @@ async def get_identification(identification: str, service: Context, _caller: Rea
     """Return state, progress, phase: plain polling is enough."""
     record, live = await service.run(identification)
     # Written here and not by the framework, which would check and turn it over twice: the busiest call.
-    content = view(record, live, recorded=await _recorded(service, record)).model_dump_json()
+    content = view(record, live, kept=await _kept(service, record)).model_dump_json()
     return Response(content, media_type="application/json", headers=polling_headers(record))
 
 
-async def _recorded(service: Service, record: RunRecord) -> bool | None:
-    """Return whether a run that has ended has a recording in the store; ``None`` before."""
-    if record.state not in ENDED:
-        return None
+async def _kept(service: Service, record: RunRecord) -> set[str]:
+    """Return the kinds of files in the store of a run that came to a result or to its end."""
+    if record.state not in ENDED and record.state is not State.AWAITING_ACCEPT:
+        return set()
     blobs = await asyncio.to_thread(service.store.artefacts, record.id)
-    return blobs.get("recording") is not None
+    return {kind for kind, blob in blobs.items() if blob is not None}
 
 
 async def _part(service: Service, identification: str, name: str) -> dict[str, Any]:
@@ -225,7 +225,7 @@ async def act_on_identification(
     if body.type in ("cancel", "reject"):
         await asyncio.to_thread(service.audit.try_write, body.type, caller=caller.name, **facts)
     record, live = await service.run(identification)
-    return view(record, live, recorded=await _recorded(service, record))
+    return view(record, live, kept=await _kept(service, record))
 
 
 async def _apply(

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from invid_drivers.protocol import ErrorInfo, Known
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, progress_of
-from invid_service.jobs.protocol import ErrorInfo, Known
 from invid_service.jobs.stated_change import StatedChange
 from invid_service.jobs.states import ENDED, State
 from invid_service.jobs.stops import EMPTY
@@ -169,6 +169,8 @@ class Identification(BaseModel):
     recorded: bool | None
     """Whether a run that has ended left a recording, to be worked out by ``analysis``; ``null`` in lists, and
     before its end."""
+    tuned: bool
+    """Whether values for the drives were worked out; ``false`` in lists."""
     stopped: StoppedView | None
     """Of a run that ended early while it moved: where, why, the one thing to do, the last seconds."""
     created: datetime
@@ -201,9 +203,11 @@ class IdentificationList(BaseModel):
 
 
 def view(
-    record: RunRecord, live: LiveRun | None, *, trace: bool = True, recorded: bool | None = None
+    record: RunRecord, live: LiveRun | None, *, trace: bool = True, kept: Collection[str] | None = None
 ) -> Identification:
-    """Return the resource of a stored or living run; ``trace``: with the last seconds of a stopped one."""
+    """Return the resource of a stored or living run; ``trace``: with the last seconds of a stopped one,
+    ``kept``: the kinds of its files.
+    """
     if live is not None:
         record, progress = live.record, live.progress
     else:
@@ -225,7 +229,8 @@ def view(
         changed=record.facts.get("changed"),
         axes=list(record.axes),
         error=record.facts.get("error"),
-        recorded=recorded,
+        recorded=None if kept is None or record.state not in ENDED else "recording" in kept,
+        tuned="tuning" in (kept or ()),
         stopped=stopped,
         plan=record.facts.get("plan") if record.state in _PLANNED else None,
         measurement=None

@@ -75,8 +75,7 @@ async def begin_identification(
         record = replace(record, facts=asked)
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
         before = await asyncio.to_thread(_analysis_before, service, cell.id, body)
-        job = _job(service, cell, record, body, in_force, separation)
-        job.expected_analysis_s = before
+        job = replace(_job(service, cell, record, body, in_force, separation), expected_analysis_s=before)
         live = service.jobs.reserve(record)
         try:
             facts = {"cell": cell.id, "identification": record.id, **body.model_dump()}
@@ -104,11 +103,15 @@ def _reused(key: str, cell: Cell) -> Problem:
 
 
 async def _refuse_if_not_ready(service: Service, cell: Cell, body: StartBody) -> None:
-    ready = await service.readiness(cell, body.mode, axes=None if body.axes is None else tuple(body.axes))
+    axes = None if body.axes is None else tuple(body.axes)
+    ready = await service.readiness(cell, body.mode, axes=axes)
+    if ready.reasons and all(r.code == "check_refused" and r.seen for r in ready.reasons):
+        # They refused when they were asked last; they may say otherwise now.
+        ready, _ = await service.ask_drives(cell, body.mode, axes)
     if ready.can_start:
         return
     members: dict[str, Any] = {
-        "reasons": [r.model_dump() for r in ready.reasons],
+        "reasons": [r.model_dump(mode="json") for r in ready.reasons],
         "simulated": cell.simulated,
     }
     detail = "; ".join(r.text for r in ready.reasons)
@@ -252,6 +255,6 @@ def _simulation_of(model: dict[str, Any]) -> dict[str, Any]:
                 "parameters": {n: p["value"] for n, p in e["parameters"].items()},
             }
             for e in model["effects"]
-            if e["cause"] in CAUSES  # not a base, a law without a name, or a cause of a file
+            if e["cause"] in CAUSES  # not a law without a name, or a cause of a file
         ],
     }

@@ -166,14 +166,14 @@ def stopped_by(error: InvidError, run: Run) -> dict[str, Any] | None:
     }
 
 
-def without_trace(phase: str, axis: str | None, reason: str, code: str) -> dict[str, Any]:
-    """Return the facts of a run whose process could not tell."""
+def without_trace(phase: str, axis: str | None, reason: str) -> dict[str, Any]:
+    """Return the facts of a run whose process could not tell: somebody has to look."""
     return {
-        "code": code,
+        "code": "",
         "phase": phase,
         "axis": axis,
         "reason": reason,
-        "action": action_for(code, Run("full", "planned", False, axis)),
+        "action": _OTHERWISE,
         "trace": EMPTY,
     }
 

@@ -1,7 +1,6 @@
 """Run one job in a process of its own, ``python -m invid_service.jobs.worker``.
 
-Reads the job and its wishes on stdin, tells of its progress on stdout (see ``jobs.protocol``). When
-stdin ends, whoever started it is gone: motion is stopped and the process ends.
+When its line ends, whoever started it is gone: motion is stopped and the process ends.
 """
 
 from __future__ import annotations
@@ -18,9 +17,10 @@ from typing import Any
 
 from invid.disk import is_full, not_written
 from invid.errors import DiskFullError, InvidError, SafetyStop
-from invid_service.jobs.line import Line, Stopped, plain
+from invid_drivers.protocol import Done, EndedEarly, ErrorInfo, Line, Stopped, line_of_process
+from invid_service.jobs.last_words import LastWords
 from invid_service.jobs.orphans import hold
-from invid_service.jobs.protocol import DISK_FULL_FIX, Done, EndedEarly, ErrorInfo, Job
+from invid_service.jobs.protocol import DISK_FULL_FIX, Job, plain
 from invid_service.jobs.stops import Run, stopped_by
 from invid_service.precedence import as_everyone
 
@@ -62,7 +62,7 @@ def error_info(error: BaseException) -> ErrorInfo:
 
 def run(line: Line) -> int:
     """Run one job; return the exit status."""
-    job = line.read_job()
+    job: Job = line.read_task()
     resource.setrlimit(resource.RLIMIT_AS, (job.memory_bytes, job.memory_bytes))
     line.listen()
     held = contextlib.ExitStack()
@@ -76,6 +76,7 @@ def run(line: Line) -> int:
         return 4
     except SafetyStop as error:
         told = STOPPED if line.stop.is_set() else error_info(error)
+        LastWords(end=str(error)).write(job.folder)
         line.tell(EndedEarly(type="stopped", error=told, stopped=_stopped_by(error, job)))
         return 4
     except BaseException as error:
@@ -86,11 +87,12 @@ def run(line: Line) -> int:
         # Where the file lies in the service's own folders is nobody's business.
         text = told.text.replace(f"{job.folder}/", "").replace(f" in {job.folder}", "")
         told = told.model_copy(update={"text": text})
+        LastWords(end=text).write(job.folder)
         line.tell(EndedEarly(type="failed", error=told, stopped=stopped))
         return getattr(error, "exit_code", 70)
     finally:
         held.close()
-    line.tell(Done(summary=plain(summary)))
+    line.tell(Done(plain(summary)))
     return 0
 
 
@@ -121,13 +123,11 @@ def _end_with_parent(line: Line, grace_s: float) -> None:
 
 
 def main() -> None:
-    """Run the job of stdin; the pipe is kept apart, so that nothing a library prints breaks the protocol."""
+    """Run the job of the line."""
     as_everyone()  # the cycle process takes its own precedence
-    sink = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    line = Line(sys.stdin.buffer, sink)
+    line = line_of_process()
     status = run(line)
-    line.close()
+    line.close(5.0)
     sys.stderr.flush()
     os._exit(status)
 

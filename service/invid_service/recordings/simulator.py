@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from invid.errors import InputError
-from invid.model.document import model_from_json
+from invid.model.diagnosis_document import document_from_json
 from invid.simulators.plain_xml import parsed
 from invid_service.problems import Problem
 
@@ -33,7 +33,7 @@ def checked_simulator(data: bytes) -> tuple[str, bytes]:
         )
     try:
         if data.lstrip()[:1] == b"{":
-            model_from_json(json.loads(data), source="simulator")
+            document_from_json(json.loads(data), source="simulator")
             return ".json", data
         root = parsed(data, "simulator")
     except (ValueError, RecursionError) as error:

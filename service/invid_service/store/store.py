@@ -5,7 +5,7 @@ Synchronous; called from threads. Failures of the database leave as ``SQLAlchemy
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -227,8 +227,10 @@ class Store:
         with Session(self.engine) as session:
             return [StoredEvent(row.id, row.type, row.data) for row in session.scalars(query)]
 
-    def interrupt_unfinished(self, now: datetime) -> list[RunRecord]:
-        """Mark what a restart cut off; called once, before anything else may start."""
+    def interrupt_unfinished(
+        self, now: datetime, error_of: Callable[[RunRecord], dict[str, Any]]
+    ) -> list[RunRecord]:
+        """Mark what a restart cut off, each with its error; called once, before anything else may start."""
         with Session(self.engine) as session, session.begin():
             query = select(RunRow).where(RunRow.state.in_([str(s) for s in OCCUPYING]))
             rows = list(session.scalars(query))
@@ -236,13 +238,7 @@ class Store:
                 last = session.scalars(
                     select(EventRow.id).where(EventRow.run == row.id).order_by(EventRow.id.desc()).limit(1)
                 ).first()
-                moved = row.state in (State.RUNNING, State.ANALYSING)
-                kept = "; what was measured until then is kept as this run's recording" if moved else ""
-                error = {
-                    "code": "interrupted",
-                    "text": f"the service ended while this run was {row.state}; it was not run again",
-                    "fix": f"look at the robot, then start a new identification{kept}",
-                }
+                error = error_of(_run(row))
                 row.facts = {**row.facts, "error": error}
                 row.state, row.ended = str(State.INTERRUPTED), now
                 identity = max((last or 0) + 1, int(now.timestamp() * 1000))

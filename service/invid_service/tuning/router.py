@@ -18,6 +18,7 @@ from invid_service.links import address
 from invid_service.openapi import ACCEPTED
 from invid_service.problems import EVERYWHERE, RETRY_AFTER, Problem, problem_responses
 from invid_service.store.blobs import KINDS
+from invid_service.tuning.order import Order
 
 router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
 
@@ -66,8 +67,8 @@ async def start_tuning(
     """
     record, _ = await service.run(identification)
     blobs = await asyncio.to_thread(service.store.artefacts, record.id)
-    kinds = [k for k in ("diagnosis", "model") if blobs.get(k) is not None]
-    if "model" not in kinds:
+    found = {k: b for k in ("diagnosis", "model") if (b := blobs.get(k)) is not None}
+    if "model" not in found:
         raise Problem(
             "wrong-state",
             f"identification {record.id} is {record.state} and has no model to tune on",
@@ -75,13 +76,16 @@ async def start_tuning(
             simulated=record.simulated,
         )
     wanted = body or TuningBody()
-    blob = blobs[kinds[0]]
-    order = {
-        **wanted.model_dump(mode="json"),
-        "kind": kinds[0],
-        "source": "" if blob is None else str(service.blobs.path(blob.path)),
-        "simulated": record.simulated,
-    }
+    order = Order(
+        folder=service.blobs.work,
+        source=service.blobs.path(next(iter(found.values())).path),
+        simulated=record.simulated,
+        cycle_s=wanted.cycle_s,
+        notches=wanted.notches,
+        draws=wanted.draws,
+        drive=wanted.drive,
+        motors=wanted.motors,
+    )
     service.tunings.start(record.id, order)
     response.headers["Location"] = address("identifications", record.id, "tuning")
     response.headers["Retry-After"] = str(RETRY_AFTER_S)

@@ -4,17 +4,16 @@ files."""
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import json
 import logging
-import sys
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
-from typing import Any
 
-from invid_service.jobs.launcher import one_thread
+from invid_drivers.protocol import Failed
+from invid_service.jobs.launcher import ProcessWorker
 from invid_service.store.blobs import KINDS, Blobs
 from invid_service.store.store import Store
+from invid_service.tuning.order import Order
 
 log = logging.getLogger(__name__)
 TUNING_KINDS = ("tuning", "tuning-page", "tuning-picture", "tuning-files")
@@ -37,9 +36,8 @@ class Tunings:
         """Why the last try failed, in a sentence; ``None`` where it did not."""
         return self._failed.get(run)
 
-    def start(self, run: str, order: dict[str, Any]) -> None:
-        """Begin; nothing more where it has begun. ``order`` is that of ``worker`` without its
-        folder."""
+    def start(self, run: str, order: Order) -> None:
+        """Begin; nothing more where it has begun. The folder of ``order`` is a scratch folder of the run."""
         if run in self._tasks:
             return
         self._failed.pop(run, None)
@@ -54,12 +52,12 @@ class Tunings:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
-    async def _carry_out(self, run: str, order: dict[str, Any]) -> None:
+    async def _carry_out(self, run: str, order: Order) -> None:
         scratch = f"tuning-{run}"
         try:
             async with self._one:
                 folder = await asyncio.to_thread(self._blobs.scratch, scratch)
-                why = await self._process({**order, "folder": str(folder)})
+                why = await self._process(replace(order, folder=folder))
             if why is None:
                 await asyncio.to_thread(self._keep, run, scratch)
             else:
@@ -75,28 +73,16 @@ class Tunings:
         kept = {kind: self._blobs.put(run, kind, folder / KINDS[kind][0]) for kind in TUNING_KINDS}
         self._store.add_artefacts(run, {k: b for k, b in kept.items() if b is not None}, self._clock())
 
-    async def _process(self, order: dict[str, Any]) -> str | None:
+    async def _process(self, order: Order) -> str | None:
         """Why it did not come to an end well, ``None`` where it did."""
-        process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "invid_service.tuning.worker",
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            env=one_thread(),
-            start_new_session=True,
-        )
+        worker = await ProcessWorker.start("invid_service.tuning.worker", order, order.folder / "worker.log")
         try:
-            said, _ = await asyncio.wait_for(process.communicate(json.dumps(order).encode()), self._timeout_s)
+            async with asyncio.timeout(self._timeout_s):
+                async for message in worker.messages():
+                    return str(message.error) if isinstance(message, Failed) else None
+                return f"the tuning ended with status {await worker.wait()}"
         except TimeoutError:
             return f"the tuning took more than {self._timeout_s:.0f} s"
         finally:
-            if process.returncode is None:
-                with contextlib.suppress(ProcessLookupError):
-                    process.kill()
-                await process.wait()
-        if process.returncode == 0:
-            return None
-        with contextlib.suppress(ValueError, KeyError, TypeError):
-            return str(json.loads(said)["error"])
-        return f"the tuning ended with status {process.returncode}"
+            worker.kill()
+            await worker.wait()

@@ -1,44 +1,24 @@
-"""The process that tunes: reads its order on stdin, writes files into a folder, says on stdout how it
-went."""
+"""The process that tunes: takes its order from its line, writes files into a folder and says how it went."""
 
 from __future__ import annotations
 
-import json
-import sys
 import zipfile
-from pathlib import Path
-from typing import Literal
 
-from pydantic import BaseModel, Field
-
-from invid.api import load_diagnosis, load_model, tune
-from invid.errors import InputError, InvidError
+from invid.api import tune
+from invid.errors import InvidError
+from invid.model.diagnosis_document import load_document
 from invid.model.document import dump_json, load_json, save_text
 from invid.tuning.forms import write_tuning
-from invid.tuning.motor_scale import MotorScale
+from invid_drivers.protocol import Done, Failed, line_of_process
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
-
-
-class Order(BaseModel):
-    """What to tune and where to put it."""
-
-    folder: Path
-    source: Path
-    kind: Literal["diagnosis", "model"]
-    simulated: bool
-    cycle_s: float
-    notches: int
-    draws: int
-    drive: str | None
-    motors: dict[str, MotorScale] = Field(default_factory=dict)
+from invid_service.tuning.order import Order
 
 
 def carry_out(order: Order) -> None:
     """Tune and leave the files of the store's kinds in the folder, all of them once more in one archive."""
-    source = load_diagnosis(order.source) if order.kind == "diagnosis" else load_model(order.source)
-    tuned = tune(source, cycle=order.cycle_s, notches=order.notches, draws=order.draws)
-    written = write_tuning(tuned, order.folder, drive=order.drive, motors=order.motors)
+    tuned = tune(load_document(order.source), cycle=order.cycle_s, notches=order.notches, draws=order.draws)
+    written = write_tuning(tuned, order.folder, drive=order.drive, motors=dict(order.motors))
     path = order.folder / KINDS["tuning"][0]
     save_text(path, dump_json({**load_json(path), "simulated": order.simulated}))
     with zipfile.ZipFile(order.folder / KINDS["tuning-files"][0], "w", zipfile.ZIP_DEFLATED) as archive:
@@ -46,16 +26,17 @@ def carry_out(order: Order) -> None:
             archive.write(order.folder / name, name)
 
 
-def main() -> int:
-    """Exit status 0, or 1 with a JSON object that says why not."""
+def main() -> None:
+    """Carry out the order of the line."""
     behind_parent()
+    line = line_of_process()
     try:
-        carry_out(Order.model_validate_json(sys.stdin.read()))
+        carry_out(line.read_task())
+        line.tell(Done())
     except InvidError as error:
-        print(json.dumps({"error": str(error), "input": isinstance(error, InputError)}))
-        return 1
-    return 0
+        line.tell(Failed(error))
+    line.close()
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

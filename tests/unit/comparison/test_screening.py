@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from invid.api import screen
 from invid.cli.app import run
-from invid.comparison.screening import screen
 from invid.config import CellConfig, load_config
 from invid.errors import ModelError, SafetyStop
 from invid.identification.identify import identify

@@ -8,7 +8,7 @@ from linear_cell import LinearCell, record
 
 from invid.diagnosis.unknown_forces.structure_at_start import begin_with_structure
 from invid.identification.begun import begin_elastic
-from invid.likelihood.unknown_forces.plant import Kind
+from invid.model.plant import Kind
 
 
 @pytest.mark.campaign

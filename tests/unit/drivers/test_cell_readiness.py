@@ -45,12 +45,13 @@ def situation(config: CellConfig, mode: str = "full") -> Situation:
 def test_an_axis_that_was_left_held_is_said_and_taken_over_by_the_service_as_by_the_command(
     cell: CellConfig,
 ) -> None:
-    assert readiness(situation(cell)).notes == []
     memory = HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel))
     memory.keep("drive of A2", Seen(2, loaded=True, holds=True, resumes=True, left_held=True))
     found = readiness(situation(cell))  # nobody answers on the bus: what is remembered counts
     assert found.can_start
-    (note,) = found.notes
+    note, unasked = found.notes
+    assert unasked.code == "drives_not_asked"
+    assert not found.is_asked
     assert note.code == "axis_energised"
     assert "axis A2 (node 2) is energised" in note.text
     assert "takes it over without letting go" in note.text
@@ -58,7 +59,7 @@ def test_an_axis_that_was_left_held_is_said_and_taken_over_by_the_service_as_by_
     assert note.values == {"axis": "A2", "node": "2"}
     assert readiness(situation(cell, "simulate")).notes == []
     memory.keep("drive of A2", Seen(2, loaded=True, holds=True, resumes=True))
-    assert readiness(situation(cell)).notes == []
+    assert [n.code for n in readiness(situation(cell)).notes] == ["drives_not_asked"]
 
 
 def test_a_held_axis_whose_drive_does_not_go_back_to_operation_keeps_the_cell_from_starting(

@@ -133,7 +133,7 @@ def test_a_smooth_effect_agrees_with_solve_ivp(kind: str, effect: dict[str, Any]
 def test_friction_never_adds_energy() -> None:
     made = plant(case_study(), friction={"coulomb_Nm": 5.0})
     made.state[:9] = np.linspace(-0.1, 0.1, 9)
-    mass, _, stiffness = made.structure.matrices(0.0)
+    stiffness, _, mass = made.structure.matrices(0.0)
     energies = []
     for k in range(400):
         made.advance_to((k + 1) * 5_000_000)
@@ -170,6 +170,7 @@ def test_every_cause_of_the_contract_can_be_put_into_the_plant() -> None:
         "coupling_stiffness": {"stiffness": 500.0},
         "payload_change": {"mass": 2.0, "time": 0.05},
         "parameter_drift": {"rate": 500.0},
+        "base_compliance": {"mass": 40.0, "stiffness": 2e5},
     }
     chains = case_study(damping_ratio=0.01)
     bare = run(plant(chains), excitation, 0.4)

@@ -10,7 +10,7 @@ import pytest
 
 from invid.effects.laws.slider import slide
 from invid.effects.registry import CATALOGUE
-from invid.model.parameters import ChainStructure
+from invid.model.plant import Structure
 
 CONTRACT = {
     "coulomb_friction": {"torque"},
@@ -51,7 +51,7 @@ def test_every_cause_is_explained_in_the_reference(effect) -> None:
 
 
 def test_places_of_springs_and_masses_count_from_the_motor() -> None:
-    structure = ChainStructure((2, 3), ("A1", "A2"), viscous=False, grounded=())
+    structure = Structure((2, 3))
     by_cause = {e.cause: e for e in CATALOGUE}
     springs = [(p.axis, p.element) for p in by_cause["backlash"].places(structure)]
     assert springs == [(0, "spring 1"), (1, "spring 1"), (1, "spring 2")]

@@ -24,7 +24,8 @@ from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effec
 from invid.effects.sizes import Machine
 from invid.effects.units import unit_of
 from invid.model.chains import CoupledChains
-from invid.model.document import ChainStd, EffectTerm, Estimate, Model, load_model
+from invid.model.diagnosis_document import load_model
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.model.law_table import LawTable
 from invid.recording.model import Recording
 from invid.simulation.rigid import simulate_motion

@@ -12,7 +12,7 @@ from invid.effects.effect_files import load_effects
 from invid.effects.law_file import law_file
 from invid.model.document import EffectTerm
 from invid.model.law_table import LawTable
-from invid.model.parameters import ChainStructure
+from invid.model.plant import Structure
 
 KNOWN = ((0.01, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.01))
 
@@ -34,7 +34,7 @@ def test_its_places_are_of_the_kind_where_the_law_was_found(
     file = tmp_path / "bump.py"
     file.write_text(law_file("bump", term), encoding="utf-8")
     (effect,) = load_effects(file)
-    assert {p.kind for p in effect.places(ChainStructure((2, 2), ("A1", "A2")))} == {kind}
+    assert {p.kind for p in effect.places(Structure((2, 2), ("A1", "A2")))} == {kind}
     still = np.zeros(4)
     shape = effect.resistance(PlaceMotion(np.array([-1.0, 0.0, 2.0, 3.0]), still, still), ())
     assert shape[:3, 0] == pytest.approx([-1.0, 0.0, 0.5])

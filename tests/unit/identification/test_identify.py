@@ -121,7 +121,7 @@ def test_the_paper_method_gives_the_same_plant() -> None:
     assert model.method == "paper"
     found = estimates(model_to_json(model))
     for name, value in TWO_TRUTH.items():
-        assert found[name][0] == pytest.approx(value, rel=0.02), name
+        assert found[name][0] == pytest.approx(value, rel=0.002), name
 
 
 def test_a_band_below_the_resonance_shows_one_mass_with_the_experiment_that_would_help() -> None:

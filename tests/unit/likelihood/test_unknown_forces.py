@@ -14,7 +14,6 @@ from invid.identification.missing_torque import axis_missing
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
-from invid.likelihood.unknown_forces.plant import Kind, Plant, Structure
 from invid.likelihood.unknown_forces.shapes import reshape, with_law
 from invid.likelihood.unknown_forces.slope import slope
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
@@ -27,6 +26,7 @@ from invid.likelihood.unknown_forces.supposition import (
 )
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Column, Numbers, evaluate
+from invid.model.plant import Kind, Plant, Structure
 from invid.recording.model import Role
 from invid.signals.record import make_record
 

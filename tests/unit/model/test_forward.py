@@ -7,56 +7,32 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from invid.errors import InputError
 from invid.model.chains import CoupledChains
-from invid.model.forward import condense, frf
+from invid.model.forward import frf
+from invid.model.matrices import Condensed
 
 
-def random_chains(rng: np.random.Generator, counts: list[int], *, damped: bool) -> CoupledChains:
-    masses = [rng.uniform(0.5, 5.0, n) for n in counts]
-    springs = [rng.uniform(500.0, 5000.0, n - 1) for n in counts]
-    dampers = [rng.uniform(0.0, 3.0, n - 1) for n in counts] if damped else None
-    ends = np.array([m[-1] for m in masses])
-    raw = rng.uniform(-1, 1, (len(counts), len(counts)))
-    couplings = np.triu(raw, 1) * np.sqrt(np.outer(ends, ends)) * 0.8 / max(len(counts) - 1, 1)
-    return CoupledChains.build(masses, springs, dampers, couplings + couplings.T)
-
-
-def dense(chains: CoupledChains, omega: float) -> np.ndarray:
-    return chains.stiffness_matrix + 1j * omega * chains.damping_matrix - omega**2 * chains.mass_matrix
-
-
-CASES = [
-    [1],
-    [2],
-    [3],
-    [7],
-    [1, 1],
-    [1, 2, 3],
-    [3, 3, 3],
-    [5, 1, 2, 4],
-    [2, 2, 6, 1, 3, 1, 4, 5],
-]
-
-
-@pytest.mark.parametrize("counts", CASES, ids=str)
-@pytest.mark.parametrize("damped", [False, True], ids=["undamped", "damped"])
-def test_the_recursion_equals_a_dense_solve_to_1e_10(counts: list[int], damped: bool) -> None:
-    rng = np.random.default_rng(len(counts) * 10 + damped)
-    chains = random_chains(rng, counts, damped=damped)
-    held = rng.uniform(0, 300, len(counts)), rng.uniform(0, 2, len(counts)) * damped
-    chains = replace(chains, ground_springs=held[0], ground_dampers=held[1])
-    omega = rng.uniform(0.5, 120.0, 60)
-    got = condense(chains, omega)
-    response = frf(chains, omega)
-    motor = chains.motor_dofs
-    inner = np.setdiff1d(np.arange(chains.dofs), motor)
+def test_motors_see_what_dense_matrices_written_by_hand_give() -> None:
+    masses, springs, dampers = [[2.0], [1.0, 3.0, 4.0]], [[], [700.0, 900.0]], [[], [1.5, 0.5]]
+    chains = CoupledChains.build(
+        masses, springs, dampers, [[0.0, 1.2], [1.2, 0.0]], ground_springs=[30.0, 60.0]
+    )
+    chains = replace(chains, ground_dampers=np.array([0.3, 0.6]))
+    m = np.array([[2.0, 0, 0, 1.2], [0, 1.0, 0, 0], [0, 0, 3.0, 0], [1.2, 0, 0, 4.0]])
+    k = np.array([[30.0, 0, 0, 0], [0, 760.0, -700.0, 0], [0, -700.0, 1600.0, -900.0], [0, 0, -900.0, 900.0]])
+    c = np.array([[0.3, 0, 0, 0], [0, 2.1, -1.5, 0], [0, -1.5, 2.0, -0.5], [0, 0, -0.5, 0.5]])
+    omega = np.linspace(0.5, 60.0, 40)
+    seen = Condensed.of(chains.matrices.dynamic_stiffness(1j * omega), [0, 1])
     for f, w in enumerate(omega):
-        full = dense(chains, w)
-        motion = np.zeros((chains.dofs, chains.branches), dtype=complex)
-        motion[motor] = np.eye(chains.branches)
-        motion[inner] = -np.linalg.solve(full[np.ix_(inner, inner)], full[np.ix_(inner, motor)])
-        stiffness = full[motor] @ motion
-        assert np.abs(got.motion[f] - motion).max() <= 1e-10 * np.abs(motion).max()
-        assert np.abs(got.stiffness[f] - stiffness).max() <= 1e-10 * np.abs(stiffness).max()
-        receptance = np.linalg.inv(full)[np.ix_(motor, motor)]
-        assert np.abs(response[f] - receptance).max() <= 1e-10 * np.abs(receptance).max()
+        full = k + 1j * w * c - w**2 * m
+        inner = -np.linalg.solve(full[2:, 2:], full[2:, :2])
+        np.testing.assert_allclose(seen.motion[f].T, np.vstack([np.eye(2), inner]), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(frf(chains, [w])[0], np.linalg.inv(full)[:2, :2], rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(seen.stiffness[f], np.linalg.inv(frf(chains, [w])[0]), rtol=1e-7)
+
+
+def test_an_undamped_resonance_has_no_receptance() -> None:
+    chains = CoupledChains.build([[1.0, 1.0]], [[200.0]])
+    with pytest.raises(InputError, match="undamped resonance"):
+        frf(chains, [20.0])

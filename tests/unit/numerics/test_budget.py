@@ -18,7 +18,6 @@ import invid
 from invid.cli.app import INTERRUPTED, run
 from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
-from invid.numerics import budget
 from invid.numerics.budget import Budget, use_budget
 from invid.numerics.run_clock import RunClock
 
@@ -48,12 +47,6 @@ def whole(recording: invid.Recording) -> tuple[invid.Model, invid.Diagnosis, flo
     with use_budget(Budget(1e9, clock)):
         found = diagnose(recording, model=model)
     return model, found, clock.now
-
-
-@pytest.fixture(autouse=True)
-def _one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Helpers have clocks of their own."""
-    monkeypatch.setattr("invid.numerics.parallel._cores", lambda: 1)
 
 
 def test_an_identification_that_is_cut_anywhere_gives_a_model_that_says_so(
@@ -115,7 +108,7 @@ def test_ctrl_c_hands_out_the_best_answer_so_far_and_twice_ends_at_once(
     assert any("ended by whoever waited" in w for w in document["warnings"])
 
 
-def test_a_budget_counts_processor_time_and_that_of_helpers_and_waits_no_longer_than_twice(
+def test_a_budget_counts_processor_time_and_waits_no_longer_than_twice(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now, used = [100.0], [5.0, 1.0, 0.5, 0.5, 0.0]
@@ -125,12 +118,6 @@ def test_a_budget_counts_processor_time_and_that_of_helpers_and_waits_no_longer_
     assert clock() == 0.0
     used[0] += 3.0
     assert clock() == pytest.approx(3.0)
-    with use_budget(Budget(60.0, clock)):
-        with budget.use_helpers(2):
-            used[0] += 1.0  # a helper that lives works as much as this process
-            assert clock() == pytest.approx(5.0)
-            used[2] += 0.8
-        assert clock() == pytest.approx(4.8)  # and is counted exactly when it is gone
     now[0] += 20.0
     assert clock() == pytest.approx(10.0)
 

@@ -18,6 +18,7 @@ from invid.recording.hdf5 import read_recording
 from invid.recording.import_map import Source
 from invid.recording.import_source import suggest_map
 from invid.recording.readers.kinds import read_table
+from invid.recording.tables import good_rows
 
 N = 300
 TIME = np.arange(N) * 1e-3
@@ -142,34 +143,28 @@ def test_a_document_in_the_folder_stops_no_import(tmp_path, capsys, beside):
     assert len(read_recording(out).experiments) == 2
 
 
-@pytest.mark.parametrize(("delimiter", "decimal"), [(",", "."), (";", ","), ("\t", ".")])
-def test_a_table_is_the_same_in_blocks_and_as_a_whole(tmp_path, monkeypatch, delimiter, decimal):
-    rows = np.column_stack([TIME, ANGLE, TORQUE])
-    lines = [delimiter.join(f"{v:.9g}".replace(".", decimal) for v in row) for row in rows]
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join([delimiter.join(["time", "position", "torque"]), *lines]))
-    reader = "invid.recording.readers.text_table"
-    with monkeypatch.context() as blocks:
-        blocks.setattr(f"{reader}._BLOCK", path.stat().st_size // 5)
-        blocks.delattr(f"{reader}.read_text")  # what holds a whole file
-        parts = read_table(path, Source())
-    monkeypatch.setattr(f"{reader}.find_spec", lambda name: None)
-    whole = read_table(path, Source())
-    assert list(parts.columns) == list(whole.columns) == ["time", "position", "torque"]
-    np.testing.assert_array_equal(parts.lines, whole.lines)
-    for name, numbers in parts.columns.items():
-        np.testing.assert_array_equal(numbers, whole.columns[name])
-
-
-@pytest.mark.parametrize("odd", ["# a remark", "", "0.5;;", "NaN;1;x", "1;2;3;4"])
-def test_a_row_that_is_no_plain_numbers_is_found_in_a_file_of_blocks(tmp_path, monkeypatch, odd):
+@pytest.mark.parametrize(
+    ("odd", "broken"),
+    [("# a remark", 0), ("", 0), ("0.5;;", 1), ("NaN;1;x", 1), ("1;2;3;4", 1), ("0.1;0 .2;3", 1), ("EOF", 0)],
+)
+def test_a_row_that_is_no_plain_numbers_is_told_with_its_line(tmp_path, odd, broken):
     rows = [f"{t:.3f};{q:.6f};{u:.6f}" for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)]
-    rows.insert(len(rows) // 3, odd)
+    rows.insert(100, odd)
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["time;position;torque", *rows]) + "\n")
-    whole = read_table(path, Source())
-    monkeypatch.setattr("invid.recording.readers.text_table._BLOCK", path.stat().st_size // 9)
-    parts = read_table(path, Source())
-    assert parts.broken == whole.broken
-    for name, numbers in parts.columns.items():
-        np.testing.assert_array_equal(numbers, whole.columns[name])
+    table = read_table(path, Source())
+    columns = {n: table.column(n) for n in ("time", "position", "torque")}
+    good, skipped = good_rows(table, columns, columns["time"], np.ones(table.lines.size, dtype=bool), path)
+    assert [b.line for b in skipped] == [102] * broken
+    np.testing.assert_allclose(columns["torque"][good], TORQUE)
+
+
+@pytest.mark.parametrize("decimal", [".", ","])
+@pytest.mark.parametrize("cell", ["{} ", "  {}", '"{}"'], ids=["blank behind", "blanks before", "quoted"])
+def test_blanks_and_quotation_marks_about_a_number_are_no_part_of_it(tmp_path, decimal, cell):
+    lines = ["time;position;torque"]
+    for row in zip(TIME, ANGLE, TORQUE, strict=True):
+        lines.append(";".join(cell.format(f"{v:.6f}".replace(".", decimal)) for v in row))
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(lines) + "\n")
+    np.testing.assert_allclose(read_table(path, Source()).columns["torque"], TORQUE, atol=1e-6)

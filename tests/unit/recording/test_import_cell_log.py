@@ -13,7 +13,7 @@ import yaml
 
 import invid_drivers.connect
 from invid.cli.app import run
-from invid.model.document import load_model
+from invid.model.diagnosis_document import load_model
 from invid.recording import read_recording
 
 # One axis, two masses 1 and 2 kg·m² on a spring of 1500 N·m/rad; 17-bit encoder.

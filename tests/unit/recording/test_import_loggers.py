@@ -11,7 +11,8 @@ import yaml
 
 from invid.cli.app import run
 from invid.recording import Recording, read_recording
-from invid.recording.readers.mcap_table import read_mcap_table
+from invid.recording.import_map import Source
+from invid.recording.readers.mcap_table import read_mcap
 
 RATE, COUNT = 500.0, 240
 TIME = np.arange(COUNT) / RATE
@@ -132,7 +133,7 @@ def test_joint_states_of_a_bag_are_read_by_their_own_stamps(tmp_path, capsys, en
     recording = imported(path, chart)
     holds(recording)
     assert recording.experiments[0].position[:, 1] == pytest.approx(2 * ANGLE, abs=1e-9)
-    assert "joints of /joint_states: shoulder, elbow" in "".join(read_mcap_table(path).reasons)
+    assert "joints of /joint_states: shoulder, elbow" in "".join(read_mcap(path, Source()).reasons)
 
 
 def bag(path: Path, encoding: str) -> None:

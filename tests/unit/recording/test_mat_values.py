@@ -28,6 +28,12 @@ def structs(*entries: dict) -> np.ndarray:
     return out
 
 
+def written_by_matlab(path: Path) -> None:
+    """The header that MATLAB writes before the HDF5 signature."""
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
 def columns_of(axis: dict) -> tuple[str, str]:
     return axis["position"]["column"], axis["torque"]["column"]
 
@@ -71,6 +77,7 @@ def test_cells_and_struct_arrays_of_v73_are_read_through_their_references(tmp_pa
         cell = file.create_dataset("cells", (1, 2), h5py.ref_dtype)
         cell.attrs["MATLAB_class"] = np.bytes_("cell")
         cell[0, 0], cell[0, 1] = refs["values0"].ref, refs["values1"].ref
+    written_by_matlab(path)
     table = read_table(path, Source())
     np.testing.assert_array_equal(table.column("scope.signals.theta.values"), ANGLE)
     np.testing.assert_array_equal(table.column("scope.signals[0].values"), TORQUE)
@@ -89,6 +96,7 @@ def test_an_object_of_v73_is_refused_by_name_and_its_handle_is_no_data(tmp_path,
         made.attrs["MATLAB_object_decode"] = np.int32(3)
         if beside:
             file["q"], file["t"] = ANGLE[None], TIME[None]
+    written_by_matlab(path)
     if beside:
         table = read_table(path, Source())
         assert set(table.columns) == {"q", "t"}

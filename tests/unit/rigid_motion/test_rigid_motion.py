@@ -11,8 +11,8 @@ from large_motion import RATE, Force, experiment, recording, simulate
 from invid.cli.app import run
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.errors import InvidError
-from invid.model.diagnosis_document import Verdict, diagnosis_to_json
-from invid.model.document import dump_json, load_model
+from invid.model.diagnosis_document import Verdict, diagnosis_to_json, load_model
+from invid.model.document import dump_json
 from invid.recording import Kind, write_recording
 from invid.rigid_motion.model import identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory

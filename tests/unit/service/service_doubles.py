@@ -17,9 +17,22 @@ from fastapi.testclient import TestClient
 
 from invid.model.chains import case_study
 from invid.model.document import ChainStd, Model, model_to_json, parameter_vector
+from invid_drivers.protocol import (
+    Arm,
+    AxisStates,
+    Done,
+    EndedEarly,
+    ErrorInfo,
+    LastSeen,
+    Measured,
+    Planned,
+    Running,
+    RunProgress,
+    Stop,
+)
 from invid_service import service
 from invid_service.app import create_app
-from invid_service.jobs.protocol import TOLD, Job, Told, Wish
+from invid_service.jobs.protocol import Job, Told
 from invid_service.settings import Settings
 
 CELL = """\
@@ -74,18 +87,18 @@ class ScriptedWorker:
 
     def __init__(self, job: Job, director: Director) -> None:
         self.job, self.director = job, director
-        self.said: list[Wish] = []
+        self.said: list[Arm | Stop] = []
         self.stopped = asyncio.Event()
         self.armed = asyncio.Event()
         self.killed = asyncio.Event()
         if job.arm:
             self.armed.set()
 
-    async def send(self, wish: Wish) -> None:
+    def send(self, wish: Arm | Stop) -> None:
         self.said.append(wish)
-        if wish == "arm":
+        if wish == Arm():
             self.armed.set()
-        elif wish == "stop" and not self.director.deaf:
+        elif not self.director.deaf:
             self.stopped.set()
 
     def kill(self) -> None:
@@ -106,30 +119,28 @@ class ScriptedWorker:
         return seen[0]
 
     async def messages(self) -> AsyncIterator[Told]:
-        async for message in self._script():
-            yield TOLD.validate_python(message)
-
-    async def _script(self) -> AsyncIterator[dict[str, Any]]:
-        stopped = {"type": "stopped", "error": {"code": "stopped", "text": "stopped", "fix": "start again"}}
+        stopped = EndedEarly("stopped", ErrorInfo(code="stopped", text="stopped", fix="start again"))
         if self.job.kind == "measure":
             plan = {"duration_s": 10.0, "forecast": [{"axis": "A1", "peak_torque": 5.0, "travel": 0.1}]}
-            yield {"type": "planned", "plan": plan, "arm": self.job.arm}
+            yield Planned(plan, self.job.arm)
             if (seen := await self._until(self.armed)) != "event":
                 if seen == "stop":
                     yield stopped
                 return
-            yield {"type": "running"}
+            yield Running()
+            yield AxisStates(self.director.axes)
             for k in range(3):
-                yield {"type": "progress", "fraction": 0.1 * k, "phase": "A1", "axis": "A1", "eta_s": 5.0}
+                yield RunProgress(fraction=0.1 * k, phase="A1", axis="A1", eta_s=5.0)
             if (seen := await self._until(self.director.go)) != "event":
-                if seen == "stop":
+                if seen == "stop" and not self.director.die:
                     self._recording()
                     yield stopped
                 return
             self._recording()
-            yield {"type": "measured"}
+            yield Measured()
         if self.director.failure is not None:
-            yield {"type": "failed", "error": self.director.failure, "stopped": self.director.stopped}
+            failure = ErrorInfo(**self.director.failure)
+            yield EndedEarly("failed", failure, self.director.stopped)
             return
         if self.director.die:
             return
@@ -137,7 +148,7 @@ class ScriptedWorker:
             return
         self._results()
         summary = {"verdict": self.director.verdict, "sentences": ["All is well."], **self.director.summary}
-        yield {"type": "done", "summary": summary}
+        yield Done(summary)
 
     def _recording(self) -> None:
         with h5py.File(self.job.folder / "recording.h5", "w") as file:
@@ -168,6 +179,8 @@ class Director:
         self.analyse.set()
         self.deaf = False
         self.die = False
+        """The runner ends without a word: at once, or, where it is held up by ``go``, when it is stopped."""
+        self.axes: tuple[LastSeen, ...] = ()
         self.failure: dict[str, Any] | None = None
         self.stopped: dict[str, Any] | None = None
         self.findings: list[dict[str, Any]] = []

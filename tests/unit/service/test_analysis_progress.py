@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import pytest
@@ -38,7 +38,7 @@ def analysis() -> tuple[AnalysisProgress, Clock, list[dict[str, Any]]]:
     told: list[dict[str, Any]] = []
     clock = Clock()
 
-    return AnalysisProgress(lambda p, **_: told.append(p.model_dump()), 40.0, 600.0, clock=clock), clock, told
+    return AnalysisProgress(lambda p, **_: told.append(asdict(p)), 40.0, 600.0, clock=clock), clock, told
 
 
 Analysis = tuple[AnalysisProgress, Clock, list[dict[str, Any]]]

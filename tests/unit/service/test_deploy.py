@@ -17,6 +17,9 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from invid_service.service import _ORPHAN_S
+from invid_service.settings import Settings
+
 ROOT = Path(__file__).parents[3]
 DEPLOY = ROOT / "deploy"
 UNITS = {"invid.service": "invid.service", "invid-can@.service": "invid-can@can0.service"}
@@ -72,6 +75,46 @@ def test_the_commands_are_ones_that_serve_takes() -> None:
     compose = yaml.safe_load((DEPLOY / "compose.yaml").read_text(encoding="utf-8"))
     assert compose["services"]["invid"]["command"][0] == "serve"
     served(compose["services"]["invid"]["command"][1:])
+
+
+def test_what_the_drives_were_told_is_remembered_where_the_container_lasts() -> None:
+    dockerfile = (DEPLOY.parent / "Dockerfile").read_text(encoding="utf-8")
+    state = re.search(r"XDG_STATE_HOME=(\S+)", dockerfile).group(1)  # type: ignore[union-attr]
+    service = yaml.safe_load((DEPLOY / "compose.yaml").read_text(encoding="utf-8"))["services"]["invid"]
+    assert service["read_only"]
+    assert state in [v.split(":")[1] for v in service["volumes"] if not v.endswith(":ro")]
+
+
+def test_whoever_ends_the_service_does_not_end_its_runner() -> None:
+    unit = (DEPLOY / "systemd" / "invid.service").read_text(encoding="utf-8")
+    assert re.search(r"^KillMode=process$", unit, flags=re.MULTILINE)
+    assert re.search(r"^OOMPolicy=continue$", unit, flags=re.MULTILINE)
+    patience = re.search(r"^TimeoutStartSec=(\d+)$", unit, flags=re.MULTILINE).group(1)  # type: ignore[union-attr]
+    assert int(patience) > Settings().stop_grace_s + _ORPHAN_S
+    dockerfile = (DEPLOY.parent / "Dockerfile").read_text(encoding="utf-8")
+    assert 'ENTRYPOINT ["python", "-m", "invid_service.supervision", "invid"]' in dockerfile
+
+
+def test_process_one_outlives_a_service_until_its_runner_has_ended(tmp_path: Path) -> None:
+    held = tmp_path / "held"
+    runner = f"import time, pathlib; time.sleep(2); pathlib.Path({str(held)!r}).touch()"
+    serve = (
+        "import os, signal, subprocess, sys\n"
+        f"subprocess.Popen([sys.executable, '-c', {runner!r}], start_new_session=True)\n"
+        "print('ready', flush=True)\n"
+        "signal.pause()"
+    )
+    one = subprocess.Popen(
+        [sys.executable, "-m", "invid_service.supervision", sys.executable, "-c", serve],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert one.stdout is not None
+    assert one.stdout.readline() == "ready\n"
+    one.terminate()  # which goes to the service, and that dies of it
+    assert one.wait(timeout=30) == 128 + signal.SIGTERM
+    assert held.exists()
+    one.stdout.close()
 
 
 def listening(folder: Path) -> socket.socket:

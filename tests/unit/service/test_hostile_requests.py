@@ -110,6 +110,38 @@ def test_a_stop_asks_for_no_key_and_a_web_site_of_others_cannot_ask_for_it(
         assert {line["caller"] for line in lines} == {"read"}
 
 
+def test_behind_a_proxy_that_changes_the_host_our_page_stops_and_calls_and_others_still_do_not(
+    tmp_path: Path, keys: dict[str, str]
+) -> None:
+    with running(tmp_path, key_file=tmp_path / "keys.json", trusted_proxies=["127.0.0.1"]) as (client, _):
+        changed = {"Host": "127.0.0.1:8000", "Origin": "https://cell.plant.example", "Via": "1.1 proxy"}
+        ours = {**changed, "X-Requested-With": "invid"}
+        for stop in ("/api/v1/cells/cell/stop", "/api/v1/stop"):
+            assert client.post(stop, headers=ours).status_code == 200
+            assert kind(client.post(stop, headers=changed)) == "foreign-origin"
+        body = {"mode": "full", "arm": False}
+        assert client.post(START, json=body, headers={**ours, **bearer(keys["run"])}).status_code == 202
+
+
+def test_a_service_without_keys_knows_no_name_but_those_of_this_machine(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        for host in ("testserver", "evil.example", "127.0.0.1.evil.example"):
+            assert kind(client.get("/api/v1/cells", headers={"Host": host})) == "foreign-origin"
+            assert client.post("/api/v1/stop", headers={"Host": host}).status_code == 200
+        for host in ("127.0.0.1", "127.0.0.1:8000", "localhost:8000", "[::1]:8000"):
+            assert client.get("/api/v1/cells", headers={"Host": host}).status_code == 200
+
+
+def test_a_body_names_no_file_of_the_services_machine(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("[a line that is nobody's business]")
+    with running(tmp_path) as (client, _):
+        for path in (str(tmp_path / "secret"), "/dev/zero"):
+            patch = {"axes": {"A1": {"objects": {"eds": path}}}}
+            answer = client.patch("/api/v1/cells/cell/simulation", json={"patch": patch})
+            assert answer.status_code == 422
+            assert "nobody's business" not in answer.text
+
+
 def test_a_web_site_in_the_technicians_browser_cannot_move_the_robot(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
         body = {"mode": "full", "arm": True}

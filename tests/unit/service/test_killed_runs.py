@@ -15,7 +15,9 @@ from service_doubles import Director, running, settings_in, wait_for
 from sqlalchemy.exc import OperationalError
 
 from invid.recording import Kind, Outcome, Recording, RecordingWriter, read_recording
+from invid_drivers.protocol import AxisStates, LastSeen
 from invid_service.app import create_app
+from invid_service.jobs.last_words import LastWords
 from invid_service.jobs.states import State
 from invid_service.store.blobs import Blobs
 from invid_service.store.store import RunRecord
@@ -39,13 +41,13 @@ def written(path: Path, rows: int) -> RecordingWriter:
     return writer
 
 
-def cut_off(folder: Path, state: State, name: str = RUN) -> Blobs:
+def cut_off(folder: Path, state: State, name: str = RUN, *, simulated: bool = True) -> Blobs:
     """A store in which a run is going on, and nobody who works for it."""
     app = create_app(settings_in(folder), launcher=Director().launch)
     service = app.state.service
     now = datetime.now(UTC)
     record = RunRecord(
-        id=name, cell="cell", robot="test robot", mode="full", axes=AXES, simulated=True, state=state,
+        id=name, cell="cell", robot="test robot", mode="full", axes=AXES, simulated=simulated, state=state,
         created=now, started=now, requested_by="local",
     )  # fmt: skip
     service.store.add_run(record)
@@ -75,6 +77,23 @@ def test_rows_of_a_run_that_was_cut_off_are_its_recording_marked_failed(tmp_path
     assert recording.experiments[0].samples == 2500
     assert recording.experiments[0].position[-1].tolist() == [7497.0, 7498.0, 7499.0]
     assert not scratch.exists()
+
+
+def test_a_run_that_moved_when_its_service_died_is_unknown_axis_by_axis_or_ended_as_its_runner_said(
+    tmp_path: Path,
+) -> None:
+    seen = AxisStates((LastSeen("A1", "quick stop active", 0.0),))
+    for words in (LastWords(seen), LastWords(end="stopped on request"), LastWords()):
+        folder = tmp_path / (words.end or str(len(words.axes.axes)))
+        folder.mkdir()
+        words.write(cut_off(folder, State.RUNNING, simulated=False).scratch(RUN))
+        with running(folder) as (client, _):
+            body = client.get(PATH).json()
+            is_unknown = client.post("/api/v1/cells/cell/stop").json()["unknown"]
+        assert body["state"] == "interrupted"
+        assert ("unknown, look" in body["error"]["text"]) is is_unknown is not bool(words.end)
+        assert ("ended: stopped on request" in body["error"]["text"]) is bool(words.end)
+        assert ("axis A1 was last seen quick stop active" in body["error"]["text"]) is bool(words.axes.axes)
 
 
 def test_a_cut_between_file_and_store_loses_nothing(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from sqlalchemy.exc import OperationalError
 from invid.config import load_config
 from invid.errors import ConfigError
 from invid_drivers.cia402.bus import STOPPED_S
-from invid_drivers.readiness import ask_drives
+from invid_drivers.protocol import LastSeen, Stop
+from invid_drivers.readiness import ask
 from invid_drivers.relay import STOP_S
 from invid_service.app import create_app
 from invid_service.settings import Settings
@@ -168,7 +169,7 @@ def test_what_the_check_would_refuse_is_not_ready_on_the_page_nor_for_a_start_an
     (tmp_path / "cell.yaml").write_text(text)
     config = load_config(tmp_path / "cell.yaml")
     try:
-        ask_drives(config)
+        ask(config).require()
         refusal = ""
     except ConfigError as error:
         refusal = str(error)
@@ -236,6 +237,34 @@ def test_a_runner_that_does_not_hear_the_stop_is_killed(tmp_path: Path) -> None:
         assert director.workers[0].killed.is_set()
         assert failed["error"]["code"] == "not-stopped"
         assert "make sure that every axis stands" in failed["error"]["fix"]
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_after_a_stop_whose_runner_is_lost_every_axis_is_unknown_and_nobody_says_stopped(
+    tmp_path: Path, killed: bool
+) -> None:
+    director = Director()
+    director.go.clear()
+    director.die, director.deaf = True, killed
+    director.axes = (LastSeen("A1", "operation enabled", 0.0),)
+    with running(tmp_path, director, stop_grace_s=0.2 if killed else 5.0) as (client, _):
+        location = start(client)
+        wait_for(client, location, "running")
+        assert client.post(STOP).json()["unknown"] is False  # it is being stopped yet
+        failed = wait_for(client, location, "failed")
+        assert failed["error"]["code"] == ("not-stopped" if killed else "runner-died")
+        assert "nobody saw its axes at rest: unknown, look" in failed["error"]["text"]
+        assert "axis A1 was last seen operation enabled" in failed["error"]["text"]
+        assert "axis A2 was not seen under power" in failed["error"]["text"]
+        assert failed["error"]["axes"][0] == {"axis": "A1", "state": "operation enabled", "at": 0.0}
+        assert failed["error"]["axes"][1] == {"axis": "A2", "state": None, "at": None}
+        assert failed["stopped"]["action"]["code"] == "look"
+        answer = client.post(STOP).json()
+        assert (answer["stopping"], answer["unknown"]) == (False, True)
+        director.die = director.deaf = False
+        director.go.set()
+        wait_for(client, start(client), "awaiting_accept")
+        assert client.post(STOP).json()["unknown"] is False
 
 
 def test_a_stop_reaches_the_runner_while_the_store_is_locked_and_the_disk_is_full(
@@ -456,7 +485,7 @@ def test_a_motion_of_which_nothing_is_heard_is_stopped(tmp_path: Path) -> None:
     with running(tmp_path, director, motion_silence_s=0.3) as (client, _):
         location = start(client)
         ended = wait_for(client, location, "cancelled", timeout=5.0)
-        assert director.workers[0].said[-1] == "stop"
+        assert director.workers[0].said[-1] == Stop()
         assert not director.workers[0].killed.is_set() or ended["error"]["code"] == "timeout"
         assert "hung while running" in ended["error"]["text"]
 

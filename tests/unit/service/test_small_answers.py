@@ -8,8 +8,8 @@ from typing import Any
 
 from service_doubles import CELL, Director, running, wait_for
 
+from invid_drivers.protocol import RunProgress
 from invid_service.jobs.live import LiveRun
-from invid_service.jobs.protocol import Progress
 from invid_service.jobs.states import State
 
 START = {"mode": "full", "arm": True}
@@ -41,7 +41,7 @@ def test_the_state_fits_a_small_buffer_with_the_longest_names_that_there_are(tmp
         record = replace(service.store.run(run.json()["id"]), state=State.RUNNING, ended=None, id="9" * 40)
         longest = LiveRun(record)
         for character in ("\U0001f916", "\x01"):  # four bytes; six where JSON escapes it
-            longest.progress = Progress(
+            longest.progress = RunProgress(
                 fraction=1 / 3,
                 phase=character * 1000,
                 axis="A" * 64,

@@ -18,6 +18,7 @@ from service_doubles import Director, running, settings_in, wait_for
 from invid.errors import ConfigError
 from invid.model.document import model_from_json
 from invid.recording import read_recording
+from invid_drivers.protocol import Stop
 from invid_service.app import create_app
 from invid_service.jobs.states import State
 from invid_service.store.blobs import Blobs
@@ -168,6 +169,6 @@ def test_a_clean_shutdown_stops_the_motion_and_interrupts_the_run(tmp_path: Path
         answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
         location = answer.headers["Location"]
         wait_for(client, location, "running")
-    assert "stop" in director.workers[0].said
+    assert Stop() in director.workers[0].said
     with running(tmp_path) as (client, _):
         assert client.get(location).json()["state"] == "interrupted"

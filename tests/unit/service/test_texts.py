@@ -14,7 +14,7 @@ from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Grade
 from invid.numerics.compiled import COMPILING
 from invid.planning import make_plan
-from invid_drivers.cia402.standing.moving_cell import STOPPING, UNSEEN
+from invid_drivers.cia402.supervisor import STOPPING, UNSEEN
 from invid_service.cells.readiness import Note, Reason
 from invid_service.jobs.analysis_progress import STAGES
 from invid_service.jobs.states import State

@@ -11,6 +11,7 @@ from machines.mujoco_cells import Cell, drawn, measured, users, write, wrong
 
 import invid
 from invid.cli.app import run
+from invid.errors import InputError
 from invid.simulators.judge import judge
 from invid.simulators.open import open_simulator
 
@@ -111,3 +112,39 @@ def test_what_is_no_simulator_of_the_machine_is_refused_with_the_way_out(tmp_pat
             open_simulator(tmp_path / name, recording.axes)
     with pytest.raises(invid.InputError, match="needs against"):
         invid.diagnose(recording, corrected=tmp_path / "c.xml")
+
+
+@pytest.mark.parametrize("name", ["arm.urdf.xacro", "robot.xacro", "bench.sdf", "cell.usd", "cell.usda"])
+def test_other_descriptions_of_robots_are_refused_with_a_way_that_keeps_the_file(tmp_path, name):
+    path = tmp_path / name
+    path.write_text("<robot/>")
+    with pytest.raises(InputError) as refused:
+        open_simulator(path, ["A1"])
+    assert refused.value.code == "simulator_not_read"
+    assert refused.value.way_out
+    assert f"> {name}" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (ModuleNotFoundError("No module named 'mujoco'", name="mujoco"), "not installed.*invid.against"),
+        (
+            ImportError("cannot import name '_x' from 'mujoco'", name="mujoco"),
+            "does not load.*force-reinstall mujoco",
+        ),
+        (
+            ImportError("libmujoco.so.4: cannot open shared object", name="mujoco._structs"),
+            "force-reinstall mujoco",
+        ),
+    ],
+)
+def test_an_engine_that_does_not_load_is_said_with_the_way(tmp_path, monkeypatch, error, said):
+    def fails(name):
+        raise error
+
+    path = tmp_path / "a.xml"
+    path.write_text("<mujoco/>")
+    monkeypatch.setattr("invid.simulators.open.import_module", fails)
+    with pytest.raises(InputError, match=said):
+        open_simulator(path, ["A1"])

@@ -138,7 +138,7 @@ NO_DRIVES = '<robot name="r"><link name="b"/><joint name="j" type="revolute"/></
         ("<mujoco/>", "a URDF has <robot>"),
         (NO_DRIVES, r'the transmissions none; add one a motor.*<joint name="j"/><actuator name="R1">'),
         ('<!DOCTYPE r [<!ENTITY a "b">]><robot/>', "DOCTYPE"),
-        ('<robot><xacro:macro name="m"/></robot>', "xacro robot.urdf > "),
+        ('<robot><xacro:macro name="m"/></robot>', r"xacro robot.urdf > robot\.expanded\.urdf"),
         (("<mechanicalReduction>1.0</mechanicalReduction>", ""), "of R1: has no <mechanicalReduction>"),
         ((">1.0</mechanical", ">fast</mechanical"), "<mechanicalReduction> is 'fast'; give a number"),
         ((">1.0</mechanical", ">0</mechanical"), "give one, not 0"),

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,6 +74,9 @@ class RigidCell:
     def secure(self, loaded: Sequence[bool]) -> bool:
         self.loaded = list(loaded)
         return False
+
+    def set_loops(self, loops: Sequence[Any]) -> None:
+        """It is at rest at once."""
 
     def set_modes(self, modes: Sequence[Mode]) -> None:
         self.modes = list(modes)

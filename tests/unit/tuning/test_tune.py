@@ -48,6 +48,24 @@ def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_
     assert play.bought > 0
 
 
+def test_coarse_encoders_bound_the_gains_and_the_torque_they_make_is_the_one_foretold():
+    count, rated = 2 * np.pi / 2**17, 8.0
+    stated = {"encoder_resolution": count, "rated_torque": rated}
+    coarse = replace(machine(), provenance={"sensors": {"A1": stated, "A2": stated}})
+    tuning = tune_model(coarse, TuneSettings(draws=50))
+    loops = [a.after for a in tuning.axes]
+    timing, move = tuning.settings.timing, slice(0, tuning.command.arrived)
+    ideal = run_loops(coarse, loops, tuning.command, timing)
+    shown = run_loops(coarse, loops, tuning.command, timing, np.full(2, count))
+    for i, axis in enumerate(tuning.axes):
+        foretold = axis.margins_after.ripple
+        assert foretold <= 1.15 * 0.01 * rated
+        assert np.std((shown.torque - ideal.torque)[move, i]) == pytest.approx(foretold, rel=0.3)
+        assert axis.after.gains.velocity_gain < 0.8 * tuned().axes[i].after.gains.velocity_gain
+    assert not any("not bounded" in r for r in tuning.remarks)
+    assert any("not bounded" in r for r in tuned().remarks)
+
+
 def test_a_model_that_is_not_to_be_trusted_is_refused():
     with pytest.raises(NotIdentifiableError, match="not to be trusted"):
         tune_model(replace(machine(), fit={"trustworthy": False}), TuneSettings())

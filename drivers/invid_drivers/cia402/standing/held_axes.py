@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise
 
 from invid.config import CellConfig
 from invid.errors import BusError, SafetyStop
 from invid.numerics.arrays import Bool, Float64
 from invid.sweep.loads import LOAD_SHARE, judge_loads
-from invid.sweep.ports import Clock, Mode, Sample
+from invid.sweep.ports import Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.journal import Entry, Journal
-from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.protection import STAY, SWITCH_OFF
 from invid_drivers.cia402.standing.hold_memory import HoldMemory
 from invid_drivers.cia402.standing.holding import (
@@ -99,7 +98,7 @@ class HeldAxes:
 
     # --- at rest -------------------------------------------------------------------------------
     def weigh_at_once(
-        self, sample: Sample, rated: Sequence[float], modes: Sequence[Mode], driven: Collection[int]
+        self, sample: Sample, rated: Sequence[float], held: Sequence[bool], driven: Collection[int]
     ) -> bool:
         """Whether an axis stays held for the torque it shows at a stop before the one at rest was judged.
 
@@ -109,9 +108,8 @@ class HeldAxes:
         stays = False
         for i, h in enumerate(self.holdings):
             doubted = not self._settled and h.loaded is False and h.can_stay and sample.fresh[i]
-            doubted = doubted and i not in driven
-            held = is_energised(state_of(sample.status[i])) and modes[i] is Mode.HOLD
-            if doubted and held and abs(sample.torque[i]) > LOAD_SHARE * rated[i]:
+            doubted = doubted and i not in driven and held[i] and is_energised(state_of(sample.status[i]))
+            if doubted and abs(sample.torque[i]) > LOAD_SHARE * rated[i]:
                 h.loaded = stays = True
         return stays
 
@@ -173,24 +171,16 @@ class HeldAxes:
             for before, after in pairwise(what.pack(v).hex() for v in values):
                 self._journal.add(Entry(drive.node_id, drive.serial, what.index, what.sub, before, after))
 
-    def set_options(
-        self,
-        cycle: Cycle,
-        clock: Clock,
-        exchange: Callable[[Sequence[float]], Sample],
-        longest_s: float = CHANGE_S,
-    ) -> None:
-        """Write 0x605A as what each axis carries asks for, between two SYNCs."""
+    def set_options(self, cycle: Cycle) -> bool:
+        """Have 0x605A written where a drive must hold a load and was to switch off; whether any is."""
+        asked = False
         for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
-            wanted = SWITCH_OFF if holding.loaded is False and not holding.taken_over else STAY
-            if drive.protection.quick_stop_option == wanted:
-                continue
-            if holding.can_stay and holding.option_writable:
-                drive.protection.quick_stop_option = wanted
-                cycle.set_object(i, od.QUICK_STOP_OPTION, wanted)
-        end = clock.now() + longest_s
-        while cycle.changing and clock.now() < end:
-            exchange([0.0] * len(self._drives))
+            must_stay = holding.loaded is not False and drive.protection.quick_stop_option != STAY
+            if must_stay and holding.can_stay and holding.option_writable:
+                drive.protection.quick_stop_option = STAY
+                cycle.set_object(i, od.QUICK_STOP_OPTION, STAY)
+                asked = True
+        return asked
 
     # --- after the stop ------------------------------------------------------------------------
     def note_end(self, held: Sequence[str], not_off: Sequence[str]) -> None:

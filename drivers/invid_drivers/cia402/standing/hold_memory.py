@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -12,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from invid.errors import BusError
-from invid_drivers.cia402.disk import Disk, open_folder
+from invid_drivers.cia402.disk import Disk
+from invid_drivers.cia402.state_folder import files_of_others, owner_of, read_state, replace_state
 
 
 @dataclass(frozen=True)
@@ -125,15 +125,8 @@ def identity(vendor_id: int, product_code: int, serial: int) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    part = path.with_suffix(".part")
     try:
-        open_folder(path.parent)
-        with part.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        part.chmod(0o666)  # whoever measures next is to know it
-        part.replace(path)
+        replace_state(path, text.encode())
     except OSError as error:
         raise BusError(
             f"{path}: cannot be written ({error.strerror}), and how a loaded axis is held would be "
@@ -142,12 +135,39 @@ def _write(path: Path, text: str) -> None:
 
 
 def _read(path: Path) -> dict[str, Seen]:
-    """What the file holds, by name; one entry for every node where it cannot be read."""
+    """What the file holds, by name, with what other users' runs warn of since; one entry for every node where
+    it cannot be read."""
     try:
-        document: Any = json.loads(path.read_text(encoding="utf-8"))
-        return {str(k): Seen(**v) for k, v in document.items()}
-    except FileNotFoundError:
-        return {}
+        seen = _parse(read_state(path))
     except (OSError, ValueError, TypeError, AttributeError) as error:
         why = error.strerror if isinstance(error, OSError) else "it is damaged"
         return {LOST: Seen(0, suspect=f"what was remembered of it cannot be read: {path}, {why}")}
+    for other in files_of_others(path):
+        try:
+            theirs = _parse(read_state(other, of_another=True))
+            seen |= {k: s for k, v in theirs.items() if (s := _warned(seen, k, v, owner_of(other)))}
+        except (OSError, ValueError, TypeError, AttributeError):
+            continue  # it cannot warn
+    return seen
+
+
+def _parse(data: bytes | None) -> dict[str, Seen]:
+    document: Any = {} if data is None else json.loads(data)
+    return {str(k): Seen(**v) for k, v in document.items()}
+
+
+def _warned(own: Mapping[str, Seen], name: str, theirs: Seen, user: str) -> Seen | None:
+    """What is known of a drive, with what makes careful from what another user's run saw later: that it may
+    carry a load or be energised, or waits for a person. Never that anything holds."""
+    mine = own.get(name) or next((s for s in own.values() if s.node_id == theirs.node_id), None)
+    if mine is not None and mine.at >= theirs.at:
+        return None
+    known = mine or Seen(theirs.node_id)
+    return replace(
+        known,
+        node_id=theirs.node_id,
+        loaded=theirs.loaded or known.loaded,
+        left_held=theirs.left_held or known.left_held,
+        in_run=theirs.in_run or known.in_run,
+        suspect=f"{theirs.suspect} (seen by user {user})" if theirs.suspect else known.suspect,
+    )

@@ -12,13 +12,13 @@ from typing import Any, Literal
 
 from invid.config import AxisConfig, CellConfig
 from invid.errors import DriveError
+from invid.sweep.axis_estimator import STAND_S
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.link import SdoAbortedError, SdoError
 from invid_drivers.cia402.protection import READ_ONLY, STAY, STAYING, SWITCH_OFF
 from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen, identity
-from invid_drivers.cia402.standing.standstill import STAND_S
 from invid_drivers.cia402.states import DriveState, is_energised
 
 BRAKE_MARGIN = 2.0

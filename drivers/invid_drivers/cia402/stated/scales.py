@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from invid.config import AxisConfig
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.stated.units import Scaling, position_per_count
+from invid_drivers.cia402.stated.vendors import Vendor
+
+TURNS_POSITION, TURNS_TORQUE = 0x80, 0x20
+"""Bits of 0x607E: what the drive counts the other way round. The profile has none for torque, drives have."""
 
 AGREEMENT = 0.05
 """Two statements of one scale agree to 5 %: plates and catalogues give two figures (0.13 N·m for 0.128 is
@@ -40,9 +45,7 @@ class Statement:
     """Objects that say it, as "0x6076"."""
 
 
-def agreed(
-    who: str, scale: Statement, overrides: Mapping[str, str], *, drives: bool
-) -> tuple[float | None, str]:
+def agreed(axis: AxisConfig, scale: Statement, *, drives: bool) -> tuple[float | None, str]:
     """The value to use, and what to say of it (empty where nothing).
 
     ``drives``: where both agree, the drive's figure is used, else the config's.
@@ -59,10 +62,10 @@ def agreed(
         return (found if drives else stated), ""
     names = " and ".join(scale.objects)
     both = (
-        f"{who}: {scale.key} is {stated:.6g} {scale.unit}, but {names} of the drive "
+        f"{_who(axis)}: {scale.key} is {stated:.6g} {scale.unit}, but {names} of the drive "
         f"{'say' if len(scale.objects) > 1 else 'says'} {found:.6g} ({stated / found:.3g} times)"
     )
-    reasons = [f"{name}: {overrides[name]}" for name in scale.objects if name in overrides]
+    reasons = [f"{name}: {axis.overrides[name]}" for name in scale.objects if name in axis.overrides]
     if reasons:
         return (
             stated,
@@ -71,21 +74,52 @@ def agreed(
     raise DriveError(
         f"{both}; nothing moves before they agree. Correct {scale.key} (or leave it out: the drive's is "
         f"used), or {scale.objects[0]} in the drive; where the config is right, say why: "
-        f'overrides: {{"{scale.objects[0]}": "reason"}}'
+        f'overrides: {{"{scale.objects[0]}": "reason"}}',
+        axis=axis.name,
+        code="scales_contradict",
     )
 
 
-def read_scaling(drive: Access, warnings: list[str]) -> Scaling:
-    """Scales of a drive, compared with the config's; what is worth saying is added to ``warnings``.
+def _who(axis: AxisConfig) -> str:
+    return f"axis {axis.name} (node {axis.node_id})"
+
+
+Read = Callable[[Object], int | None]
+"""Value of an object of the axis, ``None`` where the drive lacks it."""
+
+
+def read_factors(read: Read, axis: AxisConfig, *, linear: bool, vendor: Vendor) -> Factors:
+    """Scales of an axis by its objects, compared with the config's and with each other.
+
+    Position by 0x608F, 0x6091, 0x6092 and 0x6093, torque by 0x6076, velocity (0x607F) by 0x6096, signs by
+    0x607E. Reads and nothing else.
 
     Raises
     ------
     DriveError
-        A scale is missing, two contradict each other, or the torque limit cannot be meant.
+        With the code ``scale_missing``, ``scales_contradict`` (config and drive, or the drive itself),
+        ``polarity_contradicts`` or ``limit_beyond_command``.
     """
-    scaling = Scaling(_position(drive, warnings), _rated(drive, warnings), drive.config.direction)
-    _compare_limit(drive, scaling.rated_torque, warnings)
-    return scaling
+    asked = _Asked(read, axis, linear, vendor)
+    position, said = asked.position()
+    rated, noted = asked.rated()
+    notes = [n for n in (said, noted, asked.polarity(), *asked.velocity(position), asked.limit(rated)) if n]
+    return Factors(Scaling(position, rated, axis.direction), tuple(notes))
+
+
+@dataclass(frozen=True)
+class Factors:
+    """What the objects of an axis say of its units, agreed with the config, and what is to be said of it."""
+
+    scaling: Scaling
+    notes: tuple[str, ...]
+
+
+def read_scaling(drive: Access, warnings: list[str]) -> Scaling:
+    """``read_factors`` of a drive; what is worth saying is added to ``warnings``."""
+    found = read_factors(drive.find, drive.config, linear=drive.linear, vendor=drive.vendor)
+    warnings += found.notes
+    return found.scaling
 
 
 def require_nominal_current(drive: Access, nominal: Object, whole: int) -> list[str]:
@@ -99,83 +133,184 @@ def require_nominal_current(drive: Access, nominal: Object, whole: int) -> list[
         rated or None,
         (od.RATED_CURRENT.address,),
     )
-    _, note = agreed(drive.who, scale, drive.config.overrides, drives=False)
+    _, note = agreed(drive.config, scale, drives=False)
     return [note] * bool(note)
 
 
-def _position(drive: Access, warnings: list[str]) -> float:
-    length = "m" if drive.linear else "rad"
-    key, stated = f"position_{length}_per_count", drive.config.position_per_count
-    candidates = _position_candidates(drive)
-    if not candidates and stated is None:
-        raise DriveError(
-            f"{drive.who}: 0x608F encoder resolution is missing or 0, so position has no scale; give "
-            f"{key} in the config. {drive.vendor.advice}".rstrip()
+@dataclass(frozen=True)
+class _Asked:
+    """One axis, while its objects are read."""
+
+    read: Read
+    config: AxisConfig
+    linear: bool
+    vendor: Vendor
+
+    @property
+    def who(self) -> str:
+        return _who(self.config)
+
+    def refuse(self, code: str, said: str) -> DriveError:
+        return DriveError(f"{self.who}: {said}".rstrip(), axis=self.config.name, code=code)
+
+    def position(self) -> tuple[float, str]:
+        length = "m" if self.linear else "rad"
+        key, stated = f"position_{length}_per_count", self.config.position_per_count
+        counts = position_counts(self.read, linear=self.linear)
+        if not counts and stated is None:
+            raise self.refuse(
+                "scale_missing",
+                f"0x608F encoder resolution is missing or 0, so position has no scale; give {key} in the "
+                f"config. {self.vendor.advice}",
+            )
+        if stated is None and not agree(counts):
+            raise self.refuse(
+                "scales_contradict",
+                f"the drive contradicts itself in what a count of 0x6064 is [{length}]: {in_words(counts)}. "
+                f"Give {key} in the config: one of them, or correct them with the drive's tool",
+            )
+        used = [c for c in counts if not c.is_converted]
+        if stated is not None:
+            used.sort(key=lambda c: abs(math.log(c.value / stated)))
+        best = used[0] if used else None
+        scale = Statement(
+            "position per count",
+            key,
+            length,
+            stated,
+            None if best is None else best.value,
+            ("0x608F",) if best is None else best.objects,
         )
-    values = [value for value, _ in candidates]
-    if stated is None and max(values) - min(values) > AGREEMENT * min(values):
-        said = " and ".join(f"{' and '.join(objects)} say {value:.6g}" for value, objects in candidates)
-        raise DriveError(
-            f"{drive.who}: the drive contradicts itself in what a count of 0x6064 is [{length}]: {said}. "
-            f"Give {key} in the config: one of them, or correct them with the drive's tool",
-            axis=drive.name,
+        value, note = agreed(self.config, scale, drives=False)
+        return (counts[0].value if value is None else value), note
+
+    def rated(self) -> tuple[float, str]:
+        from_drive = (self.read(od.RATED_TORQUE) or 0) / 1000.0
+        key, unit = ("rated_force_N", "N") if self.linear else ("rated_torque_Nm", "N·m")
+        scale = Statement(
+            "rated torque",
+            key,
+            unit,
+            self.config.rated_torque,
+            from_drive or None,
+            (od.RATED_TORQUE.address,),
         )
-    found, objects = (None, ("0x608F",)) if not candidates else candidates[0]
-    if stated is not None and candidates:
-        found, objects = min(candidates, key=lambda c: abs(math.log(c[0] / stated)))
-    scale = Statement("position per count", key, length, stated, found, objects)
-    value, note = agreed(drive.who, scale, drive.config.overrides, drives=False)
-    warnings += [note] * bool(note)
-    return value if value is not None else values[0]
+        value, note = agreed(self.config, scale, drives=True)
+        if value is None:
+            raise self.refuse(
+                "scale_missing",
+                f"0x6076 motor rated torque is missing or 0, so torque has no scale; give {key} in the "
+                f"config. {self.vendor.advice}",
+            )
+        return value, note
+
+    def polarity(self) -> str:
+        """Refuse a position that the drive turns round without its torque, which would then drive it away."""
+        found = self.read(od.POLARITY) or 0
+        if bool(found & TURNS_POSITION) == bool(found & TURNS_TORQUE):
+            return ""
+        position, torque = (-1 if found & bit else 1 for bit in (TURNS_POSITION, TURNS_TORQUE))
+        said = f"0x607E polarity is 0x{found:02X}: position counts times {position}, torque times {torque}"
+        reason = self.config.overrides.get(od.POLARITY.address)
+        if reason is not None:
+            return f"{self.who}: {said}; used all the same, as overrides says ({reason})"
+        raise self.refuse(
+            "polarity_contradicts",
+            f"{said}, so that torque drives the axis against its count; set 0x607E to 0 with the drive's "
+            "tool and direction: -1 in the config, or, where this drive turns its torque with it, say so: "
+            'overrides: {"0x607E": "reason"}',
+        )
+
+    def velocity(self, position: float) -> tuple[str, ...]:
+        """Refuse a speed limit whose unit the drive converts: by which way round is not known."""
+        factor = _factor(self.read, od.VELOCITY_NUMERATOR, od.VELOCITY_DIVISOR)
+        limit = self.read(od.MAX_VELOCITY)
+        if factor == 1.0 or not limit:
+            return ()
+        unit = f"{'m' if self.linear else 'rad'}/s"
+        plain = limit * velocity_per_unit(position, self.vendor, linear=self.linear)
+        said = (
+            f"0x607F max profile velocity is {limit}, which is {plain:.6g} {unit} in the drive's plain unit, "
+            f"but {plain * factor:.6g} or {plain / factor:.6g} {unit} by its 0x6096 velocity factor "
+            f"({factor:.6g})"
+        )
+        reason = self.config.overrides.get("0x6096")
+        if reason is not None:
+            return (f"{self.who}: {said}; the plain unit is used, as overrides says ({reason})",)
+        raise self.refuse(
+            "scales_contradict",
+            f"{said}; set 0x6096 to 1 and 1 with the drive's tool, or, where the drive does not convert "
+            '0x607F, say so: overrides: {"0x6096": "reason"}',
+        )
+
+    def limit(self, rated: float) -> str:
+        """Refuse a torque limit that cannot be commanded, question one far above the rated torque."""
+        limit = self.config.limits.torque
+        said = limit_over_rated(limit, rated, linear=self.linear)
+        if limit > MOST_OF_RATED * rated:
+            raise self.refuse(
+                "limit_beyond_command",
+                f"{said}; 0x6071 cannot command more than {MOST_OF_RATED:g} times. Correct the limit, its "
+                "unit or the rated value",
+            )
+        return f"{self.who}: {said}: is that limit meant?" if limit > MUCH_OF_RATED * rated else ""
 
 
-def _position_candidates(drive: Access) -> list[tuple[float, tuple[str, ...]]]:
-    """What the drive says of a count, with the objects that say it: by the user's units, by the encoder.
+@dataclass(frozen=True)
+class Count:
+    """What a count of 0x6064 is [rad or m at the motor], and the objects that say so."""
+
+    value: float
+    objects: tuple[str, ...]
+    is_converted: bool = False
+    """0x6093 says that the drive converts it: a count of the encoder is not one of 0x6064."""
+
+
+def position_counts(read: Read, *, linear: bool) -> tuple[Count, ...]:
+    """What the drive says of a count, each with its objects; the user's units come first.
 
     0x6064 counts in the units of 0x6092 where the drive has them, but not every drive that has the object
-    follows it.
+    follows it. Of 0x6093 the older profile says (DSP 402, 12.3.3): increments are units times the factor.
     """
-    increments = drive.find(od.ENCODER_INCREMENTS) or 0
-    turns = (drive.find(od.ENCODER_REVOLUTIONS) or 0) if increments else 0
-    feed = drive.find(od.FEED) or 0
-    feed_turns = (drive.find(od.FEED_REVOLUTIONS) or 0) if feed else 0
+    increments = read(od.ENCODER_INCREMENTS) or 0
+    turns = (read(od.ENCODER_REVOLUTIONS) or 0) if increments else 0
+    feed = read(od.FEED) or 0
+    feed_turns = (read(od.FEED_REVOLUTIONS) or 0) if feed else 0
     found = []
     if feed_turns:
         # 0x6092 is per shaft revolution; the motor turns 0x6091 times as often
-        motor, shaft = drive.find(od.GEAR_MOTOR) or 1, drive.find(od.GEAR_SHAFT) or 1
-        by_feed = position_per_count(feed * shaft, feed_turns * motor, linear=drive.linear)
-        found.append((by_feed, ("0x6092", *["0x6091"] * (motor != shaft))))
-    found.append((position_per_count(increments, turns, linear=drive.linear), ("0x608F",)))
-    return [(value, objects) for value, objects in found if value is not None]
+        motor, shaft = read(od.GEAR_MOTOR) or 1, read(od.GEAR_SHAFT) or 1
+        by_feed = position_per_count(feed * shaft, feed_turns * motor, linear=linear)
+        found.append((by_feed, ("0x6092", *["0x6091"] * (motor != shaft)), False))
+    encoder = position_per_count(increments, turns, linear=linear)
+    factor = _factor(read, od.POSITION_NUMERATOR, od.POSITION_DIVISOR)
+    if factor != 1.0:
+        found.append((encoder and encoder * factor, ("0x6093", "0x608F"), False))
+    if factor == 1.0 or not feed_turns:
+        found.append((encoder, ("0x608F",), factor != 1.0))
+    return tuple(Count(value, objects, converted) for value, objects, converted in found if value)
 
 
-def _rated(drive: Access, warnings: list[str]) -> float:
-    from_drive = (drive.find(od.RATED_TORQUE) or 0) / 1000.0
-    key, unit = ("rated_force_N", "N") if drive.linear else ("rated_torque_Nm", "N·m")
-    scale = Statement(
-        "rated torque", key, unit, drive.config.rated_torque, from_drive or None, (od.RATED_TORQUE.address,)
-    )
-    value, note = agreed(drive.who, scale, drive.config.overrides, drives=True)
-    if value is None:
-        raise DriveError(
-            f"{drive.who}: 0x6076 motor rated torque is missing or 0, so torque has no scale; give "
-            f"{key} in the config. {drive.vendor.advice}".rstrip()
-        )
-    warnings += [note] * bool(note)
-    return value
+def agree(counts: Sequence[Count]) -> bool:
+    """Whether the objects say the same of a count."""
+    values = [c.value for c in counts]
+    return max(values) - min(values) <= AGREEMENT * min(values)
 
 
-def _compare_limit(drive: Access, rated: float, warnings: list[str]) -> None:
-    """Refuse a torque limit that cannot be commanded, question one far above the rated torque."""
-    limit = drive.config.limits.torque
-    said = f"{drive.who}: {limit_over_rated(limit, rated, linear=drive.linear)}"
-    if limit > MOST_OF_RATED * rated:
-        raise DriveError(
-            f"{said}; 0x6071 cannot command more than {MOST_OF_RATED:g} times. Correct the limit, its "
-            "unit or the rated value"
-        )
-    if limit > MUCH_OF_RATED * rated:
-        warnings.append(f"{said}: is that limit meant?")
+def in_words(counts: Sequence[Count]) -> str:
+    """What the objects say of a count, side by side."""
+    return " and ".join(f"{' and '.join(c.objects)} say {c.value:.6g}" for c in counts)
+
+
+def velocity_per_unit(position_per_count: float, vendor: Vendor, *, linear: bool) -> float:
+    """Velocity [rad/s or m/s] of one unit of 0x607F without a factor."""
+    return (1.0 if linear else 2 * math.pi) / 60 if vendor.velocity_in_rpm else position_per_count
+
+
+def _factor(read: Read, numerator: Object, divisor: Object) -> float:
+    """A factor of the drive; 1 where it says none."""
+    over, under = read(numerator) or 0, read(divisor) or 0
+    return over / under if over and under else 1.0
 
 
 def limit_over_rated(limit: float, rated: float, *, linear: bool) -> str:

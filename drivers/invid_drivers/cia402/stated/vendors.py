@@ -2,8 +2,7 @@
 
 From 16 vendor EDS/DCF files and from manuals. A row says what the master does instead, and what a manual
 says about stopping and limits (``Manual``); whether a drive has an object is still asked of the drive,
-because firmware versions differ. ``python -m invid_drivers.cia402.stated.vendors`` prints the tables of the
-docs.
+because firmware versions differ. ``python scripts/drive-tables.py`` prints the tables of the docs.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.stated.manuals import NO, UNKNOWN, YES, Manual, sources, table
+from invid_drivers.cia402.stated.manuals import NO, UNKNOWN, YES, Manual
 
 
 @dataclass(frozen=True)
@@ -193,35 +192,6 @@ VENDORS: dict[str, Vendor] = {
 }  # fmt: skip
 
 
-def ways() -> str:
-    """How each drive can be shaken, as a Markdown table: what was read, or what its EDS says."""
-    lines = ["| `vendor` | shaken by |", "| --- | --- |"]
-    for name, row in VENDORS.items():
-        if not row.sources:
-            way = "as the drive says: cyclic or profile torque, else the torque offset in cyclic position"
-        elif "EtherCAT" in row.advice:
-            way = "its own recorder and `invid import`"
-        elif row.cyclic_torque.certain:
-            also = ", and has the torque offset" if row.torque_offset.certain else ""
-            way = f"cyclic torque{also}"
-        elif row.torque_offset.certain:
-            way = "the torque offset in cyclic position"
-        else:
-            way = "its own recorder and `invid import`"
-        lines.append(f"| `{name}` | {way} |")
-    return "\n".join(lines)
-
-
 def vendor(name: str) -> Vendor | None:
     """The row of that name; ``None`` where there is none."""
     return VENDORS.get(name)
-
-
-def reference() -> str:
-    """The table of facts and the list of sources, as they stand in docs/reference/drives.md."""
-    read = {name: row for name, row in VENDORS.items() if row.sources}
-    return f"{table(read)}\n\n{sources(read)}"
-
-
-if __name__ == "__main__":
-    print(f"{reference()}\n\n{ways()}")

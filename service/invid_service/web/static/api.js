@@ -17,7 +17,7 @@ export async function call(method, path, body, extra = {}, patience = PATIENCE_M
   setTimeout(() => limit.abort(), raw ? LONG_MS : patience); // holds for the body of the answer too
   const response = await fetch(path.startsWith(BASE) ? path : BASE + path, {
     method, cache: "no-store", signal: limit.signal,
-    headers: { ...(key ? { Authorization: `Bearer ${key}` } : {}), ...(body && !raw ? { "Content-Type": "application/json" } : {}), ...extra },
+    headers: { "X-Requested-With": "invid", ...(key ? { Authorization: `Bearer ${key}` } : {}), ...(body && !raw ? { "Content-Type": "application/json" } : {}), ...extra },
     body: body === undefined ? undefined : raw ? body : JSON.stringify(body),
   });
   if (response.ok) return response;

@@ -147,11 +147,12 @@ const refresh = () => alone("ready", async () => {
 function tellReady(ready) {
   Object.assign(state, { ready, at: Date.now() });
   const title = $("ready-title");
-  title.textContent = ready.can_start ? t("ready.yes") : t("ready.no");
-  title.className = ready.can_start ? "good" : "bad";
+  const unasked = ready.notes.some((n) => n.code === "drives_not_asked");
+  title.textContent = !ready.can_start ? t("ready.no") : unasked ? t("ready.unasked") : t("ready.yes");
+  title.className = !ready.can_start ? "bad" : unasked ? "" : "good";
   fill($("reasons"), ready.reasons.map((r) => reasonItem(r)));
   fill($("ready-notes"), (ready.notes ?? []).map((r) => reasonItem(r, `note.${r.code}`)));
-  $("check").hidden = ![...ready.reasons, ...ready.notes].some((r) => r.seen); // remembered: the drives may say otherwise
+  $("check").hidden = !unasked && ![...ready.reasons, ...ready.notes].some((r) => r.seen); // remembered: the drives may say otherwise
   $("ready-card").hidden = $("start-card").hidden = false;
   buttons();
 }

@@ -16,7 +16,8 @@ export function spoken(kind, text) {
 // A reason why a cell cannot start, or a note beside it, with its way out.
 /** @param {Api["Reason"] | Api["Note"]} r */
 export function reasonItem(r, key = `reason.${r.code}`) {
-  const known = ours(key), [text, fix] = known ? [t(key, r.values), t(`${key}.fix`, r.values)] : [sentence(r.text), r.fix];
+  const values = r.values?.text ? { ...r.values, text: said(r.values.text).text } : r.values;
+  const known = ours(key), [text, fix] = known ? [t(key, values), t(`${key}.fix`, values)] : [sentence(r.text), r.fix];
   return el("li", { lang: known ? null : "en" }, [el("b", {}, text), t("ready.todo", { fix })]);
 }
 

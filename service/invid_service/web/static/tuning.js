@@ -13,7 +13,9 @@ export function offerTuning(run) {
   const same = of?.id === run.id;
   of = run;
   $("tune-card").hidden = Boolean(run.untrusted) || !run.summary;
-  if (!same && !$("tune-card").hidden) offered();
+  if (same || $("tune-card").hidden) return;
+  offered();
+  if (run.tuned) look();
 }
 
 function offered() {
@@ -58,10 +60,19 @@ async function show(run, tuning) {
     el("b", {}, a.axis), pair(a, (s) => milli(s.move.following)), pair(a, (s) => milli(s.move.at_load)),
     pair(a, (s) => (s.move.settling == null ? "–" : `${fmt(s.move.settling, 2)} s`)), pair(a, (s) => (s.margins.unstable ? t("tune.unstable") : fmt(s.margins.sensitivity, 3))),
   ] })));
+  const torque = tuning.units.torque, angle = tuning.units.angle, gains = el("table");
+  const both = (a, key) => `${fmt(a.before.gains[key], 3)} → ${fmt(a.after.gains[key], 3)}`, share = (a, s) => fmt(100 * s.margins.ripple / a.rated_torque, 2);
+  const notches = (a) => a.after.gains.notches.map((n) => `${fmt(n.frequency, 3)} Hz`).join(", ") || "–";
+  const rows = {
+    position_gain: (a) => both(a, "position_gain"), velocity_gain: (a) => both(a, "velocity_gain"), integral_time: (a) => both(a, "integral_time"), notches,
+    ripple: (a) => (a.after.margins.ripple == null || a.rated_torque == null ? "–" : pair(a, (s) => share(a, s))), spread: (a) => a.spread.at_load.map(milli).join(" … "),
+  };
+  table(gains, [t("tune.values"), ...tuning.axes.map((a) => a.axis)], Object.entries(rows).map(([name, of_]) => ({ cells: [t(`tune.${name}`, { unit, torque, angle }), ...tuning.axes.map(of_)] })));
   const picture = el("div", { class: "scroll", role: "region", "aria-label": t("tune.picture") });
   const repairs = tuning.repairs.map((r) => repair(r, unit)).filter(Boolean), remarks = tuning.remarks.map((r) => spoken("li", r));
   fill($("tuned"), [
-    el("div", { class: "scroll", role: "region", "aria-label": t("tune.title") }, [made]), el("p", { class: "quiet" }, t("tune.before")),
+    el("div", { class: "scroll", role: "region", "aria-label": t("tune.title") }, [made]),
+    el("div", { class: "scroll", role: "region", "aria-label": t("tune.values") }, [gains]), el("p", { class: "quiet" }, t("tune.before")),
     el("figure", {}, [el("figcaption", {}, t("tune.picture")), picture]),
     repairs.length ? el("section", {}, [el("h4", {}, t("tune.repairs")), el("ul", { class: "reasons" }, repairs.map((r) => el("li", {}, r)))]) : null,
     remarks.length ? el("ul", { class: "reasons" }, [english ? null : el("li", { class: "quiet" }, t("page.untranslated")), ...remarks].filter(Boolean)) : null,

@@ -1,0 +1,592 @@
+"""The one loop: in every cycle every axis is seen, judged, moved on by the table and sent its command.
+
+A procedure wishes; the supervisor grants. No wish leads to a state without a hold: the way to power off is
+the table's. Whatever raises in a cycle does so after every axis has been attended to, and what a run has left
+by then is brought to its end by the way out, which nothing ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Generator, Sequence
+from enum import Enum, auto
+
+from invid.errors import DriveError, InvidError, SafetyStop
+from invid.sweep.bounds import Bounds
+from invid.sweep.ports import Event, Loop, Mode, Sample, Severity
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402 import states
+from invid_drivers.cia402.axis import ModeSet
+from invid_drivers.cia402.axis_state import CHANGING_S, NEXT, RULES, AxisState, Command, Fact
+from invid_drivers.cia402.cycle import Cycle
+from invid_drivers.cia402.cycle_requests import ModeChange
+from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link
+from invid_drivers.cia402.states import DriveState, OperationMode
+from invid_drivers.cia402.supervised_axis import DEAF_S, DRIVEN_LOOK_S, SupervisedAxis, Trouble
+
+CYCLIC = OperationMode.CYCLIC_POSITION
+STOPPING = "stopping"
+UNSEEN = "support the load of {}: it is not seen to stand"
+"""Phases that are told."""
+SWITCHABLE = (AxisState.LED, AxisState.STOPPING, AxisState.SWITCHING)
+"""States in which an axis may be switched off for a mode that its drive takes without power only."""
+SAME_CAUSE_S = 1.0
+"""An axis that lets go so soon after another was cut off from outside was cut off, too: relays of one
+emergency stop open within tenths of a second."""
+MISSED_S = 0.3
+"""After a silence drives go on saying that their master was gone."""
+CUT_LOOK_S = 0.4
+"""How an axis moves on that was cut off: longer than the longest window in which a fall is seen."""
+STAND_BY_S = 0.3
+"""A drive that is still enabled so long after *switch on* knows no way back to it: the voltage goes."""
+
+
+class Want(Enum):
+    """What a procedure wishes of an axis."""
+
+    STAY = auto()
+    HOLD = auto()
+    """Held by its drive."""
+    LEAD = auto()
+    """In torque mode."""
+    PARK = auto()
+    """Quick stop."""
+    BRAKE = auto()
+    END = auto()
+    """To rest, to what holds it, and off where nothing needs to."""
+
+
+Procedure = Generator[Sequence[Want], None, None]
+"""Yields a wish for every axis, once a cycle."""
+
+
+class Supervisor:
+    """All axes of a cell, from before power until they are off or held."""
+
+    def __init__(self, cycle: Cycle, link: Link, bounds: Bounds, axes: Sequence[SupervisedAxis]) -> None:
+        self._cycle, self._link, self.bounds, self.axes = cycle, link, bounds, list(axes)
+        self._cycle_s, self._watch_s = axes[0].cycle_s, 3 * link.heartbeat_s
+        self._ticked = math.inf
+        self.is_leaving = False
+        """On the way out nothing ends what holds an axis."""
+        self.tell: Callable[[str], None] = lambda phase: None
+        self.changed: Callable[[], None] = lambda: None
+        """Called when an axis has come into another state."""
+        self.note: Callable[..., None] = lambda axis, **seen: None
+        """Remembers what was seen of an axis."""
+        self.loops: list[Loop | None] = [None] * len(self.axes)
+        self.is_mute = False
+        """Whether the master says nothing on purpose."""
+        self._silent_since = self._missed_until = -math.inf
+        self._cut_from_outside = -math.inf
+        self._told: set[str] = set()
+
+    # --- the loop ---------------------------------------------------------------------------------
+    def run(self, procedure: Procedure, cancelled: Callable[[], InvidError | None]) -> None:
+        """Run a procedure to its end; ``cancelled`` is asked in every cycle."""
+        with contextlib.closing(procedure):
+            for wants in procedure:
+                self.tick(wants)
+                error = cancelled()
+                if error is not None:
+                    raise error
+
+    def tick(self, wants: Sequence[Want]) -> Sample:
+        """One cycle: grant, command, see, judge, move on."""
+        self._notice_pause()
+        for axis, want in zip(self.axes, wants, strict=True):
+            self.grant(axis, want)
+        sample, error = self._exchange()
+        error = error or self._judge_bounds(sample)
+        for axis in self.axes:
+            axis.see(sample)
+        self._cycle.asking = {a.index for a in self.axes if self.is_mute or self._must_be_asked(a)}
+        for axis in self.axes:
+            try:
+                self._attend(axis)
+            except InvidError as found:
+                error = error or found
+            except Exception as fault:  # a fault of this program at one axis: the others are attended to
+                error = error or DriveError(f"axis {axis.name}: a fault of this program: {fault!r}")
+        if error is not None and not self.is_leaving:
+            raise error
+        return sample
+
+    def _notice_pause(self) -> None:
+        """After a pause beyond their watch drives have stopped by themselves: no command takes that back."""
+        now = self._link.clock.now()
+        paused = now - self._ticked > self._watch_s and not (self.is_mute or self._cycle.paused)
+        self._ticked = now
+        for axis in self.axes:
+            if paused and RULES[axis.state].command is Command.ENABLE:
+                self.enter(axis, AxisState.PARKING)
+
+    def _exchange(self) -> tuple[Sample, InvidError | None]:
+        """One cycle on the bus; where that fails nothing has come of any axis, and time goes on."""
+        try:
+            if self.is_mute:
+                return self._cycle.silent_cycle(), None
+            sample = self._cycle.exchange([self._command(a) for a in self.axes])
+            self._note_pause()
+            return sample, None
+        except InvidError as error:
+            sample, clock = self._cycle.sample, self._link.clock
+            clock.sleep_until(clock.now() + self._cycle_s)  # a queue that is full has room again
+            sample.time, sample.fresh[:] = clock.now(), [False] * len(self.axes)
+            return sample, error
+
+    def _must_be_asked(self, a: SupervisedAxis) -> bool:
+        return self.is_leaving and a.state is not AxisState.OFF and a.is_unseen()
+
+    def _note_pause(self) -> None:
+        if self._cycle.paused:
+            self.bounds.pause()
+            self._cycle.paused = False
+
+    def _judge_bounds(self, sample: Sample) -> InvidError | None:
+        """What leaves its bounds, and which axes are to blame."""
+        bounds = self.bounds
+        bounds.led = {a.index for a in self.axes if a.state in (AxisState.LED, AxisState.STOPPING)}
+        if self._link.clock.now() < self._missed_until:
+            self._hear_who_missed_us(sample)
+        if self.is_leaving or self.is_mute:
+            bounds.observe(sample)
+            held = {a.index for a in self.axes if RULES[a.state].command is Command.ENABLE}
+            bounds.blind.update(bounds.uncarried(sample, held - bounds.led))
+            bounds.falls = {}
+            return None
+        try:
+            bounds.check(sample, self._cycle.asked)
+        except InvidError as error:
+            tried = next((a for a in self.axes if a.on_trial and a.name == error.axis), None)
+            if tried is None or not isinstance(error, SafetyStop):
+                return error
+            tried.verdict = tried.verdict or error.reason  # what a test was made to see
+        return None
+
+    def _hear_who_missed_us(self, sample: Sample) -> None:
+        """What drives say of a silence that was on purpose ends nothing; what they say besides does."""
+        sample.events = [e for e in sample.events if e.severity is not Severity.DRIVE]
+        for peer in self._link.peers.values():
+            for code in peer.own_errors(since=self._silent_since):
+                text = f"axis {peer.name} reports error 0x{code:04X} in the stop test"
+                sample.events.append(Event(Severity.DRIVE, text, peer.name))
+
+    # --- silence of the master ----------------------------------------------------------------------
+    def mute(self) -> None:
+        """Say nothing from here on, as if the master had died; drives are only asked where they are."""
+        self.is_mute, self._link.beating = True, False
+        self._silent_since = self._link.clock.now()
+
+    def speak(self) -> None:
+        """Go on after a silence."""
+        if not self.is_mute:
+            return
+        self.is_mute, self._link.beating = False, True
+        self._missed_until = self._link.clock.now() + MISSED_S
+        for peer in self._link.peers.values():
+            peer.last_heartbeat = None
+        for axis in self.axes:  # a drive may leave operational when its master is gone
+            if not (self.is_leaving and axis.state in (AxisState.OFF, AxisState.BRAKED, AxisState.FAULT)):
+                self._link.nmt(NMT_START, axis.holding.config.node_id)
+        self._cycle.restart_slots()
+
+    # --- wishes -------------------------------------------------------------------------------------
+    def grant(self, a: SupervisedAxis, want: Want) -> None:
+        """What an axis gets of what is wished: the only way into a state by will."""
+        match want:
+            case Want.END:
+                self._grant_end(a)
+            case Want.LEAD if a.state is AxisState.HELD:
+                self.enter(a, AxisState.LED)
+            case Want.HOLD if a.state is AxisState.LED:
+                if a.holding.has_position_mode:
+                    self.enter(a, AxisState.STOPPING)
+            case Want.HOLD if a.state in (AxisState.OFF, AxisState.STANDS, AxisState.BRAKED):
+                self.enter(a, AxisState.ENABLING)
+            case Want.HOLD if a.state is AxisState.CAUGHT and a.on_trial:
+                self.enter(a, AxisState.HELD)
+            case Want.PARK if a.state in (AxisState.HELD, AxisState.LED):
+                self.enter(a, AxisState.PARKING)
+            case Want.BRAKE if a.state is AxisState.HELD and a.has_brake:
+                self.enter(a, AxisState.BRAKING)
+            case _:
+                pass
+
+    def _grant_end(self, a: SupervisedAxis) -> None:
+        match a.state:
+            case AxisState.LED if a.carries and a.holding.has_position_mode:
+                self.enter(a, AxisState.STOPPING)
+            case AxisState.LED | AxisState.ENABLING | AxisState.SWITCHING if a.is_energised or not a.fresh:
+                self.enter(a, AxisState.PARKING)
+            case AxisState.ENABLING | AxisState.SWITCHING:
+                self.enter(a, AxisState.LETTING_GO)
+            case AxisState.HELD if a.carries and a.has_brake:
+                self.enter(a, AxisState.BRAKING)
+            case AxisState.HELD | AxisState.LED:
+                self.enter(a, AxisState.PARKING)
+            case AxisState.STANDS if not a.carries:
+                self.enter(a, AxisState.LETTING_GO)
+            case AxisState.CAUGHT if a.parks is not False:
+                self.enter(a, AxisState.PARKING)
+            case _:
+                pass
+
+    def enter(self, a: SupervisedAxis, state: AxisState) -> None:
+        """Bring an axis into a state."""
+        if state is AxisState.CATCHING:
+            self.speak()
+        self._cycle.drop_change(a.index)
+        a.enter(state)
+        if state in (AxisState.ENABLING, AxisState.CATCHING) and self._cycle.is_in(a.index, CYCLIC):
+            self._cycle.change(a.index, CYCLIC, taken=True)  # held where it is by now
+        a.mode_is_there = False
+        with contextlib.suppress(Exception):  # whoever listens may have gone
+            self.changed()
+        if state in (AxisState.CATCHING, AxisState.CAUGHT, AxisState.LOST) or (
+            state is AxisState.FAULT and a.carries
+        ):
+            self._tell_support(a)
+
+    def _tell_support(self, a: SupervisedAxis) -> None:
+        """Say at once which loads a person must support: it may last a minute."""
+        if a.name not in self._told and a.carries:
+            self._told.add(a.name)
+            names = [x.name for x in self.axes if x.name in self._told]
+            with contextlib.suppress(Exception):  # whoever listens may have gone
+                self.tell(UNSEEN.format(", ".join(names)))
+
+    # --- one axis -----------------------------------------------------------------------------------
+    def _attend(self, a: SupervisedAxis) -> None:
+        """See what is wrong with an axis and move it on."""
+        a.blind |= a.index in self.bounds.blind
+        self._tell_by_nmt(a)
+        trouble = self._given_away(a) or a.trouble()
+        if trouble is not None:
+            self._react(a, trouble)
+        self._see_cut(a)
+        self._advance(a)
+
+    def _given_away(self, a: SupervisedAxis) -> Trouble | None:
+        """What the bounds found of an axis that is led: a torque that turned, or that is missing."""
+        fall = self.bounds.falls.get(a.index)
+        if fall is None or a.state is not AxisState.LED:
+            return None
+        return Trouble.DRIVEN if a.is_driven(fall) else Trouble.FALLS
+
+    def _react(self, a: SupervisedAxis, trouble: Trouble) -> None:
+        """The next state by the table; SafetyStop or DriveError where that ends the run."""
+        before, rule = a.state, RULES[a.state]
+        match trouble:
+            case Trouble.FAULT:
+                self.enter(a, AxisState.FAULT)
+            case Trouble.LEFT:
+                self._react_to_left(a)
+            case Trouble.LET_GO if a.now - self._cut_from_outside < SAME_CAUSE_S:
+                self.enter(a, AxisState.FAULT)
+            case Trouble.LET_GO:
+                self._note_does_not_park(a)
+                self.enter(a, a.next_means())
+            case Trouble.DRIVEN:
+                self._react_to_driven(a, is_sure=before is AxisState.LED or not a.carries)
+            case Trouble.BLIND:
+                means = AxisState.BRAKING if a.has_brake else AxisState.PARKING
+                self.enter(a, means if a.carries or before is AxisState.LED else AxisState.LETTING_GO)
+            case Trouble.DEAF:
+                self._react_to_deaf(a)
+            case Trouble.FALLS:
+                self._react_to_fall(a, rule.falls)
+        if self.is_mute and trouble is Trouble.LEFT and a.state is not AxisState.CATCHING:
+            return  # it stopped by itself when its master fell silent, as it should
+        if a.on_trial and before is not a.state:
+            a.verdict = a.verdict or trouble.value
+            return
+        if before is a.state or self.is_leaving or trouble is Trouble.DEAF:
+            return
+        if trouble in (Trouble.FAULT, Trouble.LEFT):
+            raise DriveError(
+                f"axis {a.name}: the drive left operation enabled (statusword 0x{a.status:04X}"
+                f"{', fault' if a.status & 0x08 else ''})",
+                way_out="read its error memory, find the cause, reset it there",
+                code="drive_left",
+                axis=a.name,
+            )
+
+    def _react_to_left(self, a: SupervisedAxis) -> None:
+        """Its drive stopped by itself: what this master did not switch off it does not enable again."""
+        if a.drive is DriveState.QUICK_STOP_ACTIVE:
+            self.enter(a, AxisState.PARKING)
+        elif self.is_mute and not a.carries:
+            self.enter(a, AxisState.LETTING_GO)
+        elif self.is_mute:  # its master was silent on purpose
+            self.note(a, holds=False)
+            self.enter(a, a.next_means())
+        else:
+            self._cut_from_outside = a.now
+            self.enter(a, AxisState.FAULT)
+
+    def _react_to_driven(self, a: SupervisedAxis, *, is_sure: bool) -> None:
+        """A quick stop first: a load that falls looks the same for a moment; then cut off. Of a led axis it
+        is known by what was asked of it, and what carries nothing does not fall."""
+        if a.driven_since is None:
+            a.driven_since, a.entry_speed = a.now, abs(a.estimator.speed)
+            if a.state is not AxisState.PARKING:
+                self.enter(a, AxisState.PARKING)
+        looked = a.now - a.driven_since >= DRIVEN_LOOK_S and abs(a.estimator.speed) >= a.entry_speed
+        if is_sure or looked:
+            a.is_cut = True
+            self.enter(a, AxisState.BRAKING if a.has_brake and a.carries else AxisState.LETTING_GO)
+
+    def _react_to_deaf(self, a: SupervisedAxis) -> None:
+        """It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop. A drive that
+        holds a load in position mode holds it."""
+        a.deaf = True
+        holds = a.carries and self._cycle.is_in(a.index, CYCLIC)
+        if not holds:
+            self.enter(a, AxisState.UNHEARD)
+            self._link.nmt(NMT_STOP, a.holding.config.node_id)
+
+    def _tell_by_nmt(self, a: SupervisedAxis) -> None:
+        """A drive whose process data are lost may hear NMT: then it does what it does without a master."""
+        ending = a.state in (AxisState.PARKING, AxisState.LETTING_GO)
+        holds = a.carries and self._cycle.is_in(a.index, CYCLIC)
+        unheard = a.now - a.heard > DEAF_S  # not by SDO either
+        if self.is_leaving and ending and not holds and unheard and not a.is_stopped_by_nmt:
+            a.is_stopped_by_nmt = True
+            self._link.nmt(NMT_STOP, a.holding.config.node_id)
+
+    def _react_to_fall(self, a: SupervisedAxis, falls: AxisState | None) -> None:
+        if a.state is AxisState.CATCHING:
+            self.enter(a, AxisState.LOST)
+        if falls is None or (a.is_cut and a.state is not AxisState.BRAKING):
+            return
+        if a.state in (AxisState.BRAKING, AxisState.BRAKED):
+            a.brake_failed = True
+        if a.state in (AxisState.PARKING, AxisState.STANDS):
+            self._note_does_not_park(a)
+        if a.state in (AxisState.OFF, AxisState.LETTING_GO):
+            a.holding.loaded = True
+        if a.state is AxisState.LED and a.on_trial:
+            a.verdict = a.verdict or f"its drive is in {a.drive.words}"  # it drifts, and nobody notices
+            self.enter(a, AxisState.STOPPING)
+            return
+        if a.state is AxisState.LED or a.full is not None:
+            a.weak = True
+        if a.full is not None and a.holding.config.brake != "drive":
+            a.too_heavy = True
+            return  # it gives all it may, and it falls faster without
+        means = a.next_means() if falls is NEXT else falls
+        if a.state is AxisState.STOPPING and a.has_brake:
+            means = AxisState.BRAKING
+        if means is AxisState.LOST and self.axes and a.state is AxisState.PARKING:
+            return  # nothing better is left
+        self.enter(a, means)
+
+    def _note_does_not_park(self, a: SupervisedAxis) -> None:
+        if self._cycle.is_in(a.index, CYCLIC):
+            a.parks = False
+        self.note(a, holds=False)
+
+    def _see_cut(self, a: SupervisedAxis) -> None:
+        """Tell a load beyond the limit from a wrong sign, once the torque is gone: the load gets faster."""
+        fall = a.estimator.fall
+        if a.full is not None and fall is not None and not a.is_energised:
+            a.too_heavy |= fall.acceleration > a.full.acceleration
+
+    def _advance(self, a: SupervisedAxis) -> None:
+        """Transitions by what is seen, and by deadline."""
+        rule = RULES[a.state]
+        a.mode_is_there = self._mode_is_there(a, rule.mode)
+        change = self._cycle.change_of(a.index)
+        if a.state in SWITCHABLE and change is not None and change.without_power:
+            self._switch_mode(a, change)
+            rule = RULES[a.state]
+        if a.state is AxisState.PARKING and not a.carries and a.shows(Fact.UNPOWERED):
+            self.enter(a, AxisState.LETTING_GO)  # it switches itself off when its ramp has ended
+        elif a.state is AxisState.LETTING_GO and a.is_cut and a.shows(Fact.UNPOWERED):
+            if a.seconds > CUT_LOOK_S:
+                self.enter(a, AxisState.FAULT)
+        elif rule.done and all(a.shows(f) for f in rule.done) and rule.then is not None:
+            self._finish(a, rule.then)
+        elif a.seconds > self._within(a, rule.within_s):
+            self._be_late(a, rule.late)
+
+    def _switch_mode(self, a: SupervisedAxis, change: ModeChange) -> None:
+        """Off, where it stands then, until its drive has taken the mode."""
+        rest_s = a.holding.rest_s
+        if rest_s is None:
+            return
+        if a.state is not AxisState.SWITCHING:
+            a.target = AxisState.LED if change.operation is a.torque_mode else AxisState.HELD
+            a.enter(AxisState.SWITCHING)
+            self.changed()
+        elif a.fresh and not a.is_energised and a.seconds > rest_s:
+            change.ask_again(a.now)
+
+    def _within(self, a: SupervisedAxis, within_s: float) -> float:
+        if a.state is AxisState.PARKING:
+            return a.quick_stop_s
+        changing = self._cycle.change_of(a.index) is not None and a.shows(Fact.ENABLED)
+        return within_s + (CHANGING_S if changing else 0.0)
+
+    def _finish(self, a: SupervisedAxis, then: AxisState) -> None:
+        match a.state:
+            case AxisState.ENABLING:
+                then = a.target if a.holding.has_position_mode else AxisState.LED
+                a.target = AxisState.HELD
+            case AxisState.PARKING:
+                a.parks = True
+            case _:
+                pass
+        self.enter(a, then)
+
+    def _be_late(self, a: SupervisedAxis, late: AxisState | None) -> None:
+        """A deadline has passed."""
+        before = a.state
+        match before:
+            case AxisState.PARKING if not a.carries or a.is_cut:
+                self.enter(a, AxisState.LETTING_GO)
+            case AxisState.PARKING:
+                self.enter(a, AxisState.LOST)
+            case AxisState.LETTING_GO if a.fresh and not a.is_energised:
+                self.enter(a, AxisState.FAULT if a.is_cut else AxisState.OFF)
+            case AxisState.ENABLING if not a.is_energised:
+                self.enter(a, AxisState.LETTING_GO)
+            case AxisState.BRAKING:
+                a.brake_failed = True
+                self.enter(a, a.next_means())
+            case AxisState.UNHEARD:
+                return
+            case AxisState.CAUGHT:
+                a.support_was_awaited = True
+                self.enter(a, AxisState.PARKING)
+            case _:
+                self.enter(a, a.next_means() if late in (NEXT, None) else late)
+        if a.on_trial:
+            a.verdict = a.verdict or f"it was still {before.value}"
+        elif not self.is_leaving and before in (AxisState.ENABLING, AxisState.SWITCHING, AxisState.STOPPING):
+            raise self._late_error(a, before)
+
+    @staticmethod
+    def _late_error(a: SupervisedAxis, before: AxisState) -> DriveError:
+        node = a.holding.config.node_id
+        seconds = RULES[before].within_s
+        seen = a.drive.words if a.fresh else "silence (no TPDO comes)"
+        what = f"not enabled after {seconds:g} s, the drive shows {seen}"
+        if a.shows(Fact.ENABLED):
+            what = f"enabled, but without its mode (0x6060) after {seconds:g} s"
+        return DriveError(
+            f"axis {a.name} (node {node}): {what}; check its supply, its enable input, safe torque off and "
+            "the brake",
+            axis=a.name,
+        )
+
+    # --- modes --------------------------------------------------------------------------------------
+    def _operation(self, a: SupervisedAxis, mode: Mode | None) -> OperationMode | None:
+        if mode is None:
+            return None
+        if a.state is AxisState.ENABLING and a.target is AxisState.LED:
+            return a.torque_mode
+        if mode is Mode.TORQUE or not a.holding.has_position_mode:
+            return a.torque_mode
+        return CYCLIC
+
+    def _mode_is_there(self, a: SupervisedAxis, mode: Mode | None) -> bool:
+        if a.state is AxisState.SWITCHING:
+            return self._cycle.change_of(a.index) is None
+        operation = self._operation(a, mode)
+        return operation is None or self._cycle.is_in(a.index, operation)
+
+    def _takes_mode_now(self, a: SupervisedAxis) -> bool:
+        """Some drives take a mode from switched on, some show it when they are enabled."""
+        match a.takes_mode:
+            case ModeSet.SHOWN:
+                return True
+            case ModeSet.LATER:
+                return a.drive in (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
+            case ModeSet.TAKEN:
+                return a.drive is DriveState.OPERATION_ENABLED
+
+    def _ask_for_mode(self, a: SupervisedAxis, mode: Mode | None) -> None:
+        operation = self._operation(a, mode)
+        if operation is None or self._cycle.operation[a.index] is operation:
+            return
+        if self._cycle.change_of(a.index) is None:
+            self._cycle.change(a.index, operation, taken=a.takes_mode is ModeSet.TAKEN)
+            a.takes_mode = ModeSet.SHOWN if a.takes_mode is ModeSet.TAKEN else a.takes_mode
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether an axis is on its way to being led or held."""
+        on_the_way = (AxisState.STOPPING, AxisState.SWITCHING, AxisState.ENABLING)
+        return any(
+            a.state in on_the_way or (a.state is AxisState.LED and not self._mode_is_there(a, Mode.TORQUE))
+            for a in self.axes
+        )
+
+    # --- commands -----------------------------------------------------------------------------------
+    def _command(self, a: SupervisedAxis) -> float:
+        """Set the controlword and the mode of an axis in the coming cycle; its torque."""
+        rule, cycle = RULES[a.state], self._cycle
+        cycle.waits_for_power_off[a.index] = a.state in SWITCHABLE and a.holding.rest_s is not None
+        cycle.control[a.index] = self._controlword(a, rule.command)
+        if a.state is not AxisState.ENABLING or self._takes_mode_now(a):
+            self._ask_for_mode(a, rule.mode)
+        if a.state is AxisState.UNHEARD:
+            self._tell_by_sdo(a)
+        if a.state is AxisState.LED:
+            return a.torque
+        if a.state is AxisState.STOPPING:
+            return self._rest_torque(a)
+        if a.state is AxisState.CATCHING and a.takes_torque:
+            return a.catching_torque
+        return a.support if a.holding.has_position_mode else 0.0
+
+    def _controlword(self, a: SupervisedAxis, command: Command) -> int:
+        match command:
+            case Command.DISABLE:
+                return states.DISABLE_VOLTAGE
+            case Command.QUICK_STOP:
+                return states.QUICK_STOP
+            case Command.STAND_BY:
+                late = a.seconds > STAND_BY_S and a.is_energised
+                useless = a.is_cut or a.blind or a.brake_is_last  # its drive is not given it again
+                return states.DISABLE_VOLTAGE if late or useless else states.SWITCH_ON
+            case Command.ENABLE:
+                if not a.fresh or (a.state is AxisState.ENABLING and self._waits_for_mode(a)):
+                    return self._cycle.control[a.index]
+                if a.drive is DriveState.QUICK_STOP_ACTIVE:
+                    return states.ENABLE_OPERATION
+                return states.towards_enabled(a.drive)
+
+    def _waits_for_mode(self, a: SupervisedAxis) -> bool:
+        """Whether an axis goes no further before its drive has taken the mode it is to hold it in."""
+        if not self._takes_mode_now(a):
+            return False
+        operation = self._operation(a, RULES[a.state].mode)
+        return (
+            operation is not None
+            and not self._cycle.is_in(a.index, operation)
+            and not (
+                a.takes_mode is ModeSet.LATER
+                and self._cycle.change_of(a.index) is not None
+                and self._cycle.has_taken(a.index)
+            )
+        )
+
+    def _rest_torque(self, a: SupervisedAxis) -> float:
+        """Torque by which a led axis is brought to rest until its drive holds it."""
+        loop = self.loops[a.index]
+        a.is_damped = self.is_leaving and loop is not None
+        if not self.is_leaving:
+            return a.torque
+        if loop is None:
+            return a.support
+        limit = a.estimator.limits.torque
+        return max(-limit, min(limit, loop.torque - loop.damping * a.estimator.speed))
+
+    def _tell_by_sdo(self, a: SupervisedAxis) -> None:
+        if a.is_energised and self._cycle.is_free_for_sdo(a.index):
+            self._link.nmt(NMT_PRE_OPERATIONAL, a.holding.config.node_id)  # NMT stopped, it would not answer
+            self._cycle.set_object(a.index, od.CONTROLWORD, states.DISABLE_VOLTAGE)

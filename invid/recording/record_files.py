@@ -1,0 +1,97 @@
+"""The files that an import reads: those given, or those that a map names."""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from invid.errors import InputError
+from invid.recording.import_map import ExperimentMap, ImportMap
+from invid.recording.readers.kinds import is_document
+
+
+def _natural(path: Path) -> list[Any]:
+    return [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", str(path))]
+
+
+def named_files(
+    sources: Sequence[Path], chart: ImportMap, beside: Path | None
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Files and folders to read: those given, else the map's ``files``; and a sentence for each left out.
+
+    Where ``skip`` leaves files out, folders are written out as their files.
+    """
+    found = list(sources)
+    for pattern in [] if sources else chart.files:
+        root = beside or Path()
+        matched = sorted(root.glob(pattern), key=_natural)
+        if not matched:
+            raise InputError(f"map: 'files': nothing matches {pattern!r} in {root}")
+        found += matched
+    if not found:
+        raise InputError("no file is named: give SOURCE, or 'files' in the map (names or patterns beside it)")
+    for source in found:
+        if not source.exists():
+            raise InputError(f"{source}: no such file or folder")
+    documents = [p.name for s in found if s.is_dir() for p in documents_inside(s)]
+    aside = (f"documents are left out: {', '.join(documents[:8])}",) if documents else ()
+    if not chart.skip:
+        return found, aside
+    every = [f for s in found for f in (all_inside(s) if s.is_dir() else [s])]
+    reasons = {f: r for p, r in chart.skip.items() for f in every if _matches(f.as_posix(), p)}
+    unused = [p for p in chart.skip if not any(_matches(f.as_posix(), p) for f in every)]
+    if unused:
+        raise InputError(f"map: 'skip' names {unused[0]!r}, and no file is called so")
+    return [f for f in every if f not in reasons and (f in found or not is_document(f))], (
+        *aside,
+        *(f"{f.name} is left out: {reason}" for f, reason in reasons.items()),
+    )
+
+
+def files_inside(folder: Path) -> list[Path]:
+    """Every file below a folder but documents and programs, numbers in names in their order."""
+    return [p for p in all_inside(folder) if not is_document(p)]
+
+
+def documents_inside(folder: Path) -> list[Path]:
+    """The others: what no import takes unless a map names it."""
+    return [p for p in all_inside(folder) if is_document(p)]
+
+
+def all_inside(folder: Path) -> list[Path]:
+    """Every file below a folder, numbers in names in their order."""
+    return sorted((p for p in folder.rglob("*") if p.is_file()), key=_natural)
+
+
+def _matches(name: str, pattern: str) -> bool:
+    return fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(name, f"*/{pattern}")
+
+
+def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tuple[ExperimentMap, Path]]:
+    """Each entry of the map with each file that it takes."""
+    pairs: list[tuple[ExperimentMap, Path]] = []
+    for entry in entries:
+        found = False
+        for source in sources:
+            if source.is_dir():
+                inside = files_inside(source) if entry.file in _ANY else all_inside(source)
+                names = [(p, p.relative_to(source).as_posix()) for p in inside]
+            else:
+                names = [(source, source.as_posix())]
+            taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
+            pairs += taken
+            found = found or bool(taken)
+        if not found and any(s.is_dir() for s in sources):
+            raise InputError(f"map: no file matches {entry.file!r} below {', '.join(map(str, sources))}")
+    if not pairs:
+        raise InputError(
+            f"map: no experiment takes {', '.join(map(str, sources))}; the map's 'file' patterns are "
+            f"{[e.file for e in entries]}"
+        )
+    return pairs
+
+
+_ANY = ("*", "**", "**/*")

@@ -1,0 +1,89 @@
+"""A fall is told from rest by counts of the encoder: how soon, and how seldom without one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from invid.sweep.axis_estimator import AxisEstimator, AxisLimits, Fall, Kind
+
+CYCLE, COUNT, RATED, WINDOW = 0.002, 2 * math.pi / 2**16, 10.0, 0.5
+
+
+def looked_at(
+    x: np.ndarray, torque: np.ndarray, count: float = COUNT, cycle: float = CYCLE
+) -> dict[float, Fall]:
+    """Falls by the time at which they were seen; positions are rounded to counts."""
+    watch = AxisEstimator(AxisLimits("A1", 2 * RATED, WINDOW, 5.0, count, RATED, "rad", "N·m"), cycle)
+    found = {}
+    for k, (place, shown) in enumerate(zip(np.round(x / count) * count, torque, strict=True)):
+        watch.take(k * cycle, float(place), float(shown), quiet=True)
+        if watch.fall is not None:
+            found[k * cycle] = watch.fall
+    return found
+
+
+def test_an_axis_that_stands_is_never_called_falling_whatever_its_counts_and_its_torque_do() -> None:
+    rng = np.random.default_rng(1)
+    n = 200_000
+    for count in (COUNT, 16 * COUNT, COUNT / 16):
+        rest = count * (0.5 + 0.7 * rng.normal(size=n))
+        assert looked_at(rest, 8.0 + 0.05 * rng.normal(size=n), count) == {}
+
+
+@pytest.mark.parametrize("hz", [2.0, 5.0, 20.0])
+@pytest.mark.parametrize("load", [0.5, 2.0, 5.0])
+def test_a_loop_that_sags_under_a_load_that_comes_suddenly_is_not_called_falling(
+    hz: float, load: float
+) -> None:
+    w = 2 * math.pi * hz
+    t = CYCLE * np.arange(2000) - 1.0
+    sag = np.where(t > 0, load / w**2 * (1 - np.exp(-0.3 * w * t) * np.cos(w * t)), 0.0)
+    assert looked_at(-sag, w**2 * sag) == {}
+
+
+@pytest.mark.parametrize("hz", [0.5, 3.0, 15.0])
+def test_a_held_axis_that_others_shake_is_not_called_falling(hz: float) -> None:
+    t = CYCLE * np.arange(10_000)
+    x = 0.01 * np.minimum(1.0, t) * np.sin(2 * math.pi * hz * t)
+    assert looked_at(x, 8.0 - 400.0 * x) == {}
+
+
+@pytest.mark.parametrize("acceleration", [1.0, 3.0, 10.0])
+@pytest.mark.parametrize("shown", [0.0, 5.0])
+def test_a_fall_is_seen_within_three_milliradians_and_not_taken_for_a_wrong_sign(
+    acceleration: float, shown: float
+) -> None:
+    t = CYCLE * np.arange(1000) - 1.0
+    found = looked_at(-0.5 * acceleration * np.maximum(t, 0.0) ** 2, np.full(1000, shown))
+    first = min(found)
+    assert 0.5 * acceleration * (first - 1.0) ** 2 < 0.004
+    assert found[first].kind is Kind.FALLS
+
+
+def test_a_loop_that_drives_its_axis_away_is_told_from_a_load() -> None:
+    t = CYCLE * np.arange(700) - 1.0
+    w = 20.0
+    x = np.where(t > 0, 1e-4 * np.cosh(w * np.maximum(t, 0.0)), 1e-4)
+    found = looked_at(x, -(w**2) * x)
+    assert found[min(found)].kind is Kind.DRIVEN
+
+
+def test_noise_that_was_seen_at_rest_is_no_fall_and_what_falls_in_it_is_seen() -> None:
+    rng = np.random.default_rng(2)
+    limits = AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m")
+    axis = AxisEstimator(limits, CYCLE)
+    for _ in range(200):
+        axis.learn_noise(float(np.round(5 * rng.normal()) * COUNT))
+    axis.use_noise()
+    assert axis.noise == pytest.approx(5 * COUNT, rel=0.3)
+    falls = []
+    for k in range(60_000):
+        fallen = 1.5 * max(0.0, k - 59_000) ** 2 * CYCLE**2
+        axis.take(k * CYCLE, float(np.round(5 * rng.normal() - fallen / COUNT) * COUNT), 0.0, quiet=True)
+        if axis.fall is not None:
+            falls.append(k)
+            break
+    assert 59_000 < falls[0] < 59_200
