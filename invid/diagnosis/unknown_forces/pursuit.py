@@ -188,7 +188,9 @@ def stand_again(now: Supposed) -> tuple[Supposed, tuple[tuple[Trial, Trial], ...
         start = without(now, own, 0)
         tried = try_structures(less, taken.fall, growing=False, start=start)
         others = [t for t in tried if t.addition != own]
-        best = max((taken, *others), key=lambda t: t.merit)
+        # What holds it as a special case does as well: its further freedom has to pay by itself.
+        paid = [t for t in others if not t.holds(taken) or pays(*role_falls(now, t.found))]
+        best = max((taken, *paid), key=lambda t: t.merit)
         now = now if best is taken else settle(best.found)
         best = replace(best, found=now)
         rivals += [(best, t) for t in (taken, *others) if t.addition != best.addition and not t.holds(best)]
