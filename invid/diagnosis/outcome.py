@@ -144,6 +144,8 @@ class Outcome:
         Whether the null test rejects the model without causes, and whether nothing is left beside the named.
     explained
         ``explained_share``; ``None`` where nothing is named.
+    is_weighed
+        Whether all that was fitted was weighed: else nothing counts as explained.
     left
         What is left in words, where the search knows more of it than its size.
     opening
@@ -153,6 +155,7 @@ class Outcome:
     missing: bool
     complete: bool
     explained: float | None
+    is_weighed: bool = True
     left: Unexplained | None = None
     opening: Sequence[str] = ()
     warnings: Sequence[str] = ()
@@ -163,7 +166,7 @@ class Outcome:
         if not named:
             return Verdict.UNEXPLAINED if self.missing else Verdict.CONSISTENT
         is_enough = self.explained is None or self.explained >= EXPLAINED
-        is_whole = self.complete and is_enough and axis_above_floor(residual) is None
+        is_whole = self.complete and self.is_weighed and is_enough and axis_above_floor(residual) is None
         return Verdict.EXPLAINED if is_whole else Verdict.PARTLY_EXPLAINED
 
 
@@ -184,7 +187,8 @@ def assemble_diagnosis(
         outcome = replace(outcome, complete=False, missing=True, left=_with_law(outcome.left, laws[0]))
     verdict, left = outcome.verdict(residual, named=bool(findings)), outcome.left
     closing: tuple[str, ...] = ()
-    small = None if laws or verdict is not Verdict.PARTLY_EXPLAINED else small_remainder(residual, recording)
+    is_open = laws or not outcome.is_weighed or verdict is not Verdict.PARTLY_EXPLAINED
+    small = None if is_open else small_remainder(residual, recording)
     if small is not None:
         verdict, left, closing = Verdict.EXPLAINED, None, (small,)
     if verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED) and left is None:

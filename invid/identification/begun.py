@@ -10,7 +10,7 @@ import numpy as np
 from invid.errors import NotIdentifiableError
 from invid.identification.contest import NOTHING, Known, begin, begin_open
 from invid.identification.fitted_model import plant_of
-from invid.identification.kept_out import Split, all_records, records_of, with_last_periods_kept_out
+from invid.identification.kept_out import Split, all_records, records_of
 from invid.identification.missing_torque import missed_share
 from invid.identification.own_time import AxisTones, changes_within, sized, tones_of
 from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
@@ -87,23 +87,6 @@ def begin_elastic(
     hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
     again = _begin(remove_tones(recording, hz), sizes, before, start)
     return _each_period(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
-
-
-def with_kept_out_fitted(begun: Begun) -> Begun | None:
-    """The same from records of which all but the last period of those kept out is fitted too; ``None`` where
-    there are no two periods to share."""
-    shared = with_last_periods_kept_out(begun.recording)
-    if shared is None:
-        return None
-    split = records_of(shared)
-    first = suppose(_benches(split), begun.first.hypothesis, begun.first.numbers)
-    return replace(begun, recording=shared, first=reshape(scan_friction(first)), stopgap=(KEPT_OUT_FITTED,))
-
-
-KEPT_OUT_FITTED = (
-    "the records for validation show what those for fitting do not (another amplitude, a change between "
-    "them): all of them but their last period was fitted as well; record a further one for validation"
-)
 
 
 def _each_period(begun: Begun) -> Begun:

@@ -41,8 +41,9 @@ Sizes = tuple[int, ...]
 """Masses of each axis."""
 RANDOM = 12
 """Random splits where no continued fraction comes home: of one alone one in three does."""
-BRIEF, TO_THE_END = 6, 40
-"""Iterations after which starts are compared, and of those that go on."""
+BRIEF, FAR = 8, 40
+"""Iterations after which random splits are ranked, and starts that are read from the records: the lowest are
+finished."""
 GO_ON = 5
 """Starts that go on: a value after few iterations says little of the end (empirical: of random splits of
 three masses the fourth came home)."""
@@ -109,12 +110,12 @@ def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Kn
     hypothesis = Hypothesis(structure, shapes)
     lowest, least = None, np.inf
     for plant in _starts(bench, structure, kept, known):
-        found = _fit_from((bench, kept), hypothesis, plant, TO_THE_END)
+        found = _fit_from((bench, kept), hypothesis, plant, FAR)
         if found is None or found.total >= least:
             continue
         least = found.total
         # Of the right plant friction's form is all that is left.
-        lowest = found if is_home(found) else reshape(scan_friction(found))
+        lowest = found.refit() if is_home(found) else reshape(scan_friction(found))
         if is_home(lowest) or budget.is_left_out("further starts"):
             break
     if lowest is None:
@@ -291,7 +292,7 @@ def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | Non
     """The best of several fits, each to its end until one is home, or its chain of one axis is."""
     best: Supposed | None = None
     for start in sorted(pool, key=lambda f: f.total)[:GO_ON]:
-        found = start.refit(iterations=TO_THE_END)
+        found = start.refit()
         if best is None or found.total < best.total:
             best = found
         away = astray(best)

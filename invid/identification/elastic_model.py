@@ -18,7 +18,17 @@ from invid.identification.terms import TermWriter
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import Supposed
-from invid.likelihood.unknown_forces.worth import Worth, friction_worths, gone_columns, pays, role_falls
+from invid.likelihood.unknown_forces.worth import (
+    Deletion,
+    Worth,
+    channel_deletions,
+    friction_deletions,
+    pays,
+    prune,
+    role_falls,
+    spring_deletions,
+    without_loose_springs,
+)
 from invid.model.document import EffectTerm, Model
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts, doubts_of
 from invid.numerics import budget
@@ -29,9 +39,6 @@ EXPLAINED = 0.9
 ASTRAY = 0.3
 """Unknown force behind the motors over the torque's rms from which the masses are doubted (empirical: single
 axes of another hand from a wrong start leave 1.4 and more, free play of 2 mrad 0.1)."""
-CLEAR = 10.0
-"""Rise to first order over the price of friction from which no fit is needed to see that it pays, or below
-whose inverse that it does not (empirical: such rises are right within a factor of two)."""
 NOISY = 2.0
 """Missing power over the sensors' from which something acts that the model does not contain."""
 
@@ -45,14 +52,10 @@ def finished_fit(begun: Begun) -> tuple[Supposed, Sequence[Worth]]:
     """The fit of all records with the friction that pays its price, and what each part of it is worth."""
     now = _with_late_drives(reshape(scan_friction(begun.first)))
     now = with_masses_seen(now)
-    nothing: list[Worth] = []
-    worths = budget.or_else("what friction is worth", lambda: friction_worths(now, CLEAR), nothing)
     # Dry friction is expected: what is too small to be said would bend what is beside it. Viscous friction
     # would as well, but a hold's time takes it up.
-    motors = range(now.hypothesis.structure.motors)
-    gone = gone_columns(worths) - {(Part.DRY, m) for m in motors}
-    hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | gone)
-    end = now.refit(hypothesis, iterations=15)
+    dry = [(Part.DRY, m) for m in range(now.hypothesis.structure.motors)]
+    worths, end = prune(without_loose_springs(now), _deletions_of, dry)
     if not budget.is_left_out("the records that judged the model"):
         end = on_all_records(end, begun.recording)
     return end, worths
@@ -61,7 +64,7 @@ def finished_fit(begun: Begun) -> tuple[Supposed, Sequence[Worth]]:
 def model_of_fit(begun: Begun, end: Supposed, worths: Sequence[Worth]) -> Model:
     """The model of a finished fit, and what is to be doubted."""
     recording = begun.recording
-    model = model_of(end, _friction_terms(end, worths, begun), recording)
+    model = model_of(end, _terms(end, worths, begun), recording)
     found = _doubts(begun, end, model)
     fit = dict(model.fit)
     if begun.declared is None:
@@ -91,12 +94,22 @@ def _with_late_drives(now: Supposed) -> Supposed:
     return now
 
 
-def _friction_terms(end: Supposed, worths: Sequence[Worth], begun: Begun) -> tuple[EffectTerm, ...]:
-    """Friction of motors that pays, without which a simulation would not damp."""
+def _deletions_of(now: Supposed) -> list[Deletion]:
+    return [*spring_deletions(now), *friction_deletions(now), *channel_deletions(now)]
+
+
+def _terms(end: Supposed, worths: Sequence[Worth], begun: Begun) -> tuple[EffectTerm, ...]:
+    """All that the fit holds besides its chains: a simulation without it would be another machine."""
     stays = {w.key for w in worths if w.stays}
     writer = TermWriter(end, begun.recording.axes, linear=begun.recording.linear)
-    motors = range(end.hypothesis.structure.motors)
-    return tuple(t for m in motors for t in writer.friction(m, frozenset(p for p in Part if (p, m) in stays)))
+    structure = end.hypothesis.structure
+    friction = [
+        t
+        for m in range(structure.motors)
+        for t in writer.friction(m, frozenset(p for p in Part if (p, m) in stays))
+    ]
+    springs = [writer.load_spring(p) for p in structure.pairs if p in stays]
+    return (*friction, *springs, *(writer.channel(*c) for c in writer.late_channels if c in stays))
 
 
 def _doubts(begun: Begun, end: Supposed, model: Model) -> list[Doubt]:

@@ -31,16 +31,21 @@ def expected(found: Supposed) -> float:
 def with_masses_seen(now: Supposed) -> Supposed:
     """The fit with each chain as short as costs no more than the price of a mass.
 
-    Only where a mass or spring of a chain is loosely known may one be too many.
+    Only where a mass or spring of a chain is loosely known may one be too many. Of two that are, one alone
+    may end where the other holds it: masses go on to go, and the last fit that costs less than they pay is
+    taken.
     """
-    motors = now.hypothesis.structure.motors
+    best, fewer = now, now
     while not budget.is_left_out("fewer masses than declared"):
-        shorter = [shortened(now, axis) for axis in range(motors)]
-        known = [s for s in shorter if s is not None and s.total - now.total < PRICE_OF_MASS]
+        tried = (shortened(fewer, axis) for axis in range(now.hypothesis.structure.motors))
+        known = [s for s in tried if s is not None]
         if not known:
             break
-        now = min(known, key=lambda s: s.total)
-    return now
+        fewer = min(known, key=lambda s: s.total)
+        gone = sum(best.hypothesis.structure.sizes) - sum(fewer.hypothesis.structure.sizes)
+        if fewer.total - best.total < gone * PRICE_OF_MASS:
+            best = fewer
+    return best
 
 
 def shortened(now: Supposed, axis: int) -> Supposed | None:
@@ -57,7 +62,7 @@ def shortened(now: Supposed, axis: int) -> Supposed | None:
         with suppress(np.linalg.LinAlgError):
             pool.append(_merged(now, axis, a))
     best = min(pool, key=expected, default=None)
-    return None if best is None else best.refit(iterations=25)
+    return None if best is None else best.refit()
 
 
 def _merged(now: Supposed, axis: int, first: int) -> Supposed:

@@ -65,18 +65,6 @@ def records_of(recording: Recording, *, by_period: bool = False) -> Split:
     return Split(tuple(fitted), tuple(kept), tuple(warnings), (said,) if said else ())
 
 
-def with_last_periods_kept_out(recording: Recording) -> Recording | None:
-    """The recording in which all but the last period of what is kept out is fitted as well; ``None`` where a
-    record kept out holds no two periods."""
-    kept = [e for e in recording.experiments if e.role is Role.VALIDATE]
-    if not kept or any(e.periods < 2 for e in kept):
-        return None
-    out = [e for e in recording.experiments if e.role is Role.IDENTIFY]
-    for before, last in map(_last_period_apart, kept):
-        out += [replace(before, role=Role.IDENTIFY), last]
-    return replace(recording, experiments=tuple(out))
-
-
 def all_records(recording: Recording) -> list[Record]:
     """Every experiment as a record, none kept out."""
     experiments, _ = _with_true_periods(recording)

@@ -36,19 +36,14 @@ def late_drives(now: Supposed) -> list[LateDrive]:
         delay = abs(float(weight @ timing.delay[:, axis])) / weight.sum()
         if (delay - CONVENTION) * np.sqrt(weight.sum()) < SURELY_LATE:
             continue
-        without = now.refit(
-            replace(now.hypothesis, absent=now.hypothesis.absent | {(Channel.DELAY, axis)}), iterations=15
-        )
+        without = now.refit(replace(now.hypothesis, absent=now.hypothesis.absent | {(Channel.DELAY, axis)}))
         for channel in Channel:
-            found = now.refit(
-                replace(now.hypothesis, channels=now.hypothesis.channels | {(channel, axis)}), iterations=15
-            )
+            found = now.refit(replace(now.hypothesis, channels=now.hypothesis.channels | {(channel, axis)}))
             if channel is Channel.LAG:
                 punctual = found.numbers.timing.punctual(axis)
                 found = found.refit(
                     replace(found.hypothesis, absent=found.hypothesis.absent | {(Channel.DELAY, axis)}),
                     replace(found.numbers, timing=punctual),
-                    iterations=40,
                 )
             out.append(LateDrive(channel, axis, found, without))
     return out

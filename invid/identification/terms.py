@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,9 +11,11 @@ from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
 from invid.identification.quantities import Quantities, axis_and_element
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.supposition import Channel, Supposed
+from invid.likelihood.unknown_forces.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.likelihood.unknown_forces.worth import FRICTION
 from invid.model.document import EffectTerm
+from invid.model.plant import Kind
 from invid.numerics.arrays import Float64
 
 Sizes = dict[str, tuple[Callable[[Float64], float], list[int | None]]]
@@ -61,3 +64,42 @@ class TermWriter:
             if part in parts and part is not Part.RISE and not (part is Part.DRY and rise is not None):
                 found[cause] = {BY_CAUSE[cause].main: (lambda v: float(v[0]), [at[part]])}
         return [self.term(cause, motor, sizes, element="mass 1") for cause, sizes in found.items()]
+
+    def load_spring(self, pair: tuple[int, int]) -> EffectTerm:
+        """Term of a spring between two loads."""
+        at = self.structure.index(Kind.LOAD_SPRING).start + self.structure.pairs.index(pair)
+        unit = self.now.numbers.plant.unit[at]
+        sizes = {"stiffness": (lambda v: v[0] * unit, [at])}
+        element = f"mass {self.structure.sizes[pair[0]]}"
+        return self.term("coupling_stiffness", pair[0], sizes, element=element, other_axis=self.axes[pair[1]])
+
+    @property
+    def late_channels(self) -> list[tuple[Channel, int]]:
+        """Drives that are late or lag, by axis; one that shows its torque low-passed is none."""
+        lag = self.now.numbers.timing.lag
+        late = (c for c in self.now.hypothesis.channels if c[0] is Channel.DELAY or lag[c[1]] >= 0.0)
+        return sorted(late, key=lambda c: (c[1], c[0].value))
+
+    def channel(self, channel: Channel, axis: int) -> EffectTerm:
+        """Term of a drive that is late or lags."""
+        first, motors = self.now.numbers.plant.x.size, self.structure.motors
+        step = self.now.numbers.timing.step
+        if channel is Channel.LAG:
+            at = first + 4 * motors + axis
+            return self.term(channel.value, axis, {"time_constant": (lambda v: v[0] * step, [at])})
+        driven = any(r.driven[axis] for s in self.now.bench.stacks for r in s.records)
+        at = first + (axis if driven else motors + axis)
+        usual, open_part = self._usual_delay(axis) if driven else (EXPECTED_DELAY[HOLD], 0.0)
+        term = self.term(channel.value, axis, {"delay": (lambda v: (v[0] - usual) * step, [at])})
+        known = term.parameters["delay"]
+        std = None if known.std is None else float(np.hypot(known.std, open_part * step))
+        return replace(term, parameters={"delay": replace(known, std=std)})
+
+    def _usual_delay(self, axis: int) -> tuple[float, float]:
+        """Delay of a punctual command in this record [samples], and its deviation: that of the other axes.
+
+        On one axis alone nothing tells whether samples show the command that begins or the one that ended.
+        """
+        late = {a for _, a in self.now.hypothesis.channels} | {axis}
+        others = [float(d) for a, d in enumerate(self.now.numbers.timing.delay[COMMAND]) if a not in late]
+        return (float(np.median(others)), 0.0) if others else (0.0, 1.0 / np.sqrt(12.0))

@@ -27,16 +27,17 @@ from invid.diagnosis.unknown_forces.nameless import coefficients_of
 from invid.diagnosis.unknown_forces.rivals import Contest, contests, is_part_of_more
 from invid.diagnosis.unknown_forces.structures import additions_of
 from invid.diagnosis.unknown_forces.unexplained import describe_left
+from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.effects.units import unit_of
-from invid.identification.begun import Begun, with_kept_out_fitted
+from invid.identification.begun import Begun
 from invid.identification.fewer_masses import fewer_masses_warnings
 from invid.identification.fitted_model import model_of
 from invid.identification.missing_torque import AxisMissing, axis_missing
 from invid.identification.own_time import AxisTones, describe_tones
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import Channel, Supposed
+from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.diagnosis_document import AxisResidual, Diagnosis, Unexplained, Verdict
 from invid.model.document import EffectTerm, model_to_json
 from invid.model.doubts import DoubtCode, doubts_of
@@ -45,6 +46,10 @@ from invid.recording.model import Recording
 
 SURE = Contest(1.0, ())
 BESIDE_MORE = "Something without a name acts at the same place: it may be a part of it."
+SEEN = 5.0
+"""Deviations of its size from which a cause that was not weighed is listed (statistical)."""
+NOT_WEIGHED = "Whether all is explained is not told: the time ended before these were weighed:"
+UNWEIGHED = "It was not weighed: the time ended."
 OF_SHAPES = "What it takes is no more than the shapes of the other causes may leave."
 
 
@@ -62,11 +67,6 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     recording, found = begun.recording, search_elastic(begun)
     before, after, residual = _missing(found)
     unlike = _kept_out_unlike(found, residual)
-    shared = None if unlike is None else with_kept_out_fitted(begun)
-    if shared is not None:
-        begun, found = shared, search_elastic(shared)
-        before, after, residual = _missing(found)
-        unlike = _kept_out_unlike(found, residual)
     budget.tell("rivals of the causes", 0.9)
     explained = explained_share(residual)
     causes = named_causes(found, before, after, explained)
@@ -77,6 +77,10 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     tones = begun.tones
     residual = [_with_tones(r, tones, recording) for r in residual]
     left = describe_tones(tones, recording) or describe_left(found.named, found.forces_named, recording)
+    waiting = [w for w in found.worths if not w.is_weighed]
+    if left is None and waiting:
+        names = ", ".join(dict.fromkeys(w.cause.replace("_", " ") for w in waiting))
+        left = Unexplained(recording.axes[0], (), (), f"{NOT_WEIGHED} {names}.")
     if left is None and unlike is not None:
         left = Unexplained(unlike.axis, (), (), _kept_out_sentence(unlike))
     doubt = next((d for d in doubts_of(model.fit) if d.code is not DoubtCode.UNSEEN), None)
@@ -87,11 +91,13 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     outcome = Outcome(
         missing=bool(findings) or bool(sure) or bool(tones) or doubt is not None or unlike is not None,
         complete=not sure and not tones and unlike is None,
+        is_weighed=not waiting,
         explained=explained if findings else None,
         left=left,
         opening=model.warnings,
         warnings=[
-            *(d for c in causes for d in c.doubts if d not in (BESIDE_MORE, OF_SHAPES)),
+            *([left.sentence] if left is not None and waiting else []),
+            *(d for c in causes for d in c.doubts if d not in (BESIDE_MORE, OF_SHAPES, UNWEIGHED)),
             *begun.warnings,
             *begun.stopgap,
             *fewer_masses_warnings(begun.declared, masses),
@@ -165,10 +171,7 @@ def named_terms(found: ElasticSearch) -> list[NamedTerm]:
             key = (part, motor) if (part, motor) in stays else (Part.RISE, motor)
             terms.append(NamedTerm(term, key, stays[key]))
     terms += [NamedTerm(writer.load_spring(p), p, stays[p]) for p in structure.pairs if p in stays]
-    # A channel that low-passes what it records is no cause: the model says so.
-    shown = {(Channel.LAG, i) for i in np.flatnonzero(end.numbers.timing.lag < 0.0)}
-    channels = end.hypothesis.channels - shown
-    terms += [NamedTerm(writer.channel(*c), c, stays[c]) for c in channels if c in stays]
+    terms += [NamedTerm(writer.channel(*c), c, stays[c]) for c in writer.late_channels if c in stays]
     terms += [NamedTerm(writer.addition(a), a, stays[a]) for a in additions_of(structure) if a in stays]
     return terms
 
@@ -196,6 +199,12 @@ def _hold_doubts(end: Supposed, key: Hashable, axes: Sequence[str]) -> list[str]
     ]
 
 
+def _is_seen(effect: EffectTerm) -> bool:
+    """Whether a size stands out of its deviation: a cause that is not weighed is else said by name alone."""
+    size = effect.parameters[BY_CAUSE[effect.cause].main]
+    return size.std is not None and abs(size.value) > SEEN * size.std
+
+
 def named_causes(
     found: ElasticSearch, before: AxisMissing, after: AxisMissing, explained: float
 ) -> list[Cause]:
@@ -207,6 +216,7 @@ def named_causes(
     axes = found.recording.axes
     contested = contests(found.end, found.worths, found.pursued, found.recording)
     terms, out = named_terms(found), []
+    waiting = {w.key for w in found.worths if not w.is_weighed}
     whole = max(sum(t.rise for t in terms), 1.0)
     for term in terms:
         axis = axes.index(term.effect.axis)
@@ -214,6 +224,9 @@ def named_causes(
         is_part = is_part_of_more(term.key, found.forces)
         of_shapes = any(w.key == term.key and is_of_shapes(w, found.end, found.bare) for w in found.worths)
         if is_part and explained < MOST:
+            continue
+        is_weighed = term.key not in waiting
+        if not is_weighed and not _is_seen(term.effect):
             continue
         out.append(
             Cause(
@@ -226,9 +239,10 @@ def named_causes(
                 doubts=(
                     *((BESIDE_MORE,) if is_part else ()),
                     *((OF_SHAPES,) if of_shapes else ()),
+                    *(() if is_weighed else (UNWEIGHED,)),
                     *_hold_doubts(found.end, term.key, axes),
                 ),
-                size_is_significant=False if is_part else None,
+                size_is_significant=False if is_part or not is_weighed else None,
             )
         )
     return sorted(out, key=lambda c: -c.fraction)

@@ -65,18 +65,6 @@ def is_of_shapes(worth: Worth, end: Supposed, bare: Supposed) -> bool:
     return bool(worth.left) and bool((taken <= (IMPERFECT * acts) ** 2).all())
 
 
-def at_their_places(found: Supposed, rounds: int = 3) -> Supposed:
-    """The same with strengths where −2 ln L is lower: a force that a fit began at a wrong place stays there,
-    since strengths move by factors, though elsewhere it explains more."""
-    for _ in range(rounds):
-        tried = [_closed(found, spot) for _, spot in found.strength[:MOST]]
-        best = min(tried, key=lambda f: f.total)
-        if best.total > found.total - 1.0:
-            break
-        found = found.refit(numbers=best.numbers)
-    return found
-
-
 def _closed(found: Supposed, spot: Spot) -> Fit:
     """The fit with no unknown force at a place."""
     problem = found.fit.problem
@@ -84,7 +72,7 @@ def _closed(found: Supposed, spot: Spot) -> Fit:
     strength = found.numbers.strength.copy()
     strength[number] = problem.least
     closed = replace(problem, shut=np.array([*problem.shut, number]))
-    without = fit(closed, replace(found.numbers, strength=strength), 8)
+    without = fit(closed, replace(found.numbers, strength=strength))
     budget.check()
     return without
 

@@ -277,7 +277,7 @@ class Screen:
 
         def held(low: float, high: float) -> Value:
             columns = (replace(c, low=low, high=high) if c.name == name else c for c in problem.columns)
-            return fit(replace(problem, columns=tuple(columns)), self.end.numbers, iterations=10).value
+            return fit(replace(problem, columns=tuple(columns)), self.end.numbers).value
 
         best = held(-np.inf, np.inf)
         own = best.coefficients[[c.name for c in problem.columns].index(name)]

@@ -6,11 +6,11 @@ left, and a stage that it ends leaves what was found so far.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from invid.diagnosis.unknown_forces.backward import first_order_worths, worths
-from invid.diagnosis.unknown_forces.left_over import PlaceForce, at_their_places, place_forces
+from invid.diagnosis.unknown_forces.backward import deletions_of
+from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_forces
 from invid.diagnosis.unknown_forces.nameless import add_laws
 from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
 from invid.diagnosis.unknown_forces.structures import additions_of, without
@@ -18,9 +18,8 @@ from invid.effects.supposed_laws import supposed_laws
 from invid.identification.begun import Begun
 from invid.identification.fewer_masses import with_masses_seen
 from invid.identification.quantities import axis_and_element
-from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
-from invid.likelihood.unknown_forces.worth import Worth, gone_columns
+from invid.likelihood.unknown_forces.worth import Worth, prune, without_loose_springs
 from invid.numerics import budget
 from invid.recording.model import Recording
 
@@ -65,9 +64,8 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     is_cut_short = CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
         budget.tell("weighing each cause", 0.0)
-        found, weighed = _weighed(pursued.end, with_masses_seen)
+        found, named = prune(without_loose_springs(with_masses_seen(pursued.end)), deletions_of)
     budget.tell("what is left", 0.85)
-    named = budget.or_else("what is left at each place", lambda: at_their_places(weighed), weighed)
     named = named.kept_settled()
     bare = without_causes(named)
     nothing: tuple[PlaceForce, ...] = ()
@@ -75,52 +73,15 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     end, forces = named, forces_named
     with_law = budget.or_else("a law without a name", lambda: add_laws(named, forces_named), None)
     if with_law is not None:
-        found, end = _weighed(with_law, Supposed.kept_settled)
+        found, end = prune(with_law.kept_settled(), deletions_of)
         forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), nothing)
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 
 def found_so_far(now: Supposed, axes: Sequence[str]) -> list[budget.Found]:
-    """The laws of a hypothesis and the friction that is sure, at their places, for whoever waits."""
-    out = []
-    for placed in now.hypothesis.laws:
-        axis, element = axis_and_element(now.hypothesis.structure, placed.spot)
-        out.append(budget.Found(placed.law.cause, axes[axis], None, element))
-    for worth in first_order_worths(now):
-        if worth.stays and isinstance(worth.key, tuple) and isinstance(worth.key[0], Part):
-            out.append(budget.Found(worth.cause, axes[worth.key[1]], None, "mass 1"))
-    return out
-
-
-def _weighed(now: Supposed, ready: Callable[[Supposed], Supposed]) -> tuple[tuple[Worth, ...], Supposed]:
-    """What each cause is worth once all is ``ready``, and the fit with those that pay; to first order, with
-    all that was found, where the budget allows no more."""
-
-    def weigh() -> tuple[tuple[Worth, ...], Supposed]:
-        whole = ready(now)
-        found = tuple(worths(whole))
-        return found, only(whole, found)
-
-    told = budget.or_else("what each cause is worth", weigh, None)
-    return told or (tuple(first_order_worths(now)), now)
-
-
-def only(now: Supposed, found: Sequence[Worth]) -> Supposed:
-    """The hypothesis with the causes that pay, fitted."""
-    for addition in additions_of(now.hypothesis.structure):
-        if any(w.key == addition and not w.stays for w in found):
-            now = without(now, addition)
-    # A structure that was taken out leaves places whose motion no fit has said.
-    now = now if now.motions.smoothed else now.smoothed()
-    columns = gone_columns(found)
-    gone = {w.key for w in found if not w.stays}
-    laws = tuple(p for p in now.hypothesis.laws if p.key not in gone)
-    pairs = {k for k in now.hypothesis.structure.pairs if not any(w.key == k and w.stays for w in found)}
-    absent = now.hypothesis.absent | columns | pairs
-    channels = frozenset(c for c in now.hypothesis.channels if c not in gone)
-    return now.refit(
-        replace(now.hypothesis, laws=laws, absent=frozenset(absent), channels=channels), iterations=15
-    )
+    """The laws of a hypothesis at their places, for whoever waits."""
+    places = ((p.law.cause, axis_and_element(now.hypothesis.structure, p.spot)) for p in now.hypothesis.laws)
+    return [budget.Found(cause, axes[axis], None, element) for cause, (axis, element) in places]
 
 
 def without_causes(now: Supposed) -> Supposed:
@@ -131,4 +92,4 @@ def without_causes(now: Supposed) -> Supposed:
     on_time = {(Channel.DELAY, axis) for _, axis in now.hypothesis.channels}
     absent = frozenset(now.hypothesis.absent | names | on_time | set(now.hypothesis.structure.pairs))
     bare = replace(now.hypothesis, laws=(), absent=absent, channels=frozenset())
-    return now.refit(bare, iterations=15)
+    return now.refit(bare)

@@ -14,8 +14,6 @@ from invid.identification.terms import Sizes, TermWriter
 from invid.likelihood.unknown_forces.forces import Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.supposition import Channel
-from invid.likelihood.unknown_forces.timing import COMMAND, EXPECTED_DELAY, HOLD
 from invid.model.document import EffectTerm, Estimate
 from invid.model.plant import Kind
 from invid.numerics.arrays import Float64
@@ -90,35 +88,3 @@ class CauseWriter(TermWriter):
         sizes: Sizes = {name: (part(name), [*known]) for name in ("mass", "stiffness", "damping_ratio")}
         sizes |= {f"{SHARE}{i + 1}": (share(i), [*known]) for i in range(structure.motors)}
         return self.term(cause, 0, sizes)
-
-    def load_spring(self, pair: tuple[int, int]) -> EffectTerm:
-        """Term of a spring between two loads."""
-        at = self.structure.index(Kind.LOAD_SPRING).start + self.structure.pairs.index(pair)
-        unit = self.now.numbers.plant.unit[at]
-        sizes = {"stiffness": (lambda v: v[0] * unit, [at])}
-        element = f"mass {self.structure.sizes[pair[0]]}"
-        return self.term("coupling_stiffness", pair[0], sizes, element=element, other_axis=self.axes[pair[1]])
-
-    def channel(self, channel: Channel, axis: int) -> EffectTerm:
-        """Term of a drive that is late or lags."""
-        first, motors = self.now.numbers.plant.x.size, self.structure.motors
-        step = self.now.numbers.timing.step
-        if channel is Channel.LAG:
-            at = first + 4 * motors + axis
-            return self.term(channel.value, axis, {"time_constant": (lambda v: v[0] * step, [at])})
-        driven = any(r.driven[axis] for s in self.now.bench.stacks for r in s.records)
-        at = first + (axis if driven else motors + axis)
-        usual, open_part = self._usual_delay(axis) if driven else (EXPECTED_DELAY[HOLD], 0.0)
-        term = self.term(channel.value, axis, {"delay": (lambda v: (v[0] - usual) * step, [at])})
-        known = term.parameters["delay"]
-        std = None if known.std is None else float(np.hypot(known.std, open_part * step))
-        return replace(term, parameters={"delay": replace(known, std=std)})
-
-    def _usual_delay(self, axis: int) -> tuple[float, float]:
-        """Delay of a punctual command in this record [samples], and its deviation: that of the other axes.
-
-        On one axis alone nothing tells whether samples show the command that begins or the one that ended.
-        """
-        late = {a for _, a in self.now.hypothesis.channels} | {axis}
-        others = [float(d) for a, d in enumerate(self.now.numbers.timing.delay[COMMAND]) if a not in late]
-        return (float(np.median(others)), 0.0) if others else (0.0, 1.0 / np.sqrt(12.0))

@@ -212,8 +212,8 @@ def _shaped(best: Supposed, base: Hypothesis) -> Supposed:
 
 
 def _with_law(now: Supposed, base: Hypothesis, placed: PlacedLaw) -> Supposed:
-    found = now.refit(replace(base, laws=(*base.laws, placed)), iterations=8)
-    return found if placed.spot.where is Where.MOTOR else found.renewed(8)
+    found = now.refit(replace(base, laws=(*base.laws, placed)))
+    return found if placed.spot.where is Where.MOTOR else found.renewed()
 
 
 def _is_at_noise(found: Supposed, axis: int) -> bool:

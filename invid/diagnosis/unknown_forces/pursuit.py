@@ -26,7 +26,7 @@ from invid.identification.late_drives import late_drives
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, smoothed_with_shapes, with_law
-from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.supposition import Supposed, excess
 from invid.likelihood.unknown_forces.worth import LEAST_FITTED, NUMBER, pays, role_falls
 from invid.model.plant import Kind
 from invid.numerics import budget
@@ -43,8 +43,8 @@ MOTORS_AGREED = 2
 """Rounds in which motor motion is made to agree with friction: the third moves nothing (empirical)."""
 NEAR_END = 20.0
 """Rise of −2 ln L up to which motion that is smoothed anew is that of the same end: numbers moved with it."""
-LOST = 0.2
-"""Unknown force behind the motors [N·m] from which on another structure is supposed beside every law."""
+MOST = 0.5
+"""Share of what is in excess of the sensors from which beside a law no other structure is supposed."""
 
 Tell = Callable[[Supposed, float], None]
 """Given what is found so far, and the share of the search that lies behind."""
@@ -88,8 +88,10 @@ class Trial:
 
     @property
     def pays(self) -> bool:
-        """Whether it pays its price, which contains what the places and shapes of laws cost."""
-        return pays(*role_falls(self.base, self.found), 1 if self.addition is None else self.numbers)
+        """Whether it pays its price, which contains what the places and shapes of laws cost, however far the
+        hypothesis without it may still fall."""
+        fitted, kept = role_falls(self.base, self.found)
+        return pays(fitted - self.base.fit.open_gap, kept, 1 if self.addition is None else self.numbers)
 
 
 def is_sound(found: Supposed) -> bool:
@@ -148,18 +150,22 @@ def try_channels(now: Supposed) -> list[Trial]:
     ]
 
 
-def try_structures(now: Supposed, least: float, *, growing: bool) -> list[Trial]:
+def try_structures(
+    now: Supposed, least: float, *, growing: bool, start: Supposed | None = None
+) -> list[Trial]:
     """A mode, a base, one more mass of a chain, each where a scan over frequency says that it may be.
 
-    What falls by less than a share of ``least``, or of the best of them, is not fitted to its end.
+    What falls by less than a share of ``least``, or of the best of them, is not fitted to its end. ``start``:
+    the same structure with the numbers to scan and to begin from, else those of ``now``.
     """
-    looked = Scan(now)
+    start = start or now
+    looked = Scan(start)
     structure = now.hypothesis.structure
-    begun = [(a, add(now, a, looked)) for a in additions(now, looked, growing=growing)]
+    begun = [(a, add(start, a, looked)) for a in additions(start, looked, growing=growing)]
     known = [(a, found) for a, found in begun if found is not None]
     least = now.total - PROMISING * max([least, *(now.total - found.total for _, found in known)])
     trials = [
-        Trial(a.cause, a.spot(structure), found.refit(iterations=25), now, addition=a)
+        Trial(a.cause, a.spot(structure), found.refit(), now, addition=a)
         for a, found in known
         if found.total < least
     ]
@@ -178,8 +184,13 @@ def stand_again(now: Supposed) -> tuple[Supposed, tuple[tuple[Trial, Trial], ...
             break
         less = without(now, own)
         taken = Trial(own.cause, own.spot(less.hypothesis.structure), now, less, addition=own)
-        others = [t for t in try_structures(less, taken.fall, growing=False) if t.addition != own]
-        best = max((taken, *others), key=lambda t: t.merit)
+        # The fit without it has bent the chains: what may stand in its place is seen from where they were.
+        start = without(now, own, 0)
+        tried = try_structures(less, taken.fall, growing=False, start=start)
+        others = [t for t in tried if t.addition != own]
+        # What holds it as a special case does as well: its further freedom has to pay by itself.
+        paid = [t for t in others if not t.holds(taken) or pays(*role_falls(now, t.found))]
+        best = max((taken, *paid), key=lambda t: t.merit)
         now = now if best is taken else settle(best.found)
         best = replace(best, found=now)
         rivals += [(best, t) for t in (taken, *others) if t.addition != best.addition and not t.holds(best)]
@@ -195,8 +206,6 @@ class Pursued:
     """Taken, and beside it what did nearly as well."""
 
 
-TO_THE_END = 20
-"""Most iterations of a trial that comes near the best."""
 NEARLY_AS_WELL = 0.15
 """Share of the fall of the cause taken that a rival may miss and is looked at again at the end."""
 
@@ -207,7 +216,7 @@ def finish(trials: Sequence[Trial]) -> list[Trial]:
     best = max((t.merit for t in trials), default=0.0)
     close = [t for t in trials if t.merit > best - max(NEARLY_AS_WELL * best, LEAST_FITTED)]
     if len(close) > 1:
-        ended = {id(t): replace(t, found=t.found.refit(iterations=TO_THE_END)) for t in close}
+        ended = {id(t): replace(t, found=t.found.refit()) for t in close}
         trials = [ended.get(id(t), t) for t in trials]
     return sorted(trials, key=lambda t: -t.merit)
 
@@ -230,7 +239,7 @@ def pursue(
         tell(now, number / rounds)
         if budget.is_left_out("further causes"):
             break
-        renewed = now.renewed(3)
+        renewed = now.renewed()
         # Across a law motion may come to rest elsewhere; without one it is only smoothed.
         if renewed.total < now.total + NEAR_END or not now.motions.smoothed:
             now = still = renewed
@@ -252,7 +261,7 @@ def pursue(
                 base = still if placed.needs_fit else now
                 trials.append(Trial(placed.law.cause, placed.spot, found, base, placed))
         best = max((t.fall for t in trials), default=0.0)
-        if (best < 2000.0 or now.inner_strength > LOST) and not budget.is_left_out("further causes"):
+        if best < MOST * excess(now) and not budget.is_left_out("further causes"):
             trials += try_structures(now, best, growing=growing)
         trials += try_channels(now)
         trials = finish(trials)

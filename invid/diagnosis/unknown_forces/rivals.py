@@ -12,7 +12,7 @@ from invid.diagnosis.thresholds import COMPETES, EXPLAINED
 from invid.diagnosis.unknown_forces.left_over import PlaceForce
 from invid.diagnosis.unknown_forces.nameless import drag
 from invid.diagnosis.unknown_forces.projected_rows import Rows
-from invid.diagnosis.unknown_forces.pursuit import TO_THE_END, Pursued, is_sound
+from invid.diagnosis.unknown_forces.pursuit import Pursued, is_sound
 from invid.diagnosis.unknown_forces.scoring import column_fall, score, spots_of
 from invid.diagnosis.unknown_forces.structures import Base, Mode
 from invid.effects.catalogue.asymmetric_friction import AsymmetricFriction
@@ -99,7 +99,7 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
     without = _hypothesis_without(end.hypothesis, worth.key)
     if without is None or budget.is_left_out(WHAT):
         return _of_structure(worth, pursued)
-    less = end.refit(without, iterations=10)
+    less = end.refit(without)
     own = next((p for p in end.hypothesis.laws if p.key == worth.key), None)
     price = Rows(end).price
     rivals: list[tuple[str, Spot, float, Supposed]] = []
@@ -111,14 +111,14 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
         more = price * (_numbers(placed) - replaced)
         # One of many laws that have no name: it has to do as well as the cause that has one.
         more += COMPETES if isinstance(placed.law, SmoothLaw) else 0.0
-        found = with_law(less, placed).refit(iterations=TO_THE_END)
+        found = with_law(less, placed)
         rivals.append((placed.law.cause, placed.spot, more, found.kept_settled()))
     if isinstance(worth.key, tuple) and isinstance(worth.key[0], Channel):
         channel, axis = worth.key
         other = next(c for c in Channel if c is not channel)
         swapped = replace(less.hypothesis, channels=less.hypothesis.channels | {(other, axis)})
         swapped = replace(swapped, absent=swapped.absent - {(Channel.DELAY, axis)})
-        found = less.refit(swapped, iterations=15)
+        found = less.refit(swapped)
         rivals.append((other.value, Spot(Where.MOTOR, axis), 0.0, found))
     return [_rival((cause, spot), found, end, more) for cause, spot, more, found in rivals if is_sound(found)]
 

@@ -10,7 +10,6 @@ from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add,
 from invid.identification.contest import (
     NOTHING,
     PRICE_OF_MASS,
-    TO_THE_END,
     Known,
     astray,
     bent_axes,
@@ -61,7 +60,7 @@ def _with_what_scan_shows(now: Supposed) -> Supposed:
     tried: list[Addition] = [Mode(structure.load[axis]) for axis in astray(now)]
     tried += [Base()] if structure.motors > 1 else []
     fits = [f for a in tried for f in (add(now, a, looked),) if f is not None and a.is_real(f)]
-    ended = [f.refit(iterations=TO_THE_END) for f in sorted(fits, key=_priced)[:LEADERS]]
+    ended = [f.refit() for f in sorted(fits, key=_priced)[:LEADERS]]
     return min((now, *ended), key=_priced)
 
 

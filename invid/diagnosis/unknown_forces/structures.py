@@ -14,6 +14,7 @@ from invid.identification.contest import is_settled
 from invid.identification.fewer_masses import expected
 from invid.identification.first_plants import fraction_chains
 from invid.likelihood.unknown_forces.correspondence import Correspondence
+from invid.likelihood.unknown_forces.descent import TO_THE_END
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.plant import Element, Kind, Structure
@@ -285,7 +286,7 @@ def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
                 pool.append(now.in_structure(moved, values, 0))
         tried += [f.refit(iterations=6) for f in sorted(pool, key=expected)[:STARTS]]
     best = sorted(tried, key=lambda f: f.total)[:STARTS]
-    return min((f.refit(iterations=12) for f in best), key=lambda f: f.total, default=None)
+    return min((f.refit() for f in best), key=lambda f: f.total, default=None)
 
 
 def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:
@@ -330,7 +331,7 @@ def axes_with_force(now: Supposed) -> list[int]:
     return list(dict.fromkeys(out))
 
 
-def without(now: Supposed, addition: Addition) -> Supposed:
+def without(now: Supposed, addition: Addition, iterations: int = TO_THE_END) -> Supposed:
     """The fit with an addition taken out, its mass put back on its host."""
     structure, values = now.hypothesis.structure, {}
     if isinstance(addition, Mode):
@@ -339,4 +340,4 @@ def without(now: Supposed, addition: Addition) -> Supposed:
         values[Element(Kind.MASS, addition.host)] = float(sum(mass[[*addition.ends(structure)]]))
     else:
         fewer = replace(structure, base=False)
-    return now.in_structure(Correspondence.of(structure, fewer), values, 25)
+    return now.in_structure(Correspondence.of(structure, fewer), values, iterations)

@@ -21,9 +21,8 @@ CORNER = 0.4
 torque that ripples does not (empirical: 5 Hz for a band of 12)."""
 LEAST, FIRST = 1e-9, 1e-3
 """Least and first strength over the torque noise of a line: a strength of zero could not grow again."""
-PACE = 0.6
-"""Power of the multiplicative step; up to 1 it cannot raise −2 ln L where it is small (Févotte and Idier
-2011 for the exponent one half)."""
+COLOURS = 2
+"""Kinds of unknown force at each place: one that falls off with frequency, one that does not."""
 
 
 class Where(Enum):

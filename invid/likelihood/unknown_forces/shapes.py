@@ -219,7 +219,7 @@ def smoothed_with_shapes(now: Supposed) -> Supposed:
     """The same with shapes at their best and inner motion smoothed anew, in turn."""
     for _ in range(SMOOTHED):
         now = reshape(now, 2).renewed(5)
-    return now
+    return now if now.fit.is_finished else now.refit()
 
 
 def reshape(now: Supposed, rounds: int = 4) -> Supposed:
@@ -231,7 +231,7 @@ def reshape(now: Supposed, rounds: int = 4) -> Supposed:
         gained, now = now.total - moved.total, moved
         if gained < 2.0 * FALL:
             break
-    return now
+    return now if now.fit.is_finished else now.refit()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,9 @@
-"""The exact gradient of −2 ln L by all numbers, and its curvature; no parameter has code of its own.
+"""The exact gradient of −2 ln L by all numbers and strengths, and its curvature; no parameter has code of its
+own.
 
 With dD = u uᵀ the missing torque moves by V u (uᵀq), q the motion of every coordinate that measured motion,
-laws and ends ask for, and S through dZ = V u uᵀVᵀ and dH = −V u uᵀX b.
+laws and ends ask for, and S through dZ = V u uᵀVᵀ and dH = −V u uᵀX b; with a strength q_p S moves by
+g H_p H_pᴴ.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.likelihood.unknown_forces.forces import COLOURS, colours
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import (
     NEARLY_SINGULAR,
@@ -23,7 +26,7 @@ from invid.likelihood.unknown_forces.value import (
     real_rows,
     torque_scales,
 )
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Complex128, Float64, Int64
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +34,17 @@ class Slope:
     """Half the gradient (p,) of −2 ln L by the numbers, and its curvature (p, p) with the laws profiled out.
 
     For a step s the value falls by −2·gradient·s − sᵀ·curvature·s. ``joint`` (p + J', p + J') is the
-    curvature with the J' free coefficients beside the numbers.
+    curvature with the J' free coefficients beside the numbers. ``pull`` (P, 2) is half the gradient by the
+    strengths, and ``whole`` (p + k, p + k) Fisher's information on the numbers and the k strengths ``moving``
+    (indices in P × 2), what S tells of both included.
     """
 
     gradient: Float64
     curvature: Float64
     joint: Float64
+    pull: Float64
+    whole: Float64
+    moving: Int64
 
 
 def slope(problem: Problem, value: Value) -> Slope:
@@ -46,7 +54,7 @@ def slope(problem: Problem, value: Value) -> Slope:
     plant, size = numbers.plant.x.size, numbers.x.size
     free = np.flatnonzero(value.free)
     joint = np.zeros((size + free.size, size + free.size))
-    gradient = np.zeros(size)
+    gradient, pull = np.zeros(size), np.zeros(numbers.strength.shape)
     for k, work in enumerate(value.work):
         count, lines, motors = work.shape
         rows = work.missing + work.laws @ value.coefficients
@@ -58,11 +66,21 @@ def slope(problem: Problem, value: Value) -> Slope:
         gradient += columns.reshape(-1, size).T @ rows.ravel()
         white = (rows[:, : lines * motors] + 1j * rows[:, lines * motors :]).reshape(count, lines, motors)
         gradient[:plant] += terms.by_parameter(_covariance_slope(problem, value, work, white, seen, factor))
+        pull += _strength_slope(problem, work, white)
     prior = 1.0 / problem.spread**2
     gradient += (numbers.x - problem.centre) * prior
     gradient -= _through_laws(problem, value, joint, size)
     joint[np.arange(size), np.arange(size)] += prior
-    return Slope(gradient, _profiled(joint, size), joint)
+    curvature = _profiled(joint, size)
+    moving = np.flatnonzero((pull < 0.0) | (numbers.strength > problem.least))
+    moving = moving[~np.isin(moving // COLOURS, problem.shut)]
+    whole = np.zeros((size + moving.size, size + moving.size))
+    whole[:size, :size] = curvature
+    for work in value.work:
+        told = _covariance_columns(problem, value, work, moving)
+        at = np.concatenate((np.arange(plant), size + np.arange(moving.size)))
+        whole[np.ix_(at, at)] += told.T @ told
+    return Slope(gradient, curvature, joint, pull, whole, moving)
 
 
 def number_rows(problem: Problem, value: Value, number: int) -> Float64:
@@ -174,6 +192,40 @@ def _timing_columns(work: StackWork, timing: Timing, scales: Float64) -> Complex
     slopes = timing.slopes(work.stack) * scales[:, None]
     columns = -work.whitener[None, :, :, None, :] * slopes.transpose(0, 1, 3, 2)[:, :, None]
     return columns.reshape(*slopes.shape[:3], slopes.shape[2] * slopes.shape[3])
+
+
+def _strength_slope(problem: Problem, work: StackWork, white: Complex128) -> Float64:
+    """(P, 2) half the gradient by each strength, in the quadratic form and in ln|S|."""
+    reach = work.noise.whitener @ work.noise.reach
+    told = (np.abs(reach.conj().transpose(0, 2, 1) @ white.transpose(1, 2, 0)) ** 2).sum(axis=2) / 2.0
+    expected = work.stack.count * work.stack.weight[:, None] * (np.abs(reach) ** 2).sum(axis=1)
+    out: Float64 = (expected - told).T @ colours(work.stack.omega, problem.corner)
+    return out
+
+
+def _covariance_columns(problem: Problem, value: Value, work: StackWork, moving: Int64) -> Float64:
+    """(2FM², P' + k) W·dS·Wᴴ by the plant's numbers and by the strengths ``moving``, so weighed that products
+    of columns are Fisher's information of S, halved as the curvature is."""
+    plant = value.numbers.plant
+    terms, condensed, noise = plant.structure.terms, work.condensed, work.noise
+    lines, motors = work.shape[1:]
+    weight = np.sqrt(work.stack.count * work.stack.weight)[:, None, None]
+    whitener = noise.whitener * weight**0.5
+    seen = along(condensed.motion, terms.vectors)
+    # uᵀ(VᵀC_θZᴴ − X b q g Hᴴ): what one side of S gains by a change u uᵀ of D
+    turned = condensed.stiffness.conj().transpose(0, 2, 1)
+    pushed = problem.spots.vectors @ (noise.power[:, :, None] * noise.reach.conj().transpose(0, 2, 1))
+    inner = condensed.motion.transpose(0, 2, 1) @ (work.position_noise[:, None] * turned)
+    gains = terms.vectors.T @ (inner - condensed.receptance @ pushed)
+    left = (whitener @ seen) * terms.factors(work.stack.omega, plant.slope)[:, None]
+    right = gains @ whitener.conj().transpose(0, 2, 1)
+    half = terms.by_parameter(left[:, :, None] * right.transpose(0, 2, 1)[:, None])
+    by_plant = half + half.conj().transpose(0, 2, 1, 3)
+    reach = (whitener @ noise.reach)[:, :, moving // COLOURS]
+    power = colours(work.stack.omega, problem.corner)[:, moving % COLOURS]
+    by_strength = reach[:, :, None] * reach.conj()[:, None] * power[:, None, None]
+    both = np.concatenate((by_plant, by_strength), axis=3).reshape(lines * motors**2, -1)
+    return np.concatenate((both.real, both.imag))
 
 
 def _covariance_slope(

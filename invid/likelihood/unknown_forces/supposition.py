@@ -11,14 +11,13 @@ import numpy as np
 
 from invid.effects.supposed.law import Shape, SpotMotion
 from invid.likelihood.unknown_forces.correspondence import Correspondence
-from invid.likelihood.unknown_forces.descent import Fit, fit
-from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours
+from invid.likelihood.unknown_forces.descent import TO_THE_END, Fit, fit
+from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours, missing_noise
 from invid.likelihood.unknown_forces.motions import Motions, PlacedLaw, axis_of, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws, Part
 from invid.likelihood.unknown_forces.motor_motion import Friction, agreed_records
 from invid.likelihood.unknown_forces.smoother import SmoothedStack, smooth
 from invid.likelihood.unknown_forces.stack import Stack
-from invid.likelihood.unknown_forces.strengths import stronger
 from invid.likelihood.unknown_forces.timing import CONVENTION
 from invid.likelihood.unknown_forces.value import Column, Numbers, Problem, Value, evaluate
 from invid.model.plant import Element, Kind, Structure
@@ -178,10 +177,7 @@ class Supposed:
 
     @cached_property
     def kept_value(self) -> Value | None:
-        """−2 ln L of the records kept out, at the numbers and coefficients that were fitted.
-
-        Strengths are their own: what friction's shape leaves depends on how the axes moved there.
-        """
+        """−2 ln L of the records kept out, at the numbers, strengths and coefficients that were fitted."""
         if self.kept is None or self.kept_motions is None:
             return None
         problem = replace(
@@ -189,9 +185,7 @@ class Supposed:
             stacks=self.kept.stacks,
             columns=self.kept.columns(self.hypothesis, self.kept_motions),
         )
-        coefficients = self.fit.value.coefficients
-        first = evaluate(problem, self.numbers, coefficients)
-        return evaluate(problem, stronger(problem, first, KEPT_STEPS), coefficients)
+        return evaluate(problem, self.numbers, self.fit.value.coefficients)
 
     @property
     def kept_total(self) -> float:
@@ -199,7 +193,10 @@ class Supposed:
         return self.total if self.kept_value is None else float(self.kept_value.share.sum())
 
     def refit(
-        self, hypothesis: Hypothesis | None = None, numbers: Numbers | None = None, iterations: int = 8
+        self,
+        hypothesis: Hypothesis | None = None,
+        numbers: Numbers | None = None,
+        iterations: int = TO_THE_END,
     ) -> Supposed:
         """Another hypothesis, on the same motions, from here."""
         changed = self.hypothesis if hypothesis is None else hypothesis
@@ -211,7 +208,7 @@ class Supposed:
         start, problem = bounded(start, problem, changed)
         return replace(self, hypothesis=changed, fit=fit(problem, start, iterations))
 
-    def renewed(self, iterations: int = 8, *, agreed: bool = False) -> Supposed:
+    def renewed(self, iterations: int = TO_THE_END, *, agreed: bool = False) -> Supposed:
         """The same with inner motion smoothed anew."""
         return self.smoothed(agreed=agreed).refit(iterations=iterations)
 
@@ -226,7 +223,7 @@ class Supposed:
         )
         return replace(self._kept_smoothed(agreed=motions.is_agreed), motions=motions)
 
-    def with_agreed_motors(self, iterations: int = 8) -> Supposed:
+    def with_agreed_motors(self) -> Supposed:
         """The same on motor motion that agrees with friction as it is found."""
         sizes = self.sizes
         friction = [
@@ -241,7 +238,7 @@ class Supposed:
         if known is not None and self.kept_motions is not None:
             stacks = _agreed(smooth(*known), friction)
             now = replace(now, kept=Bench(stacks), kept_motions=self.kept_motions.on(stacks))
-        return now.refit(iterations=iterations)
+        return now.refit()
 
     @property
     def _kept_problem(self) -> tuple[Problem, Value] | None:
@@ -261,14 +258,15 @@ class Supposed:
         it."""
         now = self
         for _ in range(KEPT_ROUNDS if any(p.needs_fit for p in self.hypothesis.laws) else 0):
-            moved = min((now._kept_smoothed(agreed=a) for a in self.ways), key=lambda f: f.kept_total)
-            if not moved.kept_total < now.kept_total - 1.0:
-                break
+            moved = now._kept_smoothed(agreed=self.motions.is_agreed)
+            stands = abs(moved.kept_total - now.kept_total) < 1.0
             now = moved
+            if stands:
+                break
         return now
 
     def in_structure(
-        self, moved: Correspondence, added: Mapping[Element, float], iterations: int
+        self, moved: Correspondence, added: Mapping[Element, float], iterations: int = TO_THE_END
     ) -> Supposed:
         """The fit of another structure from here: what both have as it was, what is ``added`` from its
         values.
@@ -319,8 +317,8 @@ def _agreed(smoothed: Sequence[SmoothedStack], friction: Friction) -> list[Stack
     return [replace(s.stack, records=agreed_records(s, friction)) for s in smoothed]
 
 
-KEPT_STEPS, KEPT_ROUNDS = 8, 6
-"""Steps by which strengths of records kept out are found, and most times that their motion is smoothed."""
+KEPT_ROUNDS = 6
+"""Most times that the motion of records kept out is smoothed."""
 HELD = 1e-9
 """Standard deviation of a number that is held at zero."""
 
@@ -344,8 +342,25 @@ def bounded(numbers: Numbers, problem: Problem, hypothesis: Hypothesis) -> tuple
     return numbers.moved(x), replace(problem, centre=centre, spread=spread)
 
 
+def excess(found: Supposed) -> float:
+    """−2 ln L of the records fitted above what the sensors alone would leave."""
+    value, out = found.fit.value, 0.0
+    for work in value.work:
+        count, lines, motors = work.shape
+        rows = work.missing + work.laws @ value.coefficients
+        nothing = np.zeros((lines, work.noise.power.shape[1]))
+        sensors = (work.position_noise, work.torque_noise)
+        alone = missing_noise(work.condensed.stiffness, work.noise.reach, nothing, sensors)
+        more = work.noise.log_determinant - alone.log_determinant - motors
+        out += float((rows**2).sum()) + 2.0 * count * float(work.stack.weight @ more)
+    return out
+
+
 def suppose(
-    benches: tuple[Bench, Bench | None], hypothesis: Hypothesis, numbers: Numbers, iterations: int = 40
+    benches: tuple[Bench, Bench | None],
+    hypothesis: Hypothesis,
+    numbers: Numbers,
+    iterations: int = TO_THE_END,
 ) -> Supposed:
     """The first fit of a hypothesis without laws, on records fitted and kept out."""
     bench, kept = benches

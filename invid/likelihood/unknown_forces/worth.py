@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from invid.likelihood.unknown_forces.descent import Ended
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.shapes import Curvature, curvature, reshape
-from invid.likelihood.unknown_forces.supposition import Supposed
+from invid.likelihood.unknown_forces.shapes import reshape
+from invid.likelihood.unknown_forces.supposition import Channel, Supposed
+from invid.model.plant import Kind
 from invid.numerics import budget
 
 PRICE, LEAST_FITTED, LEAST_KEPT = 120.0, 40.0, 10.0
@@ -28,6 +31,10 @@ of its two numbers and ten thousand rows is 20; the rest is what an encoder's ro
 (empirical, nothing hidden)."""
 
 
+WEIGHING = "what each cause is worth"
+"""What a spent budget leaves out, in the words of the warning."""
+LOOSE = 4.0
+"""Deviations from which on a spring between two loads is weighed by itself."""
 FRICTION = (
     (Part.OFFSET, "torque_offset"),
     (Part.RISE, "stribeck_friction"),
@@ -39,16 +46,18 @@ FRICTION = (
 
 @dataclass(frozen=True, eq=False)
 class Worth:
-    """A cause of the final hypothesis with the rise of −2 ln L on all records and on either role's without
-    it, and the unknown force that is then left at every place [N·m]."""
+    """A cause of a hypothesis with the rise of −2 ln L on all records and on either role's without it, and
+    the unknown force that is then left at every place [N·m]."""
 
     cause: str
     key: Hashable
-    rise: float
-    roles: tuple[float, float]
+    rise: float = 0.0
+    roles: tuple[float, float] = (0.0, 0.0)
     left: tuple[tuple[float, Spot], ...] = ()
     numbers: int = 1
     """Numbers that it brings, of a law its first alone."""
+    gaps: tuple[float, float] | None = (0.0, 0.0)
+    """By how much the value with it, and that without, may still fall; ``None``: it was not weighed."""
 
     @property
     def is_friction(self) -> bool:
@@ -61,12 +70,24 @@ class Worth:
         return PRICE_OF_FRICTION if self.is_friction else price_of(self.numbers)
 
     @property
+    def is_weighed(self) -> bool:
+        """Whether it is known to pay its price or not, however far its fits may still fall."""
+        if self.gaps is None:
+            return False
+        with_it, without = self.gaps
+        return self._pays(-without) == self._pays(with_it)
+
+    @property
     def stays(self) -> bool:
-        """Whether it pays its price."""
+        """Whether it pays its price; what is not weighed is not known not to."""
+        return self._pays(0.0) or not self.is_weighed
+
+    def _pays(self, more: float) -> bool:
+        fitted, kept = self.roles
         if self.is_friction:
             # Its strength left at a motor makes a fit without it less sure of the records kept out.
-            return self.rise > self.price and sum(self.roles) > self.price
-        return pays(*self.roles, self.numbers)
+            return self.rise + more > self.price and fitted + more + kept > self.price
+        return pays(fitted + more, kept, self.numbers)
 
 
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
@@ -87,64 +108,104 @@ def pays(fitted: float, kept: float, numbers: int = 1, first: float = PRICE) -> 
     return fitted + kept > price and fitted > share * LEAST_FITTED and kept > share * LEAST_KEPT
 
 
-def worth_of(now: Supposed, cause: str, key: Hashable, less: Supposed) -> Worth:
-    budget.check()  # a fit that was cut short tells nothing
-    return Worth(cause, key, less.total - now.total, role_falls(less, now), tuple(less.strength))
+@dataclass(frozen=True, eq=False)
+class Deletion:
+    """A cause that a hypothesis has, and the fit without it."""
+
+    cause: str
+    key: Hashable
+    without: Callable[[Supposed], Supposed]
+    numbers: int = 1
 
 
-def friction_worths(now: Supposed, clear: float = np.inf) -> list[Worth]:
-    """The worth of every part of the friction of motors, one after another: what goes out leaves its force to
-    the others.
+def _weigh(now: Supposed, one: Deletion) -> tuple[Worth, Supposed | None]:
+    """What a cause is worth, and the fit without it; unweighed where the time is up."""
+    if budget.is_left_out(WEIGHING):
+        return Worth(one.cause, one.key, numbers=one.numbers, gaps=None), None
+    less = one.without(now)
+    gaps = now.fit.open_gap, less.fit.open_gap
+    roles = role_falls(less, now)
+    left = tuple(less.strength)
+    worth = Worth(one.cause, one.key, less.total - now.total, roles, left, one.numbers, gaps)
+    return (replace(worth, gaps=None) if less.fit.ended is Ended.CUT else worth), less
 
-    Nothing is fitted where the rise to first order is ``clear`` times the price and more, or so much less.
+
+def prune(
+    now: Supposed, deletions_of: Callable[[Supposed], Sequence[Deletion]], kept: Collection[Hashable] = ()
+) -> tuple[tuple[Worth, ...], Supposed]:
+    """What each cause is worth in the fit with those that pay, and that fit.
+
+    One at a time the one that is least above its price goes, and those that did not pay beside it are weighed
+    again: two that are each dispensable beside the other do not both go. Those ``kept`` stay in the fit.
     """
-    out: list[Worth] = []
-    names = [c.name for c in now.fit.problem.columns]
-    for motor in range(now.hypothesis.structure.motors):
-        rest = now
-        for part, cause in FRICTION:
-            key = (part, motor)
-            if not rest.fit.value.coefficients[names.index(key)]:
-                continue
-            rise = 0.0 if np.isinf(clear) else first_order_rise(curvature(rest), rest, [key])
-            if rise > clear * PRICE_OF_FRICTION:
-                out.append(Worth(cause, key, rise, (rise, 0.0)))
-                continue
-            if 0.0 < rise < PRICE_OF_FRICTION / clear:
-                out.append(Worth(cause, key, rise, (rise, 0.0)))
-                absent = rest.hypothesis.absent | {key}
-                rest = rest.refit(replace(rest.hypothesis, absent=absent), iterations=0)
-                continue
-            gone = without_column(rest, key)
-            out.append(worth_of(rest, cause, key, gone))
-            # A rise may stand for all of dry friction.
-            rest = rest if out[-1].stays else gone
-    return out
+    known: dict[Hashable, tuple[Worth, Supposed | None]] = {}
+    while True:
+        deletions = deletions_of(now)
+        for deletion in deletions:
+            if deletion.key not in known:
+                known[deletion.key] = _weigh(now, deletion)
+        known = {d.key: known[d.key] for d in deletions}
+        worths = [w for w, _ in known.values()]
+        stays = {w.key for w in worths if w.stays}
+        # A rise at slow speed is one above dry friction.
+        needed = {(Part.DRY, m) for m in range(now.hypothesis.structure.motors) if (Part.RISE, m) in stays}
+        poor = [w for w in worths if w.key not in stays | needed | {*kept}]
+        if not poor:
+            return tuple(worths), now
+        least = min(poor, key=lambda w: w.rise - w.price)
+        now = known[least.key][1] or now
+        for worth in worths:
+            if not worth.stays:
+                del known[worth.key]
 
 
-def first_order_rise(known: Curvature, now: Supposed, columns: Sequence[Hashable]) -> float:
-    """Rise of −2 ln L without some columns, by their coefficients over their deviations (Wald); 0 where they
-    are at their bounds."""
-    names = [c.name for c in now.fit.problem.columns]
-    at = [k for k, c in enumerate(known.free) if names[c] in columns]
-    if not at:
-        return 0.0
-    value = now.fit.value.coefficients[known.free[at]]
-    index = known.numbers + np.array(at)
-    return float(value @ np.linalg.solve(known.covariance[np.ix_(index, index)], value))
+def friction_deletions(now: Supposed) -> list[Deletion]:
+    """The parts of the friction of motors that are not at zero."""
+    sizes = now.sizes
+    return [
+        Deletion(cause, (part, motor), partial(without_column, name=(part, motor)))
+        for motor in range(now.hypothesis.structure.motors)
+        for part, cause in FRICTION
+        if sizes[part, motor]
+    ]
 
 
-def gone_columns(worths: Sequence[Worth]) -> frozenset[Hashable]:
-    """Parts of motors' friction that do not pay.
+def channel_deletions(now: Supposed) -> list[Deletion]:
+    """The drives that are late or lag."""
+    return [
+        Deletion(channel.value, (channel, axis), partial(_without_channel, own=(channel, axis)))
+        for channel, axis in sorted(now.hypothesis.channels, key=lambda c: (c[1], c[0].value))
+    ]
 
-    Dry friction stays where its rise at slow speed does: a rise is one above it.
-    """
-    columns = {w.key: w.stays for w in worths if isinstance(w.key, tuple) and w.is_friction}
-    gone = {key for key, stays in columns.items() if not stays}
-    return frozenset(key for key in gone if key[0] is not Part.DRY or not columns.get((Part.RISE, key[1])))
+
+def spring_deletions(now: Supposed) -> list[Deletion]:
+    """The springs between loads."""
+    return [
+        Deletion("coupling_stiffness", pair, partial(without_column, name=pair))
+        for pair in now.hypothesis.structure.pairs
+        if pair not in now.hypothesis.absent
+    ]
+
+
+def without_loose_springs(now: Supposed) -> Supposed:
+    """The fit without all springs between loads that are none of four deviations, where together they pay no
+    price: six axes have fifteen of them."""
+    structure = now.hypothesis.structure
+    index = structure.index(Kind.LOAD_SPRING)
+    size = np.abs(now.numbers.plant.x[index]) / np.sqrt(np.diag(now.fit.covariance))[index]
+    loose = {p for p, s in zip(structure.pairs, size, strict=True) if s < LOOSE} - now.hypothesis.absent
+    if not loose or budget.is_left_out(WEIGHING):
+        return now
+    less = now.refit(replace(now.hypothesis, absent=now.hypothesis.absent | loose))
+    return less if less.fit.is_finished and less.total - now.total < PRICE else now
+
+
+def _without_channel(now: Supposed, own: tuple[Channel, int]) -> Supposed:
+    absent = now.hypothesis.absent | {(Channel.DELAY, own[1])}
+    return now.refit(replace(now.hypothesis, channels=now.hypothesis.channels - {own}, absent=absent))
 
 
 def without_column(now: Supposed, name: Hashable) -> Supposed:
     """The fit with a column, or a spring between two loads, held at zero."""
     hypothesis = replace(now.hypothesis, absent=now.hypothesis.absent | {name})
-    return reshape(now.refit(hypothesis, iterations=10), 1)
+    return reshape(now.refit(hypothesis), 1)

@@ -1,0 +1,59 @@
+"""A cause is weighed in one way, by finished fits; what is fitted is said, whatever the time left."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import invid
+from invid.model.diagnosis_document import Diagnosis, Verdict
+from invid.numerics.budget import Progress, stop
+from invid.recording.model import Recording
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from hidden.generator import make
+
+STIFFNESS = 200.0
+
+
+@cache
+def tied() -> Recording:
+    """Two axes with a spring between their loads."""
+    size = {"stiffness": STIFFNESS}
+    return make("coupling_stiffness", (0, 2), size, seed=500901, motors=2, masses=(2, 2))[0]
+
+
+def stopped_at(stage: str) -> Diagnosis:
+    """The diagnosis of a search that somebody ends as soon as it comes to a stage."""
+
+    def tell(progress: Progress) -> None:
+        if progress.stage == stage:
+            stop()
+
+    return invid.diagnose(tied(), progress=tell)
+
+
+def test_identify_says_the_spring_between_loads_that_it_fitted() -> None:
+    model = invid.identify(tied())
+    (spring,) = [e for e in model.effects if e.cause == "coupling_stiffness"]
+    assert {spring.axis, spring.other_axis} == {*tied().axes}
+    assert spring.parameters["stiffness"].value == pytest.approx(STIFFNESS, rel=0.02)
+
+
+def test_what_is_fitted_and_not_weighed_explains_nothing_and_is_said() -> None:
+    result = stopped_at("weighing each cause")
+    assert result.verdict is not Verdict.EXPLAINED
+    assert "coupling_stiffness" in {f.cause for f in result.findings}
+    assert all(f.confidence <= 0.5 for f in result.findings)
+    assert any("weighed" in w for w in result.warnings)
+
+
+def test_a_spring_between_loads_is_weighed_like_any_cause() -> None:
+    result = invid.diagnose(tied())
+    (spring,) = [f for f in result.findings if f.cause == "coupling_stiffness"]
+    assert result.verdict is Verdict.EXPLAINED
+    assert spring.confidence > 0.9
+    assert spring.parameters["stiffness"].value == pytest.approx(STIFFNESS, rel=0.02)
