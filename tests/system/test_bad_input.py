@@ -74,7 +74,7 @@ def text(path: Path) -> None:
 
 
 def nan_position(f: h5py.File) -> None:
-    f["experiments/000/position"][123, 1] = np.nan
+    f["experiments/000/position"][123, 0] = np.nan
 
 
 def time_backwards(f: h5py.File) -> None:
