@@ -55,7 +55,10 @@ def foreign_bus(lacks: frozenset[int] = frozenset(), found: dict[int, int] | Non
     """Two masses without friction."""
     spec = {"lacks": [f"{i:x}" for i in lacks], "found": {f"{i:x}00": v for i, v in (found or {}).items()}}
     plants = ({"inertia": m, "viscous": 0.0, "coulomb": 0.0, "low": -9.0, "high": 9.0} for m in (1.0, 2.0))
-    return ForeignBus(*({**spec, "plant": plant} for plant in plants))
+    bus = ForeignBus(*({**spec, "plant": plant} for plant in plants))
+    for axis in bus.axes:
+        axis.faults_by_following = 0x6065 not in lacks
+    return bus
 
 
 def foreign() -> Cia402Cell:
