@@ -1,7 +1,6 @@
 """What a campaign judges on: the true motion and torque of the plant, what was written, who was disturbed.
 
-Nothing here asks the master. Each rule is a method of ``Judge`` that returns complaints; the tests in
-`tests/contract/test_plant_judge.py` break the product once for each of them.
+Nothing here asks the master. Each rule is a method of ``Judge`` that returns complaints.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""One list of promises, kept by every adapter: our simulated drives, foreign `durand` nodes,
+"""One list of promises, kept by every adapter: our simulated drives, drives of another hand,
 and real hardware where INVID_HARDWARE names a config."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from durand_cell import DurandBus
+from foreign_bus import ForeignBus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -51,8 +51,18 @@ def simulated() -> Cia402Cell:
     return Cia402Cell(open_virtual_bus(cfg), cfg)
 
 
+def foreign_bus(lacks: frozenset[int] = frozenset(), found: dict[int, int] | None = None) -> ForeignBus:
+    """Two masses without friction."""
+    spec = {"lacks": [f"{i:x}" for i in lacks], "found": {f"{i:x}00": v for i, v in (found or {}).items()}}
+    plants = ({"inertia": m, "viscous": 0.0, "coulomb": 0.0, "low": -9.0, "high": 9.0} for m in (1.0, 2.0))
+    bus = ForeignBus(*({**spec, "plant": plant} for plant in plants))
+    for axis in bus.axes:
+        axis.faults_by_following = 0x6065 not in lacks
+    return bus
+
+
 def foreign() -> Cia402Cell:
-    return Cia402Cell(DurandBus({1: 1.0, 2: 2.0}), config())
+    return Cia402Cell(foreign_bus(), config())
 
 
 def hardware() -> Cia402Cell:
@@ -64,7 +74,7 @@ def hardware() -> Cia402Cell:
 
 ADAPTERS = [
     pytest.param(simulated, id="simulated drives"),
-    pytest.param(foreign, id="durand nodes"),
+    pytest.param(foreign, id="drives of another hand"),
     pytest.param(hardware, id="hardware", marks=pytest.mark.hardware),
 ]
 
@@ -184,8 +194,8 @@ class TestPromisesOfEveryDrive:
         def value(index: int, sub: int = 0) -> int:
             return int.from_bytes(bytes(link.sdo(1).upload(index, sub)), "little", signed=True)
 
-        window = 1.25 / (2 * np.pi) * (1 << 20)  # the limit and the drive's margin
-        assert value(0x6072) == 500
+        window = 1.25 / drives.resolution[0]  # the limit and the drive's margin
+        assert value(0x6072) == round(1000 * 5 / drives.rated_torque[0])
         assert value(0x607D, 2) - value(0x607D, 1) == pytest.approx(2 * window, abs=2)
         # 46 ms outlast 20 skipped cycles of 2 ms and three; the third heartbeat may be a period late
         assert value(0x1016, 1) == 127 << 16 | 69
@@ -218,19 +228,19 @@ class TestPromisesOfEveryDrive:
 
 
 def test_the_drives_own_windows_stand_around_where_the_axis_is_a_quarter_wider_than_the_masters() -> None:
-    bus = DurandBus({1: 1.0, 2: 2.0})
-    bus.drives[0].x = 3.0  # an absolute encoder: the window is of 1 rad
+    bus = foreign_bus()
+    bus.axes[0].plant.q = 3.0  # an absolute encoder: the window is of 1 rad
     cell = Cia402Cell(bus, config())
     cell.check()
     cell.energise([Mode.HOLD, Mode.HOLD])
-    od, counts = bus.drives[0].od, (1 << 20) / (2 * np.pi)
-    found = [od.read(0x607D, 1), od.read(0x607D, 2), od.read(0x6065, 0), od.read(0x607F, 0)]
+    number, counts = bus.nodes[0].number, (1 << 16) / (2 * np.pi)
+    found = [number(at) for at in (0x607D01, 0x607D02, 0x606500, 0x607F00)]
     assert found == pytest.approx([1.75 * counts, 4.25 * counts, 1.25 * counts, 12.5 * counts], abs=2)
     assert cell.close() == []
 
 
 def test_an_axis_whose_direction_is_turned_moves_forward_under_positive_torque_all_the_same() -> None:
-    bus = DurandBus({1: 1.0, 2: 2.0})
+    bus = foreign_bus()
     cell = Cia402Cell(bus, config(direction=-1))
     cell.check()
     cell.energise([Mode.TORQUE, Mode.HOLD])
@@ -239,7 +249,7 @@ def test_an_axis_whose_direction_is_turned_moves_forward_under_positive_torque_a
         sample = cell.exchange([1.0, 0.0])
     assert sample.position[0] - first == pytest.approx(0.5 * 0.4**2, rel=0.05)
     assert sample.torque[0] == pytest.approx(1.0)
-    assert bus.drives[0].x < 0
+    assert bus.axes[0].plant.q < 0
     assert cell.close() == []
 
 
@@ -265,7 +275,6 @@ GAPS: list[tuple[set[int], dict[int, int], dict[str, Any], str]] = [
     ({0x6076}, {}, {}, "rated_torque_Nm"),
     (set(), {0x6076: 0}, {}, "rated_torque_Nm"),
     (set(), {0x6502: 0x41}, {}, "no torque mode"),
-    (set(), {0x6041: 0x0208}, {}, "in fault"),
 ]
 
 
@@ -273,11 +282,21 @@ GAPS: list[tuple[set[int], dict[int, int], dict[str, Any], str]] = [
 def test_a_drive_that_cannot_do_the_job_is_refused_in_plain_words(
     lacks: set[int], values: dict[int, int], axis: dict[str, Any], word: str
 ) -> None:
-    bus = DurandBus({1: 1.0, 2: 2.0}, lacks=frozenset(lacks), values=values)
+    bus = foreign_bus(frozenset(lacks), values)
     with pytest.raises(DriveError, match=word) as caught:
         Cia402Cell(bus, config(**axis)).check()
     assert caught.value.exit_code == 5
     assert "A1" in str(caught.value)
+
+
+def test_a_drive_in_fault_is_refused_and_not_reset() -> None:
+    bus = foreign_bus()
+    bus.axes[0].enter("fault", "found so")
+    cell = Cia402Cell(bus, config())
+    with pytest.raises(DriveError, match=r"A1.*in fault"):
+        cell.check()
+    cell.close()
+    assert bus.axes[0].state == "fault"
 
 
 WAYS_OUT: list[tuple[set[int], dict[int, int], dict[str, Any], str | None]] = [
@@ -293,7 +312,7 @@ WAYS_OUT: list[tuple[set[int], dict[int, int], dict[str, Any], str | None]] = [
 def test_a_gap_with_a_way_out_is_listed_and_the_drive_runs(
     lacks: set[int], values: dict[int, int], axis: dict[str, Any], listed: str | None
 ) -> None:
-    cell = Cia402Cell(DurandBus({1: 1.0, 2: 2.0}, lacks=frozenset(lacks), values=values), config(**axis))
+    cell = Cia402Cell(foreign_bus(frozenset(lacks), values), config(**axis))
     report = cell.check()[0]
     if listed is not None:
         assert any(listed in line for line in report.lacks)
@@ -304,33 +323,28 @@ def test_a_gap_with_a_way_out_is_listed_and_the_drive_runs(
 
 
 def test_a_cable_pulled_in_the_cycle_leaves_the_way_out_open() -> None:
-    bus = DurandBus({1: 1.0, 2: 2.0})
+    bus = foreign_bus()
     cell = Cia402Cell(bus, config())
     cell.check()
     cell.energise([Mode.HOLD, Mode.HOLD])
-    bus.drives[1].port.silent = True
+    bus.nodes[1].is_mute, bus.nodes[1].hear = True, lambda *_: None  # type: ignore[method-assign]
     sample = cell.exchange([0.0, 0.0])
     assert sample.fresh == [True, False]
     cell.stop()
     assert cell.not_off == ("A2",)
-    assert bus.drives[0].state == "switch on disabled"
+    assert bus.axes[0].state == "off"
     assert any("A2" in line and "not seen to switch off" in line for line in cell.close())
 
 
 def test_a_bus_that_dies_is_an_error_of_the_bus_and_stop_still_returns() -> None:
-    class Dying(DurandBus):
-        dead = False
+    def dead(*_: Any) -> None:
+        raise OSError(100, "Network is down")
 
-        def send(self, msg: Any, timeout: float | None = None) -> None:
-            if self.dead:
-                raise OSError(100, "Network is down")
-            super().send(msg, timeout)
-
-    bus = Dying({1: 1.0, 2: 2.0})
+    bus = foreign_bus()
     cell = Cia402Cell(bus, config())
     cell.check()
     cell.energise([Mode.HOLD, Mode.HOLD])
-    bus.dead = True
+    bus.send = dead  # type: ignore[method-assign]
     with pytest.raises(BusError, match="Network is down"):
         cell.exchange([0.0, 0.0])
     cell.stop()
@@ -353,7 +367,7 @@ def test_a_late_answer_to_the_cycles_question_is_not_taken_for_another_objects()
         cell.close()
 
 
-@pytest.mark.parametrize("late", [0.3, 0.7, 1.2, 1.9, 7.95])
+@pytest.mark.parametrize("late", [0.3, 1.2, 7.95])
 def test_a_computer_that_wakes_late_skips_slots_and_never_sends_two_syncs_close_together(late: float) -> None:
     cell = simulated()
     link = cell._link
@@ -532,7 +546,7 @@ class Behind:
                 return None
 
 
-@pytest.mark.parametrize("cycles", [0.5, 0.8, 1.0, 1.1, 1.5, 2.0, 3.3])
+@pytest.mark.parametrize("cycles", [0.5, 1.0, 1.5, 3.3])
 def test_a_drive_that_falls_behind_by_whole_cycles_and_stays_there_is_never_believed(cycles: float) -> None:
     """Its answers come as regularly as before, each in a later cycle than its own: one a cycle."""
     truth, _, _ = positions_of_a_moving_axis(simulated(), 150, lambda get: get)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
-from other_cell import OtherCell
 from test_adapter_promises import config, held, zero
 
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.failures import WrongMode
 from invid_drivers.simulated import open_virtual_bus
 from invid_drivers.simulated.object_dictionary import SdoAbort
 
@@ -66,15 +63,3 @@ def test_a_drive_without_0x6502_that_refuses_cyclic_torque_is_tried_with_profile
     assert report.torque_mode.name == "PROFILE_TORQUE"
     assert report.can_hold
     cell.close()
-
-
-def test_a_drive_that_keeps_another_mode_is_not_enabled_in_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tests.contract.durand_drive.Drive.mode", lambda self, mode: None)
-    cell = OtherCell(tmp_path, [{}], [{"gravity_loaded": False}])
-    cell.drives[0].od.write(0x6061, 0, 1)
-    error = cell.measure()
-    assert isinstance(error, WrongMode)
-    assert "shows mode 1" in str(error)
-    assert not cell.drives[0].axis.energised

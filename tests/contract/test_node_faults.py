@@ -7,8 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from node_master import Master, cell
 
-OE, FAULT, QSA, SOD = 0x27, 0x08, 0x07, 0x40
-
 
 def test_a_node_whose_cable_is_pulled_stops_by_its_own_heartbeat_watch() -> None:
     master = Master(

@@ -157,25 +157,3 @@ def test_a_second_cell_on_the_same_socket_is_refused_and_a_stale_one_replaced(tm
     with pytest.raises(InvidError, match="no socket is in the way"):
         run_simcell(on("invid-unix", channel), threading.Event())
     assert Path(channel).read_text(encoding="utf-8") == "a file"
-
-
-@pytest.mark.parametrize(
-    ("interface", "words", "status"),
-    [("invid-virtual", "has no real time", 2), ("socketcan", "cannot be opened", 5)],
-)
-def test_a_bus_that_cannot_carry_the_cell_is_refused(interface: str, words: str, status: int) -> None:
-    with pytest.raises(InvidError, match=words) as refused:
-        run_simcell(on(interface, "no-such-can"), threading.Event())
-    assert refused.value.exit_code == status
-
-
-@pytest.mark.skipif(not Path("/sys/class/net/vcan0").exists(), reason="this kernel has no vcan0")
-def test_the_cell_answers_on_vcan() -> None:
-    running = Running(on("socketcan", "vcan0"))
-    with can.Bus(interface="socketcan", channel="vcan0") as bus:
-        bus.send(
-            can.Message(arbitration_id=0x601, is_extended_id=False, data=bytes.fromhex("4000100000000000"))
-        )
-        frame = bus.recv(PATIENCE_S)
-        assert frame is not None
-    running.end()

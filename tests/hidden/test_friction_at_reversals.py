@@ -59,15 +59,6 @@ def test_a_constant_torque_and_dry_friction_are_named_and_may_be_one_cause() -> 
         assert finding.confidence < 0.9
 
 
-def test_a_constant_torque_beside_dry_friction_has_friction_by_direction_beside_it() -> None:
-    recording, truth = make("coulomb_friction", second="torque_offset", seed=1, target_db=22, motors=1)
-    diagnosis = diagnose(recording)
-    assert score(truth, diagnosis).outcome == "right"
-    (offset,) = (f for f in diagnosis.findings if f.effect.cause == "torque_offset")
-    assert "asymmetric_friction" in {a.cause for a in offset.alternatives}
-    assert offset.confidence < 0.9
-
-
 def test_viscous_friction_whose_size_a_hold_hides_is_named_without_certainty() -> None:
     """It takes nine tenths of what an eccentric encoder leaves, down to the noise."""
     recording, truth = make_case(1040062)

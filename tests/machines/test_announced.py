@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from invid.config import load_config
-from invid.errors import ConfigError
-from invid.planning.build import axes_left_out, require_all_axes
 from machines.cells import Drawn, by_default, draw, run, try_signs
 
 CASE_STUDY = Path(__file__).parents[2] / "configs" / "case-study.yaml"
@@ -128,12 +126,3 @@ def test_an_elastic_axis_whose_torque_is_ten_times_what_its_drive_says_is_refuse
     said = try_signs(with_rated_torque(case_study(), 0.1))
     assert said is not None
     assert said.code == "scales"
-
-
-def test_a_subset_of_the_axes_is_refused_with_the_way_out() -> None:
-    config = load_config(CASE_STUDY)
-    with pytest.raises(ConfigError, match=r"axis A2, A3 would be held.*--screen"):
-        require_all_axes(config, ["A1"])
-    require_all_axes(config, ["A3", "A1", "A2"])
-    require_all_axes(config, None)
-    assert axes_left_out(config, ["A1", "A3"]) == ("A2",)

@@ -96,7 +96,6 @@ def test_data_that_carry_no_model_exit_3_with_the_reason_among_the_warnings(
     assert kept.read_text() == "kept"
 
 
-@pytest.mark.campaign
 def test_the_same_record_well_excited_gives_the_masses_and_the_spring(tmp_path: Path) -> None:
     recording = tmp_path / "rec.h5"
     write_recording(recording, np.arange(1, 100, 2), 5.0, 0.01)

@@ -8,12 +8,9 @@ import runpy
 import tomllib
 from pathlib import Path
 
-import yaml
-
 ROOT = Path(__file__).parents[2]
 SCRIPT = runpy.run_path(str(ROOT / "scripts" / "bill-of-materials.py"))
 LOCK = (ROOT / "requirements.lock").read_text(encoding="utf-8")
-WORKFLOW = yaml.safe_load((ROOT / ".github" / "workflows" / "test.yml").read_text(encoding="utf-8"))
 
 
 def required(*extras: str) -> set[str]:
@@ -45,17 +42,3 @@ def test_everything_that_the_image_needs_is_pinned_and_in_both_lists_and_no_tool
     table = (tmp_path / "licences.md").read_text()
     for name, version in listed:
         assert re.search(rf"\| {re.escape(name)}( \(.+\))? \| {re.escape(version)} \| .+ \|", table), name
-
-
-def test_the_workflow_tests_the_oldest_supported_python_and_runs_what_is_there() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    pythons = WORKFLOW["jobs"]["test"]["strategy"]["matrix"]["python"]
-    assert f">={pythons[0]}" == project["requires-python"]
-    assert len(pythons) == 2
-    made = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for job in WORKFLOW["jobs"].values():
-        for command in (s["run"] for s in job["steps"] if "run" in s):
-            for target in re.findall(r"\bmake ([a-z-]+)", command):
-                assert f"\n{target}:" in made, command
-            for script in re.findall(r"scripts/[\w.-]+", command):
-                assert (ROOT / script).is_file(), command

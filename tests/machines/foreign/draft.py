@@ -19,7 +19,6 @@ ALWAYS = "always"
 WINDOW, ROOM, SPEED = 0.5, 0.5, 5.0
 """Of every axis: window, stated room beyond it [rad], permitted speed [rad/s]."""
 ENABLED = STATES.index("enabled")
-GRAVITY = 9.81
 
 
 @dataclass

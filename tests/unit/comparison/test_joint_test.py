@@ -135,11 +135,3 @@ def test_a_parameter_without_uncertainty_or_in_one_model_only_is_cannot_tell() -
     assert by_name["A1.mass.1"].status is Status.CANNOT_TELL
     assert "A3.mass.3" not in by_name
     assert any("A3 had 3 masses and now has 2" in s for s in result.sentences)
-
-
-def tool(factor: float) -> np.ndarray:
-    """Heavier at A2, which the couplings to its neighbours see too."""
-    truth = VALUES.copy()
-    for name in ("A2.mass.3", "A1-A2.coupling", "A2-A3.coupling"):
-        truth[NAMES.index(name)] *= factor
-    return truth

@@ -58,6 +58,7 @@ def test_it_says_of_every_cause_and_place_a_limit_or_why_there_is_none_and_is_ke
     for r in found.ruled_out:
         assert (r.limit is None) is (r.why is not None)
         assert r.limit is None or r.limit > 0.0
+    assert sorted(f.element for f in found.forces) == ["mass 1", "mass 2", "spring 1"]
     friction = limit(found, "coulomb_friction", "mass 1")
     assert friction.sentence.startswith("No dry friction above ")
     assert friction.sentence.endswith(f" N·m on {friction.axis} at the motor.")

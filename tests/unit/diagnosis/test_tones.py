@@ -10,7 +10,6 @@ from invid.diagnosis.diagnose import diagnose
 from invid.model.diagnosis_document import Verdict
 from invid.recording import Role
 from invid.recording.model import Experiment, Kind, Recording
-from invid.signals.tones import find_tones
 
 STEP, PERIOD, PERIODS, HZ = 0.002, 2048, 6, 7.31
 LINES = np.arange(1, 100, 2)
@@ -60,30 +59,3 @@ def test_a_tone_that_repeats_with_no_period_is_said_with_its_frequency() -> None
     (residual,) = found.residual
     assert residual.before == pytest.approx(0.5 / np.sqrt(2), rel=0.1)
     assert residual.noise_floor < 0.1 * residual.before
-
-
-@pytest.mark.campaign
-def test_a_tone_is_taken_out_once_where_periods_of_one_experiment_are_held_out() -> None:
-    alone = recording(_experiment(np.random.default_rng(3), Role.IDENTIFY, "000", tone=0.5, noise=0.0))
-    found = diagnose(alone)
-    assert found.unexplained is not None
-    assert found.unexplained.character == ("time-dependent",)
-    (residual,) = found.residual
-    assert residual.before == pytest.approx(0.5 / np.sqrt(2), rel=0.1)
-    assert residual.noise_floor < 0.1 * residual.before
-
-
-def test_a_drift_is_no_tone() -> None:
-    rng, count = np.random.default_rng(4), 4096
-    time = np.arange(count) / count
-    noise, free = np.full(400, 0.1**2 * 4.0 / count), np.arange(400) % 4 != 0
-    for beside, tones in ((5.0 * time, 0), (5.0 * np.exp(-3 * time), 0), (np.sin(80.6 * np.pi * time), 1)):
-        lines = np.fft.rfft(beside + 0.1 * rng.standard_normal(count))[:400] * 2.0 / count
-        assert len(find_tones((lines, noise, free), 10.0, np.zeros(0))) == tones
-
-
-@pytest.mark.campaign
-def test_torque_without_a_frequency_that_repeats_with_no_period_is_no_tone() -> None:
-    found = diagnose(_recording(tone=0.0, noise=0.5))
-    # it may stand out at some lines all the same: what is left unexplained says at which
-    assert found.unexplained is None or found.unexplained.character != ("time-dependent",)

@@ -18,9 +18,8 @@ from invid.cli.app import run
 from invid.config import CellConfig, parse_config
 from invid.planning import make_plan
 from invid.planning.budget import judge
-from invid_drivers import readiness
 from invid_drivers.cia402.link import Link
-from invid_drivers.cli import check, init
+from invid_drivers.cli import init
 from invid_drivers.round_trip import probe, require
 
 ROOT = Path(__file__).parents[3]
@@ -94,26 +93,6 @@ def test_a_drive_that_answers_sdo_after_most_of_a_second_is_named_as_slow_and_no
     assert "too late" not in said
 
 
-@pytest.mark.parametrize(("adapter_s", "cycle_s", "carries"), [(0.004, 0.001, False), (0.004, 0.008, True)])
-def test_an_adapter_of_four_milliseconds_carries_no_kilohertz_and_the_longer_cycle_is_proposed(
-    adapter_s: float, cycle_s: float, carries: bool
-) -> None:
-    config = hardware(cycle_s)
-    with slow((1, 2, 3), adapter_s) as link:
-        found = probe(link, config, make_plan(config))
-        asked = set(link.bus.asked)  # type: ignore[attr-defined]
-    assert asked == {(0x600 + n, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))) for n in (1, 2, 3)}
-    assert found.carries is carries
-    assert found.median_s == pytest.approx(adapter_s, rel=0.5)
-    assert 0.005 <= found.shortest_cycle_s <= 0.02
-    if carries:
-        assert require(found, config) == [] or found.late_share > 0.01
-    else:
-        (said,) = require(found, config)
-        assert "the adapter or the drives' own time for SDO" in said
-        assert found.late_share == 1.0
-
-
 def test_a_round_trip_that_is_stated_decides_instead_of_the_probe() -> None:
     samples = [0.004] * 600
     plain, stated = hardware(0.002), hardware(0.002, round_trip_s=0.0004)
@@ -135,20 +114,3 @@ def test_init_proposes_the_cycle_that_the_adapter_carries(
     written = yaml.safe_load(out.read_text(encoding="utf-8"))
     assert 0.005 <= written["bus"]["cycle_s"] <= 0.05
     parse_config(out.read_text(encoding="utf-8"))
-
-
-def test_check_says_what_is_open_where_the_adapter_may_not_carry_the_cycle(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The drives answer as they do; only what is probed of the adapter is slow."""
-    config = parse_config((ROOT / "configs" / "case-study.yaml").read_text(encoding="utf-8"))
-    hard = hardware(config.bus.cycle_s)
-    monkeypatch.setattr(check, "is_virtual", lambda _: False)
-    monkeypatch.setattr(
-        readiness,
-        "probe",
-        lambda link, _, plan, cancelled: judge([0.004] * 600, hard, cycles=10_000, loaded_s=0.001),
-    )
-    monkeypatch.setattr(readiness, "require", lambda found, _: require(found, hard))
-    _, document = check.preflight(config)
-    assert any("Their answers to SYNC tell" in w for w in document["warnings"])

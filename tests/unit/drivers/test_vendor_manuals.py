@@ -11,7 +11,7 @@ from invid_drivers.cia402.stated.vendors import VENDORS, vendor
 
 ROOT = Path(__file__).parents[3]
 TABLES = runpy.run_path(str(ROOT / "scripts" / "drive-tables.py"))
-QUESTIONS, fact, reference, ways = (TABLES[n] for n in ("QUESTIONS", "fact", "reference", "ways"))
+QUESTIONS, fact, reference = (TABLES[n] for n in ("QUESTIONS", "fact", "reference"))
 PAGE = (ROOT / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
 
 

@@ -19,7 +19,7 @@ from invid.cli.app import run
 from invid.recording import Recording, write_recording
 
 FILES = Path(__file__).parents[2] / "effects"
-DRAG, CUSHION = FILES / "quadratic_drag.py", FILES / "end_cushion.py"
+DRAG = FILES / "quadratic_drag.py"
 
 
 def hidden_drag(seed: int) -> tuple[Recording, Truth]:

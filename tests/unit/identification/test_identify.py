@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from benchmarks.shared import plant_oracle as oracle
 from invid.cli.identify import model_text
@@ -98,6 +99,25 @@ def test_two_coupled_axes_are_identified_to_a_tenth_of_a_per_cent(together: bool
     model = identify(record(TWO, 1, together=together), masses=(2, 2))
     assert model.fit["trustworthy"]
     assert_true(model_to_json(model), TWO_TRUTH, within=2e-3)
+
+
+@pytest.mark.parametrize(("flaw", "said"), [("lost", "missing"), ("late", ""), ("period", "does not repeat")])
+def test_lost_rows_jittered_instants_and_a_wrong_period_cost_nothing_unsaid(flaw: str, said: str) -> None:
+    def spoiled(e: Experiment) -> Experiment:
+        if flaw == "period":
+            return replace(e, period_samples=3720)
+        if flaw == "lost":
+            rows = np.random.default_rng(2).permutation(np.arange(1, e.samples - 1))[: e.samples * 39 // 40]
+            kept = np.r_[0, np.sort(rows), e.samples - 1]
+            return replace(e, time=e.time[kept], position=e.position[kept], torque=e.torque[kept])
+        late = np.clip(e.time + 3e-4 * np.sin(2 * np.pi * 6 * e.time), 0.0, e.time[-1])
+        position, torque = (CubicSpline(e.time, x)(late) for x in (e.position, e.torque))
+        return replace(e, time=late, position=position, torque=torque)
+
+    whole = record(TWO, 1, together=True)
+    model = identify(replace(whole, experiments=tuple(map(spoiled, whole.experiments))), masses=(2, 2))
+    assert said in " ".join(model.warnings)
+    assert_true(model_to_json(model), TWO_TRUTH, within=5e-3)
 
 
 def test_one_axis_in_metres_is_identified_with_the_number_of_masses_found() -> None:

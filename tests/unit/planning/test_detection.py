@@ -30,14 +30,6 @@ def test_the_default_plan_shows_the_frictions_of_the_case_study_and_free_play_be
     assert {limit.unit for limit in limits.values()} == {"N·m", "N·m·s/rad", "rad", "kg·m²"}
 
 
-def test_what_is_not_shaken_is_not_seen(cell: CellConfig, belief: Belief) -> None:
-    plan = make_plan(cell, axes=["A1"], model=belief)
-    found = detection_limits(cell, plan.recorded, belief, sensor_noise(cell))
-    still = [limit for limit in found if limit.axis != "A1" and limit.cause == "viscous_friction"]
-    assert len(still) == 2
-    assert not any(limit.is_met for limit in still)
-
-
 @pytest.mark.campaign
 def test_runs_are_no_longer_than_what_is_of_interest_asks_for(cell: CellConfig, belief: Belief) -> None:
     def seconds(**sizes: float) -> float:

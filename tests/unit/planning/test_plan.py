@@ -8,6 +8,7 @@ from invid.errors import ConfigError
 from invid.model.chains import case_study
 from invid.planning import make_plan
 from invid.planning.belief import Belief, rigid
+from invid.planning.build import axes_left_out, require_all_axes
 from invid.planning.forecast import MARGIN, peaks_of
 from invid.planning.response import foretold_motion
 
@@ -28,6 +29,14 @@ def test_a_bus_over_its_budget_is_refused_with_a_cycle_that_would_do() -> None:
     with pytest.raises(ConfigError, match=r"cycle_s to 0\.002"):
         make_plan(cell(axes=4))
     make_plan(cell(axes=4, bus=", cycle_s: 0.002"))
+
+
+def test_a_subset_of_the_axes_is_refused_with_the_way_out() -> None:
+    with pytest.raises(ConfigError, match=r"axis A2, A3 would be held.*--screen"):
+        require_all_axes(cell(), ["A1"])
+    require_all_axes(cell(), ["A3", "A1", "A2"])
+    require_all_axes(cell(), None)
+    assert axes_left_out(cell(), ["A1", "A3"]) == ("A2",)
 
 
 def test_a_run_from_rest_leaves_a_free_axis_where_it_was() -> None:

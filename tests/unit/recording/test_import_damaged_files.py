@@ -124,7 +124,11 @@ def test_a_damaged_file_is_read_or_refused_in_one_message(
         encoding="utf-8",
     )
     assert run(["import", str(whole), "--map", str(chart), "-o", str(out)]) == 0
-    assert read_recording(out).experiments[0].samples == TIME.size
+    read = read_recording(out).experiments[0]
+    counts = {"q": 1.0, "T": 1.0} if "source" not in columns else {"q": 1e5, "T": 100.0}  # of a PDO
+    np.testing.assert_allclose(read.time - read.time[0], TIME, atol=1e-6)
+    np.testing.assert_allclose(read.position[:, 0] / counts["q"], ANGLE, atol=1.1e-5)
+    np.testing.assert_allclose(read.torque[:, 0] / counts["T"], TORQUE, atol=1.1e-2)
     rng = np.random.default_rng(len(kind))
     for number in range(MUTATIONS // 4 if kind == "a.mf4" else MUTATIONS):  # a process each
         out.unlink(missing_ok=True)

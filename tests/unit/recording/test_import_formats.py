@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
-import pyarrow
-import pyarrow.parquet
 import pytest
-import scipy.io
 
 from invid.cli.app import run
-from invid.recording import read_recording
 from invid.recording.import_map import load_map
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -31,69 +26,6 @@ def chart(path: Path, *, time: str, position: str, torque: str, source: str = ""
         encoding="utf-8",
     )
     return path
-
-
-def imported(tmp_path: Path, source: Path, map_file: Path):
-    out = tmp_path / "out.h5"
-    assert run(["import", str(source), "--map", str(map_file), "-o", str(out)]) == 0
-    recording = read_recording(out)
-    assert recording.position_unit == "rad"
-    assert recording.torque_unit == "N·m"
-    return recording.experiments[0]
-
-
-def check_values(e, rows=slice(None)) -> None:
-    np.testing.assert_allclose(e.time, TIME[rows], atol=1e-9)
-    np.testing.assert_allclose(e.position[:, 0], np.deg2rad(DEGREES[rows]), atol=1e-7)
-    np.testing.assert_allclose(e.torque[:, 0], -1e-3 * TORQUE[rows], atol=1e-12)
-
-
-def test_mat_v5_with_a_struct_is_read(tmp_path):
-    source = tmp_path / "log.mat"
-    scipy.io.savemat(source, {"rec": {"t": TIME, "q": np.column_stack([0 * TIME, DEGREES]), "tau": TORQUE}})
-    check_values(
-        imported(
-            tmp_path, source, chart(tmp_path / "m.yaml", time="rec.t", position="rec.q[1]", torque="rec.tau")
-        )
-    )
-
-
-def test_mat_v73_is_read(tmp_path):
-    source = tmp_path / "log.mat"
-    # MATLAB writes a 512-byte block before the HDF5 signature, arrays transposed, and class names.
-    with h5py.File(source, "w", userblock_size=512) as file:
-        for name, values in (("t", TIME[None, :]), ("tau", TORQUE[None, :])):
-            file[name] = values
-            file[name].attrs["MATLAB_class"] = np.bytes_("double")
-        file["rec/q"] = np.vstack([0 * TIME, DEGREES])
-        file["note"] = np.frombuffer("bench".encode("utf-16-le"), dtype=np.uint16)[:, None]
-        file["note"].attrs["MATLAB_class"] = np.bytes_("char")
-    with source.open("r+b") as raw:
-        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    check_values(
-        imported(tmp_path, source, chart(tmp_path / "m.yaml", time="t", position="rec.q[1]", torque="tau"))
-    )
-
-
-def test_hdf5_with_other_names_is_read(tmp_path):
-    source = tmp_path / "log.hdf5"
-    with h5py.File(source, "w") as file:
-        file["run 1/clock"] = TIME
-        file["run 1/drive/angle"] = DEGREES
-        file["run 1/drive/moment"] = TORQUE.astype(np.float64)
-    m = chart(
-        tmp_path / "m.yaml", time="run 1/clock", position="run 1/drive/angle", torque="run 1/drive/moment"
-    )
-    check_values(imported(tmp_path, source, m))
-
-
-def test_parquet_is_read(tmp_path):
-    source = tmp_path / "log.parquet"
-    table = pyarrow.table({"t": TIME, "name": ["x"] * N, "angle": DEGREES, "moment": TORQUE})
-    pyarrow.parquet.write_table(table, source)
-    check_values(
-        imported(tmp_path, source, chart(tmp_path / "m.yaml", time="t", position="angle", torque="moment"))
-    )
 
 
 def spreadsheet(path: Path, *, broken: int = 0) -> Path:

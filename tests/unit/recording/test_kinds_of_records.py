@@ -15,7 +15,10 @@ import yaml
 from mcap.writer import Writer
 
 from invid.cli.app import run
+from invid.errors import InputError
 from invid.recording import Recording, read_recording
+from invid.recording.import_map import Source
+from invid.recording.readers.kinds import read_table
 
 N, RATE = 1500, 500.0
 TIME = np.arange(N) / RATE
@@ -136,6 +139,20 @@ def test_what_a_controller_puts_out_is_demanded_and_a_name_in_y_is_no_second_enc
     (found,) = suggested(capsys, path)["map"]["axes"]
     assert found["position"]["column"].endswith(f"{at}.positions[{joint}]")
     assert found["torque"]["meaning"] == "demanded"
+
+
+def test_joints_that_change_their_order_are_read_by_name(tmp_path):
+    orders, values = (["elbow", "shoulder1"], ["shoulder1", "elbow"]), {"elbow": ANGLE, "shoulder1": TORQUE}
+    rows = []
+    for k in range(N):
+        names = orders[k // 7 % 2]
+        said = [float(values[n][k]) for n in names]
+        rows.append(("/js", int(2e6 * k), {"name": names, "position": said, "effort": [3 * v for v in said]}))
+    table = read_table(bag(tmp_path / "a.mcap", rows), Source())
+    for joint, value in values.items():
+        np.testing.assert_allclose(table.columns[f"/js.position[{joint}]"], value)
+    with pytest.raises(InputError, match="elbow"):
+        table.column("/js.position[0]")
 
 
 def test_a_list_without_names_that_is_too_long_is_said(tmp_path, capsys):

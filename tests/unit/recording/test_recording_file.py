@@ -113,9 +113,6 @@ def test_a_violation_is_one_sentence_that_says_what_and_where(tmp_path, spoil, s
     assert "\n" not in str(caught.value)
 
 
-TEXT, ONE, WHOLE = "a text", "one number", "one whole number"
-
-
 def test_flipped_bytes_and_cut_files_raise_nothing_but_recording_errors(tmp_path):
     whole = foreign(tmp_path / "r.h5").read_bytes()
     rng = np.random.default_rng(3)

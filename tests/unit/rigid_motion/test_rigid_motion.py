@@ -158,26 +158,6 @@ def test_constant_speeds_show_stribeck_friction_and_say_that_the_inertia_is_unkn
     assert any("no inertia" in w for w in diagnosis.warnings)
 
 
-@pytest.mark.campaign
-def test_a_chain_with_a_visible_resonance_is_left_to_the_chain_diagnosis():
-    rng = np.random.default_rng(8)
-    dt = 2e-4
-    state = np.zeros(4)
-    rows = []
-    held = 0.0
-    for k in range(int(20 / dt)):
-        if k % 10 == 0:
-            held = 5.0 * rng.standard_normal()
-            rows.append((k * dt, state[0], held))
-        spring = 2000.0 * (state[0] - state[1]) + 0.3 * (state[2] - state[3])
-        state[2] += dt * (held - spring) / 0.5
-        state[3] += dt * spring / 1.0
-        state[:2] += dt * state[2:]
-    time, position, torque = np.array(rows).T
-    data = recording(experiment(time, position[:, None], torque[:, None]))
-    assert not is_trajectory(data)
-
-
 def test_a_record_without_motion_is_refused_in_one_sentence():
     time = np.arange(2000) / 500.0
     flat = np.zeros((2000, 1))

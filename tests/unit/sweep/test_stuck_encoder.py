@@ -1,6 +1,6 @@
 """Encoders that stand still: which stands are a fault and which are not."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -9,14 +9,9 @@ from test_sweep import CYCLE, RigidCell, config, run
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
 from invid.sweep import Sample
-from invid.sweep.bounds import AxisLimits, Bounds
 from invid.sweep.stuck_encoder import (
-    HALT_CYCLES,
-    Halting,
-    Standing,
     Unmoved,
 )
-from invid.sweep.watch import Watch
 
 
 def trembling(cell: RigidCell, sample: Sample) -> None:
@@ -47,100 +42,6 @@ def test_a_held_axis_that_never_trembles_is_no_fault() -> None:
     _, error, _ = run(cell, axes=["A1"])
     assert error is None
     assert cell.x[1] == 0
-
-
-def sample(position: float, *, fresh: bool = True, slot: int = 0) -> Sample:
-    return Sample(slot, slot * CYCLE, [position], [0.0], [0x0227], [fresh], [])
-
-
-def show(standing: Standing, places: Iterable[float], *, first: int = 0, fresh: bool = True) -> int:
-    """One place after another in consecutive slots; the slot after the last."""
-    slot = first
-    for place in places:
-        standing.check(sample(place, fresh=fresh, slot=slot))
-        slot += 1
-    return slot
-
-
-@pytest.mark.parametrize("lowest_hz", [0.3, 1.0])
-def test_an_axis_may_stand_a_quarter_period_of_its_slowest_line_whatever_it_did_in_the_trial(
-    lowest_hz: float,
-) -> None:
-    standing = Standing(["A1"], CYCLE)
-    standing.excited = {0}
-    slot = show(standing, map(float, range(500)))  # never stood
-    standing.learn({0})
-    standing.slowest(lowest_hz)
-    slot = show(standing, [0.5] * round(0.249 / lowest_hz / CYCLE), first=slot)
-    with pytest.raises(SafetyStop, match="shown one value"):
-        show(standing, [0.5] * round(0.02 / lowest_hz / CYCLE), first=slot)
-
-
-def test_a_gap_in_the_samples_is_no_leap_of_the_velocity() -> None:
-    """Four cycles' way over the time of one would be four times the speed."""
-    limits = AxisLimits("A1", 10, 10, 1.1, 1e-6, 10, "rad", "N·m")
-    bounds = Bounds([limits], cycle_s=CYCLE, missed_tpdos=100, overrun_cycles=100)
-    watch = Watch(bounds, cycle_s=CYCLE)
-    bounds.start([0.0])
-    for slot in range(500):
-        lost = slot % 50 in range(20, 40)
-        at = slot * CYCLE if not lost else (slot - slot % 50 + 19) * CYCLE  # 1 rad/s; the last one repeated
-        watch.check(sample(at, fresh=not lost, slot=slot))
-    assert bounds.statistics.peak_velocity is not None
-    assert bounds.statistics.peak_velocity[0] == pytest.approx(1.0, abs=0.01)
-
-
-def rows(path: Iterable[float]) -> Iterable[Sample]:
-    """Positions in counts of 1e-6, in consecutive slots."""
-    for slot, place in enumerate(path):
-        yield sample(round(place) * 1e-6, slot=slot)
-
-
-def feed(watch: Halting, path: Iterable[float]) -> None:
-    for row in rows(path):
-        watch.check(row)
-
-
-def halting() -> Halting:
-    return Halting(["A1"], [1e-6], "rad", CYCLE)
-
-
-def swing(counts: float, hz: float, seconds: float) -> Float64:
-    """A harmonic motion."""
-    time: Float64 = np.arange(round(seconds / CYCLE), dtype=np.float64) * CYCLE
-    path: Float64 = counts * np.sin(2 * np.pi * hz * time)
-    return path
-
-
-def test_an_encoder_that_dies_in_motion_is_found_after_five_cycles() -> None:
-    watch, path = halting(), swing(5000, 1.0, 0.5)
-    dead = np.concatenate([path[:20], np.full(50, path[20])])
-    feed(watch, dead[: 20 + HALT_CYCLES])
-    watch = halting()
-    with pytest.raises(SafetyStop, match="not at all"):
-        feed(watch, dead[: 20 + HALT_CYCLES + 2])
-
-
-@pytest.mark.parametrize("friction", [0.3, 3.0, 30.0, 300.0])
-@pytest.mark.parametrize("counts", [1, 30])
-def test_a_mass_that_friction_brings_to_rest_is_no_dead_encoder(friction: float, counts: int) -> None:
-    """A mass that is hurled and slides to rest, again and again; coarse encoders and fine ones."""
-    watch, x, v, path = halting(), 0.0, 0.0, []
-    for k in range(6000):
-        torque = 3 * friction * (-1.0) ** (k // 1000) if k % 500 < 20 else 0.0
-        for _ in range(20):
-            a = torque - friction * np.sign(v) if v else torque
-            before, v = v, v + a * CYCLE / 20
-            v = 0.0 if before * v < 0 else v
-            x += v * CYCLE / 20
-        path.append(counts * np.round(x / 1e-6 / counts))
-    feed(watch, path)
-
-
-@pytest.mark.parametrize("every", [2, 7, 20])
-def test_a_drive_that_brings_a_new_position_only_now_and_then_is_no_dead_encoder(every: int) -> None:
-    watch, path = halting(), swing(50000, 1.0, 3.0)
-    feed(watch, path[np.arange(path.size) // every * every])
 
 
 def dying(when: Callable[[RigidCell, Sample], bool]) -> tuple[RigidCell, dict[str, float]]:
@@ -235,10 +136,3 @@ def test_an_encoder_that_dies_under_shaking_is_told_by_torque_that_must_have_mov
     assert told is not None
     assert 0.0 < told[0] - dies < 0.5  # a period of the slowest line
     assert told[1] < 0.05  # what it drifts at the speed at which it died
-
-
-def test_an_axis_whose_friction_nobody_met_yet_may_stand_whatever_is_asked_of_it() -> None:
-    watch = Unmoved(["A1"], [COUNT], [WINDOW], CYCLE)
-    watch.begin({0: (MASS, 0.0)})
-    for k in range(500):
-        watch.check(Sample(k, k * CYCLE, [0.0], [0.0], [0x27], [True], []), [5.0 if k > 200 else 0.0])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.config import AxisConfig, CellConfig, parse_config
+from invid.config import CellConfig, parse_config
 from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
 from invid.planning import make_plan
 from invid.planning.model import PlannedExperiment
@@ -310,10 +310,6 @@ def test_whatever_goes_wrong_inside_the_cell_is_stopped() -> None:
     with pytest.raises(ZeroDivisionError):
         run(cell)
     assert cell.stops == 1
-
-
-def axis(hold: str) -> AxisConfig:
-    return config(axis=f", hold: {{{hold}}}").axes[0]
 
 
 def test_a_drive_that_cannot_hold_is_held_by_the_master_and_a_push_dies_away() -> None:
