@@ -35,6 +35,7 @@ from invid.identification.fewer_masses import fewer_masses_warnings
 from invid.identification.fitted_model import model_of
 from invid.identification.missing_torque import AxisMissing, axis_missing
 from invid.identification.own_time import AxisTones, describe_tones
+from invid.likelihood.unknown_forces.descent import Ended
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.supposition import Supposed
@@ -164,8 +165,11 @@ def named_terms(found: ElasticSearch) -> list[NamedTerm]:
         for placed in end.hypothesis.laws
         if placed.key in stays
     ]
+    waiting = {w.key for w in found.worths if not w.is_weighed}
     for motor in range(structure.motors):
         parts = frozenset(p for p in Part if (p, motor) in stays)
+        if (Part.DRY, motor) in stays and (Part.RISE, motor) in waiting:
+            parts -= {Part.RISE}  # the simpler law is said while nobody has weighed the other
         for term in writer.friction(motor, parts):
             part = {"viscous_friction": Part.VISCOUS, "torque_offset": Part.OFFSET}.get(term.cause, Part.DRY)
             key = (part, motor) if (part, motor) in stays else (Part.RISE, motor)
@@ -226,7 +230,8 @@ def named_causes(
         if is_part and explained < MOST:
             continue
         is_weighed = term.key not in waiting
-        if not is_weighed and not _is_seen(term.effect):
+        is_begun = found.end.fit.ended is Ended.CUT  # sizes of a fit that was cut say nothing
+        if not is_weighed and (is_begun or not _is_seen(term.effect)):
             continue
         out.append(
             Cause(
