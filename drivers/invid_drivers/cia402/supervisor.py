@@ -379,7 +379,7 @@ class Supervisor:
         means = a.next_means() if falls is NEXT else falls
         if a.state is AxisState.STOPPING and a.has_brake:
             means = AxisState.BRAKING
-        if means is AxisState.LOST and self.axes and a.state is AxisState.PARKING:
+        if means is AxisState.LOST and a.state is AxisState.PARKING:
             return  # nothing better is left
         self.enter(a, means)
 
