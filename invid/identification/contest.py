@@ -110,7 +110,7 @@ def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Kn
     hypothesis = Hypothesis(structure, shapes)
     lowest, least = None, np.inf
     for plant in _starts(bench, structure, kept, known):
-        found = _fit_from((bench, kept), hypothesis, plant, FAR)
+        found = _fit_from((bench, kept), hypothesis, plant, FAR, least)
         if found is None or found.total >= least:
             continue
         least = found.total
@@ -232,16 +232,18 @@ def _as_well(best: Supposed, tried: Sequence[Supposed]) -> tuple[Sizes, ...]:
 def _begin_seen(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, ...]]:
     """The fit of as many masses as each motor's own stiffness shows.
 
-    Where that is not home, of one more on an axis or on all, if that is: else laws may be missing as well as
-    masses, and the search has both.
+    Of one more on an axis that is astray and that no spring's own law brings back, or on all of those, if
+    that is home: else laws may be missing as well as masses, and the search has both.
     """
     bench, kept = benches
     sizes: Sizes = tuple(masses_seen(bench.stacks, m) for m in range(motors))
-    now = begin(bench, Structure(sizes), kept)
-    if is_settled(now):
-        return now, ()
-    wider = {tuple(n + (i == k) for k, n in enumerate(sizes)) for i in range(motors)}
-    wider.add(tuple(n + 1 for n in sizes))
+    lowest = lowest_fit(bench, Structure(sizes), kept, NOTHING)
+    bent = bent_axes(lowest)
+    now = brought_home(lowest, bent)
+    short = [axis for axis in sorted(astray(now)) if axis not in bent]
+    wider = {tuple(n + (i == k) for k, n in enumerate(sizes)) for i in short}
+    if len(short) > 1:
+        wider.add(tuple(n + (i in short) for i, n in enumerate(sizes)))
     tried = []
     for structure in map(Structure, sorted(wider)):
         if budget.is_left_out(FURTHER_MASSES):
@@ -292,7 +294,7 @@ def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | Non
     """The best of several fits, each to its end until one is home, or its chain of one axis is."""
     best: Supposed | None = None
     for start in sorted(pool, key=lambda f: f.total)[:GO_ON]:
-        found = start.refit()
+        found = start.refit(target=np.inf if best is None else best.total)
         if best is None or found.total < best.total:
             best = found
         away = astray(best)
@@ -301,12 +303,14 @@ def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | Non
     return best
 
 
-def _fit_from(benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int) -> Supposed | None:
+def _fit_from(
+    benches: Benches, hypothesis: Hypothesis, plant: Plant, iterations: int, target: float = np.inf
+) -> Supposed | None:
     """The fit of a hypothesis from a plant; none where it has no value."""
     stacks = benches[0].stacks
     timing = Timing.of_records(stacks)
     numbers = Numbers(plant, timing, first_strength(stacks, hypothesis.structure))
     try:
-        return suppose(benches, hypothesis, numbers, iterations)
+        return suppose(benches, hypothesis, numbers, iterations, target)
     except np.linalg.LinAlgError:
         return None

@@ -25,6 +25,9 @@ EARLY = 0.05
 """Samples by which a hold acts before its command from which a warning says so (empirical)."""
 SEEN = 1e-3
 """Share of a motor's mass that a hold leaves open from which a warning says so (physical)."""
+LIGHT, BEYOND = 0.01, 3.0
+"""Share of its chain that no motor's mass is below (physical: gears are chosen near the load's inertia), and
+its own frequency on its spring over the highest one of interest, from which no line shows it (physical)."""
 KNOWN = 0.5
 """Deviation of its delay over that of the prior from which the records do not tell it."""
 
@@ -92,7 +95,11 @@ def model_of(end: Supposed, effects: tuple[EffectTerm, ...], recording: Recordin
     )
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     std = {n: np.nan if n in unseen else float(d) for n, d in zip(known, deviation, strict=True)}
-    doubts = [*_short_experiments(recording), *(Doubt(DoubtCode.UNSEEN, said) for said in sentences)]
+    doubts = [
+        *_short_experiments(recording),
+        *_unmoved_motors(end, recording),
+        *(Doubt(DoubtCode.UNSEEN, said) for said in sentences),
+    ]
     said = [*(d.text for d in doubts), *hold_warnings(end, open_part, recording), *_lag_warnings(end, axes)]
     return Model(
         robot=recording.robot,
@@ -145,6 +152,30 @@ def _short_experiments(recording: Recording) -> list[Doubt]:
         for e in recording.experiments
         if 0 < e.samples < e.period_samples
     ][:1]
+
+
+def _unmoved_motors(end: Supposed, recording: Recording) -> list[Doubt]:
+    """The doubt about a torque that acts on everything but the motor's own mass, as one measured behind the
+    spring does."""
+    plant, structure = end.numbers.plant, end.hypothesis.structure
+    mass, spring = plant.of_kind(Kind.MASS), plant.of_kind(Kind.SPRING)
+    top = 2 * np.pi * max(r.top_hz for s in end.bench.stacks for r in s.records)
+    out = []
+    for i, (motor, load) in enumerate(zip(structure.motor, structure.load, strict=True)):
+        if motor == load:
+            continue
+        share = float(mass[motor] / mass[motor : load + 1].sum())
+        own = np.sqrt(spring[structure.links.index((motor, motor + 1))] / mass[motor])
+        if share < LIGHT and own > BEYOND * top:
+            unit = unit_of("mass", recording.linear)
+            said = (
+                f"{recording.axes[i]}: the torque hardly moves the motor: its mass comes out as "
+                f"{mass[motor]:.2g} {unit}, {100 * share:.2g} % of its chain. The torque is measured behind "
+                "the spring, where its load alone answers, or the motor is that light; these data cannot "
+                "tell: record the motor's current beside it, or the position behind the spring"
+            )
+            out.append(Doubt(DoubtCode.TORQUE_BEHIND_SPRING, said, {"share": share}))
+    return out
 
 
 def _band(recording: Recording) -> tuple[float, float]:

@@ -17,6 +17,9 @@ class DoubtCode(StrEnum):
     """The inertia of an axis is ``times`` the one that its config states: a scale is wrong, or it is old."""
     LITTLE_EXPLAINED = "little_explained"
     """Less of the torque is explained than a model of the right machine explains: ``share``."""
+    TORQUE_BEHIND_SPRING = "torque_behind_spring"
+    """The torque hardly moves the motor: it is measured behind the spring, or the motor is ``share`` of its
+    chain."""
     WRONG_STRUCTURE = "wrong_structure"
     """A force that no part of the model makes acts behind the motors: ``times`` the torque's rms."""
     SHORT_RECORD = "short_record"

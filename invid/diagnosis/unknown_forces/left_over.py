@@ -32,7 +32,8 @@ MOST = 4
 
 @dataclass(frozen=True, eq=False)
 class PlaceForce:
-    """Unknown force at a place [N·m rms], the rise of −2 ln L without it, the force there without causes."""
+    """Unknown force at a place [N·m rms], the rise of −2 ln L without it (where sure, at most so much), the
+    force there without causes."""
 
     spot: Spot
     rms: float
@@ -66,13 +67,13 @@ def is_of_shapes(worth: Worth, end: Supposed, bare: Supposed) -> bool:
 
 
 def _closed(found: Supposed, spot: Spot) -> Fit:
-    """The fit with no unknown force at a place."""
+    """The fit with no unknown force at a place, given up where something is sure to act there."""
     problem = found.fit.problem
     number = problem.spots.number[spot]
     strength = found.numbers.strength.copy()
     strength[number] = problem.least
     closed = replace(problem, shut=np.array([*problem.shut, number]))
-    without = fit(closed, replace(found.numbers, strength=strength))
+    without = fit(closed, replace(found.numbers, strength=strength), target=found.total + SURE)
     budget.check()
     return without
 

@@ -285,8 +285,11 @@ def add(now: Supposed, addition: Addition, looked: Scan) -> Supposed | None:
             with suppress(np.linalg.LinAlgError):
                 pool.append(now.in_structure(moved, values, 0))
         tried += [f.refit(iterations=6) for f in sorted(pool, key=expected)[:STARTS]]
-    best = sorted(tried, key=lambda f: f.total)[:STARTS]
-    return min((f.refit() for f in best), key=lambda f: f.total, default=None)
+    best: Supposed | None = None
+    for start in sorted(tried, key=lambda f: f.total)[:STARTS]:
+        found = start.refit(target=np.inf if best is None else best.total)
+        best = found if best is None or found.total < best.total else best
+    return best
 
 
 def additions(now: Supposed, looked: Scan, *, growing: bool) -> list[Addition]:

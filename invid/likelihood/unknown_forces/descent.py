@@ -6,6 +6,7 @@ and one whose force is not there ends at its bound.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -30,6 +31,8 @@ LEAST_FALL = 1e-2
 """Fall of an iteration below which nothing more is gained, whatever the slope says."""
 BEYOND_PROMISE = 1.5
 """Fall over that promised from which a step is lengthened: two where the value has no curvature at all."""
+PACE = 5
+"""Iterations over which the pace of a fit is taken (empirical: falls of neighbours differ tenfold)."""
 TRIALS = 8
 FIRST, LESS, MORE, LEAST_DAMPING, RESTART = 1e-2, 0.2, 5.0, 1e-7, 1e-3
 """Damping of numbers scaled to unit curvature: at the start, its factors, its least, and where it begins
@@ -46,6 +49,8 @@ class Ended(Enum):
     """Where a law's coefficient turns to its bound the value is bent, and least."""
     STALLED = "stalled"
     """No step lowers the value though its slope says so."""
+    BEHIND = "behind"
+    """At its pace it would not have come to what it had to beat."""
     CUT = "cut"
     """The time was up."""
 
@@ -89,8 +94,8 @@ class Fit:
         return out
 
 
-def fit(problem: Problem, start: Numbers, iterations: int = TO_THE_END) -> Fit:
-    """The least −2 ln L from ``start``.
+def fit(problem: Problem, start: Numbers, iterations: int = TO_THE_END, target: float = np.inf) -> Fit:
+    """The least −2 ln L from ``start``; given up where it would not come to ``target`` at its pace.
 
     Raises
     ------
@@ -99,12 +104,15 @@ def fit(problem: Problem, start: Numbers, iterations: int = TO_THE_END) -> Fit:
     """
     now = evaluate(problem, start)
     here, damping = _Here.start(problem, now), FIRST
+    totals = [now.total]
     for number in range(iterations + 1):
         gap = here.fall(here.step(0.0))
         if 0.0 <= gap < GAP:
             return Fit(problem, here.value, here.around, Ended.FINISHED, gap)
         if number == iterations:
             break
+        if _is_behind(totals, iterations - number, target):
+            return Fit(problem, here.value, here.around, Ended.BEHIND, gap)
         if budget.is_left_out("fits to their end"):
             return Fit(problem, here.value, here.around, Ended.CUT, gap)
         found, damping = here.lower(problem, damping)
@@ -112,7 +120,16 @@ def fit(problem: Problem, start: Numbers, iterations: int = TO_THE_END) -> Fit:
             is_bent = bool((found.free != here.value.free).any())
             return Fit(problem, here.value, here.around, Ended.AT_BOUND if is_bent else Ended.STALLED, gap)
         here = here.at(problem, found)
+        totals.append(found.total)
     return Fit(problem, here.value, here.around, Ended.ITERATIONS, gap)
+
+
+def _is_behind(totals: Sequence[float], more: int, target: float) -> bool:
+    """Whether as many iterations ``more``, each falling as the last few did, would not come to ``target``:
+    falls become smaller."""
+    if len(totals) <= PACE:
+        return False
+    return totals[-1] - more * (totals[-1 - PACE] - totals[-1]) / PACE > target
 
 
 @dataclass(frozen=True, eq=False)

@@ -197,8 +197,10 @@ class Supposed:
         hypothesis: Hypothesis | None = None,
         numbers: Numbers | None = None,
         iterations: int = TO_THE_END,
+        target: float = np.inf,
     ) -> Supposed:
-        """Another hypothesis, on the same motions, from here."""
+        """Another hypothesis, on the same motions, from here; given up where it would not come to
+        ``target``."""
         changed = self.hypothesis if hypothesis is None else hypothesis
         start = self.numbers if numbers is None else numbers
         columns = self.bench.columns(changed, self.motions)
@@ -206,7 +208,7 @@ class Supposed:
         if start.plant.structure == self.numbers.plant.structure:
             problem = replace(problem, centre=self.fit.problem.centre)
         start, problem = bounded(start, problem, changed)
-        return replace(self, hypothesis=changed, fit=fit(problem, start, iterations))
+        return replace(self, hypothesis=changed, fit=fit(problem, start, iterations, target))
 
     def renewed(self, iterations: int = TO_THE_END, *, agreed: bool = False) -> Supposed:
         """The same with inner motion smoothed anew."""
@@ -361,14 +363,16 @@ def suppose(
     hypothesis: Hypothesis,
     numbers: Numbers,
     iterations: int = TO_THE_END,
+    target: float = np.inf,
 ) -> Supposed:
-    """The first fit of a hypothesis without laws, on records fitted and kept out."""
+    """The first fit of a hypothesis without laws, on records fitted and kept out; given up where it would not
+    come to ``target``."""
     bench, kept = benches
     motions = Motions(bench.stacks, hypothesis.structure)
     problem = Problem.about(bench.stacks, bench.columns(hypothesis, motions), numbers)
     numbers, problem = bounded(numbers, problem, hypothesis)
     kept_motions = None if kept is None else Motions(kept.stacks, hypothesis.structure)
-    return Supposed(bench, hypothesis, motions, fit(problem, numbers, iterations), kept, kept_motions)
+    return Supposed(bench, hypothesis, motions, fit(problem, numbers, iterations, target), kept, kept_motions)
 
 
 def first_strength(stacks: Sequence[Stack], structure: Structure) -> Float64:

@@ -310,23 +310,38 @@ def _coefficients(problem: Problem, work: tuple[StackWork, ...]) -> tuple[Float6
 def bounded_minimum(normal: Float64, right: Float64, bounds: tuple[Float64, Float64]) -> tuple[Float64, Bool]:
     """(J,) minimum of xᵀ·normal·x + 2·right·x within bounds (J,) low and high, and which x are free.
 
-    One at a time the one that violates its bound most (in standard deviations) is put there.
+    Block principal pivoting (Júdice and Pires 1994): all that violate a bound go there and all that are
+    pulled off theirs go free at once; one at a time where that no longer lowers their number.
     """
     size = np.sqrt(np.diag(normal)) + 1e-300
     scaled = normal / size[:, None] / size + NEARLY_SINGULAR * np.eye(size.size)
-    low, high = bounds
-    found, free = np.zeros(size.size), np.ones(size.size, dtype=bool)
-    while free.any():
-        fixed = ~free
-        target = -right[free] / size[free] - scaled[np.ix_(free, fixed)] @ (found[fixed] * size[fixed])
-        found[free] = np.linalg.solve(scaled[np.ix_(free, free)], target) / size[free]
-        bound = np.clip(found, low, high)
-        beyond = np.abs(found - bound) * size
-        worst = int(np.argmax(beyond))
-        if not beyond[worst] > 0:
+    pull = right / size
+    low, high = bounds[0] * size, bounds[1] * size
+    side = np.zeros(size.size)
+    x, fewest, blocks = np.zeros(size.size), size.size + 1, PIVOTS
+    for _ in range(PIVOTS * (size.size + 1)):
+        free = side == 0.0
+        x = np.where(side < 0.0, low, high)
+        x[free] = 0.0
+        force = scaled @ x + pull
+        x[free] = np.linalg.solve(scaled[np.ix_(free, free)], -force[free])
+        force[~free] += scaled[np.ix_(~free, free)] @ x[free]
+        beyond = np.where(x < low, -1.0, np.where(x > high, 1.0, 0.0)) * free
+        eased = ~free & (force * side > ROUNDED * np.abs(pull)) & (low < high)
+        wrong = np.flatnonzero((beyond != 0.0) | eased)
+        if not wrong.size:
             break
-        found[worst], free[worst] = bound[worst], False
-    return found, free
+        blocks = PIVOTS if wrong.size < fewest else blocks - 1
+        fewest = min(fewest, wrong.size)
+        moved = wrong if blocks > 0 else wrong[-1:]
+        side[moved] = beyond[moved]
+    return np.clip(x, low, high) / size, side == 0.0
+
+
+PIVOTS = 3
+"""Blocks that may not lower the number of violations before single ones are exchanged (Júdice and Pires)."""
+ROUNDED = 1e-12
+"""Share of its pull by which a number at a bound may be pulled off it (numerical)."""
 
 
 def _shares(problem: Problem, work: StackWork, rows: Float64, coefficients: Float64) -> Float64:
