@@ -19,11 +19,9 @@ from invid.model.document import EffectTerm, Model, linear_parameters
 from invid.recording.model import Recording
 from invid.recording.still_axes import moving_part
 from invid.report.branch_drawing import branch_drawing
-from invid.report.data import figure_data
-from invid.report.dependence import replay_data
-from invid.report.figures import draw
+from invid.report.data import figure_data, replay_data
+from invid.report.figures import draw, replay_picture
 from invid.report.labels import printable
-from invid.report.plots import replay_picture
 from invid.wording.figures import differing_number
 
 MOST_SAID = 3
@@ -247,15 +245,16 @@ def captions_of(data: Mapping[str, Any]) -> dict[str, str]:
         "Where the grey floor rises, the plant amplifies the sensors' noise (resonances with the motors "
         "held): no fault there." + "".join(_most(row) for row in data["missing_torque"]),
     }
-    for number, cause in enumerate(data["causes"], 1):
-        what = cause["x_label"].split(" [")[0]
-        drawn = f" The line is the fitted {cause['cause'].replace('_', ' ')}." if cause["cause"] else ""
-        if cause["seen"]:
-            low, high = cause["band_hz"]
+    for number, view in enumerate(data["views"], 1):
+        side = view["sides"][0]
+        drawn = f" The line is the fitted {view['cause'].replace('_', ' ')}." if side["law"] else ""
+        if side["fit"]:
+            low, high = view["band_hz"]
             drawn += f" Dots and squares hold {low:.2g} to {high:.2g} Hz only: a step looks round in them."
-        note = f" ({cause['note']})" if cause["note"] else ""
-        spread = f" {len(cause['y'])} points from {_span(cause['y'], cause['y_label'])}."
-        captions[f"cause-{number}"] = f"What {cause['axis']} is missing, over {what}{note}.{drawn}{spread}"
+        note = f" ({view['note']})" if view["note"] else ""
+        spread = f" {len(side['y'])} points from {_span(side['y'], view['y_label'])}."
+        over = f"What {view['axis']} is missing, over {side['what']}"
+        captions[f"cause-{number}"] = f"{over}{note}.{drawn}{spread}"
     for number, axis in enumerate(data["frf"], 1):
         peaks = ", ".join(f"{peak:.4g}" for peak in axis["peaks_hz"])
         captions[f"frf-{number}"] = (
