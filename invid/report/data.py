@@ -111,6 +111,7 @@ def _receptances(
     out = []
     for i, axis in enumerate(recording.axes):
         points: dict[str, Any] | None = None
+        off: dict[str, float] = {}
         if measured.frequency_hz.size:
             values, std = measured.frf[:, i, i], np.sqrt(np.maximum(measured.variance[:, i, i], 0.0))
             turned = np.degrees(std / np.maximum(np.abs(values), 1e-300)).clip(0, 180)
@@ -120,6 +121,9 @@ def _receptances(
                 "std": std.tolist(),
                 "phase_std_deg": turned.tolist(),
             }
+            for name, g in curves.items():
+                curve = np.interp(measured.frequency_hz, grid, np.abs(g[:, i, i]))
+                off[name] = 100.0 * float(np.median(np.abs(np.abs(values) / curve - 1.0)))
         size = np.abs(curves["before"][:, i, i])
         peaks = np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])) + 1
         out.append(
@@ -130,6 +134,7 @@ def _receptances(
                 "simulated": {name: _polar(g[:, i, i]) for name, g in curves.items()},
                 "peaks_hz": grid[peaks].tolist(),
                 "measured": points,
+                "off_percent": off,
             }
         )
     return out
@@ -155,7 +160,9 @@ def _over_frequency(recording: Recording, records: Sequence[Missing], i: int) ->
         used = [(m, m.excited if name == "excited" else m.shown & ~m.excited) for m in records]
         lines, rms = binned([m.hz[u] for m, u in used], [np.abs(m.torque[u, i]) ** 2 for m, u in used])
         entry[name] = {"frequency_hz": lines, "before": rms}
-    return {**entry, "held_out": records[0].record.role is Role.VALIDATE}
+    peak = max(zip(entry["excited"]["before"], entry["excited"]["frequency_hz"], strict=True), default=None)
+    most = None if peak is None else {"torque": peak[0], "hz": peak[1]}
+    return {**entry, "most": most, "held_out": records[0].record.role is Role.VALIDATE}
 
 
 # --- over what it depends on ------------------------------------------------------------------------
