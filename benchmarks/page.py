@@ -106,7 +106,7 @@ def page(*, quick: bool, runner: Callable[[Sequence[str]], Ran] = run) -> tuple[
         "# Benchmarks",
         f"Made by `python benchmarks/run_all.py --page docs/reference/benchmarks.md{mode}`: what each "
         "benchmark prints, under the command that prints it. Nothing here is written by hand. How to read "
-        "the figures of hidden causes: [hidden tests](../explanations/hidden-tests.md).",
+        "the figures of hidden causes: [how it is tested](../explanations/diagnosis.md#how-it-is-tested).",
         machine(),
     ]
     if quick:

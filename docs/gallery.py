@@ -1,4 +1,4 @@
-"""Writes docs/gallery.md and its pictures: python docs/gallery.py
+"""Writes build/gallery: a page (gallery.md) with a picture a cause: python docs/gallery.py
 
 One cause at a time is hidden in a simulated axis by the generator of tests/hidden, the recording is
 diagnosed, and what the report shows is drawn; the words are those of the effect in the catalogue.
@@ -30,13 +30,13 @@ HEAD = """# Gallery: from picture to cause to repair
 
 Each picture of the report shows the torque that the linear model misses (dots) and the named cause (line).
 Simulated: one axis, one hidden cause of 25 dB over the noise. Written by `python docs/gallery.py`. Laws and
-look-alikes: [causes](reference/causes.md).
+look-alikes: `docs/reference/causes.md`.
 """
 
 
 def main() -> None:
     """Draw all."""
-    folder = DOCS / "images" / "gallery"
+    folder = DOCS.parent / "build" / "gallery"
     folder.mkdir(parents=True, exist_ok=True)
     parts = [HEAD]
     for cause, seed in SHOWN.items():
@@ -52,7 +52,7 @@ def main() -> None:
         (folder / f"{cause}.svg").write_text(drawn[name], encoding="utf-8")
         parts.append(entry(BY_CAUSE[cause], found[0]))
         print(f"{cause}: {found[0].confidence:.2f}")
-    (DOCS / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
+    (folder / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
 
 
 def entry(effect: Effect, finding: Finding) -> str:
@@ -60,7 +60,7 @@ def entry(effect: Effect, finding: Finding) -> str:
     lines = [
         f"## {effect.title[0].upper()}{effect.title[1:]}",
         "",
-        f"![Missing torque and fitted cause](images/gallery/{effect.cause}.svg)",
+        f"![Missing torque and fitted cause]({effect.cause}.svg)",
         "",
         f"`{effect.cause}`, {finding.element or finding.axis}. {effect.check}",
         "",

@@ -18,8 +18,7 @@ from invid.identification.kept_out import all_records
 from invid.model.document import Model, parameter_vector
 from invid.planning.detection import DetectionLimit, limits_at
 from invid.planning.expected_covariance import is_in_goal, parameter_scale
-from invid.planning.goal import GoalPlan
-from invid.planning.shortest_runs import UNCERTAINTY
+from invid.planning.goal import UNCERTAINTY, GoalPlan
 from invid.recording import Recording, read_recording
 from invid.sweep import Progress
 from invid_drivers.filing import Judge

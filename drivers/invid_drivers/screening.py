@@ -45,7 +45,7 @@ def screening_plan(
     # the climb alone is too weak to tell which of two coupled axes changed
     needed = max(design.needed, 2)
     plan = design.plan.first(needed - 1)
-    return replace(design, plan=plan, needed=needed, amplitudes=design.amplitudes[:needed])
+    return replace(design, plan=plan, needed=needed)
 
 
 def screen_cell(

@@ -15,7 +15,7 @@ from invid.model.chains import CoupledChains
 from invid.planning import Plan, make_plan
 from invid.planning.belief import Belief
 from invid.planning.forecast import lower_torque
-from invid.planning.shortest_runs import shortest_runs
+from invid.planning.goal import shortest_runs
 from invid.planning.stopping_distance import (
     LEAST_EXCITATION,
     ROUNDING,

@@ -5,24 +5,32 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from invid.batch.analysis import Options, Outcome
+from invid import __version__
+from invid.batch.analysis import KILLED, Helper, Options, Outcome, own_helper
 from invid.batch.fleet import FALSE_ALARMS, FleetRow, compare_fleet, find_baselines, write_changes
-from invid.batch.helper import Helper, own_helper
 from invid.batch.results import INDEX, Results, checksum_of, find_recordings, row
-from invid.errors import InputError
+from invid.errors import InputError, InvidError
 from invid.model.diagnosis_document import diagnosis_from_json
 from invid.model.document import Model
 from invid.model.doubts import doubts_of
 
-INDEX_EVERY_S = 2.0
+Submit = Callable[[str, Path], Future[Outcome]]
+"""Begins with a recording, by its name and path."""
+
+
+class ClusterError(InvidError, ConnectionError):
+    """The cluster is gone in the middle of a batch; what is done is stored."""
+
+    exit_code = 5
 
 
 @dataclass(frozen=True)
@@ -101,19 +109,16 @@ def run_batch(  # noqa: PLR0913 - each is one option of the command
         if kept:
             told(f"{kept} of {len(found)} recordings were done before")
         open_ones = {name: path for name, path in found.items() if name not in outcomes}
-        written = time.monotonic()
-        with closing(_analyse(open_ones, options, scheduler, workers)) as coming:
-            try:
-                for outcome in coming:
+        try:
+            with _place(scheduler, workers, options) if open_ones else nullcontext() as place:
+                for outcome in () if place is None else outcomes_of(open_ones, *place):
                     name = outcome.recording
                     store.store(outcome, checksums[name])
                     outcomes[name] = outcome
                     told(f"[{len(outcomes)}/{len(found)}] {said(outcome)}")
-                    if time.monotonic() - written > INDEX_EVERY_S:
-                        store.write_index(outcomes.values())
-                        written = time.monotonic()
-            finally:
-                store.write_index(outcomes.values())
+                    store.write_index(outcomes.values())
+        finally:
+            store.write_index(outcomes.values())
     rows = tuple(outcomes[name] for name in sorted(outcomes))
     fleet: tuple[FleetRow, ...] = ()
     if baselines is not None:
@@ -123,22 +128,12 @@ def run_batch(  # noqa: PLR0913 - each is one option of the command
     return BatchReport(rows, kept, str(results / INDEX), time.monotonic() - began, fleet)
 
 
-def _model_of(outcome: Outcome) -> Model | str:
-    """The extended model of a recording; else why there is none to compare."""
-    if outcome.status != "done":
-        return outcome.error
-    model = diagnosis_from_json(json.loads(outcome.diagnosis), source=outcome.recording).model
-    doubts = [d.text for d in doubts_of(model.fit) if d.spoils_changes]
-    return doubts[0] if doubts else model
-
-
-def _analyse(
-    recordings: Mapping[str, Path], options: Options, scheduler: str | None, workers: int | None
-) -> Generator[Outcome, None, None]:
-    if not recordings:
-        return
+@contextmanager
+def _place(scheduler: str | None, workers: int | None, options: Options) -> Iterator[tuple[Submit, int]]:
+    """Where recordings are analysed, and how many of them at once."""
     if scheduler is None:
-        yield from analyse_here(recordings, options, workers or cores())
+        with this_machine(options, workers) as here:
+            yield here
         return
     try:
         cluster = import_module("invid.batch.cluster")
@@ -148,16 +143,13 @@ def _analyse(
         raise InputError(
             "--scheduler needs Dask, which is not installed: pip install 'invid[fleet]'"
         ) from None
-    yield from cluster.analyse_on_cluster(scheduler, recordings, options, workers)
+    with cluster.cluster_at(scheduler, options) as (submit, room):
+        yield submit, workers or room
 
 
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def analyse_here(recordings: Mapping[str, Path], options: Options, workers: int) -> Iterator[Outcome]:
-    """Yield outcomes as they come. Whoever stops asking ends all processes."""
+@contextmanager
+def this_machine(options: Options, workers: int | None) -> Iterator[tuple[Submit, int]]:
+    """What analyses a recording in a process of its own, and how many at once; all processes end with it."""
     helpers: list[Helper] = []
 
     def one(name: str, path: Path) -> Outcome:
@@ -166,12 +158,52 @@ def analyse_here(recordings: Mapping[str, Path], options: Options, workers: int)
             helpers.append(helper)
         return helper.ask(path, name, options)
 
-    with ThreadPoolExecutor(max_workers=min(workers, len(recordings))) as pool:
-        futures = [pool.submit(one, name, path) for name, path in recordings.items()]
+    room = workers or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
+    with ThreadPoolExecutor(max_workers=room) as pool:
         try:
-            for future in as_completed(futures):
-                yield future.result()
+            yield lambda name, path: pool.submit(one, name, path), room or 1
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
             for helper in helpers:
                 helper.close()
+
+
+def outcomes_of(recordings: Mapping[str, Path], submit: Submit, room: int) -> Iterator[Outcome]:
+    """Outcomes as they come; at most ``room`` recordings are under way."""
+    waiting, under_way = iter(recordings.items()), dict[Future[Outcome], str]()
+    while True:
+        for name, path in islice(waiting, room - len(under_way)):
+            try:
+                under_way[submit(name, path)] = name
+            except OSError:
+                raise _gone() from None
+        if not under_way:
+            return
+        for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+            yield _outcome(future, under_way.pop(future))
+
+
+def _outcome(future: Future[Outcome], name: str) -> Outcome:
+    try:
+        outcome = future.result()
+    except CancelledError:
+        raise _gone() from None
+    except Exception as error:  # each worker that had it in hand died, or could not say what it found
+        return Outcome.failed(name, KILLED, f"its workers ended ({type(error).__name__}: {error})")
+    if outcome.software != __version__:
+        said = f"a worker that joined later has invid {outcome.software}, here is {__version__}"
+        return Outcome.failed(name, KILLED, said)
+    return outcome
+
+
+def _gone() -> ClusterError:
+    return ClusterError("--scheduler: it is gone; what is done is stored, the same command goes on")
+
+
+def _model_of(outcome: Outcome) -> Model | str:
+    """The extended model of a recording; else why there is none to compare."""
+    if outcome.status != "done":
+        return outcome.error
+    model = diagnosis_from_json(json.loads(outcome.diagnosis), source=outcome.recording).model
+    doubts = [d.text for d in doubts_of(model.fit) if d.spoils_changes]
+    return doubts[0] if doubts else model

@@ -12,6 +12,7 @@ import hashlib
 import io
 import json
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -85,7 +86,9 @@ class Results:
             outcome = Outcome(**{c: found[c] for c in COLUMNS}, **texts)
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        same = found.get("made") == self._made(checksum) and found["checksums"] == _checksums(outcome)
+        same = found.get("made") == self._made(checksum, __version__) and found["checksums"] == _checksums(
+            outcome
+        )
         return outcome if same and outcome.final else None
 
     def store(self, outcome: Outcome, checksum: str) -> None:
@@ -106,7 +109,7 @@ class Results:
             "format_version": 1,
             **row(outcome),
             "checksums": _checksums(outcome),
-            "made": self._made(checksum),
+            "made": self._made(checksum, outcome.software),
         }
         save_text(place / "outcome.json", dump_json(document))
 
@@ -119,8 +122,9 @@ class Results:
             writer.writerow([getattr(outcome, c) for c in COLUMNS])
         save_text(self.folder / INDEX, table.getvalue())
 
-    def _made(self, checksum: str) -> dict[str, Any]:
-        return {"software": __version__, "recording_sha256": checksum, "options": self.options.to_json()}
+    def _made(self, checksum: str, software: str) -> dict[str, Any]:
+        options = json.loads(dump_json(asdict(self.options)))  # as it will be read
+        return {"software": software, "recording_sha256": checksum, "options": options}
 
 
 def checksum_of(path: Path) -> str:

@@ -46,8 +46,7 @@ def register(app: typer.Typer) -> None:
 
         if budget is not None and not budget > 0:
             raise InputError(f"--budget {budget:g}: must be above 0")
-        wanted = parse_masses(masses)
-        options = Options(wanted if wanted is None or isinstance(wanted, str) else tuple(wanted), budget)
+        options = Options(parse_masses(masses), budget)
         try:
             report = run_batch(
                 folder,

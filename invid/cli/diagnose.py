@@ -17,7 +17,6 @@ from invid.errors import InputError, ModelError
 
 if TYPE_CHECKING:
     from invid.model.diagnosis_document import Diagnosis
-    from invid.recording.model import Recording
 
 TOLD = ("backlash", "coulomb_friction", "extra_mode", "base_compliance")
 """Causes whose limits are told on the screen; all of them stand in the document and in the report."""
@@ -57,10 +56,6 @@ def register(app: typer.Typer) -> None:
         ] = None,
         report: Annotated[
             Path | None, typer.Option("--report", metavar="REPORT.html", help="Where the report goes.")
-        ] = None,
-        plots: Annotated[
-            Path | None,
-            typer.Option("--plots", metavar="DIR", help="Folder for pictures (SVG) and their data."),
         ] = None,
         budget: Budget = BUDGET,
         effects: Effects = None,
@@ -109,16 +104,14 @@ def register(app: typer.Typer) -> None:
             )
         if report is not None:
             from invid.report import render_report
-            from invid.report.dependence import linear_model_of
+            from invid.report.data import linear_model_of
 
             _write(report, render_report(data, linear_model_of(diagnosis), diagnosis))
             note(f"report written to {report}")
-        pictures = [] if plots is None else _write_plots(plots, data, diagnosis)
         if as_json:
             for warning in diagnosis.warnings:
                 note(f"warning: {warning}")
         seen = [f"report: {report}"] if report is not None else []
-        seen += [f"picture: {p}" for p in pictures if p.suffix == ".svg"]
         emit(document, "\n".join([diagnosis_text(diagnosis, language), *seen]), as_json=as_json)
         trustworthy = bool(diagnosis.model.fit.get("trustworthy", True))
         return EXIT_OK if trustworthy else EXIT_NOT_TRUSTWORTHY
@@ -129,21 +122,6 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise not_written(path, error) from None
-
-
-def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> list[Path]:
-    """Write pictures and their data; return the paths, pictures of what is missing first."""
-    from invid.report.plots import plot_files
-
-    files = plot_files(recording, diagnosis)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made a folder: {error.strerror}") from None
-    for name, text in files.items():
-        _write(folder / name, text)
-    note(f"{len(files)} pictures and tables written to {folder}")
-    return [folder / name for name in files]
 
 
 def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:

@@ -29,15 +29,14 @@ from scipy import special
 
 from invid.comparison.changes import CauseChange, CauseStatus, Change, Repeatability, Status
 from invid.comparison.joint_test import two_sided
-from invid.comparison.named import named_cause
 from invid.comparison.pairs import describe, is_friction, name_of, named_effects, width
 from invid.comparison.sentences import bound_phrase
 from invid.effects.registry import BY_CAUSE
 from invid.model.document import EffectTerm, Estimate, Model
 from invid.numerics.distributions import chi2_isf, normal_isf
-from invid.wording.clauses import cause_check, cause_name, label, parameter_name, size_text
-from invid.wording.figures import differing_number, percent
-from invid.wording.statement import Figure, Listed, Statement, Value
+from invid.wording.clauses import cause_name
+from invid.wording.figures import differing_number
+from invid.wording.statement import Figure, Statement
 
 NAMED_FROM = math.sqrt(chi2_isf(1e-5, 1))
 """Size, in standard deviations, from which a diagnosis names a cause: a chance of one in a thousand over
@@ -272,34 +271,3 @@ def with_cause_verdicts(effects: Sequence[Change], causes: Sequence[CauseChange]
             )
         )
     return tuple(out)
-
-
-# --- words ------------------------------------------------------------------------------------------
-def cause_sentences(causes: Sequence[CauseChange]) -> list[Statement]:
-    """What became of the causes, those that changed first, each with the size that was or is."""
-    said = [sentence_of(c) for c in causes if c.status in CHANGED]
-    same = [c for c in causes if c.status is CauseStatus.UNCHANGED]
-    if same:
-        worst = percent(max(c.bound or 0.0 for c in same))
-        labels = Listed(tuple(label(named_cause(c), plain=True) for c in same))
-        code = "told.causes_same_one" if len(same) == 1 else "told.causes_same"
-        said.append(Statement(code, {"labels": labels, "bound": Figure(worst)}))
-    said += [
-        Statement("told.cause_open", {"label": label(named_cause(c)), "why": c.why or ""})
-        for c in causes
-        if c.status is CauseStatus.CANNOT_TELL
-    ]
-    return said
-
-
-def sentence_of(c: CauseChange) -> Statement:
-    """ "A2: free play in the transmission at spring 1 is new: free play 0.30 ± 0.01 mrad. Check …"."""
-    was, now = (Figure(size_text(e, c.unit)) for e in (c.old, c.new))
-    values: dict[str, Value] = {"label": label(named_cause(c)), "old": was, "new": now}
-    check: Value = cause_check(c.cause) or ""
-    if c.status is CauseStatus.APPEARED:
-        values |= {"parameter": parameter_name(c.parameter), "size": now, "check": check}
-        return Statement("told.cause_new", values)
-    if c.status is CauseStatus.GONE:
-        return Statement("told.cause_gone", {**values, "size": was})
-    return Statement(f"told.cause_{c.status}", {**values, "check": check})

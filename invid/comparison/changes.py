@@ -9,7 +9,7 @@ from typing import Any
 from invid.diagnosis.headline import changes_headline
 from invid.model.document import Estimate
 from invid.model.named_change import NamedChange
-from invid.wording.clauses import shape_statement
+from invid.wording.clauses import row_statement
 from invid.wording.statement import ENGLISH, LANGUAGES, Statement, say, upper_first
 
 
@@ -197,7 +197,7 @@ class Comparison:
     @property
     def structure(self) -> tuple[str, ...]:
         """What differs in structure, in English."""
-        return tuple(say(shape_statement(c)) for c in self.shape)
+        return tuple(upper_first(say(row_statement(c))) for c in self.shape)
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from invid.comparison.baseline import MINIMUM_RUNS, pool_agreeing, pool_models
 from invid.comparison.baseline import repeatability as measured_repeatability
-from invid.comparison.causes import cause_sentences, compare_causes, variance_factors, with_cause_verdicts
+from invid.comparison.causes import compare_causes, variance_factors, with_cause_verdicts
 from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
 from invid.comparison.named import named_change
@@ -146,8 +146,8 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
         causes,
     )
     joint_alpha = _JOINT_SHARE * alpha
-    said = statements(comparison, joint_alpha=joint_alpha, causes=cause_sentences(causes))
-    return replace(comparison, statements=said, named=named_changes(comparison, joint_alpha))
+    comparison = replace(comparison, named=named_changes(comparison, joint_alpha))
+    return replace(comparison, statements=statements(comparison, joint_alpha=joint_alpha))
 
 
 def _covariance(

@@ -48,6 +48,13 @@ DEFAULT = MultisineSpec(kind="multisine", seed=1)
 """What is measured where the config asks for nothing: as many runs as axes, all of them shaken at once."""
 
 
+def multisine_of(config: CellConfig) -> MultisineSpec:
+    """The config's own identifying multisine on all axes, or the default one."""
+    own = [e for e in config.experiments if isinstance(e, MultisineSpec)]
+    base = ([e for e in own if e.role == "identify"] or own or [MultisineSpec(kind="multisine")])[0]
+    return base.model_copy(update={"role": "identify", "axes": None})
+
+
 def make_plan(
     config: CellConfig,
     *,
@@ -181,9 +188,9 @@ def assemble(
         expected = model_forecast(config, played, peaks, belief)
     else:
         doublets = (None,) * len(inertia)
-        rough_peaks = rigid(config) if belief is None else None
-        if rough_peaks is not None:
-            played, _, is_lowered = fitted(config, played, rough_peaks, share, kept)
+        rough = rigid(config)
+        if rough is not None:
+            played, _, is_lowered = fitted(config, played, rough, share, kept)
             sentences += is_lowered
         trials = trials_of(config, played[first:], climb and played[0])
         expected = limit_forecast(config, played, share)

@@ -1,48 +1,51 @@
-"""The shortest experiment that is expected to reach a stated uncertainty, in blocks.
+"""The shortest plan that is expected to reach its end: a stated uncertainty, or what the default plan shows.
 
-One block is one record from rest: all axes at once on interleaved lines, crest factor low, amplitude by
-frequency from ``invid.planning.blocks`` where a model is known. The first is the climb of the trial, at about
-a third of the amplitude. After each block whoever runs the plan looks at the measured covariance and stops as
-soon as it is there; blocks of reserve follow the expected ones.
+Blocks are runs of the usual multisine, one record from rest each: all axes at once on interleaved lines. The
+first is the climb of the trial, at about a third of the amplitude. After each block whoever runs the plan
+looks at the measured covariance and stops as soon as it is there; blocks of reserve follow the expected ones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from invid.config import CellConfig
+from invid.config import CellConfig, MultisineSpec
 from invid.errors import ConfigError
-from invid.numerics.arrays import frozen_float
 from invid.planning.belief import Belief
-from invid.planning.blocks import BlockDesigner
-from invid.planning.budget import require_budget
-from invid.planning.build import assemble, require_known_axes
-from invid.planning.expected_covariance import Expected, Noise
+from invid.planning.build import DEFAULT, UNKNOWN, make_plan, multisine_of
+from invid.planning.detection import detection_limits
+from invid.planning.expected_covariance import Expected, Noise, expected
 from invid.planning.forecast import turning_back
-from invid.planning.model import Plan, PlannedExperiment
-from invid.planning.phases import RECORDED_CLIMB_S, REST_S, trial_shares
+from invid.planning.model import Plan
+from invid.planning.phases import REST_S
+from invid.recording.model import Role
 
-BLOCKS_S = (5.0, 6.5, 8.0, 10.0, 13.0, 16.0, 20.0)
-"""Lengths of a block. Shorter than 5 s the lines lie so far apart that a fit from nothing may miss a
-resonance (empirical, modes of 4 to 8 Hz); they scale with the lowest frequency below 0.5 Hz."""
-FROM_MODEL_S = (2.5, 3.2, 4.0)
+BLOCKS_S = (6.0, 8.0, 10.0, 13.0, 16.0, 20.0)
+"""Lengths of a block. Shorter than 6 s the lines lie so far apart that a fit from nothing may miss a
+resonance (empirical, case study: one of twelve pairs of blocks of 5 s); they scale with the lowest frequency
+below 0.5 Hz."""
+FROM_MODEL_S = (2.0, 2.5, 3.2, 4.0)
 """And where the fit starts at a model of the cell, which says where the resonances are."""
+RUNS_S = (5.0, 6.5, 8.0)
+"""Lengths of a run that are tried before that of the default plan, the longest: with it three axes take a
+minute."""
+UNCERTAINTY = 0.01
+"""Expected relative deviation of every mass, spring and coupling after a default plan."""
 MARGIN = 0.9
 """The expected uncertainty must be this much below the goal: the measured one scatters about it."""
-HOPELESS_FACTOR = 2.0
-"""Factor by which a block may be expected to miss the goal and still be computed; longer blocks resolve
-more."""
 RESERVE = 2
 """Blocks after the expected ones."""
+FRICTION_FACTOR = 13.0
+"""Peak torque over Coulomb torque below which sticking shows (notes, case study)."""
 
 
 @dataclass(frozen=True, eq=False)
 class GoalPlan:
-    """A plan with what it is expected to reach after each block."""
+    """A plan with what it is expected to reach."""
 
     plan: Plan
     goal: float
@@ -51,9 +54,8 @@ class GoalPlan:
     reachable: bool
     expected: Expected
     """Expected covariance after ``needed`` blocks."""
-    binding: tuple[str, ...]
-    amplitudes: tuple[float, ...]
-    """Share of the torque limit of each block."""
+    binding: tuple[str, ...] = ()
+    """What keeps a goal from being reached."""
 
     @property
     def expected_s(self) -> float:
@@ -87,7 +89,6 @@ class GoalPlan:
             "blocks_needed": self.needed,
             "blocks_planned": len(self.plan.recorded),
             "expected_s": self.expected_s,
-            "amplitudes": list(self.amplitudes),
             "binding": list(self.binding),
             "summary": self.sentence,
         }
@@ -125,94 +126,77 @@ def plan_for_goal(
     """
     if not 0 < goal < 1:
         raise ConfigError(f"goal is {goal:g}; give a relative uncertainty such as 1% or 0.01")
-    known = require_known_axes(config, wish.axes)
-    excited = tuple(i for i, n in enumerate(known) if wish.axes is None or n in wish.axes)
-    designer = BlockDesigner(config, belief, noise, excited, wish.amplitude_scale)
-    max_duration_s = wish.max_duration_s
-    require_budget(config)
-
-    def plan_of(climb: PlannedExperiment, blocks: Sequence[PlannedExperiment]) -> Plan:
-        return assemble(config, blocks, belief, share=wish.amplitude_scale, climb=climb)
-
+    base = multisine_of(config)
     shortest = FROM_MODEL_S if wish.is_from_model else ()
-    lengths = [t * max(1.0, 0.5 / designer.band[0]) for t in (*shortest, *BLOCKS_S)]
-    lengths = [t for t in lengths if t + REST_S <= max_duration_s] or [max(max_duration_s - REST_S, 1.0)]
-    best: tuple[list[PlannedExperiment], Expected] | None = None
-    first = 0.0
+    lengths = [t * max(1.0, 0.5 / base.band_Hz[0]) for t in (*shortest, *BLOCKS_S)]
+    longest = wish.max_duration_s - REST_S
+    lengths = [t for t in lengths if t <= longest] or [max(longest, 1.0)]
+
+    def plan_of(length: float, runs: int) -> Plan:
+        changes = {"period_s": length, "experiments": runs, "lines": "interleaved", "seed": DEFAULT.seed}
+        block = base.model_copy(update={**changes, "periods": 1, "settle_periods": 0})
+        asked = config.model_copy(update={"experiments": [block]})
+        made = make_plan(asked, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=belief)
+        # nothing is validated: the climb counts like every block
+        trials = [replace(t, experiment=replace(t.experiment, role=Role.IDENTIFY)) for t in made.trials]
+        return replace(made, trials=tuple(trials))
+
+    def reached(plan: Plan, runs: int) -> Expected:
+        return expected(config, plan.recorded[: 1 + runs], belief, noise)
+
+    runs, most = 1, 1
     for length in lengths:
-        # Information grows with the length: what is expected of the shortest says which ones cannot do.
-        if first * np.sqrt(lengths[0] / length) > HOPELESS_FACTOR * goal and length != lengths[-1]:
-            continue
-        blocks = [designer.block(length, 1)]
-        reached = designer.expected(blocks)
-        best = (blocks, reached)
-        first = first or reached.worst[1]
-        if reached.worst[1] <= MARGIN * goal:
-            return _complete_plan(designer, _Layout(blocks, reached, length), goal, wish, plan_of)
-    blocks, reached = best if best is not None else ([], designer.expected([]))
-    length = lengths[-1]
-    while MARGIN * goal < reached.worst[1] < np.inf:
-        # information adds up over blocks: the number that is missing, at once
-        more = max(1, int(np.ceil(len(blocks) * (reached.worst[1] / (MARGIN * goal)) ** 2)) - len(blocks))
-        room = int(max_duration_s // (length + REST_S)) - len(blocks)
-        if min(more, room) <= 0:
+        most = max(int(wish.max_duration_s // (length + REST_S)), 1)
+        plan = plan_of(length, 1)
+        found = reached(plan, 1)
+        if found.worst[1] <= MARGIN * goal:
             break
-        blocks += [designer.block(length, 1 + len(blocks) + k) for k in range(min(more, room))]
-        reached = designer.expected(blocks)
-    return _complete_plan(designer, _Layout(blocks, reached, length), goal, wish, plan_of)
-
-
-@dataclass(frozen=True, eq=False)
-class _Layout:
-    """Blocks of one length [s] at full amplitude, and what is expected of them."""
-
-    blocks: list[PlannedExperiment]
-    expected: Expected
-    length: float
-
-
-def _complete_plan(
-    designer: BlockDesigner,
-    layout: _Layout,
-    goal: float,
-    wish: GoalWish,
-    plan_of: Callable[[PlannedExperiment, Sequence[PlannedExperiment]], Plan],
-) -> GoalPlan:
-    """The plan: the climb of its trial, which may be enough, the blocks, then reserve."""
-    blocks, reached, length = layout.blocks, layout.expected, layout.length
-    reachable = reached.worst[1] <= goal
-    climb_s = max(length, RECORDED_CLIMB_S)
-    if wish.is_from_model:  # which says what a block does beyond one cycle of the slowest line
-        climb_s = 1.0 / designer.band[0]
-    climb = designer.block(climb_s, 0)
-    share = trial_shares(designer.config, climb)[1]
-    first = designer.expected([replace(climb, torque=frozen_float(share * climb.torque))])
-    needed = 1 + len(blocks)
-    if first.worst[1] <= MARGIN * goal:
-        needed, reached, reachable = 1, first, True
-    for _ in range(RESERVE):
-        if reachable and (len(blocks) + 1) * (length + REST_S) <= wish.max_duration_s:
-            blocks = [*blocks, designer.block(length, 1 + len(blocks))]
-    binding = sorted(designer.touched)
-    if not reachable and np.isfinite(reached.worst[1]):
-        if not binding or designer.reduced.min() > 0.99:
-            name = reached.worst[0].split(".")[0].split("-")[0]
-            binding.append(f"torque limit of {name}")
-        binding.append(f"duration of {wish.max_duration_s:g} s")
-    plan = plan_of(climb, blocks)
+    while MARGIN * goal < found.worst[1] < np.inf and runs < most:
+        # information adds up over blocks: the number that is missing, at once
+        runs = min(most, max(runs + 1, int(np.ceil(runs * (found.worst[1] / (MARGIN * goal)) ** 2))))
+        plan = plan_of(length, runs)
+        found = reached(plan, runs)
+    reachable, needed = found.worst[1] <= goal, 1 + runs
+    lowered = tuple(w for w in plan.warnings if w != UNKNOWN)
+    climb = reached(plan, 0)
+    if climb.worst[1] <= MARGIN * goal:
+        needed, found, reachable = 1, climb, True
+    if reachable and runs < most:
+        plan = plan_of(length, min(runs + RESERVE, most))
+    binding = lowered or (f"torque limit of {found.worst[0].split('.')[0].split('-')[0]}",)
+    said = (*plan.warnings, *_friction(config, plan, belief))
     return GoalPlan(
-        plan=replace(
-            plan,
-            warnings=(
-                *plan.warnings,
-                *designer.warnings(),
-                *turning_back(designer.config, plan.experiments[0], designer.belief),
-            ),
-        ),
-        goal=goal,
-        needed=needed,
-        reachable=reachable,
-        expected=reached,
-        binding=tuple(binding),
-        amplitudes=(share * designer.share, *(designer.share for _ in blocks)),
+        replace(plan, warnings=said),
+        goal,
+        needed,
+        reachable,
+        found,
+        () if reachable else (*binding, f"duration of {wish.max_duration_s:g} s"),
     )
+
+
+def _friction(config: CellConfig, plan: Plan, belief: Belief) -> list[str]:
+    """What is said of axes that stick while they are shaken, and of figures that rest on a guess."""
+    said = turning_back(config, plan.experiments[0], belief)
+    creeps = plan.experiments[0].reference is not None
+    for i in () if creeps else plan.excited:
+        peak, coulomb = float(plan.peak_torque[i]), float(belief.coulomb[i])
+        if coulomb > 0 and peak < FRICTION_FACTOR * coulomb:
+            said.append(
+                f"axis {plan.axes[i]}: the peak torque of {peak:.3g} is only {peak / coulomb:.1f} times the "
+                f"Coulomb friction of {coulomb:.3g}; allow a creep_velocity in the config"
+            )
+    return [*said, f"expected figures rest on {belief.source}"] if belief.guessed else said
+
+
+def shortest_runs(config: CellConfig, belief: Belief, noise: Noise) -> MultisineSpec:
+    """The shortest runs of the default plan that are expected to tell every parameter to ``UNCERTAINTY`` and
+    to show the sizes of interest; those of the default plan where none is."""
+    for length in RUNS_S:
+        spec = DEFAULT.model_copy(update={"period_s": length})
+        plan = make_plan(config.model_copy(update={"experiments": [spec]}), model=belief)
+        limits = detection_limits(config, plan.recorded, belief, noise)
+        shows = all(limit.is_met for limit in limits)
+        if shows and expected(config, plan, belief, noise).worst[1] <= UNCERTAINTY:
+            return spec
+    return DEFAULT

@@ -15,7 +15,7 @@ import numpy as np
 from invid.config import CellConfig
 from invid.effects.elements import ForceLaw, Law, dry_parameters
 from invid.model.chains import CoupledChains
-from invid.model.matrices import Matrices, damper, spring
+from invid.model.matrices import damper, spring
 from invid.numerics.arrays import Bool, Float64
 from invid.planning.belief import Belief
 from invid.planning.hold_laws import centring, following, master_hold
@@ -122,15 +122,8 @@ def _sub_step(chains: CoupledChains, loops: bytes, cycle: float) -> tuple[Step, 
     (3, M): stiffness and damping of the loops inside the drives, and viscous friction of each motor.
     """
     stiffness, damping, viscous = np.frombuffer(loops).reshape(3, -1)
-    held = rubbing(chains, viscous + damping).plus(
-        [spring(k, at) for k, at in zip(stiffness.tolist(), chains.motor_dofs.tolist(), strict=True)]
-    )
+    motors = zip(stiffness.tolist(), (viscous + damping).tolist(), chains.motor_dofs.tolist(), strict=True)
+    held = chains.matrices.plus([e for k, d, at in motors for e in (spring(k, at), damper(d, at))])
     # Dry friction is solved within a sub-step: it must not span more than a radian of the fastest mode.
     substeps = max(1, int(np.ceil(cycle * held.natural[-1])))
     return discretise(held, cycle / substeps), substeps
-
-
-def rubbing(chains: CoupledChains, viscous: Float64) -> Matrices:
-    """Matrices of chains with viscous friction (M,) at their motors."""
-    motors = zip(chains.motor_dofs.tolist(), viscous.tolist(), strict=True)
-    return chains.matrices.plus([damper(value, at) for at, value in motors])

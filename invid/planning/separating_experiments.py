@@ -13,6 +13,7 @@ from typing import Any
 from invid.config import CellConfig, ConstantVelocitySpec, MultisineSpec
 from invid.effects.registry import BY_CAUSE, effect_of
 from invid.errors import InputError
+from invid.planning.build import multisine_of
 
 Spec = MultisineSpec | ConstantVelocitySpec
 
@@ -99,17 +100,9 @@ def _competing_causes(finding: Any) -> set[str]:
     return named | {str(finding.get("cause"))}
 
 
-def _base_experiment(config: CellConfig) -> MultisineSpec:
-    """The config's own identifying multisine, or the default one."""
-    own = [e for e in config.experiments if isinstance(e, MultisineSpec)]
-    identify = [e for e in own if e.role == "identify"]
-    base = (identify or own or [MultisineSpec(kind="multisine")])[0]
-    return base.model_copy(update={"role": "identify", "axes": None})
-
-
 def _validation_experiment(config: CellConfig) -> MultisineSpec:
     """Return the experiment that is held out: another realisation at a level in between."""
-    base = _base_experiment(config)
+    base = multisine_of(config)
     level = 0.6 * base.amplitude
     return base.model_copy(
         update={"role": "validate", "experiments": 1, "seed": base.seed + 101, "amplitude": level}
@@ -117,7 +110,7 @@ def _validation_experiment(config: CellConfig) -> MultisineSpec:
 
 
 def _amplitude_ladder(config: CellConfig, levels: Sequence[float] = LEVELS) -> list[Spec]:
-    base = _base_experiment(config)
+    base = multisine_of(config)
     return [
         base.model_copy(
             update={
@@ -135,7 +128,7 @@ def _experiments_for(config: CellConfig, axis: str, causes: set[str]) -> tuple[l
     said: list[str] = []
     kinds = {e.separating.kind for c in causes if (e := effect_of(c)) is not None}
     limits = next(a.limits for a in config.axes if a.name == axis)
-    base, rate = _base_experiment(config), 1.0 / config.bus.cycle_s
+    base, rate = multisine_of(config), 1.0 / config.bus.cycle_s
     unit = "m" if config.linear else "rad"
     if "speeds" in kinds:
         speeds = tuple(round(USABLE_SHARE * s * limits.velocity, 9) for s in SPEEDS)

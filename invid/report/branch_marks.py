@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model
 
 INK, PAPER = "var(--ink, #1b1c1d)", "var(--card, var(--paper, #ffffff))"
-_COLOURS = {
+COLOURS = {
     "act": "var(--act, #b3261e)",
     "watch": "var(--watch, #8a5a00)",
     "as_expected": "var(--fine, #00664a)",
@@ -30,65 +30,40 @@ class Mark:
     text: str
 
 
-def text_at(x: float, y: float, text: str, **attributes: str) -> str:
-    """One line of text; attributes as in SVG with "_" for "-"."""
-    more = "".join(f' {k.replace("_", "-")}="{v}"' for k, v in attributes.items())
-    return f'<text x="{x:g}" y="{y:g}"{more}>{escape(text)}</text>'
-
-
-def _bubble(x: float, y: float, m: Mark) -> str:
-    """Return the sign of a grade: triangle: act; diamond: watch; circle: as expected; square: no grade.
-    Not by colour alone.
-    """
-    shapes = {
-        "act": f"M{x:g} {y - 12:g}L{x + 12:g} {y + 9:g}H{x - 12:g}Z",
-        "watch": f"M{x:g} {y - 12:g}L{x + 12:g} {y:g}L{x:g} {y + 12:g}L{x - 12:g} {y:g}Z",
-        "as_expected": f"M{x - 9.5:g} {y:g}a9.5 9.5 0 1 0 19 0a9.5 9.5 0 1 0 -19 0Z",
-        "ungraded": f"M{x - 9:g} {y - 9:g}h18v18h-18Z",
-    }
-    colour = _COLOURS[m.grade]
-    filled = m.grade in ("act", "watch")
-    fill = colour if filled else PAPER
-    shape = f'<path d="{shapes[m.grade]}" fill="{fill}" stroke="{colour}" stroke-width="2"/>'
-    low = 6.5 if m.grade == "act" else 4
-    return shape + text_at(
-        x,
-        y + low,
-        str(m.number) if m.number else "?",
-        text_anchor="middle",
-        font_size="11.5",
-        font_weight="700",
-        fill=PAPER if filled else colour,
-    )
-
-
-def marked(where: Places, marks: Sequence[Mark]) -> str:
-    """Return all marks of one place, side by side."""
-    kind, i, at = marks[0].place
-    parts = []
-    for k, m in enumerate(marks):
+def bubbles_of(marks: Sequence[Mark], where: Places) -> list[tuple[float, float, Mark]]:
+    """Where each mark stands at its element, those of one place side by side."""
+    found, before = [], Counter[Place]()
+    for m in marks:
+        kind, i, at = m.place
+        k = before[m.place]
+        before[m.place] += 1
         if kind == "coupling":
             x = next(lane.x for lane in where.lanes if lane.pair == (i, at))
-            y = (where.rows[i] + where.rows[i + 1]) / 2 + 34 - 22 * k
+            found.append((x, (where.rows[i] + where.rows[i + 1]) / 2 + 34 - 22 * k, m))
         elif kind == "spring":
-            x, y = where.spring(at) + 13 + 25 * k, where.rows[i] - 42
+            found.append((where.spring(at) + 13 + 25 * k, where.rows[i] - 42, m))
         else:
-            x, y = where.mass(at) + 13 + 25 * k, where.rows[i] - 32
-        parts.append(_bubble(x, y, m))
-    return f"<g>{''.join(parts)}</g>"
+            found.append((where.mass(at) + 13 + 25 * k, where.rows[i] - 32, m))
+    return found
+
+
+def callouts_of(
+    marks: Sequence[Mark], where: Places, chains: CoupledChains
+) -> list[tuple[float, float, Mark]]:
+    """Where each mark stands again with its text, below its element where there is room."""
+    found, lines = [], [lines_below(chains, i) for i in range(chains.branches)]
+    for m in marks:
+        kind, i, at = m.place
+        x = where.mass(at) if kind == "mass" else where.spring(at) if kind == "spring" else LEFT
+        x = max(4.0, min(x, where.width - room_of(m.text)))
+        found.append((x, where.rows[i] + BELOW + 6 + lines[i] * LINE, m))
+        lines[i] += 1
+    return found
 
 
 def room_of(text: str) -> float:
     """Width of a line with its mark: about 7.2 units a letter."""
     return 7.2 * len(text) + 36
-
-
-def callout(m: Mark, where: Places, y: float) -> str:
-    """Return the mark again with its text, below its element where there is room."""
-    kind, _, at = m.place
-    x = where.mass(at) if kind == "mass" else where.spring(at) if kind == "spring" else LEFT
-    x = max(4.0, min(x, where.width - room_of(m.text)))
-    return f"<g>{_bubble(x + 12, y, m)}{text_at(x + 28, y + 4.5, m.text)}</g>"
 
 
 LEFT, MASS, SPRING = 54.0, 112.0, 104.0
@@ -124,6 +99,9 @@ class Places:
     """Width of a mass."""
     gap: float = SPRING
     """Width of a spring."""
+
+    ends: tuple[float, ...] = ()
+    """Right edges of the final masses."""
 
     def mass(self, number: int) -> float:
         """Left edge of a mass, counted from the motor, from 1."""
@@ -183,7 +161,8 @@ def places(
     right = LEFT + longest * box + (longest - 1) * gap + 20.0
     lanes = _lanes(model, right, {(p[1], p[2]) for p in marked if p[0] == "coupling"})
     width = max([right - 12.0, LEAST_WIDTH, widest, *(lane.x + 24.0 for lane in lanes)])
-    return Places(tuple(rows), tuple(lanes), width, y, box, gap)
+    ends = tuple(LEFT + m.size * box + (m.size - 1) * gap for m in chains.masses)
+    return Places(tuple(rows), tuple(lanes), width, y, box, gap, ends)
 
 
 SURELY = 3.0

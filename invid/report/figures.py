@@ -29,8 +29,9 @@ def draw(data: dict[str, Any]) -> dict[str, str]:
         out["residual"] = residual(data["residual"])
     if data["forces"]:
         out["forces"] = forces(data["forces"])
-    for number, cause in enumerate(data["causes"], 1):
-        out[f"cause-{number}"] = dependence(cause, f"cause-{number}")
+    for number, view in enumerate(data["views"], 1):
+        if view["own"] or not view["cause"]:  # a cause without a law of motion has no such picture
+            out[f"cause-{number}"] = dependence(view, f"cause-{number}")
     if data["missing_torque"]:
         out["missing-torque"] = missing(data["missing_torque"])
     for number, axis in enumerate(data["frf"], 1):
@@ -123,33 +124,33 @@ def residual(rows: list[dict[str, Any]]) -> str:
     )
 
 
-def dependence(cause: dict[str, Any], name: str) -> str:
+def dependence(view: dict[str, Any], name: str) -> str:
     """Missing torque over what it depends on, with the fitted cause drawn over it."""
+    side = view["sides"][0]
 
     def fill(figure: Figure) -> None:
         ax = figure.add_subplot()
-        words = str(cause["cause"]).replace("_", " ")
-        if cause["seen"]:
-            seen, (low, high) = cause["seen"], cause["band_hz"]
+        words = str(view["cause"]).replace("_", " ")
+        if side["fit"]:
+            low, high = view["band_hz"]
             ax.plot(
-                seen["x"], seen["y"], "s", ms=3.6, alpha=0.45, color=BEFORE, mec="none",
+                side["fit"]["x"], side["fit"]["y"], "s", ms=3.6, alpha=0.45, color=BEFORE, mec="none",
                 label=f"{words}, in the same band",
             )  # fmt: skip
             said = f"dots and squares hold {low:.2g} to {high:.2g} Hz only: a step looks round"
             ax.set_title(said, loc="right", fontsize=8, fontweight="normal")
-        ax.plot(cause["x"], cause["y"], ".", ms=3.2, color=MEASURED, mec="none", label="missing (measured)")
-        if cause["fit"]:
-            ax.plot(cause["fit"]["x"], cause["fit"]["y"], color=BEFORE, lw=1.6, label=f"{words}, fitted")
+        ax.plot(side["x"], side["y"], ".", ms=3.2, color=MEASURED, mec="none", label="missing (measured)")
+        if side["law"]:
+            ax.plot(side["law"]["x"], side["law"]["y"], color=BEFORE, lw=1.6, label=f"{words}, fitted")
         ax.axhline(0.0, color=INK, lw=0.6)
-        ax.set_xlabel(label(cause["x_label"]))
-        ax.set_ylabel(label(cause["y_label"]))
-        place = f", {cause['element']}" if cause["element"] else ""
-        ax.set_title(label(f"{cause['axis']}{place}", 60), loc="left")
+        ax.set_xlabel(label(side["x_label"]))
+        ax.set_ylabel(label(view["y_label"]))
+        place = f", {view['element']}" if view["element"] else ""
+        ax.set_title(label(f"{view['axis']}{place}", 60), loc="left")
         figure.legend(loc="upper right", ncols=3)
 
-    return svg(
-        name, fill, size=(7.2, 3.3), title=f"Missing torque of {cause['axis']} over {cause['x_label']}"
-    )
+    title = f"Missing torque of {view['axis']} over {side['x_label']}"
+    return svg(name, fill, size=(7.2, 3.3), title=title)
 
 
 def missing(rows: list[dict[str, Any]]) -> str:
@@ -263,3 +264,27 @@ def plain_hz(ax: Axes) -> None:
     ax.xaxis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+def replay_picture(row: dict[str, Any], name: str) -> str:
+    """Measured and simulated motion over time, and the error before and after the extension."""
+
+    def fill(figure: Figure) -> None:
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1, 1.2])
+        time = np.array(row["time"])
+        measured = np.array(row["measured"])
+        top.plot(time, measured, color=MEASURED, lw=1.6, label="measured")
+        series = [("simulated_before", "linear model" if row["extended"] else "model", BEFORE, "--")]
+        if row["extended"]:
+            series.append(("simulated_after", "with the causes named", AFTER, ":"))
+        for key, words, colour, line in series:
+            top.plot(time, row[key], line, color=colour, lw=1.1, label=words)
+            bottom.plot(time, np.array(row[key]) - measured, color=colour, lw=0.9)
+        bottom.axhline(0.0, color=INK, lw=0.5)
+        top.set_ylabel(f"motion [{label(row['unit'])}]")
+        bottom.set_ylabel(f"simulated − measured [{label(row['unit'])}]")
+        bottom.set_xlabel("time [s]")
+        top.set_title(label(f"{row['axis']} ({row['experiment']})", 32), loc="left")
+        figure.legend(loc="upper right", ncols=3)
+
+    return svg(name, fill, size=(7.2, 3.9), title=f"Motion of {row['axis']}, measured and simulated")

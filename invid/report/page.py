@@ -19,11 +19,9 @@ from invid.model.document import EffectTerm, Model, linear_parameters
 from invid.recording.model import Recording
 from invid.recording.still_axes import moving_part
 from invid.report.branch_drawing import branch_drawing
-from invid.report.data import figure_data
-from invid.report.dependence import replay_data
-from invid.report.figures import draw
+from invid.report.data import figure_data, replay_data
+from invid.report.figures import draw, replay_picture
 from invid.report.labels import printable
-from invid.report.plots import replay_picture
 from invid.wording.figures import differing_number
 
 MOST_SAID = 3
@@ -51,7 +49,7 @@ def render_report(
     """
     part, _ = moving_part(recording, model.axes)
     data = figure_data(part, model, diagnosis)
-    drawn, captions = draw(data), captions_of(data)
+    drawn, replayed = draw(data), [] if diagnosis is None else replay_data(part, diagnosis)
     first = [name for name in drawn if name in ("residual", "forces") or name.startswith("cause-")]
     shown = model if diagnosis is None else diagnosis.model
     findings = () if diagnosis is None else diagnosis.findings
@@ -59,9 +57,8 @@ def render_report(
     # Where it is comes before how much.
     pictures = {"branches": branch_drawing(shown, findings, lost)}
     pictures |= {name: drawn[name] for name in first}
-    for number, row in enumerate([] if diagnosis is None else replay_data(part, diagnosis), 1):
+    for number, row in enumerate(replayed, 1):
         pictures[f"replay-{number}"] = replay_picture(row, f"replay-{number}")
-        captions[f"replay-{number}"] = replay_caption(row)
     pictures |= {name: picture for name, picture in drawn.items() if name not in pictures}
     environment = Environment(
         loader=PackageLoader("invid.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -75,7 +72,7 @@ def render_report(
         headline=_headline(model, diagnosis),
         sentences=_sentences(diagnosis),
         pictures=pictures,
-        captions=captions,
+        data={**data, "replay": replayed},
         notes=data["notes"],
         parameters=_parameters(shown),
         effects=[_effect(e) for e in shown.effects],
@@ -219,97 +216,3 @@ def _flat(document: Mapping[str, Any] | Sequence[Any], most: int = 40) -> list[t
         shown = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
         rows.append((str(name), shown if len(shown) <= 400 else shown[:399] + "…"))
     return rows[:most]
-
-
-BRANCHES = (
-    "The drives as the model sees them, with their numbers. The findings are marked where they act: a "
-    "triangle asks to act, a diamond to watch, a circle is as expected, a square is not judged."
-)
-
-
-def captions_of(data: Mapping[str, Any]) -> dict[str, str]:
-    """Text under each picture of ``figure_data``, by the picture's name; with that of ``branches``."""
-    captions = {
-        "branches": BRANCHES,
-        "residual": "Torque that each motor would still need for the measured motion, on data that no fit "
-        "has seen: with the linear model, with the causes named, and what noise alone would leave. "
-        + "; ".join(
-            f"{r['axis']} {r['before']:.2g}, {r['after']:.2g} and "
-            + ("unknown" if r["noise_floor"] is None else f"{r['noise_floor']:.2g} {r['unit']}")
-            for r in data["residual"]
-        )
-        + ".",
-        "forces": "Unknown force at every place that counts: what acts there and is in no law, without the "
-        "causes and with them. Where something is left, the largest of the second bars says where."
-        if data["forces"]
-        else "",
-        "missing-torque": "Torque that each motor would still need, over frequency, under the linear model. "
-        "Where the grey floor rises, the plant amplifies the sensors' noise (resonances with the motors "
-        "held): no fault there." + "".join(_most(row) for row in data["missing_torque"]),
-    }
-    for number, cause in enumerate(data["causes"], 1):
-        what = cause["x_label"].split(" [")[0]
-        drawn = f" The line is the fitted {cause['cause'].replace('_', ' ')}." if cause["cause"] else ""
-        if cause["seen"]:
-            low, high = cause["band_hz"]
-            drawn += f" Dots and squares hold {low:.2g} to {high:.2g} Hz only: a step looks round in them."
-        note = f" ({cause['note']})" if cause["note"] else ""
-        spread = f" {len(cause['y'])} points from {_span(cause['y'], cause['y_label'])}."
-        captions[f"cause-{number}"] = f"What {cause['axis']} is missing, over {what}{note}.{drawn}{spread}"
-    for number, axis in enumerate(data["frf"], 1):
-        peaks = ", ".join(f"{peak:.4g}" for peak in axis["peaks_hz"])
-        captions[f"frf-{number}"] = (
-            f"{axis['axis']}: motion per torque, measured and simulated"
-            + (", before and after on one scale." if "after" in axis["simulated"] else ".")
-            + (f" Peaks at {peaks} Hz." if peaks else "")
-            + _agreement(axis)
-        )
-    return captions
-
-
-def _most(row: Mapping[str, Any]) -> str:
-    """ " A1: most at 6.1 Hz, 1.4 N·m." of the lines that were shaken."""
-    lines = row["excited"]
-    if not lines["before"]:
-        return ""
-    at = int(np.argmax(lines["before"]))
-    most = f"{lines['before'][at]:.2g} {row['unit']}"
-    return f" {row['axis']}: most at {lines['frequency_hz'][at]:.3g} Hz, {most}."
-
-
-def _span(values: list[float], label: str) -> str:
-    unit = label.rpartition("[")[2].rstrip("]")
-    return f"{min(values):.2g} to {max(values):.2g} {unit}" if values else "none"
-
-
-def _agreement(axis: Mapping[str, Any]) -> str:
-    """Return by how much measured and simulated magnitudes differ in the median."""
-    if axis["measured"] is None:
-        return ""
-    hz, measured = np.array(axis["measured"]["frequency_hz"]), np.array(axis["measured"]["magnitude"])
-    said = []
-    for name, words in (
-        ("before", "with the linear model"),
-        ("after", "with the linear part of the extended model"),
-    ):
-        if name in axis["simulated"] and measured.size:
-            curve = np.interp(hz, axis["frequency_hz"], axis["simulated"][name]["magnitude"])
-            off = float(np.median(np.abs(measured - curve) / np.maximum(np.abs(curve), 1e-300)))
-            said.append(f"{100 * off:.2g} % {words}")
-    if len(said) == 2 and said[0].split()[0] == said[1].split()[0]:
-        said = [f"{said[0].split()[0]} % with the linear part of either model"]
-    why = ", by noise and by what bends the straight line: friction and play are in no such curve"
-    return f" Measured and simulated differ by {' and '.join(said)}, in the median{why}." if said else ""
-
-
-def replay_caption(row: Mapping[str, Any]) -> str:
-    """Return the caption of a recorded torque played through the model."""
-    rms = row["rms"]
-    seen = "which no fit has seen" if row["role"] == "validate" else "which the fit has seen"
-    text = (
-        f"{row['axis']}: the recorded torque through the model, against the measured motion, in experiment "
-        f"{row['experiment']}, {seen}. The simulation is off by {rms['error_before']:.2g} {row['unit']} rms"
-    )
-    if row["extended"]:
-        text += f" without and {rms['error_after']:.2g} {row['unit']} with the causes named"
-    return f"{text}, of {rms['motion']:.2g} {row['unit']} of motion."

@@ -220,6 +220,16 @@ def change_check(change: NamedChange) -> Statement | None:
     return None
 
 
+def row_statement(change: NamedChange) -> Statement:
+    """Return a change as a sentence of its own, with what it looks like or what to check."""
+    values: dict[str, Value] = {"what": change_clause(change)}
+    looks, check = change_looks(change), change_check(change)
+    means = looks if check is None else Clause(check)
+    if means is None or not change.matters:
+        return Statement("told.row", values)
+    return Statement("told.row_means", {**values, "means": means})
+
+
 def _by(change: NamedChange) -> str:
     if change.difference is None or change.std is None:
         return ""
@@ -267,15 +277,3 @@ def size_text(size: Estimate | None, unit: str | None) -> str:
     if abs(size.value) < 1e-2 and unit in ("rad", "m", "s"):
         return size_text(Estimate(1e3 * size.value, 1e3 * size.std), f"m{unit}")
     return f"{differing_number(size.value, size.std)} ± {differing_number(size.std, size.std)}{of}"
-
-
-def shape_statement(change: NamedChange) -> Statement:
-    """Return what differs in axes or numbers of masses as a sentence."""
-
-    def count(number: float) -> Statement:
-        return Statement("told.mass_count_one" if number == 1 else "told.mass_count", {"n": f"{number:.0f}"})
-
-    values: dict[str, Value] = {"axis": change.axis}
-    if change.kind is ChangeKind.MASSES and change.old is not None and change.new is not None:
-        values |= {"before": count(change.old.value), "after": f"{change.new.value:.0f}"}
-    return Statement(f"told.{change.kind}", values)

@@ -12,7 +12,6 @@ from invid.cli.app import run
 from invid.model.diagnosis_document import Verdict
 from invid.model.law_table import LawTable
 from invid.report.data import figure_data
-from invid.report.dependence import cause_views
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import TrueEffect, make
@@ -85,10 +84,9 @@ def test_a_hidden_drag_that_depends_on_position_is_a_law_over_both_drawn_and_nam
     near = (np.abs(v) < 0.5 * v.max()) & (np.abs(q) < 0.5 * np.abs(q).max())
     assert np.abs(left[near]).max() < 0.1 * np.abs(true).max()
     again = read_again(diagnosis, first, tmp_path / "diagnosis.json")
-    (view,) = cause_views(first, again.model, again)
+    (view,) = figure_data(first, again.model, again)["views"]
     for side in view["sides"]:  # as both quantities are at the instants of the points
         assert np.std(np.subtract(side["y"], side["fit"]["y"])) < 0.3 * np.std(side["y"])
-    (picture,) = figure_data(first, again.model, again)["causes"]
-    assert "it depends on the position too" in picture["note"]
+    assert "it depends on the position too" in view["note"]
 
     assert_named_next(tmp_path, "worn_guide", hidden, 980011)

@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 
 import invid
-from invid.batch.analysis import Options
-from invid.batch.helper import Helper
+from invid.batch.analysis import Helper, Options
 from invid.batch.results import COLUMNS, Results
 from invid.cli import app
 from invid.model.diagnosis_document import diagnosis_to_json
@@ -180,9 +179,7 @@ def test_a_worker_killed_under_way_loses_nothing(folder: Path, local: Path, tmp_
 def test_a_recording_whose_process_always_dies_is_listed_and_tried_again_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "python").write_text(
-        "#!/bin/sh\nread task\necho x >> " + str(tmp_path / "tries") + "\nkill -9 $$\n"
-    )
+    (tmp_path / "python").write_text("#!/bin/sh\necho x >> " + str(tmp_path / "tries") + "\nkill -9 $$\n")
     (tmp_path / "python").chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     helper = Helper()

@@ -50,6 +50,6 @@ def test_the_cookbook_runs_as_it_stands_and_finds_the_changed_tool(tmp_path: Pat
     # 1.31 kg·m² was added to the end of A2 and nothing else was touched.
     assert set(changed) == {"A2.mass.3"}, changes["sentence"]
     assert changed["A2.mass.3"]["difference"] == pytest.approx(1.31, abs=0.05)
-    assert "consistent with a tool change" in changes["sentence"]
+    assert "looks like a tool change" in changes["sentence"]
     assert "<html" in (tmp_path / "report.html").read_text().lower()
     assert (tmp_path / "recording.h5").read_bytes().startswith(b"\x89HDF")

@@ -10,19 +10,15 @@ from invid.model.document import Model
 from invid.recording import Recording
 from invid.recording.still_axes import moving_part
 from invid.report.data import figure_data
-from invid.report.dependence import cause_views
 
 _DIGITS = 5
 
 
 def plot_data(recording: Recording, model: Model, diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return ``figure_data`` and ``cause_views`` with five significant digits (a screen shows four),
-    no NaN.
-    """
+    """Return ``figure_data`` with five significant digits (a screen shows four), no NaN."""
     recording, _ = moving_part(recording, diagnosis.model.axes)
     document: dict[str, Any] = _rounded(figure_data(recording, model, diagnosis))
-    views: list[dict[str, Any]] = _rounded(cause_views(recording, model, diagnosis))
-    return {"axes": list(recording.axes), **document, "views": views}
+    return {"axes": list(recording.axes), **document}
 
 
 def _rounded(value: Any) -> Any:

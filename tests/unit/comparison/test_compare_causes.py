@@ -135,7 +135,7 @@ def test_a_cause_at_the_edge_of_what_is_named_does_not_appear_and_vanish_from_ru
 def test_a_cause_that_was_nothing_and_is_large_has_appeared_and_the_other_way_round_gone() -> None:
     came = compare(model(*usual()), model(*usual(), play()))
     assert of(came, "A2.backlash.spring 1").status is CauseStatus.APPEARED
-    said = "A2: free play in the transmission at spring 1 is new: free play 0.30 ± 0.01 mrad. Check the gear"
+    said = "New: free play in the transmission on A2 at spring 1, 0.30 ± 0.01 mrad; check the gear's wear"
     assert any(s.startswith(said) for s in came.sentences)
     went = compare(model(*usual(), play()), model(*usual()))
     assert of(went, "A2.backlash.spring 1").status is CauseStatus.GONE

@@ -7,7 +7,7 @@ from invid.planning import make_plan
 from invid.planning.belief import Belief
 from invid.planning.detection import DetectionLimit, detection_limits
 from invid.planning.expected_covariance import fit_about
-from invid.planning.shortest_runs import shortest_runs
+from invid.planning.goal import shortest_runs
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.goal import reached
 

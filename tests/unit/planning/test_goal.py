@@ -38,8 +38,8 @@ def test_a_goal_of_one_per_cent_is_expected_in_one_block_below_the_largest_ampli
     assert design.reachable
     assert design.needed == 1
     assert design.expected.worst[1] < 0.01
-    assert design.amplitudes[0] < 0.7
-    assert list(design.amplitudes) == sorted(design.amplitudes)
+    climb, *blocks = (np.abs(e.torque).max() for e in design.plan.recorded)
+    assert climb < min(blocks)
     assert design.expected_s < 8
 
 
@@ -51,7 +51,7 @@ def test_no_block_exceeds_torque_travel_or_velocity(cell: CellConfig, belief: Be
         # with the margin of a model
         assert f.travel <= 0.02
         assert f.velocity <= 0.3
-    assert any("velocity" in b or "position" in b for b in design.binding)
+    assert any("velocity of" in w or "travel of" in w for w in design.plan.warnings)
 
 
 def test_a_goal_beyond_the_limits_is_refused_with_the_figure_that_can_be_reached(
@@ -66,7 +66,7 @@ def test_a_goal_beyond_the_limits_is_refused_with_the_figure_that_can_be_reached
     assert name in design.sentence
     assert f"{worst:.2g}" in design.sentence
     assert any("duration" in b for b in design.binding)
-    assert any("torque limit" in b or "velocity" in b for b in design.binding)
+    assert any("torque of A1 stays within its limit" in b for b in design.binding)
 
 
 @pytest.mark.campaign
@@ -80,14 +80,13 @@ def test_creep_is_planned_where_friction_is_near_the_torque_and_the_config_allow
     design = plan_for_goal(allowed, sticky, sensor_noise(allowed), 0.01)
     (block, *_) = design.plan.experiments
     assert block.reference is not None
-    assert np.abs(block.reference[:, 0]).max() > 0
-    assert not block.reference[:, 1:].any()
+    assert np.abs(block.reference).max(axis=0).all()
     # 0.02 rad/s does not keep a motor going that is shaken faster; what would is said, and does.
-    (said,) = [w for w in design.plan.warnings if "turn back" in w]
-    assert said.startswith("axis A1:")
-    enough = float(said.split("creep_velocity of ")[1].split()[0])
+    said = [w for w in design.plan.warnings if "turn back" in w]
+    assert turning_back(allowed, block, sticky) == said
+    assert said[0].startswith("axis A1:")
+    enough = max(float(w.split("creep_velocity of ")[1].split()[0]) for w in said)
     path = block.reference * (1.02 * enough / 0.02)
-    assert turning_back(allowed, block, sticky) == [said]
     assert not turning_back(allowed, replace(block, reference=path), sticky)
     plain = plan_for_goal(cell, sticky, sensor_noise(cell), 0.01)
     assert plain.plan.experiments[0].reference is None
@@ -108,7 +107,7 @@ def test_the_measurement_stops_as_soon_as_the_measured_covariance_is_there(
     result, found = measure_to_goal(cell, design, path)
     recording = read_recording(path)
     assert found.meets(0.01)
-    assert found.blocks == len(recording.experiments) == 1
+    assert found.blocks == len(recording.experiments) < len(design.plan.recorded)
     assert str(recording.outcome) == "completed"
     assert result.duration_s < design.plan.duration_s + 20
 

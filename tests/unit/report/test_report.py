@@ -15,11 +15,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import Truth, make
 
+import invid
 from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Verdict
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Recording
 from invid.report import figure_data, render_report
+from invid.report.data import linear_model_of
 from invid.report.figures import figures
 
 HOSTILE = ('A1"><script>alert(1)</script>', "$\\frac{x", "a\x00b & <b>")
@@ -141,11 +143,29 @@ def test_every_cause_with_a_picture_draws_it(friction: tuple[Recording, Truth], 
     values = dict.fromkeys(names.split(), 0.5)
     element = "spring 1" if cause in ("cubic_stiffness", "backlash", "spring_hysteresis") else "mass 1"
     diagnosis = named(recording, model, cause, recording.axes[0], element, **values)
-    (picture,) = figure_data(recording, model, diagnosis)["causes"]
-    assert np.isfinite(picture["x"]).all()
-    assert np.isfinite(picture["y"]).all()
+    (view,) = figure_data(recording, model, diagnosis)["views"]
+    side = view["sides"][0]
+    assert side["what"] == view["own"]
+    assert np.isfinite(side["x"]).all()
+    assert np.isfinite(side["y"]).all()
     if cause != "encoder_eccentricity":
-        assert picture["fit"] is not None
+        assert side["fit"] is not None
+
+
+def test_the_missing_torque_over_velocity_is_the_friction_that_was_hidden_and_as_much_as_the_verdict_misses(
+    friction: tuple[Recording, Truth],
+) -> None:
+    recording, truth = friction
+    diagnosis = invid.diagnose(recording)
+    data = figure_data(recording, linear_model_of(diagnosis), diagnosis)
+    view = next(v for v in data["views"] if v["axis"] == recording.axes[1])
+    side = next(s for s in view["sides"] if s["what"] == "velocity")
+    velocity, torque = np.array(side["x"]), np.array(side["y"])
+    fast = np.abs(velocity) > 0.5 * velocity.std()
+    hidden = truth.effects[0].parameters["torque"]
+    assert np.mean(np.sign(velocity) * torque, where=fast) == pytest.approx(hidden, rel=0.15)
+    lines = np.concatenate([data["missing_torque"][1][kind]["before"] for kind in ("excited", "silent")])
+    assert np.sqrt(np.sum(lines**2) / 2) == pytest.approx(diagnosis.residual[1].before, rel=0.2)
 
 
 def test_a_recording_that_shakes_nothing_still_gives_a_report(friction: tuple[Recording, Truth]) -> None:

@@ -384,8 +384,8 @@ def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
         changes = client.get("/api/v1/cells/cell/changes").json()
         assert changes["simulated"] is True
         assert [p["parameter"] for p in changes["parameters"] if p["status"] == "changed"] == ["A2.mass.3"]
-        assert changes["sentence"].startswith("A2: final mass 6.00")
-        assert "consistent with a tool change. Nothing else changed." in changes["sentence"]
+        assert changes["sentence"].startswith("New load on A2: +")
+        assert "looks like a tool change. Nothing else changed." in changes["sentence"]
         problem(client.get("/api/v1/cells/cell/changes?from=nothing"), 404, "model-not-found")
 
 
