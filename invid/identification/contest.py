@@ -11,6 +11,9 @@ import numpy as np
 from invid.effects.catalogue.backlash import BacklashLaw
 from invid.effects.catalogue.cubic_stiffness import CubicStiffnessLaw
 from invid.identification.first_plants import (
+    IN_BANDS,
+    RUBBING,
+    TIED,
     chain_lengths,
     closes,
     fraction_plants,
@@ -50,7 +53,7 @@ three masses the fourth came home)."""
 MOST_MASSES = 8
 """Masses of an axis beyond which none are sought."""
 PASSES = 2
-"""Times that every chain astray is split."""
+"""Times that every chain astray is split, again where that made it better."""
 PRICE_OF_MASS = 120.0
 """Fall of −2 ln L on all records for one more mass: Schwarz's price of its three numbers is 25; the rest is
 what the form of friction leaves, up to 83 (empirical, axes without a period of another hand)."""
@@ -133,19 +136,44 @@ def _starts(bench: Bench, structure: Structure, kept: Bench | None, known: Known
     # Where to start may be read from all records: as many as motors tell couplings apart.
     stacks = (*bench.stacks, *(kept.stacks if kept else ()))
     yield from fraction_plants(stacks, structure)
-    yield from fraction_plants(stacks, structure, rubbing=True)
+    yield from fraction_plants(stacks, structure, RUBBING)
     if not all(closes(r) for s in stacks for r in s.records):
-        yield from fraction_plants(stacks, structure, in_bands=True)
+        yield from fraction_plants(stacks, structure, IN_BANDS)
     if known.fewer is not None:
         yield from grown_plants(known.fewer.numbers.plant, structure, bench.stacks[0].records[0].top_hz)
 
 
 def brought_home(now: Supposed, bent: Axes) -> Supposed:
-    """The lowest end of random splits of the chains in which something unknown acts, one after another: of
-    several together none would come home. Again from what is better: beside a chain at home others follow.
+    """The lowest end of chains that are split anew where something unknown acts; where that is most between
+    two loads, of chains that were followed beside springs there as well.
 
     Those of ``bent`` axes stay.
     """
+    end = _with_splits(now, bent)
+    first = next(iter(astray(end).values()), None)
+    if first is None or first.where is not Where.PAIR or end.hypothesis.structure.base:
+        return end
+    tied = _beside_springs(now)
+    return end if tied is None else min(end, _with_splits(tied, bent), key=lambda f: f.total)
+
+
+def _beside_springs(now: Supposed) -> Supposed | None:
+    """The lowest fit from chains that follow the motors' own stiffness beside springs between loads."""
+    benches = now.bench, now.kept
+    hypothesis = Hypothesis(now.hypothesis.structure, first_shapes(now.bench.stacks))
+    stacks = (*now.bench.stacks, *(now.kept.stacks if now.kept else ()))
+    best: Supposed | None = None
+    for plant in fraction_plants(stacks, hypothesis.structure, TIED):
+        if budget.is_left_out("further starts"):
+            break
+        found = _fit_from(benches, hypothesis, plant, FAR, np.inf if best is None else best.total)
+        best = found if found is not None and (best is None or found.total < best.total) else best
+    return None if best is None else reshape(scan_friction(best))
+
+
+def _with_splits(now: Supposed, bent: Axes) -> Supposed:
+    """The lowest end of random splits of the chains in which something unknown acts, one after another: of
+    several together none would come home. Again from what is better: beside a chain at home others follow."""
     rng = np.random.default_rng(1)
     for _ in range(PASSES):
         before = now
@@ -154,7 +182,7 @@ def brought_home(now: Supposed, bent: Axes) -> Supposed:
             if worst is None or axis in bent or budget.is_left_out("further starts"):
                 continue
             now = _split_anew(now, (axis, _masses_before(now.hypothesis.structure, axis, worst)), rng)
-        if before.total - now.total < PRICE_OF_MASS or len(astray(now)) < 2:
+        if before.total - now.total < PRICE_OF_MASS or not astray(now):
             break
     return now
 

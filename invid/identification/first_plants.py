@@ -10,12 +10,14 @@ dynamic stiffness, each set made a chain by Cauer's continued fraction of the lo
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from numpy.polynomial import polynomial
+from scipy.optimize import nnls
 
-from invid.identification.own_stiffness import RUBBING, SMOOTH, follow
+from invid.identification.own_stiffness import ALL, NOTHING, SOME, follow
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.model.plant import Kind, Plant, Structure
 from invid.numerics.arrays import Float64, Int64
@@ -65,6 +67,24 @@ SLOW = (0.025, 0.13)
 
 Chain = tuple[Float64, Float64]
 """Masses and springs."""
+
+
+@dataclass(frozen=True)
+class OwnStiffness:
+    """How a motor's own stiffness is followed.
+
+    ``in_bands``: in bands, where the ends of records bend single lines; ``friction``: beside friction of the
+    motor, which a ripple looks like as well; ``ground``: beside a spring from its load to those of other
+    axes; both as ``follow`` has them.
+    """
+
+    in_bands: bool = False
+    friction: float = NOTHING
+    ground: float = NOTHING
+
+
+ALONE, IN_BANDS = OwnStiffness(), OwnStiffness(in_bands=True)
+RUBBING, TIED = OwnStiffness(friction=SOME), OwnStiffness(friction=SOME, ground=ALL)
 
 
 def total_inertias(stacks: Sequence[Stack], tops: Sequence[float]) -> Float64:
@@ -165,8 +185,8 @@ def split_plants(
 
 
 def _with_chain(plant: Plant, axis: int, chain: Chain) -> Plant:
-    """The plant with another chain; of what else is behind the motors as it was only masses, springs and a
-    base stay."""
+    """The plant with another chain; of what else is behind the motors as it was only masses, springs, those
+    between loads too, and a base stay."""
     structure, values, was = plant.structure, plant.values.copy(), plant.of_kind(Kind.MASS)
     masses, links = _chain_places(structure)[axis]
     mass, spring = values[structure.index(Kind.MASS)], values[structure.index(Kind.SPRING)]
@@ -175,7 +195,7 @@ def _with_chain(plant: Plant, axis: int, chain: Chain) -> Plant:
     for p, e in enumerate(structure.elements):
         if e.joins_axes:
             on_base = structure.base and e.b == structure.coordinates - 1
-            values[p] *= np.sqrt(mass[e.a] / was[e.a]) if on_base else 0.0
+            values[p] *= np.sqrt(mass[e.a] / was[e.a]) if on_base else float(e.kind is Kind.LOAD_SPRING)
     return Plant.of_values(structure, values)
 
 
@@ -232,17 +252,10 @@ def _split(mass: Float64, spring: Float64, at: int, stiffness: float) -> Chain:
 
 
 def fraction_plants(
-    stacks: Sequence[Stack], structure: Structure, *, in_bands: bool = False, rubbing: bool = False
+    stacks: Sequence[Stack], structure: Structure, followed: OwnStiffness = ALONE
 ) -> list[Plant]:
-    """Chains by continued fractions: the best of every axis, then each axis and all at their next best.
-
-    ``in_bands``: of each motor's own stiffness in bands, where the ends of records bend single lines;
-    ``rubbing``: beside friction of the motor, which a ripple looks like as well.
-    """
-    chains = [
-        fraction_chains(stacks, m, n, in_bands=in_bands, rubbing=rubbing)
-        for m, n in enumerate(chain_lengths(structure))
-    ]
+    """Chains by continued fractions: the best of every axis, then each axis and all at their next best."""
+    chains = [fraction_chains(stacks, m, n, followed) for m, n in enumerate(chain_lengths(structure))]
     if not all(chains):
         return []
     motors = structure.motors
@@ -252,26 +265,31 @@ def fraction_plants(
     seen: dict[tuple[int, ...], None] = {}
     for choice in choices:
         seen[tuple(min(c, len(found) - 1) for c, found in zip(choice, chains, strict=True))] = None
-    return [
-        plant_of_chains(structure, [found[c] for c, found in zip(choice, chains, strict=True)])
-        for choice in seen
-    ]
+    return [_tied([found[c] for c, found in zip(choice, chains, strict=True)], structure) for choice in seen]
+
+
+def _tied(chains: Sequence[tuple[Chain, float]], structure: Structure) -> Plant:
+    """The plant of chains whose loads springs between them hold as they are held."""
+    plant = plant_of_chains(structure, [chain for chain, _ in chains])
+    held = np.array([ground for _, ground in chains])
+    ends = np.array([[float(i in pair) for pair in structure.pairs] for i in range(structure.motors)])
+    values = plant.values.copy()
+    if structure.pairs and held.all():
+        # Relatively: a chain that is astray makes its spring too strong.
+        values[structure.index(Kind.LOAD_SPRING)] = nnls(ends / held[:, None], np.ones(held.size))[0]
+    return Plant.of_values(structure, values)
 
 
 def fraction_chains(
-    stacks: Sequence[Stack],
-    motor: int,
-    masses: int,
-    most: int = 4,
-    *,
-    in_bands: bool = False,
-    rubbing: bool = False,
-) -> list[Chain]:
-    """Chains whose zeros and poles follow the motor's own stiffness best, the best first."""
+    stacks: Sequence[Stack], motor: int, masses: int, followed: OwnStiffness = ALONE, most: int = 4
+) -> list[tuple[Chain, float]]:
+    """Chains whose zeros and poles follow the motor's own stiffness best, the best first, each with the
+    spring that holds its load."""
+    in_bands = followed.in_bands
     zeros = masses - 1
     if zeros == 0:
         omega, size = own_stiffness(stacks, motor, in_bands=in_bands)
-        return [(np.array([np.exp(np.median(np.log(size / omega**2)))]), np.zeros(0))]
+        return [((np.array([np.exp(np.median(np.log(size / omega**2)))]), np.zeros(0)), 0.0)]
     looked = _interlaced(stacks, motor, zeros, in_bands=in_bands)
     if looked is None:
         return []
@@ -287,17 +305,17 @@ def fraction_chains(
             starts.append(np.concatenate(chain))
         if len(starts) >= FOLLOWED:
             break
-    for chain in fraction_chains(stacks, motor, masses - 1, GROWING, in_bands=in_bands):
+    for chain, _ in fraction_chains(stacks, motor, masses - 1, followed, GROWING):
         starts += _with_close_pair(chain, grid)
     if not starts:
         return []
     own = own_stiffness(stacks, motor, in_bands=in_bands)
-    found, loss = follow(*own, np.array(starts), RUBBING if rubbing else SMOOTH)
+    found, loss = follow(*own, np.array(starts), followed.friction, followed.ground)
     out: list[Float64] = []
     for k in np.argsort(loss):
-        if all(np.abs(np.log(found[k] / other)).max() > SAME for other in out):
+        if all(np.abs(np.log(found[k] / other))[:-1].max() > SAME for other in out):
             out.append(found[k])
-    return [(chain[:masses], chain[masses:]) for chain in out[:most]]
+    return [((chain[:masses], chain[masses:-1]), float(chain[-1])) for chain in out[:most]]
 
 
 def _with_close_pair(chain: Chain, grid: Float64) -> list[Float64]:

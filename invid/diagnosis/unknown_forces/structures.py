@@ -110,7 +110,7 @@ class AddedMass(Addition):
         if host != first + now.hypothesis.structure.sizes[axis] - 1:
             return []
         out = []
-        for masses, springs in fraction_chains(now.bench.stacks, axis, len(chain), FRACTIONS):
+        for (masses, springs), _ in fraction_chains(now.bench.stacks, axis, len(chain), most=FRACTIONS):
             values = {Element(Kind.MASS, i): float(m) for i, m in zip(chain, masses, strict=True)}
             for a, b, m, k in zip(chain[:-1], chain[1:], masses[1:], springs, strict=True):
                 peak = Resonance(float(np.sqrt(k / m)), DAMPING, 0.0, masses)
