@@ -21,13 +21,15 @@ from invid.exchange.linear_plant import LinearPlant, linear_plant
 from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording import Experiment, Recording
-from invid.tuning.margins import DrawnPlants, axis_margins
+from invid.tuning.margins import DrawnPlants, axis_margins, drawn_plants
 from invid.tuning.plant_draws import drawn_models
 from invid.tuning.servo_loop import DriveTiming, held_plant_response
 from invid.tuning.simulated_loops import AxisLoop
 from invid.tuning.tune import sensors_of, softened
 
 DRAWS, SEED = 60, 0
+RIPPLES = 8
+"""Machines in which the ripple is worked out, up to half the rate of the loops: it hardly differs."""
 TRIALS = 400
 """Draws of the measurement's noise from which the spread of margins is taken."""
 FALSE_ALARMS = 0.01
@@ -225,7 +227,8 @@ def _axis(  # noqa: PLR0913 - an axis, its measurement, its prediction
     beyond = (size - (1.0 + ALLOWED) * np.maximum(high, 1.0)) / std
     astray = np.abs(measured - predicted[0]) > 3.0 * std + OTHER_BY * np.abs(predicted[0])
     is_other = bool(astray[np.abs(predicted[0]) > FAR].mean() > OTHER_SHARE)
-    ripple, quiet = _ripple(seen), drawn.ripple(gains, sensors[0])[:, index]
+    ripple = _ripple(seen)
+    quiet = drawn_plants(plants[:RIPPLES], timing).ripple(gains, sensors[0])[:, index]
     return AxisVerification(
         seen.axis, seen.frequency, measured, std, predicted[0], low, high, late,
         figures[0], figures[1], figures[2],

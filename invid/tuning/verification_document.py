@@ -14,6 +14,7 @@ from invid.report.labels import label
 from invid.report.style import AFTER, BEFORE, INK, svg
 from invid.tuning.document import finite
 from invid.tuning.verification import AxisVerification, Verdict, Verification
+from invid.wording.statement import ENGLISH, LANGUAGES, Figure, Statement, say_sentence
 
 FORMAT = "invid-verification"
 
@@ -26,7 +27,7 @@ def verification_to_json(found: Verification) -> dict[str, Any]:
             "format_version": 1,
             "robot": found.robot,
             "verdict": str(found.verdict),
-            "sentences": [sentence(a) for a in found.axes],
+            "sentences": {lang: [sentence(a, lang) for a in found.axes] for lang in LANGUAGES},
             "axes": [_axis_to_json(a) for a in found.axes],
         }
     )
@@ -38,7 +39,6 @@ def _axis_to_json(a: AxisVerification) -> dict[str, Any]:
     return {
         "axis": a.axis,
         "verdict": str(a.verdict),
-        "sentence": sentence(a),
         "worst_at_hz": a.worst_at,
         "read_late_s": a.late,
         "rated_torque": a.rated,
@@ -64,27 +64,30 @@ def _phase(loop: Any) -> Any:
     return np.degrees(np.angle(-loop)) - 180.0
 
 
-_SAYS = {
-    Verdict.AS_PREDICTED: "as predicted",
-    Verdict.BETTER: "better than predicted",
-    Verdict.WORSE: "WORSE than predicted",
-    Verdict.OTHER: "not the machine of the model, with margins no worse than predicted",
-    Verdict.CANNOT_TELL: "too uncertain to tell: shake with more torque",
-}
-
-
-def sentence(a: AxisVerification) -> str:
+def sentence(a: AxisVerification, language: str = ENGLISH) -> str:
     """One axis: the verdict, peak of sensitivity and phase margin measured and predicted, torque ripple."""
     peak, phase = a.sensitivity, a.phase_margin
-    text = (
-        f"{a.axis}: {_SAYS[a.verdict]}: peak of sensitivity {peak.measured:.2f} ± {peak.std:.2f}, predicted "
-        f"{peak.low:.2f} to {peak.high:.2f}; phase margin {phase.measured:.0f}°, predicted {phase.low:.0f}° "
-        f"to {phase.high:.0f}°"
-    )
+    parts = [
+        Statement(
+            "verify.axis",
+            {
+                "axis": a.axis,
+                "verdict": Statement(f"verify.{a.verdict}"),
+                "peak": Figure(f"{peak.measured:.2f} ± {peak.std:.2f}"),
+                "foretold": Figure(f"{peak.low:.2f} … {peak.high:.2f}"),
+                "phase": Figure(f"{phase.measured:.0f}"),
+                "phases": Figure(f"{phase.low:.0f} … {phase.high:.0f}"),
+            },
+        )
+    ]
     if a.verdict in (Verdict.WORSE, Verdict.OTHER):
-        text += f"; most at {a.worst_at:.1f} Hz"
-    share = a.ripple.measured / a.rated
-    return f"{text}; torque that does not repeat {share:.2%} of rated" if math.isfinite(share) else text
+        parts.append(Statement("verify.at", {"frequency": Figure(f"{a.worst_at:.1f}")}))
+    share = 100.0 * a.ripple.measured / a.rated
+    if math.isfinite(share):
+        parts.append(Statement("verify.ripple", {"share": Figure(f"{share:.2f}")}))
+    if a.verdict is Verdict.WORSE:
+        parts.append(Statement("verify.undo"))
+    return say_sentence(parts, language)
 
 
 def verification_picture(found: Verification) -> str:

@@ -225,8 +225,8 @@ class Drive(Access):
                 return
 
     def _takes_offset(self) -> bool:
-        """Whether it is shaken by its torque offset in cyclic synchronous position: for want of a torque mode,
-        or since its loops are to stay closed; DriveError where they are to and cannot."""
+        """Whether it is shaken by its torque offset in cyclic synchronous position: for want of a torque
+        mode, or since its loops are to stay closed; DriveError where they are to and cannot."""
         modes = self.find(od.SUPPORTED_MODES)
         if self.config.in_closed_loop:
             follows = modes is None or modes & OperationMode.CYCLIC_POSITION.supported_bit
