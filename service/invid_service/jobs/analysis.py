@@ -98,7 +98,7 @@ def _verified(
     job: Job, recording: Recording, tell: AnalysisProgress, seen: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Compare the loops that were measured with what their tuning predicted; return the summary."""
-    tell.begin("comparing")
+    tell.begin("diagnosing")
     found = verify(*prediction_from_json(job.tuning, "tuning.json"), recording)
     document = verification_to_json(found)
     save_text(job.folder / "verification.json", dump_json({**document, "simulated": job.simulated}))
