@@ -9,6 +9,8 @@ import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import STIFF_CELL, serving
 
+SAMPLED_CELL = STIFF_CELL.replace("of_rated: 0.002}", "of_rated: 0.002, loop_cycle_s: 0.001}")
+"""Its drives' loops run as `invid tune` takes drives to be."""
 pytestmark = [pytest.mark.browser, pytest.mark.service]
 
 
@@ -25,7 +27,7 @@ def test_a_person_has_values_worked_out_written_measured_and_written_back(
     tmp_path: Path, finished: str, language: str, words: tuple[str, ...]
 ) -> None:
     with (
-        serving(tmp_path, cell=STIFF_CELL) as service,
+        serving(tmp_path, cell=SAMPLED_CELL) as service,
         browser(tmp_path / "profile", language=language) as driver,
     ):
         page = Page(driver)
