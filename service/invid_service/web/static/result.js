@@ -62,6 +62,7 @@ export async function showResult(run) {
   $("numbers").open = $("notes").open = false;
   for (const id of ["causes", "parameters", "findings", "drawing"]) clear($(id));
   $("verified")?.remove();
+  $("where").firstElementChild.textContent = run.mode === "verify" ? t("verified.title") : t("result.where");
   if (run.mode === "verify") { await showVerified(run); return; }
   let model, diagnosis, changes;
   try {
