@@ -8,7 +8,7 @@ be pickled. Errors are ``invid.InvidError`` and its kinds; an argument of the wr
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from invid.recording.model import Recording
     from invid.simulators.guided import Simulator
     from invid.tuning.forms import WrittenTuning
+    from invid.tuning.simulated_loops import AxisLoop
     from invid.tuning.tune import Tuning
 
 Masses = Sequence[int] | Literal["auto"] | None
@@ -375,7 +376,7 @@ def export(model: Model | Diagnosis, to: str, path: str | Path) -> Export:
 def tune(
     source: Model | Diagnosis,
     *,
-    before: str | Path | None = None,
+    before: str | Path | Mapping[str, AxisLoop] | None = None,
     cycle: float = 0.001,
     notches: int = 2,
     draws: int = 200,
@@ -389,7 +390,8 @@ def tune(
         A model, or a diagnosis: causes that it leaves open then count, and the loops are designed for the
         worse.
     before
-        An ``invid-tuning`` file with the values in the drives now, for the comparison; default: timid gains.
+        An ``invid-tuning`` file with the values in the drives now, for the comparison, or loops by axis as
+        they were read from the drives; an axis without: timid gains.
     cycle
         Of the drives' loops [s].
     notches
@@ -415,17 +417,20 @@ def tune(
     from invid.numerics.immutable import immutable
     from invid.tuning.document import loops_from_json
     from invid.tuning.servo_loop import DriveTiming
-    from invid.tuning.tune import TuneSettings, tune_model
+    from invid.tuning.tune import READ, TuneSettings, tune_model
 
     arguments.a_number(cycle, "cycle", "give the cycle of the drives' loops in seconds", above=0.0)
     arguments.a_number(ripple, "ripple", "give a share of rated torque, as 0.01", above=0.0)
-    model, old = arguments.a_model(source), None
-    if before is not None:
+    model, old, said = arguments.a_model(source), None, READ
+    if isinstance(before, Mapping):
+        old = before
+    elif before is not None:
         path = arguments.a_path(before, "before")
-        old = loops_from_json(load_json(path), str(path))
-        if strange := set(old) - set(model.axes):
-            raise InputError(f"{path}: {min(strange)!r} is no axis of the model; it has {list(model.axes)}")
-    return immutable(tune_model(source, TuneSettings(DriveTiming(cycle), notches, draws, ripple=ripple), old))
+        old, said = loops_from_json(load_json(path), str(path)), "as given"
+    if strange := set(old or ()) - set(model.axes):
+        raise InputError(f"before: {min(strange)!r} is no axis of the model; it has {list(model.axes)}")
+    settings = TuneSettings(DriveTiming(cycle), notches, draws, ripple=ripple)
+    return immutable(tune_model(source, settings, old, said))
 
 
 def write_tuning(

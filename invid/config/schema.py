@@ -155,6 +155,8 @@ class AxisConfig(Strict):
     )
     """Of the drive's quick stop, by its manual or its tool: used where 0x6085 is missing, and where it is not
     known in what unit it counts."""
+    in_closed_loop: bool = False
+    """Shaken by its torque offset (0x60B2) while the drive's own loops hold it, as `invid verify` does."""
     masses: int | None = Field(default=None, ge=1)
     hold: HoldConfig = HoldConfig()
     limits: LimitsConfig

@@ -143,14 +143,17 @@ def response(  # noqa: PLR0913 - the columns of one record, and the steps of its
 def without_loop(time: Float64, demand: Float64, torque: Float64, position: Float64, came: Bool) -> Float64:
     """(n,) measured torque less what the drive's own loop gives, where that stays closed under the demand.
 
-    The loop answers the path, τ = k·x + d·ẋ + c; what it gives is told from the demand, at any of the first
-    lags, by least squares.
+    The loop answers the path that it has seen, some cycles of it and its sum; what it gives is told from the
+    demand, at any of the first lags, by least squares.
     """
     if came.sum() < 4 * SIDE_ROWS:
         return torque
-    velocity = np.gradient(position, time)
     lagged = [np.concatenate((np.zeros(k), demand[: demand.size - k])) for k in LAGS]
-    loop = np.stack([position, velocity, np.ones_like(position)], axis=1)
+    past = [
+        np.concatenate((np.full(k, position[0]), position[: position.size - k])) for k in (*LAGS, len(LAGS))
+    ]
+    summed = np.cumsum(position) * np.gradient(time)
+    loop = np.stack([*past, summed, np.ones_like(position)], axis=1)
     columns = np.concatenate([np.stack(lagged, axis=1), loop], axis=1)
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     found = np.linalg.lstsq(columns[came] / scale, torque[came], rcond=None)[0] / scale

@@ -12,9 +12,15 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from invid.errors import InputError
-from invid.model.document import describe_validation_error, effect_to_json
+from invid.model.document import (
+    Model,
+    describe_validation_error,
+    effect_to_json,
+    model_from_json,
+    model_to_json,
+)
 from invid.tuning.feedforward import Feedforward
-from invid.tuning.servo_loop import Gains, Notch
+from invid.tuning.servo_loop import DriveTiming, Gains, Notch
 from invid.tuning.shapers import Shaper
 from invid.tuning.simulated_loops import AxisLoop
 from invid.tuning.tune import AxisTuning, Repair, Tuning
@@ -78,7 +84,7 @@ def tuning_table(tuning: Tuning) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(Value._fields)
     for v in values_of(tuning):
-        numbers = ("" if x is None else f"{x:.9g}" for x in (v.before, v.after))
+        numbers = ("" if x is None or math.isinf(x) else f"{x:.9g}" for x in (v.before, v.after))
         writer.writerow([v.axis, v.name, *numbers, v.unit])
     return stream.getvalue()
 
@@ -98,19 +104,20 @@ def tuning_to_json(tuning: Tuning) -> dict[str, Any]:
         "draws": tuning.settings.draws,
         "before": tuning.before_source,
         "axes": [_axis_to_json(a) for a in tuning.axes],
+        "model": model_to_json(tuning.model),
         "repairs": [_repair_to_json(r, angle) for r in tuning.repairs],
         "remarks": list(tuning.remarks),
     }
-    clean: dict[str, Any] = _finite(document)
+    clean: dict[str, Any] = finite(document)
     return clean
 
 
-def _finite(value: Any) -> Any:
-    """The same with ``None`` for numbers that are none."""
+def finite(value: Any) -> Any:
+    """Plain values with ``None`` for numbers that are none."""
     if isinstance(value, Mapping):
-        return {k: _finite(v) for k, v in value.items()}
+        return {k: finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
+        return [finite(v) for v in value]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     return value
@@ -180,7 +187,7 @@ class _NotchJson(_Open):
 
 class _GainsJson(_Open):
     velocity_gain: float = Field(gt=0)
-    integral_time: float = Field(gt=0)
+    integral_time: float | None = Field(default=None, gt=0)
     position_gain: float = Field(gt=0)
     notches: list[_NotchJson] = []
 
@@ -217,6 +224,18 @@ class _TuningJson(_Open):
     format: str = Field(pattern=f"^{FORMAT}$")
     format_version: int = Field(ge=1, le=FORMAT_VERSION)
     axes: list[_AxisJson]
+    cycle_s: float = Field(default=0.001, gt=0)
+    dead_cycles: int = Field(default=1, ge=0)
+    model: dict[str, Any] | None = None
+
+
+def prediction_from_json(document: Any, source: str) -> tuple[Model, dict[str, AxisLoop], DriveTiming]:
+    """Model, loops and timing on which a tuning's margins stand; InputError where it does not hold them."""
+    loops = loops_from_json(document, source)
+    read = _TuningJson.model_validate(document)
+    if read.model is None:
+        raise InputError(f"{source}: it holds no model, so nothing is predicted; tune anew")
+    return model_from_json(read.model, source=source), loops, DriveTiming(read.cycle_s, read.dead_cycles)
 
 
 def loops_from_json(document: Any, source: str) -> dict[str, AxisLoop]:
@@ -235,7 +254,10 @@ def loops_from_json(document: Any, source: str) -> dict[str, AxisLoop]:
 def _loop(side: _SideJson) -> AxisLoop:
     g, f, s = side.gains, side.feedforward, side.shaper
     gains = Gains(
-        g.velocity_gain, g.integral_time, g.position_gain, tuple(Notch(**n.model_dump()) for n in g.notches)
+        g.velocity_gain,
+        g.integral_time or math.inf,
+        g.position_gain,
+        tuple(Notch(**n.model_dump()) for n in g.notches),
     )
     forward = Feedforward(f.inertia, None, f.viscous, f.dry, f.dry, f.offset, f.weight, f.angle)
     shaper = None

@@ -12,6 +12,7 @@ controller is the same law as a PID position controller with velocity feedforwar
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache, reduce
 from typing import Any
@@ -51,7 +52,8 @@ def _biquad(notch: Notch, cycle: float) -> tuple[Float64, Float64]:
 class Gains:
     """Values of one axis' loops.
 
-    ``velocity_gain`` K_v [N·m·s/rad or N·s/m], ``integral_time`` T_i [s], ``position_gain`` K_p [1/s].
+    ``velocity_gain`` K_v [N·m·s/rad or N·s/m], ``integral_time`` T_i [s], infinite: nothing is integrated,
+    ``position_gain`` K_p [1/s].
     """
 
     velocity_gain: float
@@ -86,8 +88,11 @@ def _sections(gains: Gains, timing: DriveTiming) -> list[tuple[Float64, Float64]
     """Numerators and denominators (3,) in z⁻¹ of the cascade: its loops, then its notches."""
     t = timing.cycle
     pi = gains.velocity_gain * np.array([1.0 + t / gains.integral_time, -1.0])
+    below = np.array([1.0, -1.0, 0.0])
+    if math.isinf(gains.integral_time):  # no pole that its zero would only seem to cancel
+        pi, below = np.array([gains.velocity_gain, 0.0]), np.array([1.0, 0.0, 0.0])
     loops = np.convolve(pi, [gains.position_gain + 1.0 / t, -1.0 / t])
-    return [(loops, np.array([1.0, -1.0, 0.0])), *(notch.coefficients(t) for notch in gains.notches)]
+    return [(loops, below), *(notch.coefficients(t) for notch in gains.notches)]
 
 
 def controller_response(gains: Gains, timing: DriveTiming, omega: Float64) -> Complex128:

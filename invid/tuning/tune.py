@@ -50,6 +50,7 @@ _RIPPLE_SLACK = 1.15
 SPREAD_DRAWS = 6
 """Machines of the covariance in which the reference move is made as well."""
 STAND_IN = "timid gains without feedforward (the drive's own values were not given)"
+READ = "read from the drives"
 
 
 @dataclass(frozen=True)
@@ -154,9 +155,15 @@ def untuned(plant: LinearPlant, axis: int, inertia: float, timing: DriveTiming) 
 
 
 def tune_model(
-    source: Model | Diagnosis, settings: TuneSettings, before: Mapping[str, AxisLoop] | None = None
+    source: Model | Diagnosis,
+    settings: TuneSettings,
+    before: Mapping[str, AxisLoop] | None = None,
+    before_source: str = "as given",
 ) -> Tuning:
-    """Gains, notches, feedforward and shaper for every axis; see ``invid.tune``."""
+    """Gains, notches, feedforward and shaper for every axis; see ``invid.tune``.
+
+    ``before_source`` says where ``before`` comes from.
+    """
     found = candidates(source)
     lost = [left for left in linear_plant(found.models[0]).nonlinear if left.reason]
     known = tuple(_without(m, [left.term for left in lost]) for m in found.models)
@@ -165,7 +172,7 @@ def tune_model(
     plant = linear_plant(model)
     inertia = own_inertias(plant)
     seen = [linear_plant(m) for m in drawn_models(known, DESIGN_DRAWS, rng)]
-    soft = [linear_plant(m) for m in (_softened(m) for m in known) if m is not None]
+    soft = [linear_plant(m) for m in (softened(m) for m in known) if m is not None]
     fresh = [linear_plant(m) for m in drawn_models(known, settings.draws, rng)]
     sensors = sensors_of(model)
     most = sensors.noise_gain(settings.ripple)
@@ -196,8 +203,10 @@ def tune_model(
     remarks = [*found.remarks, *_left_out(lost, forward, model.axes), *_held_badly(axes)]
     remarks += _ripples(axes, settings.ripple)
     repairs = _repairs(model, after, command, timing, moves_after)
+    unknown = [name for name in model.axes if name not in (before or {})]
+    said = f"{before_source}; {', '.join(unknown)}: {STAND_IN}" if unknown else before_source
     return Tuning(
-        model, settings, axes, repairs, tuple(remarks), "as given" if before else STAND_IN, command,
+        model, settings, axes, repairs, tuple(remarks), said if before else STAND_IN, command,
         run_before, run_after, plant,
     )  # fmt: skip
 
@@ -244,7 +253,7 @@ def _kept(
     )
 
 
-def _softened(model: Model) -> Model | None:
+def softened(model: Model) -> Model | None:
     """The model with little left of the springs that have free play; ``None`` where none has."""
     springs = [np.array(s) for s in model.chains.springs]
     loose = [e for e in model.effects if e.cause == "backlash"]

@@ -65,6 +65,7 @@ EXAMPLES: dict[str, Any] = {
         "amplitude": "planned",
         "separates": None,
         "analyses": None,
+        "verifies": None,
         "changed": None,
         "axes": ["A1", "A2"],
         "state": "failed",

@@ -41,6 +41,7 @@ CATALOGUE: dict[str, tuple[int, str]] = {
     "override-needed": (409, "This result is not to be trusted"),
     "nothing-to-separate": (409, "There is nothing to separate"),
     "not-simulated": (409, "The cell has hardware behind it"),
+    "not-applied": (409, "Nothing was written to the drives"),
     "not-tunable": (409, "No values for the drives can be given"),
     "no-comparison": (409, "There are not two models to compare"),
     "artefact-expired": (410, "This file was deleted after its time of retention"),

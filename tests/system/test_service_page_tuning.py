@@ -1,13 +1,16 @@
-"""The card with values for the drives: pressed on a finished run, worked out, shown, saved."""
+"""Values for the drives: worked out on a finished run, shown, written by name, measured, written back."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import STIFF_CELL, serving
 
+SAMPLED_CELL = STIFF_CELL.replace("of_rated: 0.002}", "of_rated: 0.002, loop_cycle_s: 0.001}")
+"""Its drives' loops run as `invid tune` takes drives to be."""
 pytestmark = [pytest.mark.browser, pytest.mark.service]
 
 
@@ -15,13 +18,16 @@ pytestmark = [pytest.mark.browser, pytest.mark.service]
 @needs_browser
 @pytest.mark.parametrize(
     ("language", "words"),
-    [("en", ("Following error", "Save all files")), ("de", ("Schleppfehler", "Alle Dateien speichern"))],
+    [
+        ("en", ("Following error", "Save all files", "what the drives hold now", "as predicted|better")),
+        ("de", ("Schleppfehler", "Alle Dateien speichern", "was jetzt in den Antrieben steht", "wie|besser")),
+    ],
 )
-def test_a_person_has_the_values_worked_out_and_sees_what_they_bring(
-    tmp_path: Path, finished: str, language: str, words: tuple[str, str]
+def test_a_person_has_values_worked_out_written_measured_and_written_back(
+    tmp_path: Path, finished: str, language: str, words: tuple[str, ...]
 ) -> None:
     with (
-        serving(tmp_path, cell=STIFF_CELL) as service,
+        serving(tmp_path, cell=SAMPLED_CELL) as service,
         browser(tmp_path / "profile", language=language) as driver,
     ):
         page = Page(driver)
@@ -32,6 +38,47 @@ def test_a_person_has_the_values_worked_out_and_sees_what_they_bring(
         assert words[0] in table.text
         assert "A1" in table.text
         assert words[1] in page.text("tuned")
+        assert words[2] in page.text("tuned")
         assert page.shown("tuned").find_elements("css selector", "figure svg")
-        assert page.small_targets() == []
-        assert [e for e in driver.get_log("browser") if e["level"] == "SEVERE"] == []
+        page.press(page.shown("apply-look"))
+        page.wait_text("apply-list", "0x2500:1")
+        form = driver.find_element("css selector", "#apply form.ask")
+        field, write = (
+            form.find_element("tag name", "input"),
+            form.find_element("css selector", "[type=submit]"),
+        )
+        assert not write.is_enabled(), "nobody has named the robot"
+        for size in (1280, 390):
+            driver.set_window_size(size, 900)
+            assert page.overflow() <= 0, size
+            assert page.small_targets() == [], size
+            driver.execute_script("document.getElementById('apply').scrollIntoView()")
+            driver.save_screenshot(str(tmp_path / f"apply-{language}-{size}.png"))
+        driver.set_window_size(1280, 900)
+        field.send_keys("another robot")
+        page.press(write)
+        page.wait_text("problem", "small cell")
+        page.press(page.shown("apply-look"))
+        page.wait_text("apply-list", "0x2500:1")
+        form = driver.find_element("css selector", "#apply form.ask")
+        form.find_element("tag name", "input").send_keys("small cell")
+        page.press(form.find_element("css selector", "[type=submit]"))
+        page.wait_text("apply-found", "4")
+        page.press(page.shown("apply-verify"))
+        page.press(page.shown("arm"))
+        page.wait_text("verified", "A1", 120)
+        assert re.search(words[3], page.text("sentence")), page.text("sentence")
+        assert page.drawing().tag_name == "svg"
+        for size in (1280, 390):
+            driver.set_window_size(size, 900)
+            assert page.overflow() <= 0, size
+            driver.save_screenshot(str(tmp_path / f"verified-{language}-{size}.png"))
+        driver.set_window_size(1280, 900)
+        page.press(page.shown("apply-undo"))
+        page.wait_text("verified", "small cell")
+        form = driver.find_element("css selector", "#verified form.ask")
+        form.find_element("tag name", "input").send_keys("small cell")
+        page.press(form.find_element("css selector", "[type=submit]"))
+        page.wait_text("apply-found", "4")
+        severe = [e for e in driver.get_log("browser") if e["level"] == "SEVERE"]
+        assert [e for e in severe if "409" not in e["message"]] == []

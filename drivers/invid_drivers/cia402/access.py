@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 from invid.config import AxisConfig
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
@@ -38,6 +40,8 @@ class Access:
         self.link, self.journal, self.linear = link, journal, linear
         self.serial = 0
         """0x1018:4, from ``check`` on."""
+        self.objects: Mapping[tuple[int, int], Object] = od.KNOWN
+        """Those that have a name here."""
         row = vendor(config.vendor)
         if row is None:
             raise DriveError(
@@ -48,6 +52,21 @@ class Access:
         self.vendor = row
         self.declared, self.eds_warnings = declared_of(self.name, config.eds, config.node_id)
         link.add_peer(self.node_id, self.name)
+
+    def through(self, journal: Journal, objects: Iterable[Object]) -> Access:
+        """The same drive, with another journal for what is written, and its objects."""
+        other = Access(self.link, self.config, journal, linear=self.linear)
+        other.serial, other.declared = self.serial, self.declared
+        other.objects = {(o.index, o.sub): o for o in objects}
+        return other
+
+    def object_of(self, entry: Entry) -> Object:
+        """The object of a journal's entry; by the size of what stood there where its name is not known."""
+        known = self.objects.get((entry.index, entry.sub))
+        if known is not None:
+            return known
+        code = {1: "B", 2: "H"}.get(len(entry.before) // 2, "I")
+        return Object(entry.index, entry.sub, code, "PDO" if entry.index < 0x2000 else "setting")
 
     def read(self, what: Object) -> int:
         """Value of an object; NoAnswer or ReadRefused where the drive does not give it."""
@@ -71,7 +90,10 @@ class Access:
 
     def write(self, what: Object, value: int) -> None:
         """Write, journal first; WriteRefused where the drive does not take it."""
-        data = what.pack(value)
+        self.replace(what, what.pack(value))
+
+    def replace(self, what: Object, data: bytes) -> None:
+        """``write`` of bytes."""
         before = self.peek(what)
         if before == data:
             return

@@ -225,8 +225,19 @@ class Drive(Access):
                 return
 
     def _takes_offset(self) -> bool:
-        """Whether the drive has no torque mode, but cyclic synchronous position with a torque offset."""
+        """Whether it is shaken by its torque offset in cyclic synchronous position: for want of a torque
+        mode, or since its loops are to stay closed; DriveError where they are to and cannot."""
         modes = self.find(od.SUPPORTED_MODES)
+        if self.config.in_closed_loop:
+            follows = modes is None or modes & OperationMode.CYCLIC_POSITION.supported_bit
+            if follows and self.find(od.TORQUE_OFFSET) is not None:
+                return True
+            raise DriveError(
+                f"{self.who}: its loops cannot be shaken while they are closed: that takes cyclic "
+                "synchronous position and a torque offset (0x60B2)",
+                way_out="compare moves before and after with the drive's own tool",
+                axis=self.name,
+            )
         if modes is None or not modes & OperationMode.CYCLIC_POSITION.supported_bit:
             return False
         torque = OperationMode.CYCLIC_TORQUE.supported_bit | OperationMode.PROFILE_TORQUE.supported_bit
@@ -254,10 +265,12 @@ class Drive(Access):
             warnings.append(f"{self.who}: 0x6502 is missing; its modes are those that it takes in 0x6060")
         can_hold = bool(supported & OperationMode.CYCLIC_POSITION.supported_bit)
         if self.by_offset:
-            warnings.append(
-                f"{self.who}: no torque mode; it is shaken by its torque offset (0x60B2) in cyclic "
-                "synchronous position: its own loop stays closed, and stiffens the axis below its bandwidth"
-            )
+            if not self.config.in_closed_loop:
+                warnings.append(
+                    f"{self.who}: no torque mode; it is shaken by its torque offset (0x60B2) in cyclic "
+                    "synchronous position: its own loop stays closed, and stiffens the axis below its "
+                    "bandwidth"
+                )
             return OperationMode.CYCLIC_POSITION, True
         for mode in (OperationMode.CYCLIC_TORQUE, OperationMode.PROFILE_TORQUE):
             if supported & mode.supported_bit:

@@ -107,9 +107,7 @@ class Cia402Cell:
         self._link.require_bus()
         for drive in self._drives:
             drive.refuse_declared()
-        if not self._link.gate.listened:
-            self._link.listen()
-        self._link.refuse_others()
+        self.listen()
         powered, silent = find_powered(self._drives, self.held.memory)
         self._pre_operational()
         powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
@@ -133,6 +131,12 @@ class Cia402Cell:
         self.bounds = bounds_of(tighten(self._config, self.reports), self.resolution, self.rated_torque)
         return self.reports
 
+    def listen(self) -> None:
+        """Hear who else is on the bus, once; BusError where another master is."""
+        if not self._link.gate.listened:
+            self._link.listen()
+        self._link.refuse_others()
+
     def _hear_stops(self) -> None:
         self._link.cancelled = lambda: self.cancelled()
 
@@ -142,6 +146,11 @@ class Cia402Cell:
             if self._link.gate.may_let_go(drive.node_id):
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """The drives, in the order of the axes."""
+        return tuple(self._drives)
 
     @property
     def holdings(self) -> list[AxisHolding]:

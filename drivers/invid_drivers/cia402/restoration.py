@@ -124,7 +124,7 @@ def restore(drive: Access) -> tuple[str, ...]:
             "restored under power; switch the axis off (load supported) and check again",
         )
     left: list[Entry] = []
-    for group in decide(mine, {(e.index, e.sub): drive.peek(_object_of(e)) for e in mine}):
+    for group in decide(mine, {(e.index, e.sub): drive.peek(drive.object_of(e)) for e in mine}):
         sentence, kept = _undo(drive, group)
         left += kept
         said = (*said, f"{drive.who}: {sentence}") if sentence else said
@@ -149,7 +149,7 @@ def _undo(drive: Access, group: Group) -> tuple[str, tuple[Entry, ...]]:
     if group.verdict is Verdict.UNDO:
         for n, step in enumerate(group.undo):
             try:
-                drive.download(_object_of(step), bytes.fromhex(step.before))
+                drive.download(drive.object_of(step), bytes.fromhex(step.before))
             except WriteRefused as error:
                 undone = set(map(id, group.undo[:n]))
                 rest = tuple(x for x in group.entries if id(x) not in undone)
@@ -158,9 +158,9 @@ def _undo(drive: Access, group: Group) -> tuple[str, tuple[Entry, ...]]:
     if group.culprit is None:
         return "", ()
     e = group.culprit
-    what = _object_of(e)
+    what = drive.object_of(e)
     first = next(x for x in group.entries if (x.index, x.sub) == (e.index, e.sub))
-    shown = drive.peek(_object_of(e))
+    shown = drive.peek(drive.object_of(e))
     found = "cannot be read" if shown is None else f"shows {_in_words(what, shown)}"
     before = f"{what.address} {what.name} was {_in_words(what, bytes.fromhex(first.before))}"
     if group.verdict is Verdict.FOREIGN and e.wrote is not None:
@@ -168,14 +168,6 @@ def _undo(drive: Access, group: Group) -> tuple[str, tuple[Entry, ...]]:
         return f"{before}, {ours} was written here, it {found} now: set since, left as it is", ()
     unknown = "" if e.wrote is not None else ", and what was written here was not noted"
     return f"{before} and {found}{unknown}; not restored: set it by hand", group.entries
-
-
-def _object_of(e: Entry) -> Object:
-    known = od.KNOWN.get((e.index, e.sub))
-    if known is not None:
-        return known
-    size = len(e.before) // 2
-    return Object(e.index, e.sub, {1: "B", 2: "H"}.get(size, "I"), "PDO" if e.index < 0x2000 else "setting")
 
 
 def _in_words(what: Object, data: bytes) -> str:

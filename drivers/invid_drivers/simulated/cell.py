@@ -10,6 +10,7 @@ import heapq
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from invid_drivers.simulated.eds import apply_eds
 from invid_drivers.simulated.faults import FaultConfig, disturb
 from invid_drivers.simulated.foreign import foreign_node
 from invid_drivers.simulated.injection import FaultInjector
+from invid_drivers.simulated.loops import LoopMemory, LoopValues, add_loop_objects
 from invid_drivers.simulated.node import Handler, Node
 from invid_drivers.simulated.object_dictionary import Nameplate, drive_dictionary
 from invid_drivers.simulated.plant import Plant
@@ -106,8 +108,12 @@ class SimulatedCell:
             for number in self.simulation.foreign_nodes
         ]
         self._load(axes)
-        for drive in self.drives:
+        memory = self.simulation.memory
+        self._memory = LoopMemory(None if memory is None else Path(memory))
+        for axis, drive in zip(config.axes, self.drives, strict=True):
+            self._memory.recall(axis.name, drive.node.od)
             drive.node.power_on(0)
+            drive.kept = self._keep_loops
         self.schedule(_TICK_NS, self._watchdog)
 
     def _build_drive(self, row: int, axis: AxisConfig, settings: AxisSimulation, motor: float) -> Drive:
@@ -128,7 +134,11 @@ class SimulatedCell:
             max(1, round(a * counts_per_unit / ramp_counts)) for a in (2.0, settings.quick_stop_deceleration)
         ]
         plate = Nameplate("invid drive", axis.node_id, rated, settings.encoder_counts, linear)
-        od = drive_dictionary(axis.node_id, plate, profile, (ramps[0], ramps[1]))
+        # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
+        bandwidth = 2.0 * math.pi * settings.position_loop_Hz
+        loops = LoopValues(1.4 * motor * bandwidth, bandwidth / 1.4)
+        add_loops = partial(add_loop_objects, values=loops, epos4=objects.profile == "epos4")
+        od = drive_dictionary(axis.node_id, plate, profile, (ramps[0], ramps[1]), add_loops)
         if objects.eds is not None:
             apply_eds(od, Path(objects.eds), axis.node_id)
         for name in objects.not_mappable:
@@ -154,7 +164,6 @@ class SimulatedCell:
             delay_ns=round(settings.brake_delay_s * _NS),
             prop=2.0 * load if settings.load.propped else 0.0,
         )
-        bandwidth = 2.0 * math.pi * settings.position_loop_Hz
         drive = Drive(
             row,
             node,
@@ -166,8 +175,7 @@ class SimulatedCell:
                 axis.direction,
                 linear,
                 known.velocity_in_rpm,
-                # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
-                gains=(motor * bandwidth**2, 1.4 * motor * bandwidth),
+                loops=loops,
                 cycle_s=self.config.bus.cycle_s,
                 ramp_counts=ramp_counts,
                 own_ramp=ramps[1],
@@ -182,6 +190,9 @@ class SimulatedCell:
         command[kernel.TORQUE_STEPS] = settings.torque_steps_permille
         command[kernel.LAG] = _lag(self.plant.h, settings.current_loop_s)
         return drive
+
+    def _keep_loops(self) -> None:
+        self._memory.keep({a.name: d.node.od for a, d in zip(self.config.axes, self.drives, strict=True)})
 
     def _load(self, axes: list[AxisSimulation]) -> None:
         """Put the loads on, with every spring stretched as it is at rest behind a motor that stands."""

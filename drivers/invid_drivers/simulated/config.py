@@ -150,7 +150,11 @@ class AxisSimulation(Strict):
     """Time constant of the current loop; 0x6077 shows it."""
     friction: FrictionConfig = FrictionConfig()
     position_loop_Hz: float = Field(default=25.0, gt=0, le=300)
-    """Bandwidth of the drive's own position loop on the motor mass alone."""
+    """Bandwidth of the drive's own position loop on the motor mass alone, as it comes; objects of the drive
+    hold its values (``loops``)."""
+    loop_cycle_s: float = Field(default=0.0, ge=0, le=0.02)
+    """Cycle of the drive's loops: the speed is then the difference of two readings, and torque acts one cycle
+    late, as `invid tune` has it. 0: they run in each sub-step on the speed itself, without notch filters."""
     brake: bool = True
     brake_torque: float | None = Field(
         default=None, gt=0, validation_alias=AliasChoices("brake_torque", "brake_torque_Nm", "brake_force_N")
@@ -216,6 +220,8 @@ class SimulationConfig(Strict):
     """Node ids of devices on the bus that are not the cell's: operational, as their own master left them."""
     foreign_heartbeat_s: float = Field(default=0.0, ge=0, le=10)
     """Period of their heartbeats; 0: none."""
+    memory: str | None = None
+    """File in which the drives keep the values of their loops, so that the next process finds them."""
 
     def axis(self, name: str) -> AxisSimulation:
         """The settings of one axis: its own over ``defaults``."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from invid.errors import ConfigError
@@ -14,6 +15,7 @@ from invid_drivers.simulated import kernel
 from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation
 from invid_drivers.simulated.limits import Limits
+from invid_drivers.simulated.loops import LoopValues, loop_values, put_into
 from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 from invid_drivers.simulated.plant import Plant
@@ -45,8 +47,8 @@ class Scales:
     """1, or −1 where it counts against the plant."""
     linear: bool
     velocity_in_rpm: bool
-    gains: tuple[float, float]
-    """Stiffness and damping of its position loop [N·m/rad, N·m·s/rad, or N/m, N·s/m]."""
+    loops: LoopValues
+    """Of its position and velocity loops, as it comes."""
     cycle_s: float
     """Of the bus: it interpolates targets over so long [s]."""
     ramp_counts: float
@@ -82,6 +84,9 @@ class Drive:
         self._delay: deque[float] = deque([0.0] * settings.command_delay_cycles)
         self._lag: deque[int] = deque([0] * settings.actual_torque_lag_cycles)
         self._command = plant.command[row]
+        self._loops: LoopValues | None = None
+        self.kept: Callable[[], None] = lambda: None
+        """Called when the values of its loops have changed."""
         self.state = State.SWITCH_ON_DISABLED
         self.measured = [0, 0, 0, 0]
         """Counts, counts/s, thousandths of rated torque; counts in the plant's sign."""
@@ -336,7 +341,6 @@ class Drive:
     def _hold_here(self, speed: float = 0.0, deceleration: float = 0.0) -> None:
         command = self._command
         self._limit_torque(by_loop=True)
-        command[kernel.GAIN_P], command[kernel.GAIN_D] = self._scales.gains
         command[kernel.POSITION] = self._here()
         command[kernel.VELOCITY] = speed
         command[kernel.DECELERATION] = deceleration
@@ -360,9 +364,8 @@ class Drive:
         if target != self._target_counts:
             self._target_counts = target
             goal = self.direction * target / self.counts_per_unit
-            steps = max(1.0, round(self._scales.cycle_s / self._plant.h))
-            command[kernel.VELOCITY] = (goal - command[kernel.POSITION]) / (steps * self._plant.h)
-            command[kernel.INTERPOLATE] = steps
+            command[kernel.VELOCITY] = (goal - command[kernel.POSITION]) / self._scales.cycle_s
+            command[kernel.INTERPOLATE] = self._scales.cycle_s
             command[kernel.DECELERATION] = 0.0  # a ramp of an earlier stop is over
         self._e_demand_position.value = target
         error = target - int(self._e_position.value)
@@ -441,7 +444,12 @@ class Drive:
 
     # --- supervision -----------------------------------------------------------------------------
     def configured(self) -> None:
-        """Take over limits that may have been written."""
+        """Take over limits and values of loops that may have been written."""
+        loops = loop_values(self.node.od, self._scales.loops)
+        if loops != self._loops:
+            self._loops = loops
+            put_into(self._command, loops, self._settings.loop_cycle_s)
+            self.kept()
         self._limits = Limits.of(self.node.od, self._counts_per_rev, rpm=self._scales.velocity_in_rpm)
 
     def _supervise(self, now_ns: int) -> None:

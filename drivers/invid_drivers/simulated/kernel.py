@@ -12,20 +12,73 @@ from invid.numerics.compiled import compiled
 from invid.simulation.kernel import advance
 
 # columns of the command table, one row per motor
-MODE, TORQUE, POSITION, VELOCITY, DECELERATION, INTERPOLATE, GAIN_P, GAIN_D, LIMIT, BRAKE = range(10)
+MODE, TORQUE, POSITION, VELOCITY, DECELERATION, INTERPOLATE, POSITION_GAIN, VELOCITY_GAIN, LIMIT, BRAKE = (
+    range(10)
+)
 # what acts differently from what the drive believes
 TORQUE_GAIN, SATURATION, LAG, HIDDEN_LAG, DELAY = range(10, 15)
 ENCODER_SIGN, ENCODER_OFFSET, STUCK, STUCK_AT, COUNTS_PER_UNIT, ECCENTRICITY, ECCENTRICITY_PHASE = range(
     15, 22
 )
 RATED, TORQUE_STEPS, DIRECTION = range(22, 25)
-COMMAND_COLUMNS = 25
+# the rest of the position and velocity loops: 1/T_i, cycle [s], feedforward of speed and acceleration
+RESET, CYCLE, FEED_VISCOUS, FEED_INERTIA, NOTCHES = range(25, 30)
+NOTCH_COUNT, NOTCH_SIZE = 2, 5
+"""Each notch b0, b1, b2, a1, a2 in 1/z."""
+COMMAND_COLUMNS = NOTCHES + NOTCH_COUNT * NOTCH_SIZE
 
 MODE_OFF, MODE_TORQUE, MODE_POSITION = 0.0, 1.0, 2.0
 
 # columns of the motor state
 RECORDED, LAGGED, ACTING, PREVIOUS, ACCELERATION = range(5)
-STATE_COLUMNS = 5
+# what the loops remember: whether they ran, the integral [rad/s], the last reading and commanded speed, time
+# since they last ran [s], torque that acts and that waits for its cycle, two numbers a notch
+LOOPING, INTEGRAL, SEEN, LED, CLOCK, HELD, WAITING, KEPT = range(5, 13)
+STATE_COLUMNS = KEPT + 2 * NOTCH_COUNT
+
+
+@compiled
+def _loops(row: Float64, kept: Float64, seen: float, speed: float, h: float) -> float:  # pragma: no cover
+    """Torque of the position and velocity loops, K_v (1 + 1/(T_i s)) (K_p (r − q) + ṙ − v).
+
+    Where they have a cycle, v is the difference of two readings, and the torque, through the notches, acts
+    one cycle later and for one; else they run in each sub-step on ``speed``, without notches.
+    """
+    cycle = row[CYCLE]
+    if kept[LOOPING] == 0.0:  # they go on with the torque that acts
+        kept[SEEN], kept[LED], kept[CLOCK] = seen, row[VELOCITY], cycle
+        kept[HELD] = kept[WAITING] = kept[RECORDED] - row[TORQUE]
+        kept[INTEGRAL] = kept[HELD] / row[VELOCITY_GAIN] if row[RESET] > 0.0 else 0.0
+        for k in range(NOTCH_COUNT):  # at rest at this torque
+            b1, b2 = row[NOTCHES + NOTCH_SIZE * k + 1], row[NOTCHES + NOTCH_SIZE * k + 2]
+            a1, a2 = row[NOTCHES + NOTCH_SIZE * k + 3], row[NOTCHES + NOTCH_SIZE * k + 4]
+            kept[KEPT + 2 * k] = (b1 + b2 - a1 - a2) * kept[HELD]
+            kept[KEPT + 2 * k + 1] = (b2 - a2) * kept[HELD]
+    if cycle > 0.0:
+        kept[CLOCK] += h
+        if kept[CLOCK] < cycle - 1e-9:
+            return float(kept[HELD])
+        kept[CLOCK] = 0.0
+        speed, h = (seen - kept[SEEN]) / cycle, cycle
+        kept[SEEN] = seen
+    error = row[POSITION_GAIN] * (row[POSITION] - seen) + row[VELOCITY] - speed
+    change = h * row[RESET] * error
+    torque = row[VELOCITY_GAIN] * (error + kept[INTEGRAL] + change)
+    if abs(torque) < row[LIMIT] or torque * change < 0.0:  # at the limit nothing is summed up
+        kept[INTEGRAL] += change
+    if cycle > 0.0:
+        for k in range(NOTCH_COUNT):
+            b = NOTCHES + NOTCH_SIZE * k
+            out = row[b] * torque + kept[KEPT + 2 * k]
+            kept[KEPT + 2 * k] = row[b + 1] * torque - row[b + 3] * out + kept[KEPT + 2 * k + 1]
+            kept[KEPT + 2 * k + 1] = row[b + 2] * torque - row[b + 4] * out
+            torque = out
+    torque += row[FEED_VISCOUS] * row[VELOCITY] + row[FEED_INERTIA] * (row[VELOCITY] - kept[LED]) / h
+    kept[LED] = row[VELOCITY]
+    if cycle > 0.0:
+        kept[HELD], kept[WAITING] = kept[WAITING], torque
+        return float(kept[HELD])
+    return float(torque)
 
 
 @compiled
@@ -61,7 +114,7 @@ def _motors(
             seen = (
                 math.floor((seen + row[ENCODER_OFFSET]) * row[COUNTS_PER_UNIT] + 0.5) / row[COUNTS_PER_UNIT]
             )
-            wanted = row[GAIN_P] * (row[POSITION] - seen) + row[GAIN_D] * (row[VELOCITY] - speed)
+            wanted = _loops(row, state[i], seen, speed, h)
             wanted += row[TORQUE]
             row[POSITION] += row[VELOCITY] * h
             if row[DECELERATION] > 0.0:
@@ -71,12 +124,13 @@ def _motors(
                 else:
                     row[VELOCITY] -= math.copysign(change, row[VELOCITY])
             elif row[INTERPOLATE] > 0.0:
-                row[INTERPOLATE] -= 1.0
-                if row[INTERPOLATE] <= 0.0:
-                    row[VELOCITY] = 0.0
+                row[INTERPOLATE] -= h
+                if row[INTERPOLATE] <= 1e-9:
+                    row[INTERPOLATE] = row[VELOCITY] = 0.0
             state[i, PREVIOUS] = wanted
         else:
             state[i, PREVIOUS] = 0.0
+        state[i, LOOPING] = 1.0 if mode == MODE_POSITION else 0.0
         wanted = min(max(wanted, -row[LIMIT]), row[LIMIT])
         state[i, RECORDED] += (wanted - state[i, RECORDED]) * row[LAG]
         ring[i, slot] = state[i, RECORDED]
@@ -181,4 +235,5 @@ def empty_tables(motors: int) -> tuple[Float64, Float64]:
         :, [TORQUE_GAIN, LAG, HIDDEN_LAG, ENCODER_SIGN, COUNTS_PER_UNIT, RATED, TORQUE_STEPS, DIRECTION]
     ] = 1.0
     command[:, [LIMIT, SATURATION]] = np.inf
+    command[:, NOTCHES::NOTCH_SIZE] = 1.0
     return command, np.zeros((motors, STATE_COLUMNS))

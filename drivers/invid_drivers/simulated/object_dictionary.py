@@ -171,12 +171,16 @@ class Nameplate:
 
 
 def drive_dictionary(
-    node_id: int, plate: Nameplate, profile: Profile, ramps: tuple[int, int] | None = None
+    node_id: int,
+    plate: Nameplate,
+    profile: Profile,
+    ramps: tuple[int, int] | None = None,
+    add_loops: Callable[[ObjectDictionary], None] = lambda od: None,
 ) -> ObjectDictionary:
     """The object dictionary of the generic drive with one vendor's departures applied.
 
     Velocities are in counts per second. ``ramps``: 0x6084 and 0x6085 as the drive counts them; default 2 and
-    10 rad/s² (m/s²) in counts.
+    10 rad/s² (m/s²) in counts. ``add_loops`` adds the objects of its loops.
     """
     od = ObjectDictionary()
     add = od.add
@@ -207,6 +211,7 @@ def drive_dictionary(
     _add_drive_profile(od, plate.rated_torque, plate.encoder_counts, plate.linear)
     for index, ramp in zip((0x6084, 0x6085), ramps or (), strict=False):
         od.entry(index).value = od.entry(index).default = ramp
+    add_loops(od)
     for index in profile.lacks:
         od.remove(index)
     for (index, sub), value in profile.values.items():

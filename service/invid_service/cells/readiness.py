@@ -93,7 +93,7 @@ class Situation:
     store_answers: bool
     shutting_down: bool
     has_model: bool
-    mode: Literal["simulate", "test", "full", "screen"] | None = None
+    mode: Literal["simulate", "test", "full", "screen", "verify"] | None = None
     """The mode asked for; ``None``: whether any measurement could start."""
     axes: tuple[str, ...] | None = None
     """The axes to shake; ``None``: all."""

@@ -12,13 +12,17 @@ from invid.comparison.news import with_stated_inertia
 from invid.config import CellConfig
 from invid.errors import InputError, NotIdentifiableError, RecordingError
 from invid.identification.stated_inertia import against_stated
-from invid.model.diagnosis_document import Diagnosis, Finding, diagnosis_to_json
+from invid.model.diagnosis_document import Diagnosis, Finding, Grade, diagnosis_to_json
 from invid.model.document import Model, dump_json, model_from_json, model_to_json, save_text
 from invid.model.doubts import doubts_of
 from invid.planning.separating_experiments import to_separate
 from invid.recording import Recording, read_recording
 from invid.report import render_report
 from invid.simulators.open import masses_of
+from invid.tuning.document import prediction_from_json
+from invid.tuning.verification import Verdict, verify
+from invid.tuning.verification_document import verification_picture, verification_to_json
+from invid.wording.statement import ENGLISH
 from invid_drivers.protocol import Line, Read
 from invid_service.jobs.analysis_progress import AnalysisProgress
 from invid_service.jobs.plots import plot_data
@@ -47,6 +51,8 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         simulated = job.simulated or bool(recording.attributes.get("simulated", False))
         flag = {"simulated": simulated}
         line.tell(Read(robot=recording.robot, axes=recording.axes, simulated=simulated))
+        if job.tuning is not None:
+            return _verified(job, recording, tell, seen)
         accepted = None if job.model is None else model_from_json(job.model, source="accepted model")
         if job.mode == "screen" and accepted is not None:
             tell.begin("diagnosing")
@@ -84,6 +90,33 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         "distrust": [d.to_json() for d in doubts_of(best.fit)],
         "warnings": list(dict.fromkeys([*said, *model.warnings, *diagnosis.warnings])),
         "separating": separating(diagnosis, job),
+        "analysis_s": round(tell.elapsed_s, 1),
+    }
+
+
+def _verified(
+    job: Job, recording: Recording, tell: AnalysisProgress, seen: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Compare the loops that were measured with what their tuning predicted; return the summary."""
+    tell.begin("diagnosing")
+    found = verify(*prediction_from_json(job.tuning, "tuning.json"), recording)
+    document = verification_to_json(found)
+    save_text(job.folder / "verification.json", dump_json({**document, "simulated": job.simulated}))
+    save_text(job.folder / "verification.svg", verification_picture(found))
+    headlines = {language: " ".join(said) for language, said in document["sentences"].items()}
+    grades = {Verdict.WORSE: Grade.ACT, Verdict.OTHER: Grade.WATCH, Verdict.CANNOT_TELL: Grade.WATCH}
+    return {
+        "verdict": str(found.verdict),
+        "headline": headlines[ENGLISH],
+        "headlines": headlines,
+        "grade": str(grades.get(found.verdict, Grade.AS_EXPECTED)),
+        "findings": [],
+        "sentences": document["sentences"][ENGLISH],
+        "explained_fraction": None,
+        "trustworthy": found.verdict is not Verdict.CANNOT_TELL,
+        "distrust": [],
+        "warnings": [] if seen is None else seen["warnings"],
+        "separating": None,
         "analysis_s": round(tell.elapsed_s, 1),
     }
 

@@ -32,9 +32,9 @@ def doubt_view(doubt: Doubt) -> Reason:
 
 def why_untrusted(mode: str, summary: Mapping[str, Any] | None) -> str | None:
     """Return the weightiest reason in words; ``None`` where nothing speaks against accepting a result, or
-    where it is of a short check, which nobody accepts.
+    where it is of a short check or of the drives' loops, which nobody accepts.
     """
-    if summary is None or mode == "screen":
+    if summary is None or mode in ("screen", "verify"):
         return None
     known = summary.get("doubts")
     if known is None:  # a run of an earlier release

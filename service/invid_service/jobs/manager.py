@@ -87,6 +87,13 @@ AUTO = Decision(accept=True, by="auto", caller="auto")
 """Within the bounds of the settings, by the service itself."""
 
 
+def _results_of(job: Job) -> set[str]:
+    """The kinds of files without which a job has not come to its end."""
+    if job.mode == "verify":
+        return {"recording", "verification"}
+    return {"recording", "model", "diagnosis", "report"}
+
+
 class JobManager:
     """Runs in progress, one per cell."""
 
@@ -389,7 +396,7 @@ class JobManager:
             await self._move(run, early, {"error": verdict.error.model_dump()})
         elif isinstance(kept, Exception):
             await self._not_kept(run, job, kept)
-        elif not {"recording", "model", "diagnosis", "report"} <= kept:
+        elif not _results_of(job) <= kept:
             await self._fail(
                 run,
                 "internal-error",
@@ -442,7 +449,7 @@ class JobManager:
             return error
 
     async def _succeed(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> None:
-        if run.record.cell is None or not job.acceptable:
+        if run.record.cell is None or not job.acceptable or job.mode == "verify":
             await self._move(run, State.SUCCEEDED, {"summary": summary})
             return
         summary = await asyncio.to_thread(self._results.concluded, run.record, summary, self._clock())

@@ -134,7 +134,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
             progress=shown.moved,
             seen=seen,
             stop=line.stop,
-            judge=None if short else judge_of(config, shown.knows),
+            judge=None if short or job.tuning else judge_of(config, shown.knows),
         )
     line.check_stop()
     LastWords(end="the measurement was complete").write(job.folder)

@@ -30,7 +30,7 @@ class Job:
 
     id: str
     kind: Literal["measure", "analyse"]
-    mode: Literal["simulate", "test", "full", "screen", "upload"]
+    mode: Literal["simulate", "test", "full", "screen", "verify", "upload"]
     requested_by: str
     """Who started it; named in the report."""
     folder: Path
@@ -50,6 +50,8 @@ class Job:
     model: dict[str, Any] | None = None
     """The accepted model: for the forecast of travel, for ``mode`` "simulate" on a real cell, and for the
     plan of ``mode`` "screen"."""
+    tuning: dict[str, Any] | None = None
+    """The tuning whose loops ``mode`` "verify" measures."""
     simulator: str | None = None
     """Name of the file in ``folder`` that the recording is judged against."""
     memory_bytes: int

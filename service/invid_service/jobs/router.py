@@ -394,5 +394,7 @@ for _kind, _operation, _text in (
         "Return Bode plots and the reference move, before and after, as SVG.",
     ),
     ("tuning-files", "get_tuning_files", "Return all files of the tuning in one archive (ZIP)."),
+    ("verification", "get_verification", "Return the drives' loops as measured, beside what was predicted."),
+    ("verification-picture", "get_verification_picture", "Return the loops, measured and predicted, as SVG."),
 ):
     _offer_file(_kind, _operation, _text)

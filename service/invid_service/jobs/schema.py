@@ -46,9 +46,10 @@ class StartBody(BaseModel):
         strict=True,
         json_schema_extra={"examples": [{"mode": "full", "axes": ["A1", "A2"], "arm": True}]},
     )
-    mode: Literal["simulate", "test", "full", "screen"]
+    mode: Literal["simulate", "test", "full", "screen", "verify"]
     """simulate: no hardware; test: at most 10 % amplitude; full; screen: a short measurement that says
-    whether anything changed since the accepted model, and replaces none."""
+    whether anything changed since the accepted model, and replaces none; verify: a short measurement of the
+    drives' loops while they are closed, beside what ``tuned`` predicted of them."""
     axes: list[str] | None = Field(default=None, min_length=1, max_length=64)
     """Axes to excite; the others are held. Default: all."""
     arm: bool = False
@@ -58,6 +59,8 @@ class StartBody(BaseModel):
     separate: str | None = Field(default=None, max_length=40, pattern=r"^[A-Za-z0-9-]+$")
     """An identification of this cell: run the experiments that separate the causes which its diagnosis could
     not tell apart (its ``separating``), instead of the cell's own."""
+    tuned: str | None = Field(default=None, max_length=40, pattern=r"^[A-Za-z0-9-]+$")
+    """With ``verify``: the identification whose tuning was applied."""
     changed: StatedChange | None = None
     """What a person changed before: the headline says first whether that is what was found."""
 
@@ -141,6 +144,8 @@ class Identification(BaseModel):
     """The identification whose causes this run separates."""
     analyses: str | None
     """The identification whose recording this run works out (again)."""
+    verifies: str | None
+    """The identification whose tuning this run measures."""
     changed: StatedChange | None
     """What a person said was changed before; the summary's ``answer`` says how that agrees with what was
     found."""
@@ -217,7 +222,7 @@ def view(
     if stopped is not None and not trace:
         stopped = {**stopped, "trace": EMPTY}
     names = ["events", "recording", "model", "diagnosis", "report", "plots", "corrected", "analysis", *PARTS]
-    names += TUNING_KINDS
+    names += (*TUNING_KINDS, "verification", "verification-picture")
     measurement = record.facts.get("measurement")
     summary = record.facts.get("summary")
     return Identification(
@@ -226,6 +231,7 @@ def view(
         amplitude=record.facts.get("amplitude", "planned"),
         separates=record.facts.get("separates"),
         analyses=record.facts.get("analyses"),
+        verifies=record.facts.get("verifies"),
         changed=record.facts.get("changed"),
         axes=list(record.axes),
         error=record.facts.get("error"),

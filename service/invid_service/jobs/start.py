@@ -10,10 +10,12 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from invid.config import CellConfig
 from invid.errors import InputError
 from invid.model.document import model_to_json
 from invid.planning.separating_experiments import Separation, to_separate
 from invid_drivers.simulated.structure import CAUSES
+from invid_drivers.values.closed_loop import closed_loop_config
 from invid_service.cells.registry import Cell
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.results import load
@@ -56,6 +58,13 @@ async def begin_identification(
             "mode: a screening shakes all axes by a plan of its own; leave 'axes' and 'separate' out",
             simulated=cell.simulated,
         )
+    if (body.tuned is None) == (body.mode == "verify") or (body.mode == "verify" and body.axes):
+        raise Problem(
+            "invalid-request",
+            "mode: 'verify' measures the loops of all axes, and 'tuned' names the run whose tuning was "
+            "applied; nothing else takes 'tuned'",
+            simulated=cell.simulated,
+        )
     wrong = body.changed and body.changed.refusal(cell.axes, linear=cell.config.linear)
     if wrong:
         raise Problem("invalid-request", wrong, simulated=cell.simulated)
@@ -69,13 +78,19 @@ async def begin_identification(
                 return earlier
         await _refuse_if_not_ready(service, cell, body)
         separation = None if body.separate is None else await _separation(service, cell, body)
+        tuning = None if body.tuned is None else await tuning_of(service, body.tuned, cell)
         record = service.new_run(cell, body.mode, list(body.axes or cell.axes), caller)
         said = None if body.changed is None else body.changed.model_dump()
         asked = {"amplitude": body.amplitude, "separates": body.separate, "changed": said}
+        asked["verifies"] = body.tuned
         record = replace(record, facts=asked)
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
         before = await asyncio.to_thread(_analysis_before, service, cell.id, body)
-        job = replace(_job(service, cell, record, body, in_force, separation), expected_analysis_s=before)
+        job = _job(service, cell, record, body, in_force, separation)
+        if tuning is not None and job.config is not None:
+            closed = closed_loop_config(CellConfig.model_validate(job.config)).model_dump(mode="json")
+            job = replace(job, config=closed, tuning=tuning)
+        job = replace(job, expected_analysis_s=before)
         live = service.jobs.reserve(record)
         try:
             facts = {"cell": cell.id, "identification": record.id, **body.model_dump()}
@@ -92,6 +107,18 @@ async def begin_identification(
             raise
         service.jobs.start(live, job)
         return record
+
+
+async def tuning_of(service: Service, identity: str, cell: Cell | None = None) -> dict[str, Any]:
+    """Return the tuning of a run (of ``cell``); Problem where there is none."""
+    record, _ = await service.run(identity)
+    if cell is not None and record.cell != cell.id:
+        raise Problem("invalid-request", f"tuned: identification {identity} is not of cell {cell.id}")
+    text = await asyncio.to_thread(_text_of, service, identity, "tuning")
+    if text is None:
+        raise Problem("wrong-state", f"identification {identity} was not tuned", simulated=record.simulated)
+    document: dict[str, Any] = json.loads(text)
+    return document
 
 
 def _reused(key: str, cell: Cell) -> Problem:
@@ -140,7 +167,7 @@ async def _separation(service: Service, cell: Cell, body: StartBody) -> Separati
             f"separate: identification {identity} is not of cell {cell.id}",
             simulated=cell.simulated,
         )
-    text = await asyncio.to_thread(_diagnosis_text, service, identity)
+    text = await asyncio.to_thread(_text_of, service, identity, "diagnosis")
     if text is None:
         raise Problem(
             "nothing-to-separate",
@@ -153,8 +180,8 @@ async def _separation(service: Service, cell: Cell, body: StartBody) -> Separati
         raise Problem("nothing-to-separate", str(error), simulated=cell.simulated) from None
 
 
-def _diagnosis_text(service: Service, identity: str) -> str | None:
-    blob = service.store.artefacts(identity).get("diagnosis")
+def _text_of(service: Service, identity: str, kind: str) -> str | None:
+    blob = service.store.artefacts(identity).get(kind)
     try:
         return None if blob is None else service.blobs.path(blob.path).read_text(encoding="utf-8")
     except OSError:

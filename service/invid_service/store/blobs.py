@@ -21,6 +21,8 @@ KINDS: dict[str, tuple[str, str]] = {
     "tuning-page": ("tuning.html", "text/html; charset=utf-8"),
     "tuning-picture": ("tuning.svg", "image/svg+xml"),
     "tuning-files": ("tuning.zip", "application/zip"),
+    "verification": ("verification.json", "application/json"),
+    "verification-picture": ("verification.svg", "image/svg+xml"),
 }
 """kind -> (file name, media type)."""
 

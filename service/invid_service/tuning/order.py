@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from invid.tuning.motor_scale import MotorScale
 
@@ -21,3 +22,5 @@ class Order:
     draws: int
     drive: str | None
     motors: Mapping[str, MotorScale]
+    config: dict[str, Any] | None
+    """Of the cell whose drives say what they hold now; ``None``: they are not asked."""

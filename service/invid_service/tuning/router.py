@@ -1,22 +1,29 @@
-"""Routes of tunings: values for the drives from the model of a finished run; nothing is written to a
-drive."""
+"""Routes of tunings: values for the drives from the model of a finished run; written into them by a person's
+act alone.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Body, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from invid.errors import InputError, InvidError
+from invid.tuning.document import loops_from_json
 from invid.tuning.motor_scale import MotorScale
-from invid_service.auth import Reader, Runner
+from invid_drivers.values.applying import Proposal, apply, propose, undo, written_entries
+from invid_service.auth import Accepter, Reader, Runner
+from invid_service.cells.registry import Cell
 from invid_service.context import Context
 from invid_service.jobs.router import artefact, file_responses
-from invid_service.jobs.schema import RETRY_AFTER_S
+from invid_service.jobs.schema import RETRY_AFTER_S, PersonName
+from invid_service.jobs.start import tuning_of
 from invid_service.links import address
 from invid_service.openapi import ACCEPTED
 from invid_service.problems import EVERYWHERE, RETRY_AFTER, Problem, problem_responses
+from invid_service.service import Service
 from invid_service.store.blobs import KINDS
 from invid_service.tuning.order import Order
 
@@ -35,11 +42,59 @@ class TuningBody(BaseModel):
     drive: str | None = Field(
         default=None, max_length=40, pattern=r"^[a-z0-9_]+$", description="Also in this drive's own objects"
     )
+    from_drives: bool = Field(default=False, description="Compare with what the cell's drives hold now")
     motors: dict[str, MotorScale] = Field(
         default_factory=dict,
         max_length=64,
         description="Gear and torque constant by axis; `drive` needs them",
     )
+
+
+class ModelTuningBody(TuningBody):
+    """Which model to tune on, and how."""
+
+    model: str = Field(max_length=40, pattern=r"^[A-Za-z0-9-]+$", description="A run, or a model of a cell")
+
+
+class ApplyBody(BaseModel):
+    """A person's act: what was seen, and the robot's name."""
+
+    model_config = ConfigDict(extra="forbid")
+    token: str | None = Field(
+        default=None, max_length=16, description="Of the list that was seen; without it nothing is written"
+    )
+    name: str | None = Field(default=None, max_length=200, description="The robot's name, typed by a person")
+    by: PersonName | None = Field(default=None, description="Who agrees; default: the key's name")
+    undo: bool = Field(default=False, description="Write back what the last act replaced")
+    motors: dict[str, MotorScale] = Field(default_factory=dict, max_length=64)
+
+
+class ObjectChange(BaseModel):
+    """One object of one drive."""
+
+    axis: str
+    node_id: int
+    object: str
+    name: str
+    unit: str
+    old: float
+    new: float
+
+
+class Applied(BaseModel):
+    """What would be written, or was."""
+
+    robot: str
+    changes: list[ObjectChange]
+    said: list[str]
+    """What the drives cannot hold, or what was left as it is and why."""
+    token: str | None
+    """Stands for this list; ``null`` once it is written."""
+    written: int
+    """Objects written, or written back."""
+    can_undo: bool
+    """Whether what an act replaced is remembered."""
+    simulated: bool
 
 
 class TuningState(BaseModel):
@@ -65,6 +120,25 @@ async def start_tuning(
     """Work out gains, notch filters, feedforward and shapers from the model of this run, with the margins
     they leave over its covariance. It takes seconds; follow ``Location``. Nothing is written to a drive.
     """
+    return await _start(service, identification, body or TuningBody(), response)
+
+
+@router.post(
+    "/models/tune",
+    status_code=202,
+    response_model=TuningState,
+    responses={**ACCEPTED, **problem_responses(409, 410)},
+)
+async def tune_model(
+    body: ModelTuningBody, response: Response, service: Context, caller: Runner
+) -> TuningState:
+    """Work out values for the drives from a model, which has the id of its run."""
+    return await _start(service, body.model, body, response)
+
+
+async def _start(
+    service: Service, identification: str, wanted: TuningBody, response: Response
+) -> TuningState:
     record, _ = await service.run(identification)
     blobs = await asyncio.to_thread(service.store.artefacts, record.id)
     found = {k: b for k in ("diagnosis", "model") if (b := blobs.get(k)) is not None}
@@ -75,7 +149,8 @@ async def start_tuning(
             state=str(record.state),
             simulated=record.simulated,
         )
-    wanted = body or TuningBody()
+    cell = service.cells.get(record.cell or "")
+    asks = wanted.from_drives and cell is not None and service.jobs.occupying(cell.id) is None
     order = Order(
         folder=service.blobs.work,
         source=service.blobs.path(next(iter(found.values())).path),
@@ -85,6 +160,7 @@ async def start_tuning(
         draws=wanted.draws,
         drive=wanted.drive,
         motors=wanted.motors,
+        config=cell.config.model_dump(mode="json") if asks and cell is not None else None,
     )
     service.tunings.start(record.id, order)
     response.headers["Location"] = address("identifications", record.id, "tuning")
@@ -111,3 +187,87 @@ async def get_tuning(identification: str, request: Request, service: Context, _c
     if why is not None:
         raise Problem("not-tunable", why, simulated=record.simulated)
     return await artefact(service, identification, "tuning", request)
+
+
+@router.get(
+    "/models/tune/{model}",
+    response_class=Response,
+    responses={
+        **file_responses(KINDS["tuning"][1]),
+        **problem_responses(409, 410),
+        202: {"description": "It goes on", "model": TuningState, "headers": RETRY_AFTER},
+    },
+)
+async def get_model_tuning(model: str, request: Request, service: Context, caller: Reader) -> Response:
+    """Return what was worked out for this model."""
+    return await get_tuning(model, request, service, caller)
+
+
+@router.post("/models/tune/{model}/apply", response_model=Applied, responses=problem_responses(409))
+async def apply_tuning(model: str, body: ApplyBody, service: Context, caller: Accepter) -> Applied:
+    """Write these values into the drives of the cell, by a person's act.
+
+    Without ``token`` the drives are asked and nothing is written: the answer lists every object, old and
+    new, with a ``token`` for the list. With it, and with the robot's name, what changes is written into
+    drives that are off or stand, and read back; where one is not taken, or holds another value than the list
+    says, nothing stays written. ``undo`` writes back what the last act replaced.
+    """
+    record, _ = await service.run(model)
+    cell = service.cell(record.cell or "")
+    if (body.token is not None or body.undo) and body.name != cell.config.robot:
+        raise Problem(
+            "not-applied",
+            f"not confirmed: the robot is called {cell.config.robot!r}; nothing was written",
+            simulated=cell.simulated,
+        )
+    async with service.start_locks[cell.id]:
+        busy = service.jobs.occupying(cell.id)
+        if busy is not None:
+            raise Problem(
+                "run-in-progress",
+                f"identification {busy.record.id} is {busy.record.state}: it has the bus",
+                {"Retry-After": "5"},
+                identification=busy.record.id,
+                simulated=cell.simulated,
+            )
+        writes = body.undo or body.token is not None
+        if writes:
+            facts = {"cell": cell.id, "model": record.id, "by": body.by or caller.name, "undo": body.undo}
+            await asyncio.to_thread(service.audit.write, "apply", caller=caller.name, **facts)
+        document = None if body.undo else await tuning_of(service, record.id, cell)
+        try:
+            return await asyncio.to_thread(_act, cell, body, document)
+        except InvidError as error:
+            raise Problem("not-applied", str(error), simulated=cell.simulated) from None
+
+
+def _act(cell: Cell, body: ApplyBody, document: dict[str, Any] | None) -> Applied:
+    config = cell.config
+    if document is None:
+        written, said = undo(config, lambda entries: None)
+        return _answer(cell, Proposal((), said), written, told=False)
+    loops = loops_from_json(document, "tuning.json")
+    if body.token is None:
+        return _answer(cell, propose(config, loops, body.motors), 0, told=True)
+
+    def agree(proposal: Proposal) -> None:
+        if proposal.token != body.token:
+            raise InputError(
+                "the drives hold other values than those of the list that was agreed to; look at it again"
+            )
+
+    done = apply(config, loops, body.motors, agree)
+    return _answer(cell, done, len(done.changes), told=False)
+
+
+def _answer(cell: Cell, proposal: Proposal, written: int, *, told: bool) -> Applied:
+    document = proposal.to_json()
+    return Applied(
+        robot=cell.config.robot,
+        changes=document["changes"],
+        said=document["said"],
+        token=document["token"] if told else None,
+        written=written,
+        can_undo=bool(written_entries(cell.config)),
+        simulated=cell.simulated,
+    )

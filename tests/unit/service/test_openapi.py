@@ -40,6 +40,8 @@ CONTRACT = {
     ("post", "/api/v1/cells/{cell}/models/{model}/restore"),
     ("get", "/api/v1/cells/{cell}/changes"),
     ("get", "/api/v1/cells/{cell}/series"),
+    ("post", "/api/v1/models/tune"),
+    ("post", "/api/v1/models/tune/{model}/apply"),
     ("get", "/api/v1/health/live"),
     ("get", "/api/v1/health/ready"),
     ("get", "/api/v1/metrics"),

@@ -17,7 +17,8 @@ from invid.tuning.forms import (
     write_tuning,
 )
 from invid.tuning.motor_scale import MotorScale
-from invid_drivers.drive_values import DRIVES, drive_values_form
+from invid_drivers.values.forms import drive_values_form
+from invid_drivers.values.rows import DRIVES
 
 MOTORS = {
     "A1": MotorScale(gear=50.0, torque_constant_Nm_per_A=0.05, node_id=3, torque_limit_Nm=20.0),

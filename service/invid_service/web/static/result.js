@@ -1,5 +1,6 @@
 // The result: grade and headline, where it is, the decision; what was found; the numbers unfold below.
 import { call, get } from "./api.js";
+import { verified } from "./apply.js";
 import { saidBefore } from "./changed.js";
 import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesOf, spokenHeadline, place, why } from "./findings.js";
 import { cloud, curves, redraw } from "./plots.js";
@@ -60,6 +61,9 @@ export async function showResult(run) {
   for (const id of ["axis-choice", "frf", "missing", "where", "numbers"]) $(id).hidden = true;
   $("numbers").open = $("notes").open = false;
   for (const id of ["causes", "parameters", "findings", "drawing"]) clear($(id));
+  $("verified")?.remove();
+  $("where").firstElementChild.textContent = run.mode === "verify" ? t("verified.title") : t("result.where");
+  if (run.mode === "verify") { await showVerified(run); return; }
   let model, diagnosis, changes;
   try {
     const compared = summary.changes ? get(run.links.changes).catch(() => summary.changes) : null;
@@ -80,19 +84,30 @@ export async function showResult(run) {
 }
 $("numbers").addEventListener("toggle", redraw); // folded, a plot has no width
 
+/** @param {Run} run */
+async function showVerified(run) {
+  fill($("links"), [["recording", "recording.h5"], ["verification", "verification.json"]].map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, t(`file.${name}`))));
+  const made = await verified(run);
+  if (shown !== run.id) return;
+  $("findings").before(made);
+  settled = run.id;
+  await drawing(run, run.links["verification-picture"]);
+}
+
 // The service draws; the same picture as in the report. As SVG within the page it takes the page's colours.
 /** @param {Run} run */
-async function drawing(run) {
+async function drawing(run, address = `${run.links.self}/drawing?lang=${LANGUAGE}`) {
   /** @type {any} */
   let svg;
   try {
-    const text = await (await call("GET", `${run.links.self}/drawing?lang=${LANGUAGE}`)).text();
+    const text = await (await call("GET", address)).text();
     svg = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
   } catch (error) {
     if (shown === run.id) { $("where").hidden = false; fill($("drawing"), [el("p", { class: "quiet" }, t("result.no_drawing", { why: error.message }))]); }
     return;
   }
   if (shown !== run.id || svg.nodeName !== "svg") return;
+  svg.removeAttribute("style"); // white paper is for a file of its own
   const picture = document.importNode(svg, true), width = svg.viewBox.baseVal.width;
   // Never so small that its numbers cannot be read, nor larger than the text beside it.
   picture.style.minWidth = `${0.8 * width}px`;

@@ -1,5 +1,6 @@
-// Values for the drives from a run's model: a button, then what they bring, a picture, files. Nothing goes to a drive from here.
+// Values for the drives from a run's model: a button, then what they bring, a picture, files.
 import { Problem, call } from "./api.js";
+import { offerApply } from "./apply.js";
 import { $, el, fill, fmt, table } from "./dom.js";
 import { refused, spoken } from "./spoken.js";
 import { english, named, t } from "./texts.js";
@@ -12,7 +13,7 @@ let of = null;
 export function offerTuning(run) {
   const same = of?.id === run.id;
   of = run;
-  $("tune-card").hidden = Boolean(run.untrusted) || !run.summary;
+  $("tune-card").hidden = Boolean(run.untrusted) || !run.summary || run.mode === "verify";
   if (same || $("tune-card").hidden) return;
   offered();
   if (run.tuned) look();
@@ -27,7 +28,7 @@ function offered() {
 $("tune").addEventListener("click", async () => {
   const run = of;
   going();
-  try { await call("POST", run.links.tuning); } catch (error) { if (of === run) failed(error); return; }
+  try { await call("POST", run.links.tuning, { from_drives: Boolean(run.cell) }); } catch (error) { if (of === run) failed(error); return; }
   setTimeout(look, AGAIN_MS);
 });
 
@@ -61,7 +62,7 @@ async function show(run, tuning) {
     pair(a, (s) => (s.move.settling == null ? "–" : `${fmt(s.move.settling, 2)} s`)), pair(a, (s) => (s.margins.unstable ? t("tune.unstable") : fmt(s.margins.sensitivity, 3))),
   ] })));
   const torque = tuning.units.torque, angle = tuning.units.angle, gains = el("table");
-  const both = (a, key) => `${fmt(a.before.gains[key], 3)} → ${fmt(a.after.gains[key], 3)}`, share = (a, s) => fmt(100 * s.margins.ripple / a.rated_torque, 2);
+  const gain = (v) => (v == null ? "–" : fmt(v, 3)), both = (a, key) => `${gain(a.before.gains[key])} → ${gain(a.after.gains[key])}`, share = (a, s) => fmt(100 * s.margins.ripple / a.rated_torque, 2);
   const notches = (a) => a.after.gains.notches.map((n) => `${fmt(n.frequency, 3)} Hz`).join(", ") || "–";
   const rows = {
     position_gain: (a) => both(a, "position_gain"), velocity_gain: (a) => both(a, "velocity_gain"), integral_time: (a) => both(a, "integral_time"), notches,
@@ -72,10 +73,11 @@ async function show(run, tuning) {
   const repairs = tuning.repairs.map((r) => repair(r, unit)).filter(Boolean), remarks = tuning.remarks.map((r) => spoken("li", r));
   fill($("tuned"), [
     el("div", { class: "scroll", role: "region", "aria-label": t("tune.title") }, [made]),
-    el("div", { class: "scroll", role: "region", "aria-label": t("tune.values") }, [gains]), el("p", { class: "quiet" }, t("tune.before")),
+    el("div", { class: "scroll", role: "region", "aria-label": t("tune.values") }, [gains]), el("p", { class: "quiet" }, `${t("tune.before")} ${t(tuning.before.startsWith("read from") ? "tune.before_read" : "tune.before_timid")}`),
     el("figure", {}, [el("figcaption", {}, t("tune.picture")), picture]),
     repairs.length ? el("section", {}, [el("h4", {}, t("tune.repairs")), el("ul", { class: "reasons" }, repairs.map((r) => el("li", {}, r)))]) : null,
     remarks.length ? el("ul", { class: "reasons" }, [english ? null : el("li", { class: "quiet" }, t("page.untranslated")), ...remarks].filter(Boolean)) : null,
+    run.cell ? offerApply(run.id) : null,
     el("p", { class: "links" }, Object.entries(SAVED).map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, t(name === "tuning-page" ? "tune.page" : "tune.files")))),
   ].filter(Boolean));
   const text = await (await call("GET", run.links["tuning-picture"])).text();

@@ -1,0 +1,83 @@
+"""Tuned values as files for drives: a DCF an axis with what changes, and a list of it.
+
+Whoever loads a DCF decides, nothing here writes to a drive (``applying`` does, by a person's act).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Any
+
+from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
+from canopen.objectdictionary.eds import export_eds
+
+from invid.tuning.forms import Form
+from invid.tuning.motor_scale import MotorScale
+from invid.tuning.tune import Tuning
+from invid_drivers.values.rows import DRIVES, DriveValue, DriveValues
+
+_TYPES = {"H": datatypes.UNSIGNED16, "I": datatypes.UNSIGNED32, "f": datatypes.REAL32}
+
+
+def epos4_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """``drive_values_form`` of the EPOS4."""
+    return drive_values_form("epos4", tuning, motors)
+
+
+def ax8000_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """``drive_values_form`` of the AX8000."""
+    return drive_values_form("beckhoff_ax8000", tuning, motors)
+
+
+def drive_values_form(name: str, tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
+    """A DCF for each axis and one list of all changed objects, before and after, with their sources.
+
+    InputError where an axis' gear, or torque constant if the drive counts in amperes, is not stated.
+    """
+    drive, files = DRIVES[name], {}
+    rows = []
+    for a in tuning.axes:
+        motor = drive.motor(a.axis, motors)
+        values = {row: row.value(a.after, motor) for row in drive.rows}
+        files[f"{a.axis}-{name}.dcf"] = dcf(drive, values, motor.node_id)
+        for row, after in values.items():
+            old = row.value(a.before, motor)
+            rows.append(
+                (
+                    a.axis,
+                    row.at.address,
+                    row.at.name,
+                    row.count(old),
+                    row.count(after),
+                    row.unit,
+                    row.source,
+                )
+            )
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(("axis", "object", "name", "before", "after", "unit", "source"))
+    writer.writerows(rows)
+    files[f"{name}-changes.csv"] = stream.getvalue()
+    losses = (*drive.losses, f"before is {tuning.before_source}")
+    return Form(files, losses)
+
+
+def dcf(drive: DriveValues, values: dict[DriveValue, float], node_id: int) -> str:
+    """A DCF that holds these objects alone."""
+    od: Any = ObjectDictionary()  # type: ignore[no-untyped-call]
+    od.node_id = node_id
+    od.device_information.product_name = drive.name
+    od.comments = "Changed objects alone, by invid tune. Look at the list beside it before you load it."
+    for row, value in values.items():
+        variable: Any = ODVariable(row.at.name, row.at.index, row.at.sub)
+        variable.data_type = _TYPES[row.at.code]
+        variable.access_type = "rw"
+        variable.value = row.count(value)
+        if row.at.index not in od:
+            od.add_object(ODRecord(row.at.name.rsplit(" ", 2)[0], row.at.index))
+        od[row.at.index].add_member(variable)
+    stream = io.StringIO()
+    facts = {"FileName": "tuned.dcf", "FileVersion": 1}
+    export_eds(od, stream, facts, device_commisioning=True)  # type: ignore[no-untyped-call]
+    return stream.getvalue()
