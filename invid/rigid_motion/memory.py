@@ -17,10 +17,10 @@ from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.rigid_motion.fit import Fit, axis_powers, falls, fit_terms, settled
 from invid.rigid_motion.rows import Rows, colour_of
-from invid.rigid_motion.search import BY_WAY, LEAST_GAIN, OF_LOOKING, without_idle
+from invid.rigid_motion.search import BY_WAY, LEAST_GAIN, OF_LOOKING, reshaped, without_idle
 from invid.rigid_motion.terms import HELD, PRESLIDING, RISE, Term
 
-YIELDS, LARGEST = 8, 0.1
+YIELDS, LARGEST = 16, 0.1
 """Travels at which an element slides that are looked at, and the largest over the axis's travel: what gives
 farther is a spring (empirical)."""
 
@@ -59,7 +59,8 @@ def _on_axis(rows: Rows, current: Fit, axis: int) -> Fit | None:
     trials = [t for t in (fit_terms(rows, [*r, *o]) for r in rests for o in options) if t.free[-1]]
     if not trials:
         return None
-    best = settled(rows, min(trials, key=lambda t: t.fitted + NUMBER * t.numbers).terms)
+    terms = min(trials, key=lambda t: t.fitted + NUMBER * t.numbers).terms
+    best = settled(rows, reshaped(rows, terms, terms[-1], ()) if terms[-1].shape else terms)
     old, new = (axis_powers(rows, rows.judged, f.held_out)[axis] for f in (current, best))
     more = best.numbers - current.numbers
     # One law for another brings no number, and has but to be the likelier one.

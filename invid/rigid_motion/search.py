@@ -161,11 +161,11 @@ def with_term(rows: Rows, current: Fit, term: Term, grid: Sequence[Term] = ()) -
         terms = [*(t for t in terms if fits_beside(offset, t)), offset]
     terms.append(term)
     for shaped in [t for t in terms if t.shape]:
-        terms = _reshaped(rows, terms, shaped, [t for t in grid if t.label == shaped.label])
+        terms = reshaped(rows, terms, shaped, [t for t in grid if t.label == shaped.label])
     return settled(rows, terms)
 
 
-def _reshaped(rows: Rows, terms: list[Term], term: Term, grid: Sequence[Term]) -> list[Term]:
+def reshaped(rows: Rows, terms: list[Term], term: Term, grid: Sequence[Term]) -> list[Term]:
     """The terms with the shape of one at the best point of its grid, then between these."""
     at = next(k for k, t in enumerate(terms) if t is term)
 
