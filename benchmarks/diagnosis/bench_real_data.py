@@ -6,8 +6,6 @@ Records that are not there are named, loudly.
 
     python benchmarks/diagnosis/bench_real_data.py [WORD …]
         records whose title holds a word; all without
-    python benchmarks/diagnosis/bench_real_data.py --league [WORD …]
-        the share of the held-out torque that is missed: ours, the peers' of peer_torque.py, published
 """
 
 from __future__ import annotations
@@ -17,22 +15,21 @@ import io
 import json
 import sys
 import tempfile
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.diagnosis.peer_torque import PEERS, shares
 from benchmarks.diagnosis.rigid_figures import friction_models, simulation_error
-from invid import diagnose, import_recording, read_recording
+from invid import read_recording
 from invid.cli.app import run
 from invid.model.chains import CoupledChains
-from invid.model.document import load_model, model_from_json
+from invid.model.diagnosis_document import load_model
+from invid.model.document import model_from_json
 from invid.model.matrices import natural_frequencies
-from invid.recording import Recording, Role
+from invid.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = FETCHED if (FETCHED := ROOT / "records").is_dir() else ROOT.parent / "shared" / "data"
@@ -256,76 +253,8 @@ def chain(source: Path, chart: Path, folder: Path) -> Result:
     )
 
 
-LEAGUE: list[tuple[str, str, str, float, str]] = [
-    ("ball screw, pulses", "emps", "emps", 50.0, "6.0"),
-    ("double pendulum", "double_pendulum", "double_pendulum", 10.0, "11.9 of both"),
-    ("large robot, axis 1", "kr300", "kr300", 10.0, ""),
-    ("geared pendulum", "simple_pendulum", "simple_pendulum", 10.0, ""),
-    ("two servos, steps", "hsm150", "hsm150", 20.0, ""),
-    ("Panda joint 7", "panda", "panda_joint_7", 10.0, ""),
-    ("motor bench, current", "flexible_drive/MultisineTypeB.mat", "flexible_drive", 250.0, ""),
-]
-"""Title, source, map, the peers' band [Hz], published share [%] of kept-out torque; `league_data.sh` brings
-the pendulum, the servos and the Panda."""
-BUDGET = 60.0
-"""Seconds of processor time: the command's own."""
-LEVEL = 0.1
-"""Relative difference of two figures up to which they are called level (a guess)."""
-
-
-def kept_out(recording: Recording) -> Recording:
-    """The recording with a part to validate: its last experiment, of a single one the last quarter."""
-    *first, last = recording.experiments
-    if recording.with_role(Role.VALIDATE):
-        return recording
-    if first:
-        return replace(recording, experiments=(*first, replace(last, role=Role.VALIDATE)))
-    cut = 3 * last.samples // 4
-    parts = [
-        replace(
-            last, key=f"{i:03d}", role=role, time=last.time[rows], position=last.position[rows],
-            torque=last.torque[rows], torque_demand=None, status=None,
-        )
-        for i, (role, rows) in enumerate(
-            [(Role.IDENTIFY, slice(0, cut)), (Role.VALIDATE, slice(cut, None))]
-        )
-    ]  # fmt: skip
-    return replace(recording, experiments=tuple(parts))
-
-
-def league(wanted: list[str]) -> int:
-    """Print the league; the exit status is 1 where the product is behind a peer."""
-    behind = 0
-    heads = ["record", "axis", "ours", "noise", *PEERS, "published", "", "CPU s"]
-    print(f"Missed torque, kept out [%]\n\n| {' | '.join(heads)} |\n|{' --- |' * len(heads)}")
-    for title, source, chart, below_hz, published in LEAGUE:
-        if wanted and not any(w in title for w in wanted):
-            continue
-        if not (DATA / source).exists():
-            print(f"| {title} | NOT RUN: {DATA / source} is not there |")
-            continue
-        began = time.process_time()
-        chart_file = ROOT / "configs" / "import" / f"{chart}.yaml"
-        recording = kept_out(import_recording(DATA / source, chart_file))
-        found = diagnose(recording, budget=BUDGET)
-        spent = time.process_time() - began
-        held = [e.torque for e in recording.with_role(Role.VALIDATE)]
-        power = np.sqrt(np.mean(np.concatenate(held) ** 2, axis=0))
-        peers = shares(recording, below_hz)
-        for i, row in enumerate(found.residual):
-            own, best = row.after / power[i], min(p[i] for p in peers.values())
-            stands = "level" if abs(own / best - 1.0) <= LEVEL else "ahead" if own < best else "BEHIND"
-            behind += stands == "BEHIND"
-            noise = np.nan if row.noise_floor is None else row.noise_floor / power[i]
-            figures = " | ".join(f"{100 * x:.3g}" for x in (own, noise, *(p[i] for p in peers.values())))
-            print(f"| {title} | {row.axis} | {figures} | {published} | {stands} | {spent:.0f} |", flush=True)
-    return int(behind > 0)
-
-
 def main(wanted: list[str]) -> int:
     """Print the table; the exit status is 1 where a figure is not reached."""
-    if wanted[:1] == ["--league"]:
-        return league(wanted[1:])
     missed = 0
     offsets: dict[str, float] = {}
     print("| record | figure | asked | reached | |\n| --- | --- | --- | --- | --- |")

@@ -1,23 +1,42 @@
 #!/bin/sh
-# The league's records that `invid fetch-data` does not bring, from clones of their repositories:
-#   league_data.sh TO PENDULUM HSM150 PANDA
-# github.com/dfki-ric-underactuated-lab/torque_limited_simple_pendulum (BSD-3-Clause), malik-robert/HSM150-data (no
-# licence stated), marcocognetti/FrankaEmikaPandaDynModel (GPL-3.0). Clones may be bare.
+# The league's records that `invid fetch-data` does not bring, from a folder of clones (bare ones too) named OWNER+NAME/repo:
+#   league_data.sh TO CLONES
+# Licences: torque_limited_simple_pendulum BSD-3-Clause, FrankaEmikaPandaDynModel GPL-3.0; HSM150-data, dynamic_calibration,
+# figaroh-examples and Friction-Identification-for-Manipulators state none: cite, do not ship.
 set -eu
 to=$1
-mkdir -p "$to/simple_pendulum" "$to/hsm150" "$to/panda"
+clones=$2
+mkdir -p "$to/simple_pendulum" "$to/hsm150" "$to/panda" "$to/ur10e" "$to/tiago" "$to/tx40" "$to/openarm"
+show() { git -C "$clones/$1/repo" show "HEAD:$2"; }
+pendulum=dfki-ric-underactuated-lab+torque_limited_simple_pendulum
 for method in ddp direct_collocation ilqr; do
-    git -C "$2" show "HEAD:results/control_method_$method/data_measured.csv" > "$to/simple_pendulum/$method.csv"
+    show $pendulum "results/control_method_$method/data_measured.csv" > "$to/simple_pendulum/$method.csv"
 done
-git -C "$2" show HEAD:results/control_method_pd/system_identification/data_measured.csv > "$to/simple_pendulum/pd_id.csv"
+show $pendulum results/control_method_pd/system_identification/data_measured.csv > "$to/simple_pendulum/pd_id.csv"
 for run in pos_0.065_1 pos_0.065_2 pos_0.06_1; do
-    git -C "$3" show "HEAD:Data/Identification/idf_$run.mat" > "$to/hsm150/idf_$run.mat"
+    show malik-robert+HSM150-data "Data/Identification/idf_$run.mat" > "$to/hsm150/idf_$run.mat"
 done
 log=matlab/data/Exciting_Traj/Trajectory_1/rbt_log/exciting_traj
-joint() { git -C "$1" show "HEAD:${log}_$2.txt" | awk 'NR % 7 == 0'; }
+panda=marcocognetti+FrankaEmikaPandaDynModel
 work=$(mktemp -d)
-git -C "$4" show "HEAD:${log}_time.txt" > "$work/time"
-joint "$4" positions > "$work/position"
-joint "$4" torques > "$work/torque"
+show $panda "${log}_time.txt" > "$work/time"
+for what in position:positions torque:torques; do
+    show $panda "${log}_${what#*:}.txt" | awk 'NR % 7 == 0' > "$work/${what%:*}"
+done
 { echo time,position,torque; paste -d, "$work/time" "$work/position" "$work/torque"; } > "$to/panda/joint_7.csv"
 rm -r "$work"
+for joint in 2 3 5; do
+    show shamilmamedov+dynamic_calibration "dataset_ur10e/jointwise_motion/ur-20_01_22-joint_$joint.csv" \
+        > "$to/ur10e/joint_$joint.csv"
+done
+figaroh=thanhndv212+figaroh-examples
+for what in position effort; do
+    show $figaroh "examples/tiago/data/identification/dynamic/tiago_$what.csv" > "$to/tiago/tiago_$what.csv"
+done
+for what in curr pos_read; do
+    show $figaroh "examples/staubli_TX40/data/${what}_data.csv" > "$to/tx40/${what}_data.csv"
+done
+for joint in 3 6; do
+    show YIZHIXIAOCANGSHU+Friction-Identification-for-Manipulators \
+        "results/real_uart_capture_collect_joint_$joint.npz" > "$to/openarm/joint_$joint.npz"
+done

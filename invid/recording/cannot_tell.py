@@ -17,6 +17,8 @@ AT_LIMIT = 3.0
 less."""
 NEAR = (1e-3, 0.08)
 """Near: of the largest torque, where it is exact and where it is noisy; at least one step of its numbers."""
+MIDDLE = (0.2, 0.8)
+"""Between a small torque and the largest, over that: what goes from one to the other passes it (physical)."""
 STEADY = 0.3
 """Deviation of the speed over its mean up to which a constant torque is friction at a constant speed."""
 STOPS = 0.02
@@ -64,13 +66,22 @@ def _of_axis(recording: Recording, axis: int) -> Iterator[Lack]:
         [e.torque[:, axis] for e in recording.experiments],
     )
     fastest = max(float(np.abs(v).max(initial=0.0)) for v in motion.speed)
-    if fastest <= 0:
+    if fastest <= 0 or _leaps(motion):
         return
     for code, test in _TESTS.items():
         found = test(motion, fastest)
         if found is not None:
             text, values = found
             yield Lack(code, recording.axes[axis], f"{recording.axes[axis]}: {text}", values)
+
+
+def _leaps(motion: _Motion) -> bool:
+    """Whether a torque that is never negative leaps over its middle: a signed number read as unsigned.
+
+    Import says so elsewhere; it shows neither a limit nor a magnitude.
+    """
+    torque = np.concatenate(motion.torque) / max(float(t.max()) for t in motion.torque)
+    return bool(torque.min() >= 0 and not ((torque > MIDDLE[0]) & (torque < MIDDLE[1])).any())
 
 
 def _speed(e: Experiment, axis: int) -> Float64:
@@ -81,7 +92,7 @@ def _speed(e: Experiment, axis: int) -> Float64:
     steps = np.abs(np.diff(position))
     count = float(np.min(steps, initial=np.inf, where=steps > 0))
     usual = float(np.quantile(steps, 0.9)) or count
-    rows = int(np.clip(np.ceil(10 * count / usual), 1, max(position.size // 50, 1)))
+    rows = int(np.clip(np.nan_to_num(np.ceil(10 * count / usual)), 1, max(position.size // 50, 1)))
     smooth: Float64 = scipy.ndimage.uniform_filter1d(np.diff(position) / np.diff(time), rows)
     return smooth
 

@@ -22,6 +22,7 @@ from invid.rigid_motion.fit import (
     noise_of,
     settled,
 )
+from invid.rigid_motion.memory import with_memory
 from invid.rigid_motion.record_kind import grounded_axes
 from invid.rigid_motion.rows import Rows, colour_of
 from invid.rigid_motion.search import search
@@ -82,8 +83,8 @@ def analyse(recording: Recording) -> Analysis:
     first = [*base, *first_terms(reach, springs)]
     fullest = [*first, *(t for t in candidates if _is_of_fullest(t))]
     fullest += [t for i in range(rows.axes) for t in any_law(rows, i, "velocity")]
-    if not reach.steady:
-        rows.bend(_time_offsets(rows, fit_terms(rows, first)))
+    late = np.zeros(rows.axes) if reach.steady else _time_offsets(rows, fit_terms(rows, first))
+    rows.bend(late)
     rows.set_colour(colour_of(rows, fit_terms(rows, fullest).residual))
     with budget.use_share(0.8, 0.1, 0.9):
         final, is_cut = search(rows, first, candidates)
@@ -91,6 +92,8 @@ def analyse(recording: Recording) -> Analysis:
         if settled_offsets is not final:
             final, is_cut = search(rows, settled_offsets.terms, candidates)
     final = add_laws(rows, without_wrong_laws(rows, final))
+    if not reach.steady:
+        rows, final = with_memory(rows, final, candidates, late)
     loads = [t for t in load_terms(rows, final) if all(t.label != n.label for n in final.terms)]
     rigid = fit_terms(rows, [t for t in final.terms if t.is_base])
     return Analysis(recording, band, rows, reach, springs, [*candidates, *loads], rigid, final, is_cut)
@@ -99,6 +102,8 @@ def analyse(recording: Recording) -> Analysis:
 def _is_of_fullest(term: Term) -> bool:
     """Whether a candidate belongs to the fullest model: what that leaves is how the unknown force is
     correlated, and what a simpler one leaves beside is what it lacks."""
+    if term.law is Base.CARRIED:
+        return True
     is_bend_of_one_kind = len(term.shape) < 2 or term.shape[1] == 2.0
     return isinstance(term.law, SupposedLaw) and term.law is not COGGING and is_bend_of_one_kind
 

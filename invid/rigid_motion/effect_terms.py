@@ -16,7 +16,7 @@ from invid.numerics.arrays import Float64
 from invid.rigid_motion.fit import Fit, joint_covariance
 from invid.rigid_motion.rows import Rows
 from invid.rigid_motion.search import Cause
-from invid.rigid_motion.terms import BEND, BY_DIRECTION, RISE, Base, Term
+from invid.rigid_motion.terms import BEND, BY_DIRECTION, HELD, PRESLIDING, RISE, Base, Term
 
 STEP = 1e-3
 """Step of a derivative over its deviation (numerical)."""
@@ -74,6 +74,9 @@ def _sizes(cause: Cause, x: Float64) -> dict[str, float]:
     if head.law is RISE:
         out = {"static": dry + float(values[RISE][0]), "coulomb": dry}
         return out | _bend(shapes[RISE], "velocity")
+    if head.law is PRESLIDING:
+        out = PRESLIDING.parameters(values[PRESLIDING], shapes[PRESLIDING], 1.0)
+        return out | {"torque": out["torque"] + float(values.get(HELD, none)[0])}
     if isinstance(head.law, Part | Base):
         return {BY_CAUSE[cause.name].main: float(x[0])}
     return head.law.parameters(values[head.law], shapes.get(head.law, ()), 1.0)

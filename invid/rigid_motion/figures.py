@@ -9,6 +9,7 @@ import numpy as np
 from invid.numerics.arrays import Bool, Float64
 from invid.rigid_motion.analysis import Analysis
 from invid.rigid_motion.fit import load_terms
+from invid.rigid_motion.rows import Rows
 from invid.rigid_motion.terms import LEAST_TRAVEL, LOADS
 
 
@@ -20,7 +21,16 @@ def figures_of(a: Analysis) -> dict[str, Any]:
         parts = (("fit", a.final.residual, rows.train), ("held_out", a.final.held_out, rows.judged))
         return {n: _relative_error(left[at & mine], rows.torque[at & mine]) for n, left, at in parts}
 
+    whole = Rows([m.whole() for m in rows.motions])
+    left = whole.torque - whole.matrix(a.final.terms) @ a.final.value
+    every = {
+        name: _relative_error(
+            left[whole.judged & (whole.axis == i)], whole.torque[whole.judged & (whole.axis == i)]
+        )
+        for i, name in enumerate(a.recording.axes)
+    }
     return {
+        "relative_torque_error_percent_every_row": every,
         "relative_torque_error_percent": {n: errors(rows.axis == i) for i, n in enumerate(a.recording.axes)},
         "relative_torque_error_percent_all_axes": errors(rows.axis >= 0),
         "not_shown": _axes_not_shown(a),

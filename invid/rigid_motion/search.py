@@ -20,6 +20,8 @@ from invid.rigid_motion.terms import (
     BY_DIRECTION,
     COGGING,
     GRAVITY,
+    HELD,
+    PRESLIDING,
     RISE,
     Base,
     Term,
@@ -38,6 +40,8 @@ OF_LOOKING = 4.0
 LEAST_GAIN = 0.1
 """Least share of the power that rows kept out miss on an axis that a cause takes. Empirical: on measured axes
 the rigid model itself is wrong by some per cent of it in ways that any smooth law absorbs."""
+CHOSEN = (Base.CONFIGURATION, Base.CARRIED)
+"""Parts of the base that stay only where they pay."""
 FRICTION = (Part.DRY, Part.VISCOUS, Part.OFFSET)
 BY_WAY: tuple[object, ...] = (BEND, BY_DIRECTION)
 """Laws that make of a motor's friction one that differs by direction."""
@@ -62,6 +66,11 @@ def causes_of(terms: Sequence[Term]) -> list[Cause]:
             whole = (*heads, *(t for t in here if t.law in parts))
             out.append(Cause(heads[0].cause, whole))
             here = [t for t in here if t not in whole]
+        slid = [t for t in here if t.law is PRESLIDING]
+        if slid:
+            whole = (*slid, *(t for t in here if t.law is HELD))
+            out.append(Cause(PRESLIDING.cause, whole))
+            here = [t for t in here if t not in whole]
         out += [Cause(t.cause, (t,)) for t in here]
     return out
 
@@ -71,7 +80,7 @@ def search(rows: Rows, base: list[Term], candidates: Sequence[Term]) -> tuple[Fi
     current, seen = settled(rows, base), set()
     while True:
         current, cut = _with_further(rows, current, candidates)
-        current = _without_idle(rows, current, candidates)
+        current = without_idle(rows, current, candidates)
         labels = frozenset(t.label for t in current.terms)
         if cut or labels in seen:
             return current, cut or budget.is_left_out("further causes")
@@ -152,11 +161,11 @@ def with_term(rows: Rows, current: Fit, term: Term, grid: Sequence[Term] = ()) -
         terms = [*(t for t in terms if fits_beside(offset, t)), offset]
     terms.append(term)
     for shaped in [t for t in terms if t.shape]:
-        terms = _reshaped(rows, terms, shaped, [t for t in grid if t.label == shaped.label])
+        terms = reshaped(rows, terms, shaped, [t for t in grid if t.label == shaped.label])
     return settled(rows, terms)
 
 
-def _reshaped(rows: Rows, terms: list[Term], term: Term, grid: Sequence[Term]) -> list[Term]:
+def reshaped(rows: Rows, terms: list[Term], term: Term, grid: Sequence[Term]) -> list[Term]:
     """The terms with the shape of one at the best point of its grid, then between these."""
     at = next(k for k, t in enumerate(terms) if t is term)
 
@@ -179,7 +188,7 @@ def _reshaped(rows: Rows, terms: list[Term], term: Term, grid: Sequence[Term]) -
     return moved(with_shape(result.x) if result.fun < left(best) else best)
 
 
-def _without_idle(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit:
+def without_idle(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit:
     """The fit without what does not pay beside all others, the cheapest first."""
     while not budget.is_left_out("causes that others make superfluous"):
         bound = [t for t in current.terms if not t.is_base and not current.free[current.span(t)].any()]
@@ -188,7 +197,7 @@ def _without_idle(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit:
             current = settled(rows, [t for t in current.terms if id(t) not in gone])
             continue
         idle = []
-        for term in [t for t in current.terms if not t.is_base or t.law is Base.CONFIGURATION]:
+        for term in [t for t in current.terms if not t.is_base or t.law in CHOSEN]:
             simpler = settled(rows, _less(current.terms, term))
             if not _pays(rows, term, candidates, (simpler, current)):
                 idle.append((sum(falls(rows, simpler, current)), simpler))

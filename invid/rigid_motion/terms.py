@@ -16,8 +16,10 @@ from invid.effects.catalogue.asymmetric_friction import AsymmetricAtMotor, LowSp
 from invid.effects.catalogue.cogging import CoggingLaw
 from invid.effects.catalogue.cubic_stiffness import CubicStiffnessLaw
 from invid.effects.catalogue.gravity import GravityLaw
+from invid.effects.catalogue.presliding_friction import HeldAtMotor, PreslidingAtMotor
 from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.effects.large_motion.quadratic_stiffness import QuadraticStiffnessLaw
+from invid.effects.laws.slider import SliderLaw, slide
 from invid.effects.supposed.law import Shape, SpotMotion, SupposedLaw
 from invid.effects.supposed.of_effect import EffectLaw
 from invid.effects.supposed_laws import supposed_laws
@@ -43,12 +45,14 @@ class Base(Enum):
     TIME_OFFSET = "time_offset"
     COUPLING = "coupling"
     CONFIGURATION = "configuration"
+    CARRIED = "carried_weight"
     GROUND_SPRING = "ground_spring"
     DELAY = "torque_delay"
 
 
 GRAVITY, COGGING, BY_DIRECTION = GravityLaw(), CoggingLaw(), AsymmetricAtMotor()
 RISE, BEND, ANY_BEND = LowSpeed(0.0), LowSpeed(-np.inf, -np.inf), LowSpeed(-np.inf)
+HELD, PRESLIDING = HeldAtMotor(), PreslidingAtMotor()
 SPRINGS = (CubicStiffnessLaw(), QuadraticStiffnessLaw())
 LOADS = (LoadFrictionLaw(whole=False), LoadFrictionLaw(whole=True))
 CAUSES = dict(FRICTION)
@@ -85,8 +89,8 @@ class Term:
         """(k,) least coefficients."""
         if isinstance(self.law, SupposedLaw):
             return self.law.low
-        if self.law is Base.CONFIGURATION:
-            return (-np.inf, -np.inf)
+        if self.law in (Base.CONFIGURATION, Base.CARRIED):
+            return (-np.inf,) * (2 if self.law is Base.CONFIGURATION else 4)
         return (0.0 if self.law in (Base.INERTIA, Part.DRY, Part.VISCOUS) else -np.inf,)
 
     @property
@@ -97,7 +101,7 @@ class Term:
     @property
     def axes(self) -> list[int]:
         """The axes whose torque it is part of."""
-        return [self.axis] if self.other is None else [self.axis, self.other]
+        return [self.axis] if self.other is None or self.law is Base.CARRIED else [self.axis, self.other]
 
     @property
     def label(self) -> tuple[object, int, int | None]:
@@ -122,6 +126,9 @@ def columns(term: Term, motion: Motion) -> Float64:
             out[:, i, 0], out[:, j, 0] = motion.acceleration[:, j], motion.acceleration[:, i]
         case Base.CONFIGURATION:
             _fill_configuration(out, motion, i, j)
+        case Base.CARRIED:
+            both = [motion.position[:, i] + sign * motion.position[:, j] for sign in (1.0, -1.0)]
+            out[:, i] = np.stack([f(angle) for angle in both for f in (np.sin, np.cos)], axis=1)
         case Base.GROUND_SPRING:
             out[:, i, 0] = motion.position[:, i]
         case Base():
@@ -129,6 +136,10 @@ def columns(term: Term, motion: Motion) -> Float64:
         case Part():
             width = FrictionShape(max(0.5 * float(motion.rest[i]), 1e-300), 1.0)
             out[:, i, 0] = force(term.law, motion.velocity[:, i], width)
+        case SliderLaw():
+            # Its place is the reading's: what a filter takes away at a stop looks like a way back.
+            most = float(np.exp(term.shape[0])) if term.shape else float(motion.blur[i])
+            out[:, i, 0] = slide(motion.reading[:, i], most, periodic=False) / most
         case law:
             out[:, term.axes] = law.waves(spot_motion(term, motion), term.shape)[:, None]
     return out
@@ -223,7 +234,10 @@ def first_terms(reach: Extent, springs: set[int]) -> list[Term]:
         hangs = reach.travel.size == 2 and i == 1 and reach.falls(0, set())
         weight = Term(GRAVITY, i, other=0 if hangs else None)
         terms += [Term(Part.DRY, i), Term(Part.VISCOUS, i)]
-        terms.append(weight if reach.falls(i, springs) else Term(Part.OFFSET, i))
+        if reach.falls(i, springs):
+            terms.append(weight)
+        elif reach.both_ways[i]:  # one way a constant torque is dry friction, which is expected
+            terms.append(Term(Part.OFFSET, i))
     return terms
 
 
@@ -234,7 +248,7 @@ def candidate_terms(reach: Extent, springs: set[int], motions: Sequence[Motion])
         slow = float(reach.slow[i])
         speeds = np.geomspace(slow, max(LOW_SPEED * reach.speed[i], 1.01 * slow), SPEEDS if slow > 0 else 0)
         bends = [(float(np.log(s)), exponent) for exponent in (1.0, 2.0) for s in speeds]
-        found += [Term(part, i) for part in (Part.DRY, Part.VISCOUS, Part.OFFSET)]
+        found += [Term(part, i) for part in (Part.DRY, Part.VISCOUS, Part.OFFSET)[: 2 + reach.both_ways[i]]]
         found += [Term(RISE, i, shape) for shape in bends]
         if reach.both_ways[i]:
             found += [Term(BEND, i, shape) for shape in bends] + [Term(BY_DIRECTION, i)]
@@ -246,6 +260,10 @@ def candidate_terms(reach: Extent, springs: set[int], motions: Sequence[Motion])
         laws = [law for law in supposed_laws(linear=not reach.rotary) if isinstance(law, EffectLaw)]
         laws = [law for law in laws if any(p.kind == "mass" for p in law.places(ONE_MASS))]
         found += [Term(law, i, shape) for law in laws for shape in law.shapes(spots)]
+    if reach.travel.size > 2:
+        # Without the arm's geometry: of two joints a weight knows but what they turn by together.
+        falling = [i for i in range(reach.travel.size) if reach.falls(i, springs)]
+        found += [Term(Base.CARRIED, i, other=j) for i in falling for j in falling if i != j]
     if reach.travel.size == 2 and reach.falls(0, set()) and reach.falls(1, set()):
         found += [Term(GRAVITY, 1, other=0), Term(Base.CONFIGURATION, 0, other=1)]
     return found

@@ -8,7 +8,7 @@ biases nothing (Gautier's parallel filter).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,10 @@ from invid.recording.model import Experiment, Kind, Role
 from invid.signals.spectra import is_integrated_velocity
 from invid.signals.timebase import resample_uniformly
 
-NOISE_MARGIN = 10.0
-"""Power of the motion over its noise at the cut-off: 10 dB, below which a derivative is mostly noise."""
+NOISE_MARGIN = 5.0
+"""Power of the acceleration over its noise that a wider band must bring, all that it adds together: a
+trajectory has nulls below its cut-off. Empirical: on eight measured axes 3 and 10 predict worse than 5
+(docs/tutorial/real-machines.md)."""
 TORQUE_BAND = 1.0
 """Rows reach as far as the torque does (the filter's roll-off adds a quarter). Empirical: on a measured
 two-link arm 1.0 to 1.5 give the same parameters within 5 %; from 2 up, where it only vibrates, not."""
@@ -31,6 +33,8 @@ ROW_ROLL_OFF = (0.0, 2.0)
 that what friction does at a reversal does not ring through the rows beside it."""
 REACH = 0.5
 """Half the length of the rows' filter, in periods of its cut-off: a fortieth of its response lies beyond."""
+BLUR = 3.0
+"""Deviations of a reading's noise within which it shows no change of direction (statistical)."""
 _NOISE_BAND = 0.75
 """The noise is read above this part of the Nyquist band."""
 BATCHES = 40
@@ -88,6 +92,10 @@ class Motion:
     row_step: float
     rest: Float64
     """(M,) speed below which an axis counts as standing, from the velocity noise."""
+    reading: Float64
+    """(n, M) position as read, of all frequencies."""
+    blur: Float64
+    """(M,) travel within which noise and counts of the reading hide the direction."""
     steady: bool
     band: Band
     keep: Bool
@@ -103,6 +111,12 @@ class Motion:
             mean: Float64 = columns.mean(axis=0, keepdims=True)
             return mean
         return reduce_rate(columns, self.step, self.band.rows_hz)[self.keep]
+
+    def whole(self) -> Motion:
+        """The same with every row, those in which an axis stands or reverses too."""
+        every = np.ones(self.keep.size, dtype=np.bool_)
+        far, noise = (np.broadcast_to(x, (every.size, self.blur.size)) for x in (True, self.row_noise[:1]))
+        return replace(self, keep=every, far=np.array(far), row_noise=np.array(noise))
 
 
 def derivative(
@@ -259,10 +273,11 @@ def find_band(experiments: tuple[Experiment, ...]) -> Band:
     nyquist = 0.5 / even.step
     cutoffs = []
     for axis in range(power.shape[1]):
-        low = np.flatnonzero(power[1:, axis] < NOISE_MARGIN * floor[axis]) + 1
-        cutoffs.append(float(frequency[low[0]]) if low.size else 0.8 * nyquist)
+        gained = np.cumsum((power[:, axis] - NOISE_MARGIN * floor[axis]) * frequency**4)
+        if gained.max() > 0:  # an axis that stands flickers, and says nothing of how fast the others move
+            cutoffs.append(float(frequency[int(np.argmax(gained))]))
     # At least eight cycles in the record: below that nothing can be separated from the ends.
-    motion = float(np.clip(min(cutoffs), 8.0 / longest.duration, 0.8 * nyquist))
+    motion = float(np.clip(min(cutoffs, default=0.0), 8.0 / longest.duration, 0.8 * nyquist))
     # Nonlinear terms are evaluated on the motion up to its cut-off and compared below half of that, where the
     # harmonics that the cut-off takes away are missing least.
     carried_bands = 0.6 * motion if motion >= 0.6 * nyquist else 0.5 * motion
@@ -324,6 +339,7 @@ def prepare_rows(experiment: Experiment, band: Band) -> Motion:
     # Where counts come more slowly than the cut-off the derivative shows the counts, not the motion.
     noise = band.noise(1, np.full(position.shape[1], cutoff))
     rest = np.maximum(3.0 * np.sqrt(noise), counts * cutoff)
+    unread = np.sqrt(band.noise(0, np.full(position.shape[1], 0.5 / step)))
     inner = _without_jumps(acceleration, step, cutoff)
     position, velocity, acceleration = position[inner], velocity[inner], acceleration[inner]
     moving = (np.abs(velocity) > rest).astype(float)
@@ -357,6 +373,8 @@ def prepare_rows(experiment: Experiment, band: Band) -> Motion:
         step=step,
         row_step=stride * step,
         rest=rest,
+        reading=np.asarray(even.position)[inner],
+        blur=np.maximum(np.maximum(BLUR * unread, counts), 1e-300),
         steady=False,
         band=band,
         keep=keep,
@@ -441,6 +459,8 @@ def _constant_velocity_row(experiment: Experiment, stretch: slice, band: Band) -
         step=float(np.median(np.diff(time))),
         row_step=float(time[-1] - time[0]),
         rest=np.zeros(position.shape[1]),
+        reading=np.asarray(position),
+        blur=np.full(position.shape[1], 1e-300),
         steady=True,
         band=band,
         keep=np.ones(1, dtype=np.bool_),

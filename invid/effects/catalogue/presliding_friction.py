@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from invid.effects.catalogue.coulomb_friction import InnerDry
+from invid.effects.catalogue.coulomb_friction import CoulombFriction, InnerDry
 from invid.effects.effect import Experiment
-from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
 from invid.effects.laws.slider import SliderEffect, SliderLaw
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, share
-from invid.effects.supposed.law import AtMotor, InnerLaw
+from invid.effects.supposed.law import AtMotor, InnerLaw, Shape
 from invid.model.place import mass_places
+from invid.numerics.arrays import Float64
 
 
 class PreslidingFriction(SliderEffect):
@@ -27,6 +28,8 @@ class PreslidingFriction(SliderEffect):
     sizes = (Size(FRICTION, share("torque"), 0.15, 0.30, JOINT_SOURCE),)
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        if at.rigid:  # what it gives before it slides is below the travel of such a machine's moves
+            return [ForceLaw(Law.DRY, at.mass(), -1, dry_parameters(abs(at.value("torque"))))]
         return [ForceLaw(Law.SLIDER, at.mass(), -1, (at.positive("stiffness"), abs(at.value("torque"))))]
 
 
@@ -35,6 +38,15 @@ class PreslidingAtMotor(AtMotor, SliderLaw):
 
     effect = PreslidingFriction()
     covers = frozenset({"dry", "rise"})
+
+
+class HeldAtMotor(AtMotor, SliderLaw):
+    """Dry friction that a motor keeps while it stands, and that turns within what its reading shows."""
+
+    effect = CoulombFriction()
+
+    def parameters(self, coefficients: Float64, shape: Shape, stiffness: float) -> dict[str, float]:
+        return {"torque": float(coefficients[0])}
 
 
 class InnerPresliding(InnerLaw, SliderLaw):

@@ -10,6 +10,7 @@ import numpy as np
 from invid.effects.effect import Effect
 from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw, extent
 from invid.numerics.arrays import Float64
+from invid.numerics.compiled import compiled
 
 MOST_OPEN = 0.01
 """Distance between start and end, over the range of the motion, up to which a record counts as periodic.
@@ -19,21 +20,19 @@ Empirical: after two settled periods a thousandth is left; a record from rest ma
 def slide(x: Float64, most: float, *, periodic: bool) -> Float64:
     """(n,) displacement of a slider that slides at ``most``: the periodic state, or from rest.
 
-    A record that still settles a little has the state of its last period at its start, not that of rest. From
-    one reversal to the next the slider follows or slides.
+    A record that still settles a little has the state of its last period at its start, not that of rest.
     """
-    steps = np.diff(x)
-    turns = np.concatenate(([0], np.flatnonzero(steps[1:] * steps[:-1] <= 0.0) + 1))
     is_closed = abs(float(x[-1] - x[0])) < MOST_OPEN * float(np.ptp(x))
-    z, last, at_turns = 0.0, float(x[0]), list[float]()
-    for _ in range(2 if periodic or is_closed else 1):
-        at_turns = []
-        for place in x[turns].tolist():
-            z, last = min(max(z + place - last, -most), most), place
-            at_turns.append(z)
-        z, last = min(max(z + float(x[-1]) - last, -most), most), float(x[-1])
-    part = np.searchsorted(turns, np.arange(x.size), side="right") - 1
-    out: Float64 = np.clip(np.array(at_turns)[part] + x - x[turns][part], -most, most)
+    return _slid(np.ascontiguousarray(x), most, 2 if periodic or is_closed else 1)
+
+
+@compiled
+def _slid(x: Float64, most: float, rounds: int) -> Float64:
+    out, z, last = np.empty_like(x), 0.0, x[0]
+    for _ in range(rounds):
+        for k in range(x.size):
+            z = min(max(z + x[k] - last, -most), most)
+            out[k], last = z, x[k]
     return out
 
 

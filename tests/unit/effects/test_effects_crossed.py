@@ -51,7 +51,7 @@ ELASTIC.append(EmpiricalLaw().known(EffectTerm("empirical_law", "J1", {}, table=
 EVERY = [*ELASTIC, *LARGE_MOTION]
 """All effects, and those that an elastic machine can have."""
 NO_LARGE_MOTION = {
-    "presliding_friction", "torque_lag", "torque_gain", "torque_saturation",
+    "torque_lag", "torque_gain", "torque_saturation",
     "encoder_eccentricity", "dropped_samples", "spring_damping", "backlash", "spring_hysteresis",
     "transmission_error", "extra_mode", "coupling_stiffness", "base_compliance", "payload_change",
     "parameter_drift",

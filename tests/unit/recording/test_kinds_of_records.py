@@ -525,10 +525,13 @@ SWING = 0.4 * np.sin(9 * TIME)
         (3.0 + 0.2 * ANGLE, TORQUE, {"one_pose"}),
         (ANGLE, np.abs(TORQUE), {"magnitude"}),
         (ANGLE, np.hypot(TORQUE, 0.01), {"magnitude"}),
+        (ANGLE, np.mod(np.rint(1000 * TORQUE), 65536.0), set()),
+        (0.0 * ANGLE, TORQUE, set()),
         (0.5 * np.arcsin(np.sin(7 * TIME)), 2 * np.sign(np.cos(7 * TIME)) + 1e-3 * TORQUE, {"one_amplitude"}),
     ],
     ids=["several lines", "one way", "one way, slower and faster", "a sine", "to and fro", "cut off",
          "cut off and noisy", "near one pose", "near another", "without a sign", "rectified",
+         "signed read as unsigned", "stands",
          "friction at one speed"],
 )  # fmt: skip
 def test_what_a_record_cannot_tell_is_said_before_any_fit(tmp_path, capsys, position, torque, codes):

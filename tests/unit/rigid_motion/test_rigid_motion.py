@@ -192,3 +192,22 @@ def test_a_rigid_model_simulates_the_experiments_asked_for_alone():
     data = recording(one, replace(one, key="001"))
     answer = simulated(identify_trajectory(data), data, only=["001"])
     assert [e.key for e in answer.experiments] == ["001"]
+
+
+def test_dry_friction_that_gives_before_it_slides_is_named_with_its_stiffness():
+    """A slider of 60 N·m/rad that slides at 1.2 N·m: most of the record's reversals lie within its travel."""
+    last, z = 0.0, 0.0
+
+    def slider(q: float, v: float, t: float) -> float:
+        nonlocal last, z
+        z, last = min(max(z + q - last, -0.02), 0.02), q
+        return 60.0 * z
+
+    data = recording(simulate(np.random.default_rng(5), extra=slider, wet=(0.4, 0.4), stroke=0.2))
+    diagnosis = diagnose_trajectory(data)
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert set(found) == {"presliding_friction", "viscous_friction"}
+    assert found["presliding_friction"].value("torque") == pytest.approx(1.2, rel=0.05)
+    assert found["presliding_friction"].value("stiffness") == pytest.approx(60.0, rel=0.2)
+    every = diagnosis.details["relative_torque_error_percent_every_row"]["A1"]
+    assert every == pytest.approx(diagnosis.details["relative_torque_error_percent"]["A1"]["fit"], rel=0.5)

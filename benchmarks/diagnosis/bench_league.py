@@ -1,0 +1,170 @@
+"""The share of the held-out torque that is missed on real machines: ours, strong peers', published.
+
+One definition for all: every held-out sample, standing and reversing ones too, below the record's band; rms
+over that of the torque. Without a part to validate the last experiment is kept out, of a single one the last
+quarter.
+
+    python -m benchmarks.diagnosis.bench_league [WORD …]     records whose title holds a word; all without
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.diagnosis.bench_real_data import DATA, ROOT
+from benchmarks.diagnosis.peer_torque import missed, shares
+from invid import import_recording
+from invid.diagnosis.rigid import diagnose_trajectory
+from invid.diagnosis.unknown_forces.elastic import diagnose_elastic
+from invid.diagnosis.unknown_forces.structure_at_start import begin_with_structure
+from invid.identification.begun import begin_elastic
+from invid.identification.machine_kind import machine_kind
+from invid.model.diagnosis_document import Diagnosis
+from invid.numerics import budget
+from invid.recording import Experiment, Recording, Role
+from invid.rigid_motion.analysis import Analysis, analyse
+from invid.rigid_motion.terms import columns
+from invid.signals.motion_record import derivative, prepare_rows
+from invid.signals.timebase import resample_uniformly
+
+MAPS = (Path(__file__).with_name("maps"), ROOT / "configs" / "import")
+LEAGUE: list[tuple[str, str, str, float, str]] = [
+    ("ball screw, pulses", "emps", "emps", 50.0, "6.0"),
+    ("double pendulum", "double_pendulum", "double_pendulum", 10.0, "11.9 of both"),
+    ("large robot, axis 1", "kr300", "kr300", 10.0, ""),
+    ("geared pendulum", "simple_pendulum", "simple_pendulum", 10.0, ""),
+    ("two servos, steps", "hsm150", "hsm150", 20.0, ""),
+    ("Panda joint 7", "panda", "panda_joint_7", 10.0, ""),
+    ("UR10e joint 2", "ur10e/joint_2.csv", "ur10e_joint_2", 10.0, ""),
+    ("UR10e joint 3", "ur10e/joint_3.csv", "ur10e_joint_3", 10.0, ""),
+    ("UR10e joint 5", "ur10e/joint_5.csv", "ur10e_joint_5", 10.0, ""),
+    ("OpenArm joint 3", "openarm/joint_3.npz", "openarm_joint_3", 5.0, ""),
+    ("OpenArm joint 6", "openarm/joint_6.npz", "openarm_joint_6", 5.0, ""),
+    ("TIAGo arm", "tiago", "tiago_arm", 10.0, ""),
+    ("TX40 arm", "tx40", "tx40", 20.0, ""),
+    ("motor bench, current", "flexible_drive/MultisineTypeB.mat", "flexible_drive", 250.0, ""),
+]
+"""Title, source, map, band [Hz], published share [%] of kept-out torque; `league_data.sh` brings what
+`invid fetch-data` does not."""
+BUDGET = 60.0
+"""Seconds of processor time: the command's own."""
+LEVEL = 0.1
+"""Relative difference of two figures up to which they are called level (a guess)."""
+Parts = list[list[tuple[np.ndarray, np.ndarray, float]]]
+
+
+def kept_out(recording: Recording) -> Recording:
+    """The recording with a part to validate: its last experiment, of a single one the last quarter."""
+    *first, last = recording.experiments
+    if recording.with_role(Role.VALIDATE):
+        return recording
+    if first:
+        return replace(recording, experiments=(*first, replace(last, role=Role.VALIDATE)))
+    cut = 3 * last.samples // 4
+    parts = [
+        replace(
+            last, key=f"{i:03d}", role=role, time=last.time[rows], position=last.position[rows],
+            torque=last.torque[rows], torque_demand=None, status=None,
+        )
+        for i, (role, rows) in enumerate(
+            [(Role.IDENTIFY, slice(0, cut)), (Role.VALIDATE, slice(cut, None))]
+        )
+    ]  # fmt: skip
+    return replace(recording, experiments=tuple(parts))
+
+
+def of_rigid_axes(a: Analysis, e: Experiment, axes: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """Torque of each axis at every sample, what the terms say of it, and the step."""
+    even = resample_uniformly(e)
+    motion = [derivative(even.position, even.step, a.band.motion_hz, k) for k in range(3)]
+    rate = derivative(even.torque, even.step, a.band.motion_hz, 1)
+    m = replace(
+        prepare_rows(e, a.band), position=motion[0], velocity=motion[1], acceleration=motion[2],
+        torque=even.torque, torque_rate=rate, reading=np.asarray(even.position),
+    )  # fmt: skip
+    told = sum(columns(t, m) @ a.final.of(t)[0] for t in a.final.terms)
+    return [(even.torque[:, i], told[:, i], even.step) for i in range(axes)]
+
+
+def of_chains(found: Diagnosis, e: Experiment, axes: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """The same of an elastic machine: the stiffness that its motors feel, and linear effects beside it."""
+    chains, even = found.model.chains, resample_uniformly(e)
+    damping, motors = np.array(chains.damping_matrix), chains.motor_dofs
+    for effect in found.model.effects:
+        if effect.cause == "viscous_friction":
+            mass = (
+                motors[found.model.axes.index(effect.axis)] + int((effect.element or "mass 1").split()[1]) - 1
+            )
+            damping[mass, mass] += effect.value("coefficient")
+    jw = 2j * np.pi * np.fft.rfftfreq(even.samples, even.step)[1:, None, None]
+    whole = chains.stiffness_matrix + jw * damping + jw**2 * chains.mass_matrix
+    felt = np.linalg.inv(np.linalg.inv(whole)[:, motors][:, :, motors])
+    late = [0.0] * axes
+    for effect in found.model.effects:
+        if effect.cause == "torque_delay":
+            late[found.model.axes.index(effect.axis)] += effect.value("delay")
+    wave = np.einsum("fij,fj->fi", felt, np.fft.rfft(even.position - even.position.mean(0), axis=0)[1:])
+    wave *= np.exp(jw[:, :, 0] * np.array(late))
+    told = np.fft.irfft(np.concatenate([np.zeros((1, axes)), wave]), even.samples, axis=0)
+    return [(even.torque[:, i] - even.torque[:, i].mean(), told[:, i], even.step) for i in range(axes)]
+
+
+def ours(recording: Recording) -> tuple[Diagnosis, Parts]:
+    """The diagnosis, and of each axis the held-out parts with what its model says of them."""
+    with budget.use_budget(budget.Budget(BUDGET, time.process_time)), np.errstate(all="ignore"):
+        begin = cache(partial(begin_elastic, recording, None, start=begin_with_structure))
+        with budget.use_share(1.0, 0.0, 0.3):
+            kind = machine_kind(recording, None, begin, 0.5)
+        held, axes = recording.with_role(Role.VALIDATE), recording.axis_count
+        if kind.rigid:
+            a = kind.analysis or analyse(recording)
+            found = diagnose_trajectory(recording, analysis=a)
+            parts = [of_rigid_axes(a, e, axes) for e in held]
+        else:
+            found = diagnose_elastic(begin())
+            parts = [of_chains(found, e, axes) for e in held]
+    return found, [list(p) for p in zip(*parts, strict=True)]
+
+
+def main(wanted: list[str]) -> int:
+    """Print the league; the exit status is 1 where the product is behind a peer."""
+    behind, names = 0, ("rigid", "+ ripple, memory", "FIR or ARX")
+    heads = ["record", "axis", "ours", *names, "published", "", "own figure", "CPU s", "named"]
+    print(f"Missed torque, kept out [%]\n\n| {' | '.join(heads)} |\n|{' --- |' * len(heads)}")
+    for title, source, chart, below_hz, published in LEAGUE:
+        if wanted and not any(w in title for w in wanted):
+            continue
+        if not (DATA / source).exists():
+            print(f"| {title} | NOT RUN: {DATA / source} is not there |")
+            continue
+        map_file = next(m / f"{chart}.yaml" for m in MAPS if (m / f"{chart}.yaml").exists())
+        recording = kept_out(import_recording(DATA / source, map_file))
+        began = time.process_time()
+        found, parts = ours(recording)
+        spent = time.process_time() - began
+        peers = shares(recording, below_hz)
+        power = np.sqrt(
+            np.mean(np.concatenate([e.torque for e in recording.with_role(Role.VALIDATE)]) ** 2, axis=0)
+        )
+        for i, row in enumerate(found.residual):
+            own, best = missed(parts[i], below_hz), min(peers[n][i] for n in names)
+            stands = "level" if abs(own / best - 1.0) <= LEVEL else "ahead" if own < best else "BEHIND"
+            behind += stands == "BEHIND"
+            figures = " | ".join(f"{100 * x:.3g}" for x in (own, *(peers[n][i] for n in names)))
+            said = ", ".join(f"{f.cause} {f.confidence:.2f}" for f in found.findings if f.axis == row.axis)
+            print(
+                f"| {title} | {row.axis} | {figures} | {published} | {stands} | "
+                f"{100 * row.after / power[i]:.3g} | {spent:.0f} | {found.verdict}: {said} |",
+                flush=True,
+            )
+    return int(behind > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,69 @@
+"""Friction with a memory: as it was when an axis stopped it stays until that has moved back by a travel.
+
+Where an axis stands or reverses its velocity says little of its dry friction, and a search leaves such rows
+out. Whether friction has a memory shows there alone: it is weighed on every row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
+from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.worth import NUMBER, PRICE_OF_FRICTION, pays
+from invid.numerics import budget
+from invid.numerics.arrays import Float64
+from invid.rigid_motion.fit import Fit, axis_powers, falls, fit_terms, settled
+from invid.rigid_motion.rows import Rows, colour_of
+from invid.rigid_motion.search import BY_WAY, LEAST_GAIN, OF_LOOKING, reshaped, without_idle
+from invid.rigid_motion.terms import HELD, PRESLIDING, RISE, Term
+
+YIELDS, LARGEST = 16, 0.1
+"""Travels at which an element slides that are looked at, and the largest over the axis's travel: what gives
+farther is a spring (empirical)."""
+
+
+def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term], late: Float64) -> tuple[Rows, Fit]:
+    """Every row and the fit with memory in the dry friction of axes where that pays; else as given.
+
+    Two elements in parallel at most, one that slides at once and one after a travel: generalised Maxwell slip
+    (Al-Bender, Lampaert, Swevers, IEEE Transactions on Automatic Control 50(11), 2005).
+    """
+    whole = Rows([m.whole() for m in rows.motions])
+    whole.bend(late)
+    current = settled(whole, final.terms)
+    whole.set_colour(colour_of(whole, current.residual))
+    found = False
+    for axis in range(rows.axes):
+        if budget.is_left_out("friction with a memory"):
+            break
+        better = _on_axis(whole, current, axis)
+        if better is not None:
+            current, found = better, True
+    return (whole, without_idle(whole, current, candidates)) if found else (rows, final)
+
+
+def _on_axis(rows: Rows, current: Fit, axis: int) -> Fit | None:
+    """The fit with memory for what follows the sign of an axis's velocity; ``None`` where it does not pay."""
+    dry = [t for t in current.terms if t.axis == axis and t.law in (Part.DRY, RISE, *BY_WAY)]
+    loaded = [t for t in current.terms if t.axis == axis and isinstance(t.law, LoadFrictionLaw)]
+    rests = [[t for t in current.terms if t not in gone] for gone in (dry, [*dry, *loaded])]
+    low = 2.0 * max(float(m.blur[axis]) for m in rows.motions)
+    high = LARGEST * max(float(np.ptp(m.position[:, axis])) for m in rows.motions)
+    sliders = [Term(PRESLIDING, axis, (float(np.log(y)),)) for y in np.geomspace(low, max(low, high), YIELDS)]
+    held = Term(HELD, axis)
+    options = [[held], *([s] for s in sliders), *([held, s] for s in sliders)]
+    rests = rests if loaded else rests[:1]
+    trials = [t for t in (fit_terms(rows, [*r, *o]) for r in rests for o in options) if t.free[-1]]
+    if not trials:
+        return None
+    terms = min(trials, key=lambda t: t.fitted + NUMBER * t.numbers).terms
+    best = settled(rows, reshaped(rows, terms, terms[-1], ()) if terms[-1].shape else terms)
+    old, new = (axis_powers(rows, rows.judged, f.held_out)[axis] for f in (current, best))
+    more = best.numbers - current.numbers
+    # One law for another brings no number, and has but to be the likelier one.
+    price = NUMBER if more <= 0 else PRICE_OF_FRICTION + OF_LOOKING * float(np.log(len(options)))
+    is_better = pays(*falls(rows, current, best), max(more, 1), price)
+    return best if is_better and new < (1.0 - LEAST_GAIN) * old else None
