@@ -17,6 +17,7 @@ from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoCommunicationError, SdoError
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.stated.declared import declared_of
+from invid_drivers.cia402.stated.node_axis import NodeAxis
 from invid_drivers.cia402.stated.vendors import VENDORS, vendor
 
 PROTECTION = (
@@ -26,6 +27,8 @@ PROTECTION = (
     od.MAX_VELOCITY, od.MAX_MOTOR_SPEED, od.FOLLOWING_WINDOW, od.FOLLOWING_TIME,
 )  # fmt: skip
 """What keeps an axis from doing harm by itself: asked for whatever an EDS says."""
+READ_ONLY = frozenset({0x06010000, 0x06010002, 0x08000020, 0x08000021})
+"""SDO aborts that mean that an object is not to be written at all, whatever the value."""
 
 
 class Access:
@@ -34,7 +37,9 @@ class Access:
     def __init__(self, link: Link, config: AxisConfig, journal: Journal, *, linear: bool) -> None:
         self.config = config
         self.name, self.node_id = config.name, config.node_id
-        self.who = f"axis {self.name} (node {self.node_id})"
+        self.of_node = NodeAxis.by_profile(config.axis_of_node)
+        """Which of its node's axes it is: every object here is that axis's."""
+        self.who = f"axis {self.name} (node {config.place})"
         self.link, self.journal, self.linear = link, journal, linear
         self.serial = 0
         """0x1018:4, from ``check`` on."""
@@ -60,14 +65,11 @@ class Access:
         than the file may have more.
         """
         declared = self.declared
-        if declared is not None and what not in PROTECTION and declared.find(what.index, what.sub) is None:
+        own = self.of_node.at(what)
+        if declared is not None and what not in PROTECTION and declared.find(own.index, own.sub) is None:
             return None
-        try:
-            return what.unpack(self.link.sdo(self.node_id).upload(what.index, what.sub))
-        except SdoAbortedError:
-            return None
-        except SdoError as error:
-            raise self.silence(what, error) from None
+        data = self.peek(what)
+        return None if data is None else what.unpack(data)
 
     def write(self, what: Object, value: int) -> None:
         """Write, journal first; WriteRefused where the drive does not take it."""
@@ -78,7 +80,7 @@ class Access:
         if before is None:
             self.download(what, data)
             return
-        address = (self.node_id, self.serial, what.index, what.sub)
+        address = (self.node_id, self.serial, self.of_node.at(what).index, what.sub)
         self.journal.add(Entry(*address, before.hex(), data.hex()))
         self.download(what, data)
         shown = self.peek(what)
@@ -88,6 +90,7 @@ class Access:
 
     def peek(self, what: Object) -> bytes | None:
         """Bytes of an object; ``None`` where the drive refuses to show it."""
+        what = self.of_node.at(what)
         try:
             return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))[: what.size]
         except SdoAbortedError:
@@ -97,6 +100,7 @@ class Access:
 
     def upload(self, what: Object) -> bytes:
         """Bytes of an object as they came; NoAnswer or ReadRefused where the drive does not give it."""
+        what = self.of_node.at(what)
         try:
             return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))
         except SdoAbortedError as error:
@@ -108,6 +112,7 @@ class Access:
 
     def download(self, what: Object, data: bytes) -> None:
         """Write without journal; WriteRefused where the drive does not take it."""
+        what = self.of_node.at(what)
         try:
             self.link.sdo(self.node_id).download(what.index, what.sub, data)
         except SdoAbortedError as error:
@@ -116,6 +121,21 @@ class Access:
             raise WriteRefused.at(self.name, self.node_id, what, said, code) from None
         except SdoError as error:
             raise self.silence(what, error) from None
+
+    def takes(self, what: Object, value: int) -> bool:
+        """Whether an object can be written at all, tried with the value that stands there.
+
+        What an EDS says counts; a drive that refuses the value only may take another one.
+        """
+        own = self.of_node.at(what)
+        declared = None if self.declared is None else self.declared.find(own.index, own.sub)
+        if declared is not None and declared.access in ("ro", "const"):
+            return False
+        try:
+            self.download(what, what.pack(value))
+        except WriteRefused as error:
+            return error.abort not in READ_ONLY
+        return True
 
     def command(self, what: Object, value: int) -> None:
         """Write an object that is part of running (controlword, mode, targets), without journal."""

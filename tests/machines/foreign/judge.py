@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -108,6 +109,11 @@ def judge(d: Draft, run: Run, timeline: Timeline) -> Verdict:
             bad += _falls(d, name, axis, rows, (at, played))
         far = float(np.abs(rows["q"] - rows["q"][0]).max())
         notes.append(f"{name} {far:.3f} rad {rows['torque'].max():.1f} N·m {STATES[rows['state'][-1]]}")
+    bad += [
+        f"A{k + 1}: what physics lets it fall by was not said before"
+        for k, axis in enumerate(d.axes)
+        if axis.told and not re.search(axis.told, run.words)
+    ]
     bad += _enabled_again(d, run)
     if run.when("master dies") is None:
         bad += _words(d, run, over)
