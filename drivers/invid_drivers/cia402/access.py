@@ -27,6 +27,10 @@ PROTECTION = (
     od.MAX_VELOCITY, od.MAX_MOTOR_SPEED, od.FOLLOWING_WINDOW, od.FOLLOWING_TIME,
 )  # fmt: skip
 """What keeps an axis from doing harm by itself: asked for whatever an EDS says."""
+MISSING = frozenset({0x06020000, 0x06090011, 0x06010001})
+"""SDO aborts of a read that say that there is nothing to read: no object, no subindex, write-only."""
+AGAIN_S = 0.02
+"""Before a drive is asked again that could not answer a question at the moment."""
 READ_ONLY = frozenset({0x06010000, 0x06010002, 0x08000020, 0x08000021})
 """SDO aborts that mean that an object is not to be written at all, whatever the value."""
 
@@ -90,19 +94,25 @@ class Access:
 
     def peek(self, what: Object) -> bytes | None:
         """Bytes of an object; ``None`` where the drive refuses to show it."""
-        what = self.of_node.at(what)
         try:
-            return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))[: what.size]
-        except SdoAbortedError:
+            return self.upload(what)[: what.size]
+        except ReadRefused:
             return None
-        except SdoError as error:
-            raise self.silence(what, error) from None
 
     def upload(self, what: Object) -> bytes:
-        """Bytes of an object as they came; NoAnswer or ReadRefused where the drive does not give it."""
+        """Bytes of an object as they came; NoAnswer or ReadRefused where the drive does not give it.
+
+        An abort that does not say that the object is missing may be of the moment: it is asked again.
+        """
         what = self.of_node.at(what)
         try:
-            return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))
+            try:
+                return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))
+            except SdoAbortedError as error:
+                if int(error.code) in MISSING:
+                    raise
+                self.link.wait(AGAIN_S)
+                return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))
         except SdoAbortedError as error:
             code = int(error.code)
             said = f"{what.address} {what.name} cannot be read: {abort_in_words(code)}"

@@ -489,7 +489,12 @@ class Cia402Cell:
             for a in axes
             if a.story
             and a.carries
-            and (a.state not in holds or a.blind or a.brake_failed or (a.parks is False and a.is_energised))
+            and (
+                a.state not in holds
+                or a.blind
+                or a.brake_failed
+                or (a.is_energised and (a.parks is False or a.driven_since is not None))
+            )
         )
         self.held.note_end(self.held_at_end, self.not_off)
 

@@ -93,6 +93,8 @@ class SupervisedAxis:
     full: Fall | None = None
     driven_since: float | None = None
     brake_failed: bool = False
+    power_is_useless: bool = False
+    """It fell while its drive was still to hold it: its brake closes the sooner without."""
     brake_is_last: bool = False
     """Nothing better than its brake is left, however late it closes."""
     weak: bool = False
@@ -365,8 +367,10 @@ class SupervisedAxis:
         nothing."""
         if self.has_brake and self.state not in (AxisState.BRAKING, AxisState.BRAKED):
             return AxisState.BRAKING
-        if self.is_catchable:
-            return AxisState.CATCHING
+        return AxisState.CATCHING if self.is_catchable else self.last_means()
+
+    def last_means(self) -> AxisState:
+        """What is left where nothing was seen to hold it."""
         if self.holding.config.brake == "drive" and not self.brake_is_last:
             self.brake_is_last = True
             return AxisState.BRAKING

@@ -373,8 +373,12 @@ class Supervisor:
 
     def _react_to_fall(self, a: SupervisedAxis, falls: AxisState | None) -> None:
         if a.state is AxisState.CATCHING:
-            self.enter(a, AxisState.LOST)
+            self.enter(a, a.last_means())
         if falls is None or (a.is_cut and a.state is not AxisState.BRAKING):
+            return
+        if a.state is AxisState.BRAKING and a.is_energised and not a.power_is_useless:
+            a.power_is_useless = True
+            self.enter(a, AxisState.BRAKING)
             return
         if a.state in (AxisState.BRAKING, AxisState.BRAKED):
             a.brake_failed = True
@@ -568,7 +572,7 @@ class Supervisor:
                 return states.QUICK_STOP
             case Command.STAND_BY:
                 late = a.seconds > STAND_BY_S and a.is_energised
-                useless = a.is_cut or a.blind or a.brake_is_last  # its drive is not given it again
+                useless = a.is_cut or a.blind or a.brake_is_last or a.power_is_useless
                 return states.DISABLE_VOLTAGE if late or useless else states.SWITCH_ON
             case Command.ENABLE:
                 if not a.fresh or (a.state is AxisState.ENABLING and self._waits_for_mode(a)):

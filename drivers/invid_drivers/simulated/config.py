@@ -212,10 +212,6 @@ class SimulationConfig(Strict):
     tx_queue_frames: int = Field(default=256, ge=1)
     """Frames that the master may have waiting on the virtual bus."""
     boot_s: float = Field(default=0.002, ge=0, le=60)
-    foreign_nodes: list[int] = Field(default_factory=list)
-    """Node ids of devices on the bus that are not the cell's: operational, as their own master left them."""
-    foreign_heartbeat_s: float = Field(default=0.0, ge=0, le=10)
-    """Period of their heartbeats; 0: none."""
 
     def axis(self, name: str) -> AxisSimulation:
         """The settings of one axis: its own over ``defaults``."""
