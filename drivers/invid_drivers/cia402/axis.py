@@ -25,7 +25,7 @@ from invid_drivers.cia402.standing.stopping import event_timer
 from invid_drivers.cia402.stated.declared import refusal
 from invid_drivers.cia402.stated.node_axis import NodeAxis
 from invid_drivers.cia402.stated.scales import read_factors
-from invid_drivers.cia402.stated.units import Scaling
+from invid_drivers.cia402.stated.units import WHOLE, Scaling
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 
 INVALID = 1 << 31
@@ -334,6 +334,11 @@ class Drive(Access):
         if not can_hold:
             lacks.append("cyclic synchronous position: the drive cannot hold the axis by itself")
         return lacks
+
+    def counts_of_circle(self) -> int:
+        """Counts after which 0x6064 begins again, by 0x607B or of 32 bits."""
+        low, high = self.find(od.RANGE_LOW), self.find(od.RANGE_HIGH)
+        return WHOLE if low is None or high is None or low >= high else high - low + 1
 
     # --- configuration -------------------------------------------------------------------------
     def restore(self) -> tuple[str, ...]:

@@ -129,7 +129,8 @@ class Cia402Cell:
         for i, r in enumerate(self.reports):
             position = r.scaling.direction * r.scaling.position_per_count
             most = r.scaling.most_permille(r.limits.torque.value)
-            self._cycle.scale(i, position=position, torque=r.scaling.torque(1), most=most)
+            span = self._drives[i].counts_of_circle()
+            self._cycle.scale(i, position=position, torque=r.scaling.torque(1), most=most, span=span)
         self.bounds = bounds_of(tighten(self._config, self.reports), self.resolution, self.rated_torque)
         return self.reports
 

@@ -22,7 +22,7 @@ from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.stated.node_axis import NodeAxis
-from invid_drivers.cia402.stated.units import wrapped_difference
+from invid_drivers.cia402.stated.units import WHOLE, wrapped_difference
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 
 UNCERTAIN_CYCLES = 0.2
@@ -96,6 +96,7 @@ class Cycle:
         self._per_mille = [0.0] * count
         self._most = [32767] * count
         self._position_unit = [0.0] * count
+        self._span = [WHOLE] * count
         self._torque_unit = [0.0] * count
         self._started = 0.0
         self._sent = -math.inf
@@ -123,11 +124,15 @@ class Cycle:
         self._counts = [0] * count
         self._next_mode_poll = 0.0
 
-    def scale(self, axis: int, *, position: float, torque: float, most: int = 32767) -> None:
+    def scale(
+        self, axis: int, *, position: float, torque: float, most: int = 32767, span: int = WHOLE
+    ) -> None:
         """Set the position of one count [rad or m] and the torque of one thousandth [N·m or N], with signs.
 
-        ``most``: thousandths that are never exceeded; a target rounded up would pass its limit.
+        ``most``: thousandths that are never exceeded; a target rounded up would pass its limit. ``span``:
+        counts after which 0x6064 begins again.
         """
+        self._span[axis] = span
         self._position_unit[axis] = position
         self._torque_unit[axis] = torque
         self._per_mille[axis] = 1.0 / torque
@@ -180,7 +185,7 @@ class Cycle:
     def place_of(self, axis: int, counts: int) -> float:
         """Position [rad or m] of counts that were read beside the cycle."""
         origin = self._origin[axis]
-        moved = 0 if origin is None else wrapped_difference(counts, origin)
+        moved = 0 if origin is None else wrapped_difference(counts, origin, self._span[axis])
         return ((origin or 0) + moved if origin is not None else counts) * self._position_unit[axis]
 
     def set_object(self, axis: int, what: Object, value: int) -> SettingWrite:
@@ -422,8 +427,8 @@ class Cycle:
         if origin is None:
             origin = self._origin[axis] = counts
         moved = counts - origin
-        if moved > 0x7FFFFFFF or moved < -0x80000000:
-            moved = wrapped_difference(counts, origin)
+        if abs(moved) >= self._span[axis] // 2:
+            moved = wrapped_difference(counts, origin, self._span[axis])
         sample = self.sample
         sample.position[axis] = (origin + moved) * self._position_unit[axis]
         sample.torque[axis] = permille * self._torque_unit[axis]

@@ -245,6 +245,8 @@ class SupervisedAxis:
         if not self.is_energised:
             self.torque_off = sample.torque[i]
         at = sample.position[i]
+        if self.samples == 1 and not self.story:
+            self.place = self.moved_from = at  # it may be held since an earlier run, anywhere
         self.drop = max(self.drop, abs(at - self.place))
         if abs(at - self.moved_from) > self.estimator.tolerance:
             self.moved_from, self.moved_at = at, sample.time
