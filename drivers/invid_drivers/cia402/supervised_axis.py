@@ -369,11 +369,17 @@ class SupervisedAxis:
         nothing."""
         if self.has_brake and self.state not in (AxisState.BRAKING, AxisState.BRAKED):
             return AxisState.BRAKING
-        return AxisState.CATCHING if self.is_catchable else self.last_means()
+        # what fell while its drive held it is not held better by that once more
+        in_vain = self.state in (AxisState.HELD, AxisState.CAUGHT) and self.last_means() is AxisState.BRAKING
+        return AxisState.CATCHING if self.is_catchable and not in_vain else self.use_last_means()
 
     def last_means(self) -> AxisState:
         """What is left where nothing was seen to hold it."""
-        if self.holding.config.brake == "drive" and not self.brake_is_last:
-            self.brake_is_last = True
-            return AxisState.BRAKING
-        return AxisState.LOST
+        has_brake = self.holding.config.brake == "drive" and not self.brake_is_last
+        return AxisState.BRAKING if has_brake else AxisState.LOST
+
+    def use_last_means(self) -> AxisState:
+        """``last_means``, which is used once."""
+        means = self.last_means()
+        self.brake_is_last |= means is AxisState.BRAKING
+        return means

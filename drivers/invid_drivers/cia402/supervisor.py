@@ -373,13 +373,14 @@ class Supervisor:
 
     def _react_to_fall(self, a: SupervisedAxis, falls: AxisState | None) -> None:
         if a.state is AxisState.CATCHING:
-            self.enter(a, a.last_means())
+            self.enter(a, a.use_last_means())
         if falls is None or (a.is_cut and a.state is not AxisState.BRAKING):
             return
         if a.state is AxisState.BRAKING and a.is_energised and not a.power_is_useless:
             a.power_is_useless = True
             self.enter(a, AxisState.BRAKING)
             return
+        a.power_is_useless |= a.is_energised
         if a.state in (AxisState.BRAKING, AxisState.BRAKED):
             a.brake_failed = True
         if a.state in (AxisState.PARKING, AxisState.STANDS):

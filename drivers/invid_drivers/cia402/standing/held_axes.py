@@ -207,9 +207,9 @@ class HeldAxes:
                 )
             elif name in held or is_energised(state):
                 said.append(
-                    f"axis {name} {carries} and is not held: its drive ({state.words}) was not "
-                    f"seen to bring it to "
-                    "rest. Support it before anybody goes near, then take the drive's enable or supply away"
+                    f"axis {name} {carries}, is energised ({state.words}) and is not held: its drive was not "
+                    "seen to bring it to rest. Support it before anybody goes near, then take the drive's "
+                    "enable or supply away"
                 )
             else:
                 said.append(
