@@ -31,6 +31,7 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT)]
 
+from invid_drivers.cia402.bus import STOPPED_S  # noqa: E402
 from tests.machines.foreign.campaign import Campaign  # noqa: E402
 from tests.machines.foreign.draft import ALWAYS, PHASES  # noqa: E402
 from tests.machines.foreign.kinds import KINDS  # noqa: E402
@@ -113,6 +114,18 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(out)
 
 
+def stops(rows: list[dict[str, Any]]) -> str:
+    """Longest time from a person's stop to standing, and to the end of the command, by phase."""
+    out = ["| stopped in | runs | standing after [s] | ended after [s], bound " + f"{STOPPED_S:.0f} |"]
+    out.append("|" + " --- |" * 4)
+    for phase in [*PHASES, ALWAYS]:
+        own = [r for r in rows if r["phase"] == phase and r.get("stop_s") is not None]
+        if own:
+            most = [max(r[k] or 0.0 for r in own) for k in ("stop_s", "end_s")]
+            out.append(f"| {phase} | {len(own)} | {most[0]:.2f} | {most[1]:.2f} |")
+    return "\n".join(out)
+
+
 def main() -> int:
     """Run, print a line a run and the table; 1 where anything was violated or refused."""
     parser = argparse.ArgumentParser(
@@ -162,13 +175,9 @@ def main() -> int:
         for job in todo:
             take(run_one(job, wished.keep))
     print(table(rows))
-    slowest = [max((r[k] for r in rows if r.get(k) is not None), default=None) for k in ("stop_s", "end_s")]
+    print(stops(rows))
     words = {w: sum(r["word"] == w for r in rows) for w in ("OK", "VIOLATION", "REFUSED", "MISSED")}
-    print(f"{len(rows)} runs: " + ", ".join(f"{n} {w}" for w, n in words.items()), end="")
-    if slowest[0] is None or slowest[1] is None:
-        print()
-    else:
-        print(f"; from a stop to standing {slowest[0]:.2f} s at most, to the end {slowest[1]:.2f} s")
+    print(f"{len(rows)} runs: " + ", ".join(f"{n} {w}" for w, n in words.items()))
     return 1 if words["VIOLATION"] or words["REFUSED"] else 0
 
 

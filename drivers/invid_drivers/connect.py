@@ -43,7 +43,6 @@ def connect(config: CellConfig) -> Cia402Cell:
     ConfigError
         An axis that cannot be driven.
     """
-    _require_first_axes(config)
     journal = None
     if not is_virtual(config):
         path = journal_path(config.bus.interface, config.bus.channel)
@@ -67,13 +66,3 @@ def connect(config: CellConfig) -> Cia402Cell:
         if journal is not None:
             journal.release()
         raise
-
-
-def _require_first_axes(config: CellConfig) -> None:
-    for axis in config.axes:
-        if axis.axis_of_node != 1:
-            raise ConfigError(
-                f"axis {axis.name}: axis_of_node is {axis.axis_of_node}, and further axes of a node are "
-                "not driven yet; measure its first axis, or record with the drive's own tool and use "
-                "`invid import`"
-            )

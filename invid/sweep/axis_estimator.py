@@ -56,6 +56,8 @@ LEAP, LEAP_COUNTS, LEAP_DEVIATIONS = 4.0, 8, 12
 there in a cycle, an encoder has leapt."""
 SPEED_SAMPLES = 8
 """Samples of a speed: means of both halves."""
+MOST_MISSING = 8
+"""Samples in a row that are filled; beyond that nobody knows what happened meanwhile."""
 LEARN_SAMPLES = 30
 """Samples at rest from which noise is learnt: a deviation to 15 %."""
 
@@ -190,9 +192,7 @@ class AxisEstimator:
                 return
             if has_leapt(position - self.position, time - self.time, self.limits, self.noise):
                 self.leapt = True
-            if time - self.time > 1.6 * self._cycle:
-                self._x.clear()  # a gap: quarters are no longer of one length
-                self._torque.clear()
+            self._fill(round((time - self.time) / self._cycle) - 1, position, torque)
         self.time, self.position = time, position
         keep = self._keep
         self._place = position if self._place is None else position + keep * (self._place - position)
@@ -211,6 +211,19 @@ class AxisEstimator:
             self._rest = position
             return
         self.fall = self._judge(quiet)
+
+    def _fill(self, missing: int, position: float, torque: float) -> None:
+        """Quarters stay of one length: what did not come lies between what did. While the master is silent a
+        drive that is asked answers every few cycles."""
+        if missing > MOST_MISSING:
+            self._x.clear()
+            self._torque.clear()
+        elif missing > 0 and self._x:
+            x, t = self._x[-1], self._torque[-1]
+            for k in range(1, missing + 1):
+                share = k / (missing + 1)
+                self._x.append(x + share * (position - x))
+                self._torque.append(t + share * (torque - t))
 
     @property
     def torque(self) -> float:

@@ -24,7 +24,7 @@ from invid.planning.hold_laws import (
 )
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import CATCH_HZ, SETTLE_S, highest_frequency
-from invid.sweep.bounds import Bounds, Statistics, bounds_of
+from invid.sweep.bounds import Statistics
 from invid.sweep.loads import CONFIRM_S, STEADY_S, Load, differing, judge_loads
 from invid.sweep.moment import TRACE_S, Moment
 from invid.sweep.ports import Cell, Loop, Mode, Sample, Sink
@@ -166,12 +166,8 @@ class Motion:
 
     def by_offset(self, axis: int) -> bool:
         """Return whether torque is added to a loop that the axis's drive keeps closed, also in
-        ``Mode.TORQUE``.
-
-        A cell whose drives all have a torque mode need not say so.
-        """
-        told: Sequence[bool] = getattr(self.cell, "by_offset", ())
-        return bool(told) and told[axis]
+        ``Mode.TORQUE``."""
+        return self.cell.by_offset[axis]
 
     def permit(self, axis: int, velocity: float) -> None:
         """Set another limit for the velocity of one axis, from here on; never above what was announced."""
@@ -189,16 +185,13 @@ class Motion:
         """Enable, watch, settle where every axis stands, and see that what carries a load stays held."""
         cell = self.cell
         # A drive that can hold starts holding; the others start at zero torque.
-        if not cell.can_hold:
+        if not cell.can_hold or cell.bounds is None:
             raise SafetyStop("the cell was not checked before the sweep")
         if self.stop is not None and self.stop.is_set():
             raise SafetyStop(
                 "stopped on request before any drive was enabled; nothing was recorded yet", code="asked"
             )
-        self._modes = self.resting_modes()
-        # A cell that makes cycles of its own has the bounds that it checks there: one watch over all of them.
-        own: Bounds | None = getattr(cell, "bounds", None)
-        self._bounds = own or bounds_of(self.config, cell.resolution, cell.rated_torque)
+        self._modes, self._bounds = self.resting_modes(), cell.bounds
         for i, axis in enumerate(self.config.axes):
             self._bounds.permit(i, axis.limits.velocity)
         cell.energise(self._modes)
@@ -211,11 +204,8 @@ class Motion:
     def _begin(self) -> None:
         """Watch every axis; its feedback is around where it stands now."""
         bounds = self._bounds
-        own = getattr(self.cell, "bounds", None) is not None
-        self._watch = Watch(bounds, cycle_s=self.plan.cycle_s, cell_checks=own)
+        self._watch = Watch(bounds, cycle_s=self.plan.cycle_s)
         sample = self.cell.exchange(self._zero)
-        if not own:
-            bounds.check(sample, getattr(self.cell, "asked", None))
         self.origin = list(sample.position)
         self._last, self._last_time = list(sample.position), [sample.time] * self.count
         if bounds.origin is None:
@@ -299,7 +289,6 @@ class Motion:
         cycle = self.plan.cycle_s
         feedback, origin, velocity = self.feedback, self.origin, self._velocity
         demand = self._demand
-        asked: Sequence[float] | None = getattr(cell, "asked", None)
         watch.bounds.obedience.paused = reference is not None
         first, last = (0, 0) if recording is None else (recording.first, recording.last)
         logged = recording is None or recording.is_logged
@@ -341,7 +330,7 @@ class Motion:
                 )
                 self.expect_life(first <= k < last and not fading)
             recent.append((sample.time, tuple(sample.position), tuple(sample.torque)))
-            watch.check(sample, asked)
+            watch.check(sample)
             self._differentiate(sample)
             if recording is not None and first <= k < last:
                 self._recorded = True
@@ -411,11 +400,9 @@ class Motion:
             self.cell.set_modes(modes)
             self._modes = list(modes)
             done = self.done_s
-            self.watching.changing = True
             self.watching.bounds.unmoved.begin({})  # a drive that is not in its mode yet holds its axis
             while self.cell.changing:
                 self.play(None, 1)
-            self.watching.changing = False
             self.done_s = done  # no part of the plan
             self.watching.halting.pause()
             self.watching.words.resume()
@@ -424,7 +411,6 @@ class Motion:
         for f in feedback:
             loops[f.axis] = Loop(f.bias, f.gains.damping)
         self.cell.set_loops(loops)
-        self.watching.bounds.led = {f.axis for f in feedback}
         masses = {f.axis: (self.inertia.get(f.axis, math.inf), f.bias) for f in feedback}
         self.watching.bounds.unmoved.begin({i: m for i, m in masses.items() if not self.by_offset(i)})
         self.watching.settle()

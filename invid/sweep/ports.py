@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from invid.planning.model import PlannedExperiment
+
+if TYPE_CHECKING:
+    from invid.sweep.bounds import Bounds
 
 
 class Mode(StrEnum):
@@ -93,6 +96,14 @@ class Cell(Protocol):
         """Return whether each drive can hold its place by itself."""
 
     @property
+    def by_offset(self) -> tuple[bool, ...]:
+        """Whether each axis is shaken by its torque offset while its drive goes on holding it."""
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """What no cycle may pass, judged in every ``exchange``; ``None`` before the drives were asked."""
+
+    @property
     def resolution(self) -> tuple[float, ...]:
         """Position of one encoder count of each axis [rad or m]."""
 
@@ -123,7 +134,8 @@ class Cell(Protocol):
         """
 
     def exchange(self, torque: Sequence[float]) -> Sample:
-        """Make one cycle: targets out, SYNC at its slot, samples in. BusError where the bus fails."""
+        """Make one cycle: targets out, SYNC at its slot, samples in. SafetyStop, DriveError or BusError where
+        the motion must stop."""
 
     def stop(self) -> None:
         """Quick stop, disable voltage, NMT stop. From any state, any number of times; never raises."""

@@ -135,7 +135,7 @@ class SignTrial:
         friction = amplitude
         if branch is not None:  # as the fit shows it, but no less than a drive's friction at rest may be
             friction = min(amplitude, max(FIT_MOST * branch.friction, LOAD_SHARE * self._rated))
-        motion.watching.bounds.unmoved.moved_by(axis, friction)
+        motion.watching.bounds.unmoved.moved_by(axis, friction, self._ways(last.log))
         self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
@@ -185,6 +185,13 @@ class SignTrial:
         answers = now > np.maximum(REACTION * self._calm, SEEN_SHARE * rated)
         answers[self._axis] = False
         return bool(answers.any())
+
+    def _ways(self, kept: Log) -> tuple[bool, bool]:
+        """Whether the axis went down, and up."""
+        x = kept.position[kept.fresh[:, self._axis], self._axis]
+        down, up = (np.maximum.accumulate(x) - x).max(), (x - np.minimum.accumulate(x)).max()
+        least = LEAST_COUNTS * self._count
+        return bool(down >= least), bool(up >= least)
 
     def _demand(self, kept: Log) -> Float64:
         demand: Float64 = kept.demand[:, self._axis] - self._motion.bias[self._axis]

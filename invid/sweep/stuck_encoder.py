@@ -215,15 +215,16 @@ HELD_MORE = 1.5
 
 
 class _Mass:
-    """A rigid mass under torque, held by friction up to ``holds``, from rest."""
+    """A rigid mass under torque, from rest, held by friction down and up to ``holds``."""
 
     x = v = 0.0
 
-    def go(self, torque: float, holds: float, inertia: float, dt: float) -> None:
-        if self.v == 0.0 and abs(torque) <= holds:
+    def go(self, torque: float, holds: tuple[float, float], inertia: float, dt: float) -> None:
+        down, up = holds
+        if self.v == 0.0 and -down <= torque <= up:
             return
         moving = self.v if self.v != 0.0 else torque
-        force = torque - math.copysign(holds, moving)
+        force = torque - up if moving > 0.0 else torque + down
         after = self.v + force / inertia * dt
         self.v = 0.0 if after * moving < 0.0 else after
         self.x += self.v * dt
@@ -233,13 +234,14 @@ class _Stand:
     """What masses would have done since an encoder came to its place."""
 
     def __init__(self, place: float) -> None:
-        self.place, self.peak = place, 0.0
+        self.place, self.peaks = place, (0.0, 0.0)
         self._free, self._held = [_Mass() for _ in LAGS], [_Mass() for _ in LAGS]
 
-    def go(self, torques: Sequence[float], holds: float, inertia: float, dt: float) -> None:
-        self.peak = max(self.peak, abs(torques[0]))
+    def go(self, torques: Sequence[float], holds: tuple[float, float], inertia: float, dt: float) -> None:
+        down, up = self.peaks
+        self.peaks = max(down, -torques[0]), max(up, torques[0])
         for free, held, torque in zip(self._free, self._held, torques, strict=True):
-            free.go(torque, 0.0, inertia, dt)
+            free.go(torque, (0.0, 0.0), inertia, dt)
             held.go(torque, holds, inertia, dt)
 
     @property
@@ -258,7 +260,8 @@ class Unmoved:
     it held the axis before. A stand in which the free mass would have gone further than at any turn
     (``TURNING``) is friction's, and tells when it ends how much that holds at least. Where the second mass
     would have moved, too, the encoder is dead, or something new holds the axis: no chance is in that but
-    friction that was never met, by half more than before.
+    friction that was never met, by half more than before. A load on a worm gear is held more against it than
+    with it, so either direction is judged by itself, from when the axis was seen to move in it.
     """
 
     def __init__(
@@ -271,8 +274,8 @@ class Unmoved:
             max(UNMOVED * abs(r), UNMOVED_SHARE * w) for r, w in zip(resolution, window, strict=True)
         ]
         self._masses: Mapping[int, tuple[float, float]] = {}
-        self._most: dict[int, float] = {}
-        self._seen = [0.0] * len(self._names)
+        self._most: dict[int, tuple[float, float]] = {}
+        self._seen = [(0.0, 0.0)] * len(self._names)
         self.forget()
 
     def begin(self, masses: Mapping[int, tuple[float, float]]) -> None:
@@ -285,9 +288,11 @@ class Unmoved:
         self._stands: list[_Stand | None] = [None] * len(self._names)
         self._asked: list[deque[float]] = [deque(maxlen=max(LAGS) + 1) for _ in self._names]
 
-    def moved_by(self, axis: int, torque: float) -> None:
-        """Judge an axis from here on: friction holds no more than so much torque, which moved it."""
-        self._most[axis] = torque
+    def moved_by(self, axis: int, torque: float, ways: tuple[bool, bool] = (True, True)) -> None:
+        """Judge an axis from here on: friction holds no more than so much torque, which moved it down or
+        up."""
+        down, up = ways
+        self._most[axis] = torque if down else math.inf, torque if up else math.inf
 
     def check(self, sample: Sample, asked: Sequence[float]) -> None:
         """SafetyStop where an encoder has not moved with its axis."""
@@ -298,11 +303,13 @@ class Unmoved:
                 continue
             if stand is None or abs(x - stand.place) > self._flicker[i]:
                 if stand is not None and stand.free > self._most_way[i] * TURNING / UNMOVED:
-                    self._seen[i] = max(self._seen[i], stand.peak)
+                    down, up = map(max, self._seen[i], stand.peaks)
+                    self._seen[i] = down, up
                 self._stands[i] = _Stand(x)
                 continue
-            holds = HELD_MORE * max(self._most.get(i, math.inf), self._seen[i])
-            stand.go([past[-1 - lag] for lag in LAGS], holds, inertia, self._cycle)
+            most = self._most.get(i, (math.inf, math.inf))
+            down, up = (HELD_MORE * max(m, seen) for m, seen in zip(most, self._seen[i], strict=True))
+            stand.go([past[-1 - lag] for lag in LAGS], (down, up), inertia, self._cycle)
             if stand.held > self._most_way[i]:
                 counts = UNMOVED_COUNTS * stand.held / self._flicker[i]
                 raise SafetyStop(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
-from invid.errors import DriveError, SafetyStop
+from invid.errors import SafetyStop
 from invid.sweep.bounds import Bounds
 from invid.sweep.drive_word import DriveWords
 from invid.sweep.ports import Sample
@@ -28,10 +27,9 @@ energy). Empirical."""
 class Watch:
     """Checks one sample after another; raises on the first that must stop the motion."""
 
-    def __init__(self, bounds: Bounds, *, cycle_s: float, cell_checks: bool = False) -> None:
-        """``cell_checks``: the cell looks at the bounds, and at what its drives are in, by itself."""
-        self.bounds, self._cell_checks = bounds, cell_checks
-        self._cycle = cycle_s
+    def __init__(self, bounds: Bounds, *, cycle_s: float) -> None:
+        """``bounds``: the cell looks at them, and at what its drives are in, in every cycle."""
+        self.bounds, self._cycle = bounds, cycle_s
         self._energy = 0.0
         self._energy_cycles = 0
         self._energies: list[float] = []
@@ -42,8 +40,6 @@ class Watch:
         self.halting = Halting(names, [a.resolution for a in limits], limits[0].unit, cycle_s)
         self.held: set[int] = set()
         """Axes whose energy is watched for growth."""
-        self.changing = False
-        """Modes are being changed, which some drives do without power."""
 
     def settle(self) -> None:
         """Judge growth of energy afresh, as the excitation changed."""
@@ -51,30 +47,15 @@ class Watch:
         self._energy, self._energy_cycles = 0.0, 0
         self.standing.settle()
 
-    def check(self, sample: Sample, asked: Sequence[float] | None = None) -> None:
-        """Raise SafetyStop, DriveError or BusError where the motion must stop; ``asked`` as in ``Bounds``."""
+    def check(self, sample: Sample) -> None:
+        """Raise SafetyStop where the motion must stop."""
         bounds = self.bounds
-        if not self._cell_checks:
-            bounds.check(sample, asked)
         if bounds.origin is None:
             return
         energy = 0.0
         for i, limit in enumerate(bounds.limits):
             if not sample.fresh[i]:
                 continue
-            state = sample.status[i] & STATE_MASK
-            if (
-                not self._cell_checks
-                and state != OPERATION_ENABLED
-                and not (self.changing and not state & FAULT)
-            ):
-                raise DriveError(
-                    f"axis {limit.name}: the drive left operation enabled (statusword "
-                    f"0x{sample.status[i]:04X}{', fault' if sample.status[i] & 0x08 else ''})",
-                    way_out="read its error memory, find the cause, reset it there",
-                    code="drive_left",
-                    axis=limit.name,
-                )
             if bounds.speeds[i] > 0 and i in self.held:
                 energy += (bounds.speeds[i] / limit.velocity) ** 2
         self._watch_energy(energy)

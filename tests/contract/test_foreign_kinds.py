@@ -24,12 +24,6 @@ OFTEN = (
     ("emergency stop released", "run", 2),
 )
 """Before every commit: the kinds that have cost most; the last one needs an ordinary run beside its own."""
-OPEN = {
-    "stop while catching", "held then not", "light load", "added position", "added torque", "added home",
-    "brake fails", "brake fails in a later run", "worm gear", "slow heartbeat", "two axes of one node",
-    "stop lets go and leaves with NMT", "master dies watch without effect", "heavy load",
-}  # fmt: skip
-"""Kinds that the product is known not to stand yet (issue 62): each goes from here with what mends it."""
 
 
 def rest() -> list[tuple[str, str, int]]:
@@ -47,9 +41,8 @@ def rest() -> list[tuple[str, str, int]]:
     return [case for case in cases if case not in OFTEN]
 
 
-def marked(case: tuple[str, str, int], *marks: pytest.MarkDecorator) -> object:
-    known = [pytest.mark.xfail(reason="issue 62", strict=False)] if case[0] in OPEN else []
-    return pytest.param(*case, marks=[*marks, *known], id=" - ".join(map(str, case)))
+def marked(case: tuple[str, str, int], mark: pytest.MarkDecorator) -> object:
+    return pytest.param(*case, marks=mark, id=" - ".join(map(str, case)))
 
 
 @pytest.fixture(scope="module")

@@ -95,7 +95,7 @@ def test_a_drive_is_seen_to_hold_its_load_once_and_remembered_by_its_serial_numb
     assert not master.secure([True, False])
     said = master.close()
     assert any("A1 is energised" in line and "support" in line for line in said)
-    seen = bench.memory.of_node(1)
+    seen = bench.memory.of_axis(1)
     assert seen is not None
     assert seen.holds
     assert seen.resumes
@@ -213,7 +213,7 @@ def test_a_drive_that_does_not_notice_that_its_master_is_gone_fails_the_stop_tes
     master.close()
     assert bench.drive.state is State.QUICK_STOP_ACTIVE
     assert abs(bench.place) < FALLS
-    seen = bench.memory.of_node(1)
+    seen = bench.memory.of_axis(1)
     assert seen is not None
     assert seen.holds is False
 
@@ -231,7 +231,7 @@ def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     assert (bench.drive.state is State.QUICK_STOP_ACTIVE) == (by == "drive")
     bench.cell.plant.advance_to(bench.cell.now_ns)
     assert abs(bench.place - before) < FALLS
-    seen = bench.memory.of_node(1)
+    seen = bench.memory.of_axis(1)
     assert seen is not None
     assert seen.brake_s is not None
     assert (seen.brake_drop > master.holdings[0].most_drop) == (by == "drive")

@@ -75,7 +75,7 @@ def test_no_disk_is_waited_for_while_an_axis_is_energised(
     monkeypatch.setattr("invid.recording.spool.sync_folder", lambda folder: None)
     monkeypatch.setattr("invid.recording.writer.put_in_place", lambda rows, target, outcome: None)
     run_measurement(cell.config, cell.plan(), cell.connect(), cell.folder / "rec.h5")
-    seen = HoldMemory.beside(cell.folder / "bus.journal").of_node(1)
+    seen = HoldMemory.beside(cell.folder / "bus.journal").of_axis(1)
     assert seen is not None
     assert (seen.loaded, seen.holds, seen.resumes, seen.left_held) == (True, True, True, True)
     assert any(powered for _, powered in flushed)

@@ -9,8 +9,10 @@ one the value from before the first command.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,10 +20,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
-from benchmarks.drivers.bench_real_drives import Bench, Case, cell_config
-from invid.config import CellConfig
+from invid.config import CellConfig, parse_config
+from invid.errors import InvidError
+from invid.planning import make_plan
+from invid.sweep import Progress
 from invid_drivers.cia402.axis import Drive
+from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.journal import Journal
+from invid_drivers.measurement import run_measurement
+from invid_drivers.simulated import CASE_STUDY, VirtualTimeBus, open_virtual_bus
 from invid_drivers.simulated.cell import SimulatedCell
 from invid_drivers.simulated.object_dictionary import Entry
 
@@ -49,6 +58,57 @@ class History:
     of: int
     steps: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
+
+
+class Bench:
+    """One cell, and the commands of a person beside it."""
+
+    def __init__(self, config: CellConfig, folder: Path) -> None:
+        self.config, self.folder = config, folder
+        self._port: VirtualTimeBus | None = open_virtual_bus(config)
+        self.cell: SimulatedCell = self._port.wire.cell
+
+    def _connect(self) -> Cia402Cell:
+        assert self._port is not None
+        return Cia402Cell(self._port, self.config, journal=Journal(self.folder / "bus.journal"))
+
+    def measure(self) -> None:
+        """A measurement that is stopped on request as soon as the axes are held."""
+        stop = threading.Event()
+
+        def progress(report: Progress) -> None:
+            if report.phase.startswith("trying"):
+                stop.set()
+
+        plan, out = make_plan(self.config), self.folder / "run.h5"
+        with contextlib.suppress(InvidError):
+            run_measurement(self.config, plan, self._connect(), out, progress=progress, stop=stop)
+
+    def check(self) -> None:
+        """``invid check``."""
+        cell = self._connect()
+        with contextlib.suppress(InvidError):
+            try:
+                cell.check()
+            finally:
+                cell.close()
+
+    def close(self) -> None:
+        """The port that no command has taken."""
+        if self._port is not None:
+            self._port.shutdown()
+
+
+def cell_config() -> CellConfig:
+    """The case study at 250 Hz with one short experiment."""
+    data = yaml.safe_load(CASE_STUDY.read_text(encoding="utf-8"))
+    data["bus"]["cycle_s"] = 0.004
+    data["experiments"] = [
+        {"kind": "multisine", "band_Hz": [1, 12], "period_s": 2.048, "periods": 2, "settle_periods": 0,
+         "experiments": 1}
+    ]  # fmt: skip
+    data["simulation"]["defaults"] |= {"brake": False, "enable_s": 0.2}
+    return parse_config(yaml.safe_dump(data))
 
 
 def settings(cell: SimulatedCell) -> dict[Address, int]:
@@ -139,29 +199,19 @@ def in_child(
     return {**values, **found}, count, died
 
 
-def hold(bench: Bench) -> None:
-    """A measurement that is stopped on request as soon as the axes are held."""
-    bench.measure(bench.folder / "run.h5", hold_only=True)
-
-
-def look(bench: Bench) -> None:
-    """``invid check``."""
-    bench.check()
-
-
 def run_one(rng: np.random.Generator, folder: Path) -> History:
     """One power cut, what people did meanwhile, and the starts after it."""
     for old in folder.glob("*"):
         old.unlink()
     names = ("A1", "A2", "A3")
-    config = cell_config(Case("none", {n: {} for n in names}, {n: {} for n in names}), 1)
+    config = cell_config()
     bench = Bench(config, folder)
     before = settings(bench.cell)
     bench.close()
-    values, total, _ = in_child(config, folder, before, set(), 0, hold)
+    values, total, _ = in_child(config, folder, before, set(), 0, Bench.measure)
     _compare("a run without a cut", before, values, History(0, total))
     history = History(int(rng.integers(1, total + 1)), total)
-    values, _, _ = in_child(config, folder, before, set(), history.cut, hold)
+    values, _, _ = in_child(config, folder, before, set(), history.cut, Bench.measure)
     expected = dict(before)
     for _ in range(int(rng.integers(1, 4))):
         refusing: set[Address] = set()
@@ -172,23 +222,23 @@ def run_one(rng: np.random.Generator, folder: Path) -> History:
                 value = int(rng.choice(BY_HAND[index, sub]))
                 values[row, index, sub] = expected[row, index, sub] = value
                 history.steps.append(f"{names[row]} 0x{index:04X}:{sub} set to {value} by hand")
-                values, _, _ = in_child(config, folder, values, refusing, 0, look)
+                values, _, _ = in_child(config, folder, values, refusing, 0, Bench.check)
             case "refused":
                 row = int(rng.integers(len(names)))
                 changed = [a for a in values if values[a] != before[a] and a[0] == row and a[1] >= 0x6000]
                 refusing = {changed[int(rng.integers(len(changed)))]} if changed else set()
                 history.steps.append(f"refused: {[f'0x{i:04X}:{s}' for _, i, s in refusing]}")
                 kept = {a: values[a] for a in refusing}
-                values, _, _ = in_child(config, folder, values, refusing, 0, look)
+                values, _, _ = in_child(config, folder, values, refusing, 0, Bench.check)
                 values |= kept
             case _:
                 at = int(rng.integers(1, 40))
                 history.steps.append(f"check cut at step {at}")
-                values, _, _ = in_child(config, folder, values, refusing, at, look)
-    values, _, _ = in_child(config, folder, values, set(), 0, look)
+                values, _, _ = in_child(config, folder, values, refusing, at, Bench.check)
+    values, _, _ = in_child(config, folder, values, set(), 0, Bench.check)
     _compare("at the end", expected, values, history)
     if (folder / "bus.journal").exists() and (folder / "bus.journal").read_text().strip():
-        values, _, _ = in_child(config, folder, values, set(), 0, look)
+        values, _, _ = in_child(config, folder, values, set(), 0, Bench.check)
         if values != expected:
             history.complaints.append("one more check changed something again")
     return history

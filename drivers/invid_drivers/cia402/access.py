@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 from invid.config import AxisConfig
 from invid.errors import DriveError
@@ -19,6 +20,7 @@ from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoCommunicationError, SdoError
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.stated.declared import declared_of
+from invid_drivers.cia402.stated.node_axis import NodeAxis, of_first_axis
 from invid_drivers.cia402.stated.vendors import VENDORS, vendor
 
 PROTECTION = (
@@ -28,6 +30,12 @@ PROTECTION = (
     od.MAX_VELOCITY, od.MAX_MOTOR_SPEED, od.FOLLOWING_WINDOW, od.FOLLOWING_TIME,
 )  # fmt: skip
 """What keeps an axis from doing harm by itself: asked for whatever an EDS says."""
+MISSING = frozenset({0x06020000, 0x06090011, 0x06010001})
+"""SDO aborts of a read that say that there is nothing to read: no object, no subindex, write-only."""
+AGAIN_S = 0.02
+"""Before a drive is asked again that could not answer a question at the moment."""
+READ_ONLY = frozenset({0x06010000, 0x06010002, 0x08000020, 0x08000021})
+"""SDO aborts that mean that an object is not to be written at all, whatever the value."""
 
 
 class Access:
@@ -36,7 +44,9 @@ class Access:
     def __init__(self, link: Link, config: AxisConfig, journal: Journal, *, linear: bool) -> None:
         self.config = config
         self.name, self.node_id = config.name, config.node_id
-        self.who = f"axis {self.name} (node {self.node_id})"
+        self.of_node = NodeAxis.by_profile(config.axis_of_node)
+        """Which of its node's axes it is: every object here is that axis's."""
+        self.who = f"axis {self.name} (node {config.place})"
         self.link, self.journal, self.linear = link, journal, linear
         self.serial = 0
         """0x1018:4, from ``check`` on."""
@@ -61,10 +71,11 @@ class Access:
         return other
 
     def object_of(self, entry: Entry) -> Object:
-        """The object of a journal's entry; by the size of what stood there where its name is not known."""
-        known = self.objects.get((entry.index, entry.sub))
+        """The object of a journal's entry at its own index; by the size of what stood
+        there where its name is not known."""
+        known = self.objects.get((of_first_axis(entry.index)[0], entry.sub))
         if known is not None:
-            return known
+            return replace(known, index=entry.index)
         code = {1: "B", 2: "H"}.get(len(entry.before) // 2, "I")
         return Object(entry.index, entry.sub, code, "PDO" if entry.index < 0x2000 else "setting")
 
@@ -79,14 +90,11 @@ class Access:
         than the file may have more.
         """
         declared = self.declared
-        if declared is not None and what not in PROTECTION and declared.find(what.index, what.sub) is None:
+        own = self.of_node.at(what)
+        if declared is not None and what not in PROTECTION and declared.find(own.index, own.sub) is None:
             return None
-        try:
-            return what.unpack(self.link.sdo(self.node_id).upload(what.index, what.sub))
-        except SdoAbortedError:
-            return None
-        except SdoError as error:
-            raise self.silence(what, error) from None
+        data = self.peek(what)
+        return None if data is None else what.unpack(data)
 
     def write(self, what: Object, value: int) -> None:
         """Write, journal first; WriteRefused where the drive does not take it."""
@@ -100,7 +108,7 @@ class Access:
         if before is None:
             self.download(what, data)
             return
-        address = (self.node_id, self.serial, what.index, what.sub)
+        address = (self.node_id, self.serial, self.of_node.at(what).index, what.sub)
         self.journal.add(Entry(*address, before.hex(), data.hex()))
         self.download(what, data)
         shown = self.peek(what)
@@ -111,16 +119,24 @@ class Access:
     def peek(self, what: Object) -> bytes | None:
         """Bytes of an object; ``None`` where the drive refuses to show it."""
         try:
-            return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))[: what.size]
-        except SdoAbortedError:
+            return self.upload(what)[: what.size]
+        except ReadRefused:
             return None
-        except SdoError as error:
-            raise self.silence(what, error) from None
 
     def upload(self, what: Object) -> bytes:
-        """Bytes of an object as they came; NoAnswer or ReadRefused where the drive does not give it."""
+        """Bytes of an object as they came; NoAnswer or ReadRefused where the drive does not give it.
+
+        An abort that does not say that the object is missing may be of the moment: it is asked again.
+        """
+        what = self.of_node.at(what)
         try:
-            return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))
+            try:
+                return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))
+            except SdoAbortedError as error:
+                if int(error.code) in MISSING:
+                    raise
+                self.link.wait(AGAIN_S)
+                return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))
         except SdoAbortedError as error:
             code = int(error.code)
             said = f"{what.address} {what.name} cannot be read: {abort_in_words(code)}"
@@ -130,6 +146,7 @@ class Access:
 
     def download(self, what: Object, data: bytes) -> None:
         """Write without journal; WriteRefused where the drive does not take it."""
+        what = self.of_node.at(what)
         try:
             self.link.sdo(self.node_id).download(what.index, what.sub, data)
         except SdoAbortedError as error:
@@ -138,6 +155,21 @@ class Access:
             raise WriteRefused.at(self.name, self.node_id, what, said, code) from None
         except SdoError as error:
             raise self.silence(what, error) from None
+
+    def takes(self, what: Object, value: int) -> bool:
+        """Whether an object can be written at all, tried with the value that stands there.
+
+        What an EDS says counts; a drive that refuses the value only may take another one.
+        """
+        own = self.of_node.at(what)
+        declared = None if self.declared is None else self.declared.find(own.index, own.sub)
+        if declared is not None and declared.access in ("ro", "const"):
+            return False
+        try:
+            self.download(what, what.pack(value))
+        except WriteRefused as error:
+            return error.abort not in READ_ONLY
+        return True
 
     def command(self, what: Object, value: int) -> None:
         """Write an object that is part of running (controlword, mode, targets), without journal."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import struct
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
@@ -24,8 +23,9 @@ from invid_drivers.cia402.protection import Protection
 from invid_drivers.cia402.restoration import restore
 from invid_drivers.cia402.standing.stopping import event_timer
 from invid_drivers.cia402.stated.declared import refusal
-from invid_drivers.cia402.stated.scales import read_scaling
-from invid_drivers.cia402.stated.units import Scaling
+from invid_drivers.cia402.stated.node_axis import NodeAxis
+from invid_drivers.cia402.stated.scales import read_factors
+from invid_drivers.cia402.stated.units import WHOLE, Scaling
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 
 INVALID = 1 << 31
@@ -110,6 +110,8 @@ class Drive(Access):
         self.protection = Protection(self, cell.safety.heartbeat_s)
         self.left_alone = False
         """What it shows may not be believed: nothing is written, not even what stands there."""
+        self.axes_of_node = tuple(a.axis_of_node for a in cell.axes if a.node_id == config.node_id)
+        """Axes of its node in this cell."""
         self._cycle_s = cell.bus.cycle_s
         self._most_skipped = max(cell.safety.missed_tpdos, cell.safety.overrun_cycles)
         self.by_offset = False
@@ -138,11 +140,16 @@ class Drive(Access):
         self.refuse_declared()
         self._require_servo(self.read(od.DEVICE_TYPE), warnings)
         self.serial = self.find(od.SERIAL_NUMBER) or 0
+        if self.find(od.pdo_communication("RPDO", 1, 1)) is None:
+            number = self.of_node.number  # not where CiA 301 foresees it: with those of the first axis
+            self.of_node = NodeAxis(number, number)
         self._compare_identity(warnings)
         self.by_offset = self._takes_offset()
         self._require_objects()
         mode, can_hold = self._modes(warnings)
-        scaling = read_scaling(self, warnings)
+        factors = read_factors(self.find, self.config, linear=self.linear, vendor=self.vendor)
+        scaling = factors.scaling
+        warnings += factors.notes
         lacks = self._lacks(can_hold)
         state = state_of(self.read(od.STATUSWORD))
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
@@ -341,10 +348,15 @@ class Drive(Access):
             lacks.append("cyclic synchronous position: the drive cannot hold the axis by itself")
         return lacks
 
+    def counts_of_circle(self) -> int:
+        """Counts after which 0x6064 begins again, by 0x607B or of 32 bits."""
+        low, high = self.find(od.RANGE_LOW), self.find(od.RANGE_HIGH)
+        return WHOLE if low is None or high is None or low >= high else high - low + 1
+
     # --- configuration -------------------------------------------------------------------------
     def restore(self) -> tuple[str, ...]:
         """Undo what was written, where it still stands; what was left and why, in words."""
-        return restore(self)
+        return restore(self, self.axes_of_node)
 
     def protect(self, report: DriveReport) -> None:
         """Give the drive its own protection before it is enabled, never less than it has."""
@@ -376,11 +388,10 @@ class Drive(Access):
         A drive that is shaken by its torque offset has that in place of the target torque.
         """
         targets = od.OFFSET_MAP if self.by_offset else od.RPDO_MAP
-        for kind, wanted, cob in (
-            ("RPDO", targets, 0x200 + self.node_id),
-            ("TPDO", od.TPDO_MAP, 0x180 + self.node_id),
-        ):
-            for number in range(2, self._pdos(kind) + 1):
+        place = self.of_node
+        for kind, wanted in (("RPDO", targets), ("TPDO", od.TPDO_MAP)):
+            cob, first = place.cob_id(kind, self.node_id), place.number == min(self.axes_of_node)
+            for number in range(2, self._pdos(kind) + 1) if first else ():
                 other = od.pdo_communication(kind, number, 1)
                 value = self.find(other)
                 if value is not None and not value & INVALID:
@@ -389,7 +400,7 @@ class Drive(Access):
                 present = self.read(od.pdo_communication(kind, 1, 1))
                 self.write(od.pdo_communication(kind, 1, 1), present | INVALID)
                 self.write(od.pdo_mapping(kind, 1, 0), 0)
-                for sub, what in enumerate(wanted, start=1):
+                for sub, what in enumerate(map(place.at, wanted), start=1):
                     self.write(od.pdo_mapping(kind, 1, sub), what.mapping)
                 self.write(od.pdo_mapping(kind, 1, 0), len(wanted))
                 self.write(od.pdo_communication(kind, 1, 2), SYNCHRONOUS)
@@ -448,20 +459,9 @@ class Drive(Access):
             self.link.wait(0.005)
 
     # --- on the way out ------------------------------------------------------------------------
-    def quiet_command(self, what: Object, value: int) -> None:
-        """Write an object that is part of running; ignore a drive that refuses or does not answer."""
-        with contextlib.suppress(BusError, SdoError):
-            self.download(what, what.pack(value))
-
     def quiet_state(self) -> DriveState | None:
         """The state by SDO; ``None`` where the drive does not say."""
         try:
             return state_of(self.read(od.STATUSWORD))
         except (BusError, SdoError):
             return None
-
-    def shout(self, what: Object, value: int) -> None:
-        """Write an object of a drive that is not heard: sent once, no answer awaited."""
-        data = what.pack(value)
-        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, what.index, what.sub)
-        self.link.send(0x600 + self.node_id, (head + data).ljust(8, b"\0"))

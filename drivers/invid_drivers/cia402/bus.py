@@ -31,7 +31,7 @@ from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import HEARD_S, NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link, never
 from invid_drivers.cia402.standing.held_axes import HeldAxes
 from invid_drivers.cia402.standing.holding import AxisHolding, Reason
-from invid_drivers.cia402.standing.takeover import find_powered, require_mode, require_ours
+from invid_drivers.cia402.standing.takeover import find_powered, require_mapped, require_mode, require_ours
 from invid_drivers.cia402.states import OperationMode, is_energised
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
 from invid_drivers.cia402.supervisor import STOPPING, Procedure, Supervisor, Want
@@ -127,7 +127,8 @@ class Cia402Cell:
         for i, r in enumerate(self.reports):
             position = r.scaling.direction * r.scaling.position_per_count
             most = r.scaling.most_permille(r.limits.torque.value)
-            self._cycle.scale(i, position=position, torque=r.scaling.torque(1), most=most)
+            span = self._drives[i].counts_of_circle()
+            self._cycle.scale(i, position=position, torque=r.scaling.torque(1), most=most, span=span)
         self.bounds = bounds_of(tighten(self._config, self.reports), self.resolution, self.rated_torque)
         return self.reports
 
@@ -214,6 +215,8 @@ class Cia402Cell:
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)
+            elif drive.node_id in {h.config.node_id for h in self.holdings if h.taken_over}:
+                require_mapped(drive)
         for drive in self._drives:
             self._link.gate.take(drive.node_id)
             self._link.peers[drive.node_id].booted = False
@@ -222,13 +225,14 @@ class Cia402Cell:
         self._supervisor = self._supervise()
         self._link.beating = True
         self._pre_operational()
-        for drive, report, holding in zip(self._drives, self.reports, self.holdings, strict=True):
+        rows = zip(self._drives, self.reports, self.holdings, strict=True)
+        under_power = {h.config.node_id for h in self.holdings if h.taken_over}
+        for drive, report, holding in sorted(rows, key=lambda row: row[0].of_node.number):
             drive.protection.quick_stop_option = holding.first_option
             drive.protect(report)
-            if not holding.taken_over:
+            if drive.node_id not in under_power:
                 drive.map_pdos()
                 tell_cycle(drive, self._config.bus.cycle_s)
-        self.held.foresee_options()
         for axis, mode in zip(self._supervisor.axes, modes, strict=True):
             self._set_first_mode(axis, mode)
         self._refuse_disturbed()
@@ -445,8 +449,10 @@ class Cia402Cell:
         way_out = procedures.leave(self._stage, longest_way_out(), weigh, self.held.doubted)
         self._leave_by(way_out)
         self._note_ends(supervisor)
+        off = (AxisState.OFF, AxisState.BRAKED, AxisState.FAULT, AxisState.UNHEARD)
+        kept = {a.holding.config.node_id for a in supervisor.axes if a.state not in off}
         for a in supervisor.axes:
-            if a.state in (AxisState.OFF, AxisState.BRAKED, AxisState.FAULT, AxisState.UNHEARD):
+            if a.holding.config.node_id not in kept:
                 with contextlib.suppress(BusError):
                     self._link.nmt(NMT_STOP, a.holding.config.node_id)
         self._link.until = math.inf
@@ -472,8 +478,8 @@ class Cia402Cell:
         held = [a.state in (AxisState.ENABLING, AxisState.HELD) for a in supervisor.axes]
         falls = {} if self.bounds is None else self.bounds.falls
         with contextlib.suppress(Exception):
-            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, held, falls):
-                self._set_options(LEAVING_S)
+            self.held.weigh_at_once(self._cycle.sample, self.rated_torque, held, falls)
+            self._set_options(LEAVING_S)
 
     def _note_ends(self, supervisor: Supervisor) -> None:
         """What is said at the end is read from the states."""
@@ -493,7 +499,12 @@ class Cia402Cell:
             for a in axes
             if a.story
             and a.carries
-            and (a.state not in holds or a.blind or a.brake_failed or (a.parks is False and a.is_energised))
+            and (
+                a.state not in holds
+                or a.blind
+                or a.brake_failed
+                or (a.is_energised and (a.parks is False or a.driven_since is not None))
+            )
         )
         self.held.note_end(self.held_at_end, self.not_off)
 
@@ -600,4 +611,6 @@ class Cia402Cell:
                 f"axis {name} was not seen to switch off; its objects, its heartbeat watch among them, stay "
                 "as they are until the next start"
             )
-        return {*self.held_at_end, *self.not_off}
+        on = {*self.held_at_end, *self.not_off}
+        nodes = {d.node_id for d in self._drives if d.name in on}  # restored as a whole, or not
+        return {d.name for d in self._drives if d.node_id in nodes}

@@ -21,7 +21,8 @@ from invid_drivers.cia402.cycle_requests import EVERY_CYCLES, ModeChange, Settin
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
 from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.stated.units import wrapped_difference
+from invid_drivers.cia402.stated.node_axis import NodeAxis
+from invid_drivers.cia402.stated.units import WHOLE, wrapped_difference
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 
 UNCERTAIN_CYCLES = 0.2
@@ -51,7 +52,6 @@ HEARTBEAT_PERIODS = 3.5
 
 _RPDO = struct.Struct("<Hh")
 _TPDO = struct.Struct("<ihH")
-_MODE_REQUEST = upload(od.MODE_DISPLAY)
 
 
 class Cycle:
@@ -83,9 +83,12 @@ class Cycle:
         """No SYNC was sent on purpose, since somebody has looked."""
         self.skipped_slots = 0
         self.jitter = Jitter()
-        self._rpdo_ids = [0x200 + n for n in nodes]
-        self._tpdo_axis = {0x180 + n: i for i, n in enumerate(nodes)}
-        self._sdo_axis = {0x580 + n: i for i, n in enumerate(nodes)}
+        self._of_node = [NodeAxis(a.axis_of_node) for a in config.axes]
+        places = list(zip(self._of_node, nodes, strict=True))
+        self._rpdo_ids = [axis.cob_id("RPDO", n) for axis, n in places]
+        self._tpdo_axis = {axis.cob_id("TPDO", n): i for i, (axis, n) in enumerate(places)}
+        self._sdo_axes = {0x580 + n: [i for i, m in enumerate(nodes) if m == n] for n in nodes}
+        self._mode_requests = [upload(axis.at(od.MODE_DISPLAY)) for axis in self._of_node]
         self._nodes = nodes
         self._peers = [link.peers[n] for n in nodes]
         self._sync = can.Message(arbitration_id=0x80, data=b"", is_extended_id=False)
@@ -93,6 +96,7 @@ class Cycle:
         self._per_mille = [0.0] * count
         self._most = [32767] * count
         self._position_unit = [0.0] * count
+        self._span = [WHOLE] * count
         self._torque_unit = [0.0] * count
         self._started = 0.0
         self._sent = -math.inf
@@ -113,17 +117,22 @@ class Cycle:
         self._changes_asked = 0
         self.asking: set[int] = set()
         """Axes that are asked for state and place by SDO: their process data do not come."""
-        self._questions = [StateQuestion() for _ in nodes]
+        self._questions = [StateQuestion(axis) for axis in self._of_node]
+        self._order = list(range(count))
         self._told: set[int] = set()
         """Axes of which an SDO answer told a place, or a state, since the last cycle."""
         self._counts = [0] * count
         self._next_mode_poll = 0.0
 
-    def scale(self, axis: int, *, position: float, torque: float, most: int = 32767) -> None:
+    def scale(
+        self, axis: int, *, position: float, torque: float, most: int = 32767, span: int = WHOLE
+    ) -> None:
         """Set the position of one count [rad or m] and the torque of one thousandth [N·m or N], with signs.
 
-        ``most``: thousandths that are never exceeded; a target rounded up would pass its limit.
+        ``most``: thousandths that are never exceeded; a target rounded up would pass its limit. ``span``:
+        counts after which 0x6064 begins again.
         """
+        self._span[axis] = span
         self._position_unit[axis] = position
         self._torque_unit[axis] = torque
         self._per_mille[axis] = 1.0 / torque
@@ -141,7 +150,9 @@ class Cycle:
         torque mode, and until it holds. ``taken``: it has the mode, and is only to show it.
         """
         held = operation is OperationMode.CYCLIC_POSITION
-        self._changes[axis] = ModeChange(operation, self._link.clock.now(), held=held, taken=taken)
+        self._changes[axis] = ModeChange(
+            operation, self._of_node[axis], self._link.clock.now(), held=held, taken=taken
+        )
 
     def change_of(self, axis: int) -> ModeChange | None:
         """The change of mode that goes on at an axis."""
@@ -174,12 +185,14 @@ class Cycle:
     def place_of(self, axis: int, counts: int) -> float:
         """Position [rad or m] of counts that were read beside the cycle."""
         origin = self._origin[axis]
-        moved = 0 if origin is None else wrapped_difference(counts, origin)
+        moved = 0 if origin is None else wrapped_difference(counts, origin, self._span[axis])
         return ((origin or 0) + moved if origin is not None else counts) * self._position_unit[axis]
 
     def set_object(self, axis: int, what: Object, value: int) -> SettingWrite:
         """Write an object of a drive in the cycles to come, while ``changing``."""
-        write = self._changes[axis] = SettingWrite(what, value, self._link.clock.now())
+        write = self._changes[axis] = SettingWrite(
+            self._of_node[axis].at(what), value, self._link.clock.now()
+        )
         return write
 
     def restart_slots(self) -> None:
@@ -263,9 +276,12 @@ class Cycle:
             sample.events = []
 
     def _ask_states(self) -> None:
-        for axis in self.asking:
-            if axis not in self._changes:
-                self._link.ask(self._nodes[axis], self._questions[axis].request())
+        for axis in [i for i in self._order if i in self.asking]:
+            if axis not in self._changes and self._link.ask(
+                self._nodes[axis], self._questions[axis].request()
+            ):
+                self._order.remove(axis)  # the next time another axis of its node comes first
+                self._order.append(axis)
             if axis in self._told and not self.sample.fresh[axis]:
                 self.sample.fresh[axis] = True
         self._told.clear()
@@ -411,29 +427,34 @@ class Cycle:
         if origin is None:
             origin = self._origin[axis] = counts
         moved = counts - origin
-        if moved > 0x7FFFFFFF or moved < -0x80000000:
-            moved = wrapped_difference(counts, origin)
+        if abs(moved) >= self._span[axis] // 2:
+            moved = wrapped_difference(counts, origin, self._span[axis])
         sample = self.sample
         sample.position[axis] = (origin + moved) * self._position_unit[axis]
         sample.torque[axis] = permille * self._torque_unit[axis]
         if status != sample.status[axis]:
             sample.status[axis] = status
-            self._link.gate.saw(self._nodes[axis], status)
+            self._link.gate.saw(self._nodes[axis], self._of_node[axis].number, status)
         return True
 
     def _sort(self, message: can.Message) -> None:
-        axis = self._sdo_axis.get(message.arbitration_id)
-        if axis is None or message.is_error_frame:
+        axes = self._sdo_axes.get(message.arbitration_id)
+        if axes is None or message.is_error_frame:
             self._link.sort(message)
             return
-        self._link.answered(self._nodes[axis])
-        data = bytes(message.data)
+        self._link.answered(self._nodes[axes[0]])
+        for axis in axes:
+            self._hear_answer(axis, bytes(message.data))
+        self._link.sort(message)  # whoever waits for it hears it, too
+
+    def _hear_answer(self, axis: int, data: bytes) -> None:
+        """An SDO answer of the node of an axis."""
         change = self._changes.get(axis)
         if axis in self.asking:
             self._hear_state(axis, data)
         if change is not None:
             change.answered(data, self._link.clock.now())
-        elif len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
+        elif len(data) == 8 and data[1:4] == self._mode_requests[axis][1:4] and data[0] & 0xE0 == 0x40:
             shown = int.from_bytes(data[4:5], "little", signed=True)
             wanted = self.operation[axis]
             enabled = state_of(self.sample.status[axis]) is DriveState.OPERATION_ENABLED
@@ -443,7 +464,6 @@ class Cycle:
                 name = self._config.axes[axis].name
                 text = f"axis {name}: the drive left mode {wanted.name.lower()} for mode {shown} (0x6061)"
                 self._link.events.append(Event(Severity.DRIVE, text, name))
-        self._link.sort(message)  # whoever waits for it hears it, too
 
     def _hear_state(self, axis: int, data: bytes) -> None:
         told = self._questions[axis].answered(data)
@@ -513,4 +533,4 @@ class Cycle:
                     )
                 )
         self._mode_asked = (self._mode_asked + 1) % len(self._nodes)
-        self._link.ask(self._nodes[self._mode_asked], _MODE_REQUEST)
+        self._link.ask(self._nodes[self._mode_asked], self._mode_requests[self._mode_asked])

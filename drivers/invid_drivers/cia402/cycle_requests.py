@@ -10,6 +10,7 @@ import struct
 
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.stated.node_axis import NodeAxis
 from invid_drivers.cia402.states import OperationMode
 
 CHANGE_S = 3.0
@@ -73,8 +74,11 @@ class SettingWrite:
 class ModeChange:
     """A change of mode: where the axis is to be held its place as target, then 0x6060, then 0x6061."""
 
-    def __init__(self, operation: OperationMode, began: float, *, held: bool, taken: bool = False) -> None:
+    def __init__(
+        self, operation: OperationMode, of_node: NodeAxis, began: float, *, held: bool, taken: bool = False
+    ) -> None:
         """``held``: at its place; ``taken``: 0x6060 is set, and 0x6061 is to show it."""
+        self._at = of_node.at
         self.operation = operation
         self._began = began
         self._next = began
@@ -105,15 +109,15 @@ class ModeChange:
             return None
         step = self._steps[0]
         if step is od.MODE_DISPLAY:
-            return upload(step)
-        return download(step, counts if step is od.TARGET_POSITION else int(self.operation))
+            return upload(self._at(step))
+        return download(self._at(step), counts if step is od.TARGET_POSITION else int(self.operation))
 
     def answered(self, data: bytes, now: float) -> None:
         """Take in an SDO answer of the drive; one of another object is not for this change."""
         if self.done or len(data) != 8:
             return
         step = self._steps[0]
-        named = data[1:4] == struct.pack("<HB", step.index, step.sub)
+        named = data[1:4] == struct.pack("<HB", self._at(step).index, step.sub)
         if data[0] == 0x80 and (named or not any(data[1:4])):  # some drives abort without naming the object
             code = int.from_bytes(data[4:8], "little")
             self.without_power = step is od.MODE and code == NOT_NOW
@@ -146,19 +150,19 @@ class ModeChange:
 class StateQuestion:
     """State and place of a drive whose process data do not come, or are not asked for."""
 
-    def __init__(self) -> None:
-        self._next = od.STATUSWORD
+    def __init__(self, of_node: NodeAxis) -> None:
+        self._next, self._at = od.STATUSWORD, of_node.at
 
     def request(self) -> bytes:
         """The next question: statusword and position by turns."""
-        return upload(self._next)
+        return upload(self._at(self._next))
 
     def answered(self, data: bytes) -> tuple[Object, int] | None:
         """The object that an answer tells and its value; ``None`` where it is another's."""
         if len(data) != 8 or data[0] & 0xE0 != 0x40:
             return None
         for what, other in ((od.STATUSWORD, od.POSITION), (od.POSITION, od.STATUSWORD)):
-            if data[1:4] == struct.pack("<HB", what.index, what.sub):
+            if data[1:4] == struct.pack("<HB", self._at(what).index, what.sub):
                 self._next = other
                 return what, what.unpack(data[4 : 4 + what.size])
         return None

@@ -13,9 +13,10 @@ import can
 from invid.errors import BusError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.objects import KNOWN
+from invid_drivers.cia402.stated.node_axis import of_first_axis
 from invid_drivers.cia402.states import DriveState, is_energised, state_of
 
-NMT, SYNC, RPDO, SDO, HEARTBEAT = 0x000, 0x080, 0x200, 0x600, 0x700
+NMT, SYNC, RPDOS, SDO, HEARTBEAT = 0x000, 0x080, (0x200, 0x300, 0x400, 0x500), 0x600, 0x700
 FUNCTION, NODE = 0x780, 0x07F
 DOWNLOAD, SEGMENT, UPLOAD = 1, 0, 2
 """SDO requests by their command specifier (CiA 301); all others but these two only ask."""
@@ -56,8 +57,8 @@ class Known:
     """What is known of one node in this session."""
 
     name: str
-    state: DriveState | None = None
-    """As last read; ``None``: never."""
+    states: dict[int, DriveState] = field(default_factory=dict)
+    """Of its axes, as last read."""
     stopped: bool = False
     """Its heartbeat says NMT stopped: nothing can be read of it before it is set pre-operational."""
     ours: bool = False
@@ -66,6 +67,12 @@ class Known:
     """What it shows may not be believed: it waits for a person."""
     found: dict[tuple[int, int], int] = field(default_factory=dict)
     """Limits by index and subindex, as it last showed them."""
+
+    @property
+    def state(self) -> DriveState | None:
+        """The state of an axis of it that is energised, or else of any; ``None``: none was read."""
+        states = self.states.values()
+        return next((s for s in states if is_energised(s)), next(iter(states), None))
 
     @property
     def why_not(self) -> str:
@@ -99,17 +106,18 @@ class Gate:
         if cob & FUNCTION == HEARTBEAT:
             node.stopped = data[0] & 0x7F == NMT_STOPPED
             if data[0] & 0x7F == 0:
-                node.state = None  # it has restarted
+                node.states.clear()  # it has restarted
         elif data[0] >> 5 == UPLOAD and len(data) == 8:
-            at = int.from_bytes(data[1:3], "little"), data[3]
-            if at == (od.STATUSWORD.index, od.STATUSWORD.sub):
-                node.state = state_of(int.from_bytes(data[4:6], "little"))
-            elif at in UPPER or at in LOWER:
-                node.found[at] = KNOWN[at].unpack(data[4:8])
+            index, sub = int.from_bytes(data[1:3], "little"), data[3]
+            first, axis = of_first_axis(index)
+            if (first, sub) == (od.STATUSWORD.index, od.STATUSWORD.sub):
+                node.states[axis] = state_of(int.from_bytes(data[4:6], "little"))
+            elif (first, sub) in UPPER or (first, sub) in LOWER:
+                node.found[index, sub] = KNOWN[first, sub].unpack(data[4:8])
 
-    def saw(self, node_id: int, status: int) -> None:
-        """Note the state in a statusword that came in the cycle."""
-        self.nodes[node_id].state = state_of(status)
+    def saw(self, node_id: int, axis: int, status: int) -> None:
+        """Note the state of an axis in a statusword that came in the cycle."""
+        self.nodes[node_id].states[axis] = state_of(status)
 
     def take(self, node_id: int) -> None:
         """Note that this master commands the node from here on."""
@@ -136,7 +144,7 @@ class Gate:
         """Raise NotPermitted where a frame may not leave now."""
         cob = message.arbitration_id
         function = cob & FUNCTION
-        if function == RPDO:
+        if function in RPDOS:
             node = self.nodes.get(cob & NODE)
             if node is not None and node.ours:
                 return
@@ -168,10 +176,11 @@ class Gate:
 
 def _tightens(node: Known, data: bytes) -> bool:
     """Whether what is written commands, or permits at most what was found."""
-    at = int.from_bytes(data[1:3], "little"), data[3]
+    index, sub = int.from_bytes(data[1:3], "little"), data[3]
+    at = of_first_axis(index)[0], sub
     if at[0] in COMMANDS:
         return True
-    found = node.found.get(at)
+    found = node.found.get((index, sub))
     if found is None:
         return False
     value = KNOWN[at].unpack(data[4:8])

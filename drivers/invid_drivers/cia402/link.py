@@ -299,10 +299,13 @@ class Link:
 
     # --- services ------------------------------------------------------------------------------
     def add_peer(self, node_id: int, name: str) -> Peer:
-        """Listen to a node."""
-        self._names[node_id] = name
-        self.gate.nodes.setdefault(node_id, Known(name))
-        return self.peers.setdefault(node_id, Peer(node_id, name))
+        """Listen to a node; ``name`` of an axis of it."""
+        peer = self.peers.setdefault(node_id, Peer(node_id, name))
+        if name not in peer.name.split(", "):
+            peer.name += f", {name}"
+        self._names[node_id] = peer.name
+        self.gate.nodes.setdefault(node_id, Known(name)).name = peer.name
+        return peer
 
     def nmt(self, command: int, node_id: int) -> None:
         """NMT command to one of our nodes; never to all, who may be others'."""

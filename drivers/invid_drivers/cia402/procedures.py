@@ -18,7 +18,7 @@ from invid.sweep.loads import CONFIRM_S
 from invid_drivers.cia402.axis_state import BRAKE_S, ENABLE_S, AxisState
 from invid_drivers.cia402.states import DriveState
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
-from invid_drivers.cia402.supervisor import Procedure, Want
+from invid_drivers.cia402.supervisor import MOVES, Procedure, Want
 
 LOOK_S = 0.35
 """At rest, before power: longer than the longest window in which a fall is seen (0.32 s), and than a drive
@@ -28,7 +28,8 @@ LOOK_CYCLES = 600
 SETTLE_S = 2.0
 """What the axis did before has died away by then."""
 HOLD_S = 0.4
-"""Watched after a quick stop: longer than the ramp from rest, and than a drive takes to switch itself off."""
+"""Watched after a quick stop: longer than the ramp from rest, and than a drive takes to switch itself off.
+The first time it is looked at as long as at the end."""
 TORQUE_S = 0.12
 """In torque mode before this master falls silent: some drives show a mode 0.1 s before it acts."""
 DRIFT_S = 0.3
@@ -230,7 +231,9 @@ def _try_quick_stop(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
         a.on_trial = True
     parked = (AxisState.STANDS, *CAUGHT)
     yield from stage.until(axes, parked, stage.only(axes, Want.PARK), SETTLE_S)
-    yield from stage.wait(HOLD_S, stage.everyone(Want.STAY))
+    end = stage.now() + (HOLD_S if all(a.holding.seen.holds for a in axes) else AFTER_S)
+    while stage.now() < end and all(a.state is AxisState.STANDS for a in axes):
+        yield stage.everyone(Want.STAY)
     _require_held(stage, axes, "after a quick stop")
     yield from _resume(stage, axes)
 
@@ -251,6 +254,7 @@ def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -
     yield from _keep_silent(stage, axes, 1.5 * watch_s + SILENCE_S)
     loaded = [a for a in axes if a.carries]
     yield from stage.until(loaded, (AxisState.STANDS, *CAUGHT), stage.everyone(Want.STAY), SETTLE_S)
+    _refuse_moved([a for a in axes if a.verdict == MOVES])
     deaf = [a for a in axes if a.state in (AxisState.LED, AxisState.HELD) and not a.verdict]
     if deaf:
         a = next((x for x in deaf if x.carries), deaf[0])
@@ -267,6 +271,17 @@ def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -
     for a in axes:
         a.verdict, a.silence_was_tried = "", True
     yield from _resume(stage, axes)
+
+
+def _refuse_moved(axes: Sequence[SupervisedAxis]) -> None:
+    if axes:
+        raise SafetyStop(
+            f"axis {', '.join(names_of(axes))}: it was given no torque and moved by "
+            f"{axes[0].most_drop / 2:.2g} at least, faster and faster (stop test at rest): it carries a load "
+            "that 0x6077 does not show, or its drive gives torque that nobody asked for. Set gravity_loaded: "
+            "true, and support it",
+            axes=names_of(axes),
+        )
 
 
 def _keep_silent(stage: Stage, axes: Sequence[SupervisedAxis], seconds: float) -> Procedure:

@@ -20,7 +20,7 @@ from invid_drivers.cia402.limits import (
     tightest,
     watched,
 )
-from invid_drivers.cia402.link import MASTER_ID, SdoAbortedError, SdoError
+from invid_drivers.cia402.link import MASTER_ID
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.standing.stopping import SWITCHES_OFF, Stop, stop_of, stopping_facts
 from invid_drivers.cia402.stated.scales import require_nominal_current
@@ -35,8 +35,6 @@ STAYING = frozenset({5, 6, 7, 8})
 """0x605A: the drive stops and stays in quick stop active (CiA 402-2)."""
 STAY, SWITCH_OFF = 6, 2
 """On the quick stop's ramp, then stay, or switch off."""
-READ_ONLY = frozenset({0x06010000, 0x06010002, 0x08000020, 0x08000021})
-"""SDO aborts that mean that an object is not to be written at all, whatever the value."""
 WATCHED = {
     0x6072: "the torque",
     0x607D: "the position window",
@@ -239,18 +237,7 @@ class Protection:
         drive = self._drive
         lacks = []
         for what, found, wanted in self._wanted(scaling, limits):
-            if found == wanted:
-                continue
-            entry = None if drive.declared is None else drive.declared.find(what.index, what.sub)
-            refused = entry is not None and entry.access in ("ro", "const")
-            if not refused:
-                try:
-                    drive.link.sdo(drive.node_id).download(what.index, what.sub, what.pack(found))
-                except SdoAbortedError as error:
-                    refused = int(error.code) in READ_ONLY
-                except SdoError as error:
-                    raise drive.silence(what, error) from None
-            if refused:
+            if found != wanted and not drive.takes(what, found):
                 lacks.append(_only_the_master(what, found, wanted))
         return lacks
 

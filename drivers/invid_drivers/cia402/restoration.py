@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import copy
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -14,6 +15,7 @@ from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.failures import WriteRefused
 from invid_drivers.cia402.journal import Entry
 from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.stated.node_axis import NodeAxis
 from invid_drivers.cia402.states import is_energised, state_of
 
 Address = tuple[int, int]
@@ -100,12 +102,21 @@ def _bytes(hexadecimal: str) -> bytes:
     return bytes.fromhex(hexadecimal)
 
 
-def restore(drive: Access) -> tuple[str, ...]:
+def restore(drive: Access, axes: Collection[int]) -> tuple[str, ...]:
     """Undo what an earlier run, or this one, wrote; what was left and why, in words.
 
     Only where the drive still shows what was written, and never under power. What could not be undone
     stays in the journal, as does what was written into another drive that had this node id before.
+
+    Parameters
+    ----------
+    axes
+        Axes of its node in this cell: with the first of them the whole node is restored.
     """
+    if drive.of_node.number != min(axes):
+        return ()
+    drive = copy.copy(drive)
+    drive.of_node = NodeAxis()  # an entry says where it is
     entries = tuple(reversed(drive.journal.of_node(drive.node_id)))
     if not entries:
         return ()
@@ -115,8 +126,10 @@ def restore(drive: Access) -> tuple[str, ...]:
     said = _said_of_others(drive, others)
     if not mine:
         return said
-    word = drive.find(od.STATUSWORD)
-    if word is None or is_energised(state_of(word)):
+    words = [drive.find(NodeAxis(n).at(od.STATUSWORD)) for n in sorted(axes)]
+    for word in words:
+        if word is not None and not is_energised(state_of(word)):
+            continue
         state = "its statusword cannot be read" if word is None else f"it is in {state_of(word).words}"
         return (
             *said,

@@ -30,8 +30,9 @@ DRIVEN_SHARE = 0.8
 DRIVEN_LOOK_S = 0.04
 """A drive that seems to drive its axis away is sent a quick stop for so long before it is cut off: what is
 slower by then was none."""
-CREEPS_S = 1.0
-"""A drive whose axis leaves its place in quick stop within the look does not hold it, however slowly."""
+CREEPS = 2.0
+"""Of the tolerance within which an axis stands: one that is further from its place in quick stop within the
+look is not held, however slowly it goes."""
 READY_S = 0.25
 """Ready to switch on needs no power: a drive that does not go there within this is inhibited from outside,
 by an emergency stop or safe torque off, and is not enabled again."""
@@ -92,6 +93,8 @@ class SupervisedAxis:
     full: Fall | None = None
     driven_since: float | None = None
     brake_failed: bool = False
+    power_is_useless: bool = False
+    """It fell while its drive was still to hold it: its brake closes the sooner without."""
     brake_is_last: bool = False
     """Nothing better than its brake is left, however late it closes."""
     weak: bool = False
@@ -190,9 +193,10 @@ class SupervisedAxis:
         if rule.command is not before or state is AxisState.CATCHING:
             self.was_enabled, self.samples = False, 0
         self.was_ready = False
+        if state is AxisState.CATCHING or (state is AxisState.STOPPING and self.on_trial):
+            self.damping = self._catching_damping()
         if state is AxisState.CATCHING:
             self.catches += 1
-            self.damping = self._catching_damping()
         self.state, self.since = state, self.now
         self.place = self.moved_from = self.estimator.position
         self.moved_at, self.drop = self.now, 0.0
@@ -241,6 +245,8 @@ class SupervisedAxis:
         if not self.is_energised:
             self.torque_off = sample.torque[i]
         at = sample.position[i]
+        if self.samples == 1 and not self.story:
+            self.place = self.moved_from = at  # it may be held since an earlier run, anywhere
         self.drop = max(self.drop, abs(at - self.place))
         if abs(at - self.moved_from) > self.estimator.tolerance:
             self.moved_from, self.moved_at = at, sample.time
@@ -303,8 +309,8 @@ class SupervisedAxis:
         if self.blind:
             return Trouble.BLIND if RULES[state].command is Command.ENABLE else None
         if state is AxisState.LED:
-            drifts = self.on_trial and self.carries and self.drop > self.most_drop / 2
-            return Trouble.FALLS if drifts else None
+            drifts = self.on_trial and self.drop > self.most_drop / 2
+            return Trouble.FALLS if drifts and (self.carries or self._speeds_up()) else None
         if state is AxisState.CATCHING:  # what is caught falls, and its torque grows
             return Trouble.FALLS if self.drop > estimator.limits.position else None
         if state in (AxisState.BRAKING, AxisState.BRAKED):
@@ -321,7 +327,7 @@ class SupervisedAxis:
         parked = state in (AxisState.PARKING, AxisState.STANDS)
         if parked and self.on_trial and self.carries and self._has_dropped():
             return Trouble.FALLS
-        if state is AxisState.STANDS and self.carries and self.drop > 4 * estimator.tolerance:
+        if state is AxisState.STANDS and self.carries and self.drop > CREEPS * estimator.tolerance:
             return Trouble.FALLS
         fall = estimator.fall
         if fall is None or not self.is_energised or (state is AxisState.PARKING and not self.carries):
@@ -335,8 +341,11 @@ class SupervisedAxis:
         sags."""
         if self.entry_speed**2 > 2 * SEEN * self.most_drop:  # it came into its state in motion
             return self.drop > self.estimator.limits.position
-        half = self.drop > self.most_drop / 2 and self.estimator.speed**2 > 2 * SEEN * self.drop
-        return half or self.drop > self.most_drop
+        return (self.drop > self.most_drop / 2 and self._speeds_up()) or self.drop > self.most_drop
+
+    def _speeds_up(self) -> bool:
+        """Whether it got its speed on its way by more than ``SEEN``."""
+        return self.estimator.speed**2 > 2 * SEEN * self.drop
 
     def _runs_away(self) -> bool:
         limits = self.estimator.limits
@@ -360,9 +369,17 @@ class SupervisedAxis:
         nothing."""
         if self.has_brake and self.state not in (AxisState.BRAKING, AxisState.BRAKED):
             return AxisState.BRAKING
-        if self.is_catchable:
-            return AxisState.CATCHING
-        if self.holding.config.brake == "drive" and not self.brake_is_last:
-            self.brake_is_last = True
-            return AxisState.BRAKING
-        return AxisState.LOST
+        # what fell while its drive held it is not held better by that once more
+        in_vain = self.state in (AxisState.HELD, AxisState.CAUGHT) and self.last_means() is AxisState.BRAKING
+        return AxisState.CATCHING if self.is_catchable and not in_vain else self.use_last_means()
+
+    def last_means(self) -> AxisState:
+        """What is left where nothing was seen to hold it."""
+        has_brake = self.holding.config.brake == "drive" and not self.brake_is_last
+        return AxisState.BRAKING if has_brake else AxisState.LOST
+
+    def use_last_means(self) -> AxisState:
+        """``last_means``, which is used once."""
+        means = self.last_means()
+        self.brake_is_last |= means is AxisState.BRAKING
+        return means

@@ -27,6 +27,7 @@ from invid_drivers.cia402.supervised_axis import DEAF_S, DRIVEN_LOOK_S, Supervis
 
 CYCLIC = OperationMode.CYCLIC_POSITION
 STOPPING = "stopping"
+MOVES = "moved by itself"
 UNSEEN = "support the load of {}: it is not seen to stand"
 """Phases that are told."""
 SWITCHABLE = (AxisState.LED, AxisState.STOPPING, AxisState.SWITCHING)
@@ -297,7 +298,7 @@ class Supervisor:
                 self._react_to_deaf(a)
             case Trouble.FALLS:
                 self._react_to_fall(a, rule.falls)
-        if self.is_mute and trouble is Trouble.LEFT and a.state is not AxisState.CATCHING:
+        if self._was_silent(a) and trouble is Trouble.LEFT and a.state is not AxisState.CATCHING:
             return  # it stopped by itself when its master fell silent, as it should
         if a.on_trial and before is not a.state:
             a.verdict = a.verdict or trouble.value
@@ -317,14 +318,19 @@ class Supervisor:
         """Its drive stopped by itself: what this master did not switch off it does not enable again."""
         if a.drive is DriveState.QUICK_STOP_ACTIVE:
             self.enter(a, AxisState.PARKING)
-        elif self.is_mute and not a.carries:
+        elif self._was_silent(a) and not a.carries:
             self.enter(a, AxisState.LETTING_GO)
-        elif self.is_mute:  # its master was silent on purpose
+        elif self._was_silent(a):
             self.note(a, holds=False)
             self.enter(a, a.next_means())
         else:
             self._cut_from_outside = a.now
             self.enter(a, AxisState.FAULT)
+
+    def _was_silent(self, a: SupervisedAxis) -> bool:
+        """Whether an axis may have been left because its master was silent on purpose; the catch of another
+        one ends the silence."""
+        return self.is_mute or (a.on_trial and a.now < self._missed_until)
 
     def _react_to_driven(self, a: SupervisedAxis, *, is_sure: bool) -> None:
         """A quick stop first: a load that falls looks the same for a moment; then cut off. Of a led axis it
@@ -342,25 +348,39 @@ class Supervisor:
         """It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop. A drive that
         holds a load in position mode holds it."""
         a.deaf = True
-        holds = a.carries and self._cycle.is_in(a.index, CYCLIC)
-        if not holds:
+        if not self._holds_by_itself(a):
             self.enter(a, AxisState.UNHEARD)
-            self._link.nmt(NMT_STOP, a.holding.config.node_id)
+            self._stop_by_nmt(a)
+
+    def _holds_by_itself(self, a: SupervisedAxis) -> bool:
+        return a.carries and self._cycle.is_in(a.index, CYCLIC)
+
+    def _stop_by_nmt(self, a: SupervisedAxis) -> None:
+        """NMT stops all axes of a node: none where another one holds a load."""
+        node = a.holding.config.node_id
+        others = [x for x in self.axes if x is not a and x.holding.config.node_id == node]
+        if not any(x.carries and x.is_energised for x in others):
+            self._link.nmt(NMT_STOP, node)
 
     def _tell_by_nmt(self, a: SupervisedAxis) -> None:
         """A drive whose process data are lost may hear NMT: then it does what it does without a master."""
         ending = a.state in (AxisState.PARKING, AxisState.LETTING_GO)
-        holds = a.carries and self._cycle.is_in(a.index, CYCLIC)
         unheard = a.now - a.heard > DEAF_S  # not by SDO either
-        if self.is_leaving and ending and not holds and unheard and not a.is_stopped_by_nmt:
+        ending = ending and not self._holds_by_itself(a)
+        if self.is_leaving and ending and unheard and not a.is_stopped_by_nmt:
             a.is_stopped_by_nmt = True
-            self._link.nmt(NMT_STOP, a.holding.config.node_id)
+            self._stop_by_nmt(a)
 
     def _react_to_fall(self, a: SupervisedAxis, falls: AxisState | None) -> None:
         if a.state is AxisState.CATCHING:
-            self.enter(a, AxisState.LOST)
+            self.enter(a, a.use_last_means())
         if falls is None or (a.is_cut and a.state is not AxisState.BRAKING):
             return
+        if a.state is AxisState.BRAKING and a.is_energised and not a.power_is_useless:
+            a.power_is_useless = True
+            self.enter(a, AxisState.BRAKING)
+            return
+        a.power_is_useless |= a.is_energised
         if a.state in (AxisState.BRAKING, AxisState.BRAKED):
             a.brake_failed = True
         if a.state in (AxisState.PARKING, AxisState.STANDS):
@@ -368,7 +388,9 @@ class Supervisor:
         if a.state in (AxisState.OFF, AxisState.LETTING_GO):
             a.holding.loaded = True
         if a.state is AxisState.LED and a.on_trial:
-            a.verdict = a.verdict or f"its drive is in {a.drive.words}"  # it drifts, and nobody notices
+            drifts = f"its drive is in {a.drive.words}"  # and nobody notices
+            a.verdict = a.verdict or (drifts if a.carries else MOVES)
+            a.holding.loaded = True
             self.enter(a, AxisState.STOPPING)
             return
         if a.state is AxisState.LED or a.full is not None:
@@ -551,7 +573,7 @@ class Supervisor:
                 return states.QUICK_STOP
             case Command.STAND_BY:
                 late = a.seconds > STAND_BY_S and a.is_energised
-                useless = a.is_cut or a.blind or a.brake_is_last  # its drive is not given it again
+                useless = a.is_cut or a.blind or a.brake_is_last or a.power_is_useless
                 return states.DISABLE_VOLTAGE if late or useless else states.SWITCH_ON
             case Command.ENABLE:
                 if not a.fresh or (a.state is AxisState.ENABLING and self._waits_for_mode(a)):
@@ -578,6 +600,8 @@ class Supervisor:
     def _rest_torque(self, a: SupervisedAxis) -> float:
         """Torque by which a led axis is brought to rest until its drive holds it."""
         loop = self.loops[a.index]
+        if a.on_trial:
+            return a.catching_torque
         a.is_damped = self.is_leaving and loop is not None
         if not self.is_leaving:
             return a.torque

@@ -25,7 +25,6 @@ from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
 from invid_drivers.simulated.drive import Drive, Scales
 from invid_drivers.simulated.eds import apply_eds
 from invid_drivers.simulated.faults import FaultConfig, disturb
-from invid_drivers.simulated.foreign import foreign_node
 from invid_drivers.simulated.injection import FaultInjector
 from invid_drivers.simulated.loops import LoopMemory, LoopValues, add_loop_objects
 from invid_drivers.simulated.node import Handler, Node
@@ -103,10 +102,6 @@ class SimulatedCell:
         self._noisy = bool(self._noise_scale.any())
         for fault in self.simulation.faults:
             self._injector.plan(fault)
-        self.foreign = [
-            foreign_node(number, self, heartbeat_s=self.simulation.foreign_heartbeat_s)
-            for number in self.simulation.foreign_nodes
-        ]
         self._load(axes)
         memory = self.simulation.memory
         self._memory = LoopMemory(None if memory is None else Path(memory))
@@ -291,8 +286,8 @@ class SimulatedCell:
 
     def _wire_up(self) -> dict[int, list[Handler]]:
         table: dict[int, list[Handler]] = {}
-        for node in (*(d.node for d in self.drives), *self.foreign):
-            for can_id, handler in node.handlers():
+        for drive in self.drives:
+            for can_id, handler in drive.node.handlers():
                 table.setdefault(can_id, []).append(handler)
         for sync_id in {d.node.sync_id for d in self.drives} - {-1}:
             members = [d for d in self.drives if d.node.sync_id == sync_id]

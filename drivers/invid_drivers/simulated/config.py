@@ -216,10 +216,6 @@ class SimulationConfig(Strict):
     tx_queue_frames: int = Field(default=256, ge=1)
     """Frames that the master may have waiting on the virtual bus."""
     boot_s: float = Field(default=0.002, ge=0, le=60)
-    foreign_nodes: list[int] = Field(default_factory=list)
-    """Node ids of devices on the bus that are not the cell's: operational, as their own master left them."""
-    foreign_heartbeat_s: float = Field(default=0.0, ge=0, le=10)
-    """Period of their heartbeats; 0: none."""
     memory: str | None = None
     """File in which the drives keep the values of their loops, so that the next process finds them."""
 

@@ -19,7 +19,7 @@ FrameFaultKind = Literal["drop", "delay", "duplicate", "corrupt"]
 DriveFaultKind = Literal[
     "node_reset", "node_silent", "bus_off", "emcy", "drive_fault", "ignore_quick_stop", "ignore_controlword",
     "encoder_jump", "encoder_stuck", "sign_flip", "brake_stuck", "torque_saturation", "push", "statusword",
-    "mode_display", "torque_display", "torque_scale", "ignore_target", "other_master",
+    "mode_display", "torque_display", "torque_scale", "ignore_target",
 ]  # fmt: skip
 FRAME_FAULTS: tuple[str, ...] = get_args(FrameFaultKind)
 DRIVE_FAULTS: tuple[str, ...] = get_args(DriveFaultKind)
@@ -54,11 +54,6 @@ class FaultConfig(Strict):
     value: int = Field(default=0, ge=-32768, le=0xFFFF)
     gain: float = 1.0
     """0x6077 over the torque."""
-    # another master on the bus
-    traffic: Literal["sync", "nmt", "sdo", "heartbeat"] = "sync"
-    """SDO to the drive of ``axis``; NMT: the command in ``value`` to every node."""
-    period_s: float | None = Field(default=None, gt=0)
-    """None: one frame."""
 
     @model_validator(mode="after")
     def _when_and_where(self) -> FaultConfig:

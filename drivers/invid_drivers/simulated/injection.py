@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from invid_drivers.simulated.cell import SimulatedCell
 
 _NS = 1_000_000_000
-OTHER_MASTER_ID = 126
-"""Node id of the master that is not ours."""
 _LOOK_NS = 1_000_000  # how often an awaited state is looked for: the drives' own control period
 
 
@@ -62,8 +60,6 @@ class FaultInjector:
             return self._set(self._cell, "master_off", True)
         drive = self._cell.drive(fault.axis)
         node = drive.node
-        if kind == "other_master":
-            return self._speak(fault, node.node_id)
         if kind in ("node_silent", "bus_off"):
             undo = self._set(node, "silent", True, then=self._cell.rewire)
             if kind == "bus_off":  # a node knows that it is bus-off; one with a pulled cable does not
@@ -90,29 +86,6 @@ class FaultInjector:
         else:
             return self._disturb_motor(fault, drive, now_ns)
         return None
-
-    def _speak(self, fault: FaultConfig, node_id: int) -> Callable[[int], None]:
-        """Send another master's frames, once or every ``period_s``."""
-        can_id, data = {
-            "sync": (0x80, b""),
-            "nmt": (0x000, bytes([fault.value & 0xFF, 0])),
-            "sdo": (0x600 + node_id, bytes([0x40, 0x41, 0x60, 0, 0, 0, 0, 0])),
-            "heartbeat": (0x700 + OTHER_MASTER_ID, b"\x05"),
-        }[fault.traffic]
-        speaking = [True]
-
-        def speak(now_ns: int) -> None:
-            if not speaking[0]:
-                return
-            self._cell.hear(can_id, data)
-            if fault.period_s is not None:
-                self._cell.schedule(now_ns + round(fault.period_s * _NS), speak)
-
-        def fall_silent(_now: int) -> None:
-            speaking[0] = False
-
-        self._cell.schedule(0, speak)
-        return fall_silent
 
     @staticmethod
     def _set(

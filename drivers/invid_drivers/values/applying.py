@@ -150,7 +150,7 @@ def undo(config: CellConfig, agree: Callable[[tuple[Entry, ...]], None]) -> tupl
                     axis=drive.name,
                 )
         agree(entries)
-        said = tuple(s for d in drives for s in restore(d))
+        said = tuple(s for d in drives for s in restore(d, {d.of_node.number}))
         left = sum(len(journal.of_node(d.node_id)) for d in drives)
         return len(entries) - left, said
 
@@ -183,6 +183,13 @@ def _checked(config: CellConfig) -> Iterator[tuple[Cia402Cell, Journal]]:
 
 def _with_journal(cell: Cia402Cell, journal: Journal) -> list[Access]:
     """The drives, written through another journal than that of a run."""
+    for drive in cell.drives:
+        if drive.of_node.number > 1:
+            raise DriveError(
+                f"{drive.who}: of a node with several axes no values are written: it is not "
+                "known which axis they are of; enter them with its own tool",
+                axis=drive.name,
+            )
     objects = [row.at for known in DRIVES.values() for row in known.rows]
     return [d.through(journal, objects) for d in cell.drives]
 

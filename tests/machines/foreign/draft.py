@@ -36,6 +36,8 @@ class DraftAxis:
     config: dict[str, Any] = field(default_factory=dict)
     falls: float = 0.0
     """What physics lets it fall by, beyond what is demanded of every axis [rad]."""
+    told: str = ""
+    """What must have been said of that, as a pattern."""
     tightest: float | None = None
     """Torque limit that the drive was found with, where that is tighter [N·m]."""
 
@@ -124,6 +126,8 @@ class Draft:
                 "limits": {"torque_Nm": axis.torque_limit, "position_window_rad": WINDOW,
                            "velocity_rad_per_s": SPEED, "stopping_room_rad": ROOM},
             }  # fmt: skip
+            if self.pair and k == 1:
+                said["axis_of_node"] = 2
             if axis.stated is not None:
                 said["gravity_loaded"] = axis.stated
             if axis.brake is not None:

@@ -125,6 +125,8 @@ class QuickStopEnds(Habit):
     def tick(self, axis: Axis, now: float) -> None:
         if self.since is None or now - self.since < self.seconds:
             return
+        if "lets go" not in axis.node.world.marks:
+            axis.node.world.mark("lets go")
         if self.how == "creep":
             axis.reference -= self.creep * 5e-4
             return

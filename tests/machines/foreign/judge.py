@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -78,12 +80,16 @@ def judge_all(d: Draft, runs: Sequence[Run], timeline: Timeline) -> Verdict:
 
 
 def _check(run: Run, axes: int) -> list[str]:
-    """It enables nothing, and calls nothing ready that is under power."""
+    """It enables nothing, and says what is under power, whether or not a measurement can start."""
     bad = [f"check enabled node {e.who}" for e in run.events if " to enabled (" in e.text][:1]
     on = [k for k in range(axes) if len(run.of(k)) and int(run.of(k)["state"][0]) in POWERED]
-    if on and run.document.get("ready"):
-        bad.append("ready, with an axis under power")
+    said = run.words + json.dumps(run.document.get("reasons", ""))
+    bad += [f"A{k + 1} is under power, and not said" for k in on if not _is_said_energised(said, k)]
     return bad
+
+
+def _is_said_energised(said: str, k: int) -> bool:
+    return bool(re.search(rf"axis A{k + 1}\b[^.]*(?:energised|quick stop active)", said))
 
 
 def judge(d: Draft, run: Run, timeline: Timeline) -> Verdict:
@@ -108,6 +114,11 @@ def judge(d: Draft, run: Run, timeline: Timeline) -> Verdict:
             bad += _falls(d, name, axis, rows, (at, played))
         far = float(np.abs(rows["q"] - rows["q"][0]).max())
         notes.append(f"{name} {far:.3f} rad {rows['torque'].max():.1f} N·m {STATES[rows['state'][-1]]}")
+    bad += [
+        f"A{k + 1}: what physics lets it fall by was not said before"
+        for k, axis in enumerate(d.axes)
+        if axis.told and not re.search(axis.told, run.words)
+    ]
     bad += _enabled_again(d, run)
     if run.when("master dies") is None:
         bad += _words(d, run, over)

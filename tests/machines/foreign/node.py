@@ -16,6 +16,7 @@ from .dictionary import (
     TOO_LONG,
     TOO_LOW,
     UNKNOWN_COMMAND,
+    Entry,
     make_dictionary,
 )  # fmt: skip
 
@@ -41,6 +42,13 @@ class Node:
         self.event_s = float(spec.get("event_s", 0.0))
         """TPDO 1 comes at this period as well, whatever was asked of it [s]."""
         self.nmt = PRE_OPERATIONAL
+        none = Entry("B", 0, False)
+        self.beat, self.watch = (self.od.get(at, none) for at in (0x101700, 0x101601))
+        self.timers = [
+            tuple(self.od.get(at + (k << 8), none) for at in (0x140005, 0x180005, 0x180002))
+            for k in range(PDOS)
+        ]
+        """Event timer of each RPDO, that of each TPDO and its type: looked at in every step."""
         self.next_beat = 0.0
         self.heard: float | None = None
         self.boxes: dict[int, bytes] = {}
@@ -226,11 +234,11 @@ class Node:
     # --- time --------------------------------------------------------------------------------------
     def tick(self, now: float) -> None:
         """Timers, every step of the plant."""
-        beat = self.number(0x101700)
+        beat = self.beat.value
         if beat and now >= self.next_beat:
             self.next_beat = now + beat / 1000
             self.say(0x700 + self.node, bytes((self.nmt,)), 1e-4)
-        watch = (self.number(0x101601) & 0xFFFF) / 1000
+        watch = (self.watch.value & 0xFFFF) / 1000
         if self.heard is not None and watch and self.watches:
             if self.min_watch_s:
                 watch = self.min_watch_s * -(-watch // self.min_watch_s)
@@ -241,14 +249,11 @@ class Node:
             return
         if self.event_s and now - self.sent.get(0, -1.0) >= self.event_s:
             self.publish(0, now)
-        for k in range(PDOS):
-            limit = self.number(0x140005 + (k << 8))
-            if limit and k in self.got and now - self.got[k] > limit / 1000:
+        for k, (limit, period, kind) in enumerate(self.timers):
+            if limit.value and k in self.got and now - self.got[k] > limit.value / 1000:
                 del self.got[k]
                 self.for_all(lambda axis: axis.connection_lost(RPDO_LATE))
-            period = self.number(0x180005 + (k << 8))
-            is_due = now - self.sent.get(k, -1.0) >= period / 1000
-            if period and is_due and self.number(0x180002 + (k << 8)) > 240:
+            if period.value and kind.value > 240 and now - self.sent.get(k, -1.0) >= period.value / 1000:
                 self.publish(k, now)
 
     def for_all(self, what: Callable[[Axis], None]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from invid.config import AxisConfig, CellConfig
-from invid.errors import ConfigError, DriveError
+from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.stated.node_axis import NodeAxis
@@ -142,14 +142,14 @@ def test_a_config_names_two_axes_of_one_node_and_each_has_its_own_objects() -> N
     axes = [{"name": "A1", "node_id": 1}, {"name": "A2", "node_id": 1, "axis_of_node": 2}]
     config = cell(*axes)
     assert [a.axis_of_node for a in config.axes] == [1, 2]
-    with pytest.raises(ConfigError, match=r"axis A2: axis_of_node is 2.*not driven yet"):
-        connect(config)
     with pytest.raises(ValueError, match=r"node_id 1 \(axis_of_node 2\) is used by more than one axis"):
         cell(*axes, {"name": "A3", "node_id": 1, "axis_of_node": 2})
-    second = NodeAxis(2)
+    second = NodeAxis.by_profile(2)
     assert second.at(od.TARGET_TORQUE).address == "0x6871"
     assert second.at(od.POSITION_LIMIT_LOW).address == "0x687D:1"
     assert second.at(od.CONSUMER_HEARTBEAT) == od.CONSUMER_HEARTBEAT
+    assert second.at(od.pdo_mapping("TPDO", 1, 2)).address == "0x1A40:2"
+    assert NodeAxis(2, 2).at(od.RPDO_EVENT_TIMER).address == "0x1401:5"
     assert NodeAxis().at(od.TARGET_TORQUE) == od.TARGET_TORQUE
     assert (second.pdo, second.cob_id("RPDO", 3), second.cob_id("TPDO", 3)) == (65, 0x303, 0x283)
     assert (NodeAxis().pdo, NodeAxis().cob_id("RPDO", 3), NodeAxis().cob_id("TPDO", 3)) == (1, 0x203, 0x183)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from invid.sweep.axis_estimator import AxisEstimator, AxisLimits, Fall, Kind
+from invid.sweep.axis_estimator import AxisEstimator, AxisLimits, Fall, Kind, has_leapt
 
 CYCLE, COUNT, RATED, WINDOW = 0.002, 2 * math.pi / 2**16, 10.0, 0.5
 
@@ -87,3 +87,29 @@ def test_noise_that_was_seen_at_rest_is_no_fall_and_what_falls_in_it_is_seen() -
             falls.append(k)
             break
     assert 59_000 < falls[0] < 59_200
+
+
+@pytest.mark.parametrize(("acceleration", "falls"), [(0.0, False), (3.0, True)])
+def test_what_falls_while_its_drive_is_only_asked_every_few_cycles_is_seen(
+    acceleration: float, falls: bool
+) -> None:
+    axis = AxisEstimator(AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m"), CYCLE)
+    seen = []
+    for k in [0, *np.cumsum([2, 3, 2, 4] * 120).tolist()]:
+        way = 0.5 * acceleration * max(0.0, k * CYCLE - 1.0) ** 2
+        axis.take(k * CYCLE, -round(way / COUNT) * COUNT, 0.0)
+        seen += [way] * (axis.fall is not None)
+    assert bool(seen) is falls
+    assert not falls or seen[0] < 0.006
+
+
+def test_an_encoder_leaps_beyond_what_its_axis_goes_in_the_time_and_tells_its_speed() -> None:
+    limits = AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m")
+    assert has_leapt(0.05, 0.002, limits)
+    assert not has_leapt(0.03, 0.002, limits)
+    assert not has_leapt(0.05, 0.004, limits)
+    axis = AxisEstimator(limits, CYCLE)
+    for k in range(100):
+        axis.take(k * CYCLE, 0.5 * k * CYCLE, 0.0)
+    assert axis.speed == pytest.approx(0.5)
+    assert not axis.leapt

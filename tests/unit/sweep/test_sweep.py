@@ -13,9 +13,8 @@ from invid.planning import make_plan
 from invid.planning.model import PlannedExperiment
 from invid.signals.excitation import doublet
 from invid.sweep import Event, Mode, Progress, Sample, Severity, Sweep
-from invid.sweep.bounds import AxisLimits, Bounds
+from invid.sweep.bounds import AxisLimits, Bounds, bounds_of
 from invid.sweep.trials import response
-from invid.sweep.watch import Watch
 
 CYCLE = 0.002
 EXPERIMENT = (
@@ -57,6 +56,8 @@ class RigidCell:
         self.can_hold = (True,) * self.m.size
         self.resolution = (1e-6,) * self.m.size
         self.rated_torque = (10.0,) * self.m.size
+        self.by_offset = (False,) * self.m.size
+        self.bounds: Bounds | None = None
         self.modes: list[Mode] = []
         self.energised = False
         self.stops = 0
@@ -99,6 +100,9 @@ class RigidCell:
         self.v = np.where(held, 0.0, self.v + acceleration * CYCLE)
         self.demands.append(list(torque))
         self.disturb(self, sample)
+        assert self.bounds is not None
+        self.bounds.led = {i for i, mode in enumerate(self.modes) if mode is Mode.TORQUE}
+        self.bounds.check(sample)
         return sample
 
     def stop(self) -> None:
@@ -134,6 +138,7 @@ def run(
 ) -> tuple[Rows, InvidError | None, Sweep]:
     cfg = cfg or config(count=cell.m.size)
     rows = Rows()
+    cell.bounds = bounds_of(cfg, cell.resolution, cell.rated_torque)
     sweep = Sweep(make_plan(cfg, axes=axes), cfg, cell, rows, progress=progress, stop=stop)
     try:
         sweep.run()
@@ -212,7 +217,6 @@ FAULTS: list[tuple[str, Callable[[RigidCell, Sample], None], type[InvidError], s
         "velocity",
     ),
     ("torque", lambda c, s: s.torque.__setitem__(1, 14.0), SafetyStop, "torque"),
-    ("state", lambda c, s: s.status.__setitem__(1, 0x0208), DriveError, "operation enabled"),
     ("tpdo", lambda c, s: s.fresh.__setitem__(0, False), DriveError, "no position"),
     (
         "emcy",
@@ -376,11 +380,10 @@ def watched(position: float, torque: float, speed: float) -> None:
     """Forty cycles of one axis with limits of 1 rad/s and 10 N·m (rated 20) at a torque and a speed."""
     limits = AxisLimits("A1", 10.0, 1.0, 1.0, 1e-9, 20.0, "rad", "N·m")
     bounds = Bounds([limits], cycle_s=CYCLE, missed_tpdos=5, overrun_cycles=5)
-    watch = Watch(bounds, cycle_s=CYCLE)
     bounds.start([0.0])
     for slot in range(40):
         at = position + speed * slot * CYCLE
-        watch.check(Sample(slot, slot * CYCLE, [at], [torque], [0x27], [True], []))
+        bounds.check(Sample(slot, slot * CYCLE, [at], [torque], [0x27], [True], []))
 
 
 def test_each_limit_stops_just_beyond_what_its_sensor_may_be_wrong_by() -> None:

@@ -18,6 +18,7 @@ from invid.errors import RecordingError
 from invid.planning import make_plan
 from invid.recording import Outcome, Recording, RecordingWriter, read_recording
 from invid.sweep import Sweep
+from invid.sweep.bounds import bounds_of
 from invid.sweep.recorder import Recorder
 from invid_drivers.cli.measure import stop_on_signals
 from invid_drivers.realtime import leave_by
@@ -75,6 +76,7 @@ def test_a_disk_that_fills_up_stops_the_axes_and_keeps_what_was_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, cell, cfg = tmp_path / "run.h5", RigidCell(), config()
+    cell.bounds = bounds_of(cfg, cell.resolution, cell.rated_torque)
     header = Recording("r", cell.axes, "rad", "N·m", "2026-01-01T00:00:00+00:00", ())
     plan = make_plan(cfg)
     recorder = Recorder(lambda: RecordingWriter(path, header), plan.cycle_s, 2)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Collection, Mapping, Sequence
-from itertools import pairwise
 
 from invid.config import CellConfig
 from invid.errors import BusError, SafetyStop
@@ -76,7 +75,7 @@ class HeldAxes:
         """Let these axes be enabled again: a person has found the cause."""
         for drive in self._drives:
             if drive.name in names:
-                self.memory.clear(drive.node_id)
+                self.memory.clear(drive.node_id, drive.of_node.number)
 
     def suspect(self, axes: Collection[str], why: str) -> None:
         """Remember the axes at which a run ended, where any axis carries a load.
@@ -85,8 +84,9 @@ class HeldAxes:
         """
         if not any(h.loaded for h in self.holdings):
             return
+        named = {name for axis in axes for name in axis.split(", ")}  # a node may have several
         for h in self.holdings:
-            if h.config.name in axes:
+            if h.config.name in named:
                 with contextlib.suppress(BusError):  # the error that is on its way says more
                     h.note(self.memory, suspect=why[:200])
 
@@ -99,19 +99,17 @@ class HeldAxes:
     # --- at rest -------------------------------------------------------------------------------
     def weigh_at_once(
         self, sample: Sample, rated: Sequence[float], held: Sequence[bool], driven: Collection[int]
-    ) -> bool:
-        """Whether an axis stays held for the torque it shows at a stop before the one at rest was judged.
+    ) -> None:
+        """Keep held what shows torque at a stop before the one at rest was judged.
 
         That counts where the drive holds the axis, for nobody else commands it, and not of one that is
         ``driven`` by that torque.
         """
-        stays = False
         for i, h in enumerate(self.holdings):
             doubted = not self._settled and h.loaded is False and h.can_stay and sample.fresh[i]
             doubted = doubted and i not in driven and held[i] and is_energised(state_of(sample.status[i]))
             if doubted and abs(sample.torque[i]) > LOAD_SHARE * rated[i]:
-                h.loaded = stays = True
-        return stays
+                h.loaded = True
 
     @property
     def doubted(self) -> set[int]:
@@ -160,25 +158,17 @@ class HeldAxes:
             h.note(self.memory, in_run=True)
         self.memory.settle()
 
-    def foresee_options(self) -> None:
-        """Put both values that 0x605A may come to have into the journal, before power."""
-        what = od.QUICK_STOP_OPTION
-        for drive, holding in zip(self._drives, self.holdings, strict=True):
-            shown = drive.find(what) if holding.can_stay and holding.option_writable else None
-            if shown is None:
-                continue
-            values = [shown, SWITCH_OFF if drive.protection.quick_stop_option == STAY else STAY, shown]
-            for before, after in pairwise(what.pack(v).hex() for v in values):
-                self._journal.add(Entry(drive.node_id, drive.serial, what.index, what.sub, before, after))
-
     def set_options(self, cycle: Cycle) -> bool:
         """Have 0x605A written where a drive must hold a load and was to switch off; whether any is."""
-        asked = False
+        asked, what = False, od.QUICK_STOP_OPTION
         for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
             must_stay = holding.loaded is not False and drive.protection.quick_stop_option != STAY
             if must_stay and holding.can_stay and holding.option_writable:
                 drive.protection.quick_stop_option = STAY
-                cycle.set_object(i, od.QUICK_STOP_OPTION, STAY)
+                before, after = (what.pack(v).hex() for v in (SWITCH_OFF, STAY))
+                index = drive.of_node.at(what).index
+                self._journal.note(Entry(drive.node_id, drive.serial, index, what.sub, before, after))
+                cycle.set_object(i, what, STAY)
                 asked = True
         return asked
 
@@ -217,9 +207,9 @@ class HeldAxes:
                 )
             elif name in held or is_energised(state):
                 said.append(
-                    f"axis {name} {carries} and is not held: its drive ({state.words}) was not "
-                    f"seen to bring it to "
-                    "rest. Support it before anybody goes near, then take the drive's enable or supply away"
+                    f"axis {name} {carries}, is energised ({state.words}) and is not held: its drive was not "
+                    "seen to bring it to rest. Support it before anybody goes near, then take the drive's "
+                    "enable or supply away"
                 )
             else:
                 said.append(

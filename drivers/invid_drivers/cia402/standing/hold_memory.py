@@ -20,6 +20,7 @@ class Seen:
     """One drive, as its last stop test and its last settling showed it. ``None``: never seen."""
 
     node_id: int
+    axis_of_node: int = 1
     loaded: bool | None = None
     holds: bool | None = None
     """It stayed in quick stop active and in place, on command and without its master."""
@@ -39,6 +40,11 @@ class Seen:
     """When something new was noted of it last [s since 1970]."""
     suspect: str = ""
     """Why a run ended at this axis beside a load or under one: not enabled again until a person says so."""
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Node, and which of its axes."""
+        return self.node_id, self.axis_of_node
 
 
 LOST = "unreadable"
@@ -66,18 +72,18 @@ class HoldMemory:
         """What was seen, by identity of the drive, or by node where it has none."""
         return self._seen
 
-    def of(self, identity: str, node_id: int) -> Seen:
+    def of(self, identity: str, node_id: int, axis: int = 1) -> Seen:
         """What is known of a drive and of its place.
 
         What a drive does is known of that drive alone, one without a serial number is a stranger each time;
         what its place carries, and that it waits for a person, is known whichever drive is there.
         """
-        place = self.of_node(node_id) or Seen(node_id)
+        place = self.of_axis(node_id, axis) or Seen(node_id, axis)
         drive = self._seen.get(identity)
         if drive is not None and drive.node_id == node_id:
             return drive
         return replace(
-            drive or Seen(node_id),
+            drive or Seen(node_id, axis),
             node_id=node_id,
             loaded=place.loaded if drive is None else drive.loaded or place.loaded,
             left_held=place.left_held,
@@ -85,26 +91,26 @@ class HoldMemory:
             suspect=place.suspect,
         )
 
-    def of_node(self, node_id: int) -> Seen | None:
-        """What was seen of the last drive at a node, for whoever has not asked it who it is."""
+    def of_axis(self, node_id: int, axis: int = 1) -> Seen | None:
+        """What was seen of the last drive at a place, for whoever has not asked it who it is."""
         lost = self._seen.get(LOST)
-        unknown = None if lost is None else replace(lost, node_id=node_id)
-        return next((s for s in self._seen.values() if s.node_id == node_id), unknown)
+        unknown = None if lost is None else replace(lost, node_id=node_id, axis_of_node=axis)
+        return next((s for s in self._seen.values() if s.place == (node_id, axis)), unknown)
 
-    def clear(self, node_id: int) -> None:
-        """Forget what is remembered against a node: a person has found the cause."""
-        seen = self.of_node(node_id)
+    def clear(self, node_id: int, axis: int = 1) -> None:
+        """Forget what is remembered against an axis: a person has found the cause."""
+        seen = self.of_axis(node_id, axis)
         if seen is not None and seen.suspect:
-            name = next((k for k, s in self._seen.items() if s.node_id == node_id), "")
+            name = next((k for k, s in self._seen.items() if s.place == (node_id, axis)), "")
             self.keep(name, replace(seen, suspect=""))
 
     def keep(self, identity: str, seen: Seen) -> None:
         """Remember what was seen: on disk at once, or later under power; BusError where it fails."""
-        name = identity or f"node {seen.node_id}"
+        name = identity or f"node {seen.node_id}" + f".{seen.axis_of_node}" * (seen.axis_of_node > 1)
         if self._seen.get(name) == seen:
             return
         seen = replace(seen, at=time.time())
-        others = {k: v for k, v in self._seen.items() if v.node_id != seen.node_id or k == name}
+        others = {k: v for k, v in self._seen.items() if v.place != seen.place or k == name}
         self._seen = {**others, name: seen}
         if self.path is not None:
             text = json.dumps({k: asdict(v) for k, v in self._seen.items()}, indent=1)
@@ -119,9 +125,10 @@ class HoldMemory:
         self._disk.settle()
 
 
-def identity(vendor_id: int, product_code: int, serial: int) -> str:
-    """Name of a drive in the memory; empty where it has no serial number."""
-    return f"{vendor_id:08X}-{product_code:08X}-{serial}" if serial else ""
+def identity(vendor_id: int, product_code: int, serial: int, axis: int = 1) -> str:
+    """Name of an axis of a drive in the memory; empty where that has no serial number."""
+    further = f".{axis}" * (axis > 1)
+    return f"{vendor_id:08X}-{product_code:08X}-{serial}{further}" if serial else ""
 
 
 def _write(path: Path, text: str) -> None:
@@ -159,10 +166,10 @@ def _parse(data: bytes | None) -> dict[str, Seen]:
 def _warned(own: Mapping[str, Seen], name: str, theirs: Seen, user: str) -> Seen | None:
     """What is known of a drive, with what makes careful from what another user's run saw later: that it may
     carry a load or be energised, or waits for a person. Never that anything holds."""
-    mine = own.get(name) or next((s for s in own.values() if s.node_id == theirs.node_id), None)
+    mine = own.get(name) or next((s for s in own.values() if s.place == theirs.place), None)
     if mine is not None and mine.at >= theirs.at:
         return None
-    known = mine or Seen(theirs.node_id)
+    known = mine or Seen(*theirs.place)
     return replace(
         known,
         node_id=theirs.node_id,

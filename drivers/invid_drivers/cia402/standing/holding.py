@@ -16,8 +16,7 @@ from invid.sweep.axis_estimator import STAND_S
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.axis import Drive, DriveReport
-from invid_drivers.cia402.link import SdoAbortedError, SdoError
-from invid_drivers.cia402.protection import READ_ONLY, STAY, STAYING, SWITCH_OFF
+from invid_drivers.cia402.protection import STAY, STAYING, SWITCH_OFF
 from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen, identity
 from invid_drivers.cia402.states import DriveState, is_energised
 
@@ -166,15 +165,18 @@ class AxisHolding:
 
 def found_holding(drive: Drive, state: DriveState, memory: HoldMemory, report: DriveReport) -> AxisHolding:
     """How a drive holds its axis, by what stands in it and in the memory; writes nothing under power."""
-    name = identity(report.vendor_id, report.product_code, report.serial)
+    name = identity(report.vendor_id, report.product_code, report.serial, drive.of_node.number)
     option = drive.find(od.QUICK_STOP_OPTION)
     writable = option is not None and (
-        is_energised(state) or drive.left_alone or option in STAYING or _writable(drive, option)
+        is_energised(state)
+        or drive.left_alone
+        or option in STAYING
+        or drive.takes(od.QUICK_STOP_OPTION, option)
     )
     return AxisHolding(
         drive.config,
         name,
-        memory.of(name, drive.node_id),
+        memory.of(name, drive.node_id, drive.of_node.number),
         state,
         option,
         writable,
@@ -182,21 +184,6 @@ def found_holding(drive: Drive, state: DriveState, memory: HoldMemory, report: D
         report.scaling.most_permille(report.limits.torque.value),
         drive.find(od.CONSUMER_HEARTBEAT) is not None,
     )
-
-
-def _writable(drive: Access, option: int) -> bool:
-    """Whether 0x605A can be written, tried with the value that stands there."""
-    declared = None if drive.declared is None else drive.declared.find(od.QUICK_STOP_OPTION.index, 0)
-    if declared is not None and declared.access in ("ro", "const"):
-        return False
-    try:
-        what = od.QUICK_STOP_OPTION
-        drive.link.sdo(drive.node_id).download(what.index, what.sub, what.pack(option))
-    except SdoAbortedError as error:
-        return int(error.code) not in READ_ONLY
-    except SdoError as error:
-        raise drive.silence(od.QUICK_STOP_OPTION, error) from None
-    return True
 
 
 def require_holdable(drive: Access, holding: AxisHolding) -> None:
@@ -308,7 +295,7 @@ def remembered(config: CellConfig, memory: HoldMemory) -> tuple[Reason, ...]:
     """
     found = []
     for axis in config.axes:
-        seen = memory.of_node(axis.node_id)
+        seen = memory.of_axis(axis.node_id, axis.axis_of_node)
         if seen is None:
             continue
         if seen.suspect:
@@ -325,7 +312,7 @@ def to_support(config: CellConfig, memory: HoldMemory) -> tuple[str, ...]:
     """Axes whose hold the next measurement tries: their loads must not be able to fall far."""
     names = []
     for axis in config.axes:
-        seen = memory.of_node(axis.node_id) or Seen(axis.node_id)
+        seen = memory.of_axis(axis.node_id, axis.axis_of_node) or Seen(axis.node_id)
         if axis.gravity_loaded is False and not seen.loaded:
             continue
         tried = seen.brake_drop is not None if axis.brake == "drive" else seen.holds is True

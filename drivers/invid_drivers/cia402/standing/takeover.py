@@ -35,9 +35,9 @@ def find_powered(drives: Sequence[Drive], memory: HoldMemory) -> tuple[dict[str,
     """
     powered, silent = {}, []
     for drive in drives:
-        state, seen = state_before_nmt(drive), memory.of_node(drive.node_id)
+        state, seen = state_before_nmt(drive), memory.of_axis(drive.node_id, drive.of_node.number)
         drive.left_alone = seen is not None and bool(seen.suspect)
-        drive.link.gate.nodes[drive.node_id].left_alone = drive.left_alone
+        drive.link.gate.nodes[drive.node_id].left_alone |= drive.left_alone
         if state is None:
             silent.append(drive)
         elif drive.left_alone or is_energised(state):
@@ -76,20 +76,27 @@ def require_ours(drive: Drive, holding: AxisHolding) -> None:
             f"(transition 16, seen in a stop test): it cannot be taken over without letting go. {way_out}",
             axis=drive.name,
         )
+    require_mapped(drive)
+
+
+def require_mapped(drive: Drive) -> None:
+    """DriveError where an axis of a node that holds a load is not mapped as this program leaves it."""
     if not _is_mapped(drive):
         raise DriveError(
-            f"{drive.who}: it is held in {state.words}, and its PDOs are not those of this program: they "
-            f"cannot be changed under power. {way_out}",
+            f"{drive.who}: its node holds a load, and its PDOs are not those of this program: they "
+            f"cannot be changed under power. {WAY_OUT}; nothing was sent to it",
             axis=drive.name,
         )
 
 
 def _is_mapped(drive: Drive) -> bool:
     """Whether PDO 1 both ways is as ``map_pdos`` leaves it."""
-    for kind, wanted, cob in (
-        ("RPDO", od.RPDO_MAP, 0x200 + drive.node_id),
-        ("TPDO", od.TPDO_MAP, 0x180 + drive.node_id),
+    for kind, objects in (
+        ("RPDO", od.RPDO_MAP),
+        ("TPDO", od.TPDO_MAP),
     ):
+        cob = drive.of_node.cob_id(kind, drive.node_id)
+        wanted = tuple(map(drive.of_node.at, objects))
         if (drive.find(od.pdo_communication(kind, 1, 1)) or 0) & 0xBFFFFFFF != cob:
             return False
         if drive.find(od.pdo_mapping(kind, 1, 0)) != len(wanted):

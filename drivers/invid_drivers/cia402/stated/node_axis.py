@@ -14,9 +14,13 @@ COB_IDS = 0x100
 """From an identifier of the predefined set to the next PDO's, of which there are four."""
 
 
+PDO_OBJECTS = frozenset({0x1400, 0x1600, 0x1800, 0x1A00})
+"""Communication and mapping of the first PDO of either kind."""
+
+
 @dataclass(frozen=True)
 class NodeAxis:
-    """One axis of a node, counted from 1.
+    """One axis of a node, counted from 1, and the PDO that it exchanges in every cycle.
 
     What belongs to the node is all its axes': NMT state, heartbeat (0x1016, 0x1017), SYNC, emergencies,
     identity (0x1000, 0x1018) and the SDO channel. Objects below 0x6000 that a vendor keeps for each axis lie
@@ -24,17 +28,29 @@ class NodeAxis:
     """
 
     number: int = 1
+    pdo: int = 1
+    """Number of that PDO, of either kind, counted from 1."""
+
+    @classmethod
+    def by_profile(cls, number: int) -> NodeAxis:
+        """The axis with the PDO that CiA 301 foresees for it."""
+        return cls(number, 1 + PDOS * (number - 1))
 
     def at(self, what: Object) -> Object:
-        """The same object of this axis."""
-        of_profile = 0x6000 <= what.index < 0x6000 + APART
-        return replace(what, index=what.index + APART * (self.number - 1)) if of_profile else what
-
-    @property
-    def pdo(self) -> int:
-        """Number of the PDO, of either kind, that this axis exchanges in every cycle, counted from 1."""
-        return 1 + PDOS * (self.number - 1)
+        """The same object of this axis; what is said of PDO 1 is said of its PDO."""
+        if self.number == 1:
+            return what
+        if 0x6000 <= what.index < 0x6000 + APART:
+            return replace(what, index=what.index + APART * (self.number - 1))
+        return replace(what, index=what.index + self.pdo - 1) if what.index in PDO_OBJECTS else what
 
     def cob_id(self, kind: str, node_id: int) -> int:
         """Identifier of that "RPDO" or "TPDO"."""
         return {"RPDO": 0x200, "TPDO": 0x180}[kind] + COB_IDS * (self.number - 1) + node_id
+
+
+def of_first_axis(index: int) -> tuple[int, int]:
+    """Index of the same object of a node's first axis, and the axis that it belongs to."""
+    if not 0x6000 <= index < 0xA000:
+        return index, 1
+    return 0x6000 + (index - 0x6000) % APART, 1 + (index - 0x6000) // APART

@@ -115,13 +115,6 @@ class Factors:
     notes: tuple[str, ...]
 
 
-def read_scaling(drive: Access, warnings: list[str]) -> Scaling:
-    """``read_factors`` of a drive; what is worth saying is added to ``warnings``."""
-    found = read_factors(drive.find, drive.config, linear=drive.linear, vendor=drive.vendor)
-    warnings += found.notes
-    return found.scaling
-
-
 def require_nominal_current(drive: Access, nominal: Object, whole: int) -> list[str]:
     """The vendor's current at rated torque [mA] against 0x6075; DriveError where they contradict."""
     rated = drive.find(od.RATED_CURRENT)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+WHOLE = 1 << 32
+"""Counts of the circle of INTEGER32."""
 LEAST_COUNTS = 6
 """Counts of a turn that the coarsest feedback has: the six states of three Hall sensors."""
 
@@ -60,6 +62,6 @@ def position_per_count(increments: int, revolutions: int, *, linear: bool = Fals
     return per_turn * revolutions / increments
 
 
-def wrapped_difference(counts: int, since: int) -> int:
-    """``counts − since`` on the circle of INTEGER32: 0x6064 may wrap around."""
-    return (counts - since + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+def wrapped_difference(counts: int, since: int, span: int = WHOLE) -> int:
+    """``counts − since`` on a circle of so many counts: 0x6064 may wrap around, at 0x607B or at 32 bits."""
+    return (counts - since + span // 2) % span - span // 2
