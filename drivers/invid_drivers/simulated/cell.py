@@ -28,7 +28,7 @@ from invid_drivers.simulated.faults import FaultConfig, disturb
 from invid_drivers.simulated.injection import FaultInjector
 from invid_drivers.simulated.loops import LoopMemory, LoopValues, add_loop_objects
 from invid_drivers.simulated.node import Handler, Node
-from invid_drivers.simulated.object_dictionary import Nameplate, drive_dictionary
+from invid_drivers.simulated.object_dictionary import RATED_MA, Nameplate, drive_dictionary
 from invid_drivers.simulated.plant import Plant
 from invid_drivers.simulated.structure import build_structure
 from invid_drivers.simulated.vendors import PROFILES
@@ -131,7 +131,7 @@ class SimulatedCell:
         plate = Nameplate("invid drive", axis.node_id, rated, settings.encoder_counts, linear)
         # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
         bandwidth = 2.0 * math.pi * settings.position_loop_Hz
-        loops = LoopValues(1.4 * motor * bandwidth, bandwidth / 1.4)
+        loops = LoopValues(1.4 * motor * bandwidth, bandwidth / 1.4, torque_constant=1e3 * rated / RATED_MA)
         add_loops = partial(add_loop_objects, values=loops, epos4=objects.profile == "epos4")
         od = drive_dictionary(axis.node_id, plate, profile, (ramps[0], ramps[1]), add_loops)
         if objects.eds is not None:

@@ -26,7 +26,8 @@ LOOPS, FILTERS, EPOS4 = 0x2500, 0x2501, 0x30A2
 
 @dataclass(frozen=True)
 class LoopValues:
-    """K_v, 1/T_i [1/s], K_p, and feedforward of speed and acceleration."""
+    """K_v, 1/T_i [1/s], K_p, and feedforward of speed and acceleration; ``torque_constant`` [N·m/A or N/A] of
+    a drive that does not show its rated torque."""
 
     velocity_gain: float
     position_gain: float
@@ -34,6 +35,7 @@ class LoopValues:
     viscous: float = 0.0
     inertia: float = 0.0
     notches: tuple[Notch, ...] = ()
+    torque_constant: float = 1.0
 
 
 def bits(value: float) -> int:
@@ -51,7 +53,7 @@ def real(value: int) -> float:
 def add_loop_objects(od: ObjectDictionary, values: LoopValues, *, epos4: bool) -> None:
     """The objects of the loops with what they come with."""
     if epos4:
-        micro = 1e6 / _torque_constant(od)
+        micro = 1e6 / _torque_constant(od, values)
         gains = (values.velocity_gain, values.velocity_gain * values.reset, values.viscous, values.inertia)
         od.add_record(EPOS4, *(("I", "rw", min(round(micro * g), (1 << 32) - 1)) for g in gains))
         return
@@ -75,7 +77,7 @@ def loop_values(od: ObjectDictionary, shipped: LoopValues) -> LoopValues:
     """What the objects say; ``shipped`` where the drive has none."""
     if od.find(EPOS4, 1) is not None:
         gain, integral, viscous, inertia = (
-            od.number(EPOS4, sub) * 1e-6 * _torque_constant(od) for sub in range(1, 5)
+            od.number(EPOS4, sub) * 1e-6 * _torque_constant(od, shipped) for sub in range(1, 5)
         )
         reset = integral / gain if gain else 0.0
         return LoopValues(gain, shipped.position_gain, reset, viscous, inertia)
@@ -87,9 +89,10 @@ def loop_values(od: ObjectDictionary, shipped: LoopValues) -> LoopValues:
     return LoopValues(gain, position, 1.0 / time if time else 0.0, viscous, inertia, notches)
 
 
-def _torque_constant(od: ObjectDictionary) -> float:
-    """[N·m/A]: thousandths of both."""
-    return od.number(0x6076) / max(od.number(0x6075), 1)
+def _torque_constant(od: ObjectDictionary, values: LoopValues) -> float:
+    """[N·m/A]: thousandths of both objects, where the drive shows them."""
+    torque, current = od.number(0x6076, missing=0), od.number(0x6075, missing=0)
+    return torque / current if torque and current else values.torque_constant
 
 
 def put_into(row: Float64, values: LoopValues, cycle_s: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from canopen.sdo.exceptions import SdoAbortedError
@@ -170,6 +170,10 @@ class Nameplate:
     linear: bool = False
 
 
+RATED_MA = 3000
+"""Rated current [mA]."""
+
+
 def drive_dictionary(
     node_id: int,
     plate: Nameplate,
@@ -211,14 +215,19 @@ def drive_dictionary(
     _add_drive_profile(od, plate.rated_torque, plate.encoder_counts, plate.linear)
     for index, ramp in zip((0x6084, 0x6085), ramps or (), strict=False):
         od.entry(index).value = od.entry(index).default = ramp
+    _put(od, profile.values)  # the loops count in some of them
     add_loops(od)
     for index in profile.lacks:
         od.remove(index)
-    for (index, sub), value in profile.values.items():
+    _put(od, profile.values)
+    return od
+
+
+def _put(od: ObjectDictionary, values: Mapping[tuple[int, int], int]) -> None:
+    for (index, sub), value in values.items():
         entry = od.find(index, sub)
         if entry is not None:
             entry.value = entry.default = value
-    return od
 
 
 _RECEIVED = {1: [0x60400010], 2: [0x60400010, 0x60600008], 3: [0x60400010, 0x60710010], 4: [0x607A0020]}
@@ -266,7 +275,7 @@ def _add_drive_profile(
     add(0x6072, 0, "H", "rw", 3000, "rw")
     add(0x6073, 0, "H", "rw", 3000)
     add(0x6074, 0, "h", "ro", 0, "r")
-    add(0x6075, 0, "I", "rw", 3000)  # mA, as the vendor's area says below
+    add(0x6075, 0, "I", "rw", RATED_MA)  # as the vendor's area says below
     add(0x6076, 0, "I", "rw", rated)
     add(0x6077, 0, "h", "ro", 0, "r")
     add(0x6078, 0, "h", "ro", 0, "r")
