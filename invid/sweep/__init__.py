@@ -1,7 +1,8 @@
 """Run a plan against ports: move the axes, watch their limits, always stop."""
 
+from invid.sweep.cell import Cell
 from invid.sweep.engine import Progress, Sweep, SweepResult
-from invid.sweep.ports import Cell, Clock, Event, Mode, Sample, Severity, Sink
+from invid.sweep.ports import Clock, Event, Mode, Sample, Severity, Sink
 
 __all__ = [
     "Cell",

@@ -18,8 +18,9 @@ from invid.planning.phases import lowest_frequency
 from invid.planning.stopping_distance import Permitted
 from invid.recording.model import Kind
 from invid.sweep.bounds import Statistics
+from invid.sweep.cell import Cell
 from invid.sweep.motion import Motion, RowSink
-from invid.sweep.ports import Cell, Sink
+from invid.sweep.ports import Sink
 from invid.sweep.rehearsal import Rehearsal
 
 WORTH_SAYING = 0.9

@@ -25,9 +25,10 @@ from invid.planning.hold_laws import (
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import CATCH_HZ, SETTLE_S, highest_frequency
 from invid.sweep.bounds import Statistics
+from invid.sweep.cell import Cell
 from invid.sweep.loads import CONFIRM_S, STEADY_S, Load, differing, judge_loads
 from invid.sweep.moment import TRACE_S, Moment
-from invid.sweep.ports import Cell, Loop, Mode, Sample, Sink
+from invid.sweep.ports import Loop, Mode, Sample, Sink
 from invid.sweep.watch import Watch
 
 FADE_S = 0.1

@@ -39,6 +39,8 @@ MISSED_S = 0.3
 """After a silence drives go on saying that their master was gone."""
 CUT_LOOK_S = 0.4
 """How an axis moves on that was cut off: longer than the longest window in which a fall is seen."""
+EDGE_CYCLES = 2.5
+"""Cycles in which a drive is told to stop before it goes on from quick stop: two, should one be lost."""
 STAND_BY_S = 0.3
 """A drive that is still enabled so long after *switch on* knows no way back to it: the voltage goes."""
 
@@ -576,11 +578,12 @@ class Supervisor:
                 useless = a.is_cut or a.blind or a.brake_is_last or a.power_is_useless
                 return states.DISABLE_VOLTAGE if late or useless else states.SWITCH_ON
             case Command.ENABLE:
-                if not a.fresh or (a.state is AxisState.ENABLING and self._waits_for_mode(a)):
-                    return self._cycle.control[a.index]
-                if a.drive is DriveState.QUICK_STOP_ACTIVE:
-                    return states.ENABLE_OPERATION
-                return states.towards_enabled(a.drive)
+                waits = not a.fresh or (a.state is AxisState.ENABLING and self._waits_for_mode(a))
+                if a.fresh and a.drive is DriveState.QUICK_STOP_ACTIVE:
+                    # one that stopped by itself goes on only from a command to stop
+                    waits |= a.seconds < EDGE_CYCLES * a.cycle_s
+                    return states.QUICK_STOP if waits else states.ENABLE_OPERATION
+                return self._cycle.control[a.index] if waits else states.towards_enabled(a.drive)
 
     def _waits_for_mode(self, a: SupervisedAxis) -> bool:
         """Whether an axis goes no further before its drive has taken the mode it is to hold it in."""

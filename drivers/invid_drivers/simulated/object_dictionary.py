@@ -223,7 +223,7 @@ def drive_dictionary(
     return od
 
 
-def _put(od: ObjectDictionary, values: Mapping[tuple[int, int], int]) -> None:
+def _put(od: ObjectDictionary, values: Mapping[tuple[int, int], int | str]) -> None:
     for (index, sub), value in values.items():
         entry = od.find(index, sub)
         if entry is not None:
