@@ -19,6 +19,7 @@ from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Numbers
+from invid.likelihood.unknown_forces.worth import NUMBER
 from invid.model.chains import CoupledChains
 from invid.model.plant import Structure
 from invid.numerics import budget
@@ -86,7 +87,15 @@ def begin_elastic(
         return begun
     hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
     again = _begin(remove_tones(recording, hz), sizes, before, start)
+    worse = _whole(again.first) - _whole(begun.first)
+    if worse > 3 * NUMBER * len(hz):
+        return begun  # a part of the motion was taken out: what keeps its own time is on no line of a period
     return replace(again, tones=sized(tones, recording, again.first.numbers.plant))
+
+
+def _whole(found: Supposed) -> float:
+    """−2 ln L of all records."""
+    return found.total + found.kept_total
 
 
 def with_each_period(begun: Begun) -> Begun:

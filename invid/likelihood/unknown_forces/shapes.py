@@ -28,6 +28,8 @@ WIDTH_BOUNDS, STRIBECK_BOUNDS = (3e-4, 0.1), (0.01, 8.0)
 APART = 4.0
 """Least Stribeck velocity over the width of dry friction's turn: closer to it a rise at slow speed is the
 form of the turn (physical: at four widths tanh has turned)."""
+NO_POWER = 1e-140
+"""Beside the size of a column: a shape of a law that is not there has none, and its variance stays finite."""
 FALL = 0.5
 """Predicted fall of −2 ln L below which shapes stay."""
 FRICTION_STEP, LEAD_STEP = 0.05, 0.01
@@ -247,7 +249,7 @@ class Curvature:
     @cached_property
     def covariance(self) -> Float64:
         """Joint covariance in the same order."""
-        unit = np.sqrt(np.diag(self.matrix)) + 1e-300
+        unit = np.sqrt(np.diag(self.matrix)) + NO_POWER
         scaled = self.matrix / unit[:, None] / unit + 1e-12 * np.eye(unit.size)
         return np.asarray(np.linalg.inv(scaled) / unit[:, None] / unit, dtype=np.float64)
 
