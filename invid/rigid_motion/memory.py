@@ -31,6 +31,8 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term], late: Float6
     Two elements in parallel at most, one that slides at once and one after a travel: generalised Maxwell slip
     (Al-Bender, Lampaert, Swevers, IEEE Transactions on Automatic Control 50(11), 2005).
     """
+    if not all(np.isfinite(m.blur).all() for m in rows.motions):
+        return rows, final  # of a velocity alone no place is known
     whole = Rows([m.whole() for m in rows.motions])
     whole.bend(late)
     current = settled(whole, final.terms)

@@ -14,7 +14,6 @@ from service_process import SMALL_CELL, STIFF_CELL, serving
 pytestmark = [pytest.mark.browser, pytest.mark.service]
 
 
-@pytest.mark.panel
 @pytest.mark.campaign
 @needs_browser
 def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_page(tmp_path: Path) -> None:

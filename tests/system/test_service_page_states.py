@@ -21,7 +21,6 @@ pytestmark = [
     pytest.mark.browser,
     pytest.mark.service,
     pytest.mark.campaign,
-    pytest.mark.panel,
     needs_browser,
 ]
 SIZES = ((1280, 800), (390, 844))

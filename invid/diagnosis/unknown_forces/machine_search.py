@@ -13,9 +13,7 @@ from invid.diagnosis.unknown_forces.backward import deletions_of
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_forces
 from invid.diagnosis.unknown_forces.nameless import add_laws
 from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
-from invid.diagnosis.unknown_forces.scoring import candidates, score
 from invid.diagnosis.unknown_forces.structures import additions_of, without
-from invid.effects.supposed.law import SupposedLaw
 from invid.effects.supposed_laws import supposed_laws
 from invid.identification.begun import Begun, with_each_period
 from invid.identification.fewer_masses import with_masses_seen
@@ -23,7 +21,7 @@ from invid.identification.own_time import changes_within
 from invid.identification.quantities import axis_and_element
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
-from invid.likelihood.unknown_forces.worth import LEAST_FITTED, Worth, prune, without_loose_springs
+from invid.likelihood.unknown_forces.worth import Worth, prune, without_loose_springs
 from invid.numerics import budget
 from invid.recording.model import Recording
 
@@ -58,7 +56,7 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     """The search over causes on the records for fitting, judged on those kept out."""
     recording = begun.recording
     laws = supposed_laws(linear=recording.linear)
-    begun = _with_periods_apart(begun, laws)
+    begun = _with_periods_apart(begun)
 
     def tell(now: Supposed, share: float) -> None:
         budget.tell_found(found_so_far(now, recording.axes))
@@ -83,16 +81,12 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 
-def _with_periods_apart(begun: Begun, laws: Sequence[SupposedLaw]) -> Begun:
-    """The same with each period on its own where something changes between them and a law over time promises
-    to be a cause of it: free play never repeats either."""
+def _with_periods_apart(begun: Begun) -> Begun:
+    """The same with each period a record of its own where something changes between them: a period's lines in
+    a longer one show the mean of what the machine was, and free play never repeats."""
     if not changes_within(begun.first) or budget.is_left_out("each period on its own"):
         return begun
     apart = with_each_period(begun)
-    looked = apart.first.smoothed()
-    over_time = candidates(looked, [law for law in laws if law.effect.family == "time"])
-    if score(looked, over_time).max(initial=0.0) < LEAST_FITTED:
-        return begun
     return replace(apart, first=reshape(scan_friction(apart.first.refit())))
 
 
