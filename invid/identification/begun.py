@@ -12,9 +12,9 @@ from invid.identification.contest import NOTHING, Known, begin, begin_open
 from invid.identification.fitted_model import plant_of
 from invid.identification.kept_out import Split, all_records, records_of
 from invid.identification.missing_torque import missed_share
-from invid.identification.own_time import AxisTones, sized, tones_of
+from invid.identification.own_time import AxisTones, changes_within, sized, tones_of
 from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
-from invid.likelihood.unknown_forces.shapes import reshape
+from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
 from invid.likelihood.unknown_forces.timing import Timing
@@ -84,13 +84,15 @@ def begin_elastic(
     begun = _begin(recording, sizes, before, start)
     tones = tones_of(begun.first)
     if not tones or budget.is_left_out("torque that keeps its own time"):
-        return begun
+        return _each_period(begun)
     hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
     again = _begin(remove_tones(recording, hz), sizes, before, start)
     worse = _whole(again.first) - _whole(begun.first)
     if worse > 3 * NUMBER * len(hz):
-        return begun  # a part of the motion was taken out: what keeps its own time is on no line of a period
-    return replace(again, tones=sized(tones, recording, again.first.numbers.plant))
+        return _each_period(
+            begun
+        )  # a part of the motion was taken out: what keeps its own time is on no line of a period
+    return _each_period(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
 
 
 def _whole(found: Supposed) -> float:
@@ -98,14 +100,14 @@ def _whole(found: Supposed) -> float:
     return found.total + found.kept_total
 
 
-def with_each_period(begun: Begun) -> Begun:
-    """The same with every period a record of its own: a period's lines in a longer one show the mean of what
-    the machine was.
-
-    Numbers are settled, and not fitted.
-    """
+def _each_period(begun: Begun) -> Begun:
+    """The same with every period on its own where the machine changes within a record: a period's lines show
+    the mean of what it was."""
+    if not changes_within(begun.first) or budget.is_left_out("each period on its own"):
+        return begun
     benches = _benches(records_of(begun.recording, by_period=True))
-    return replace(begun, first=suppose(benches, begun.first.hypothesis, begun.first.numbers, SETTLED))
+    first = suppose(benches, begun.first.hypothesis, begun.first.numbers)
+    return replace(begun, first=reshape(scan_friction(first)))
 
 
 def _benches(split: Split) -> tuple[Bench, Bench]:

@@ -230,21 +230,25 @@ class Service:
             return Answer(record.ended or record.created, error["text"], error["fix"])
         return known if record.started is None else Answer(record.started)
 
+    def require_free_bus(self, cell: Cell) -> None:
+        """Problem 409 where a run has the bus of a cell; whoever calls it holds the cell's start lock."""
+        busy = self.jobs.occupying(cell.id)
+        if busy is not None:
+            raise Problem(
+                "run-in-progress",
+                f"identification {busy.record.id} is {busy.record.state}: it has the bus",
+                {"Retry-After": "5"},
+                identification=busy.record.id,
+                simulated=cell.simulated,
+            )
+
     async def check(self, cell: Cell) -> Checked:
         """Ask the drives of a cell in which nothing runs; Problem 409 where something does.
 
         What an earlier run left in them is restored: this writes to drives.
         """
         async with self.start_locks[cell.id]:
-            busy = self.jobs.occupying(cell.id)
-            if busy is not None:
-                raise Problem(
-                    "run-in-progress",
-                    f"identification {busy.record.id} is {busy.record.state}: it has the bus",
-                    {"Retry-After": "5"},
-                    identification=busy.record.id,
-                    simulated=cell.simulated,
-                )
+            self.require_free_bus(cell)
             ready, asked = await self.ask_drives(cell)
         return Checked(**dict(ready), warnings=list(dict.fromkeys(asked.said)))
 

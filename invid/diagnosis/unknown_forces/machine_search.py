@@ -15,11 +15,9 @@ from invid.diagnosis.unknown_forces.nameless import add_laws
 from invid.diagnosis.unknown_forces.pursuit import Pursued, pursue
 from invid.diagnosis.unknown_forces.structures import additions_of, without
 from invid.effects.supposed_laws import supposed_laws
-from invid.identification.begun import Begun, with_each_period
+from invid.identification.begun import Begun
 from invid.identification.fewer_masses import with_masses_seen
-from invid.identification.own_time import changes_within
 from invid.identification.quantities import axis_and_element
-from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.worth import Worth, prune, without_loose_springs
 from invid.numerics import budget
@@ -55,14 +53,13 @@ class ElasticSearch:
 def search_elastic(begun: Begun) -> ElasticSearch:
     """The search over causes on the records for fitting, judged on those kept out."""
     recording = begun.recording
-    laws = supposed_laws(linear=recording.linear)
-    begun = _with_periods_apart(begun)
 
     def tell(now: Supposed, share: float) -> None:
         budget.tell_found(found_so_far(now, recording.axes))
         budget.tell("looking for causes", share)
 
     with budget.use_share(TIME_TO_PURSUE, 0.3, 0.75):
+        laws = supposed_laws(linear=recording.linear)
         pursued = pursue(begun.first, laws, tell=tell, growing=begun.declared is None)
     is_cut_short = CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
@@ -79,15 +76,6 @@ def search_elastic(begun: Begun) -> ElasticSearch:
         found, end = prune(with_law.kept_settled(), deletions_of)
         forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), nothing)
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
-
-
-def _with_periods_apart(begun: Begun) -> Begun:
-    """The same with each period a record of its own where something changes between them: a period's lines in
-    a longer one show the mean of what the machine was, and free play never repeats."""
-    if not changes_within(begun.first) or budget.is_left_out("each period on its own"):
-        return begun
-    apart = with_each_period(begun)
-    return replace(apart, first=reshape(scan_friction(apart.first.refit())))
 
 
 def found_so_far(now: Supposed, axes: Sequence[str]) -> list[budget.Found]:

@@ -221,15 +221,7 @@ async def apply_tuning(model: str, body: ApplyBody, service: Context, caller: Ac
             simulated=cell.simulated,
         )
     async with service.start_locks[cell.id]:
-        busy = service.jobs.occupying(cell.id)
-        if busy is not None:
-            raise Problem(
-                "run-in-progress",
-                f"identification {busy.record.id} is {busy.record.state}: it has the bus",
-                {"Retry-After": "5"},
-                identification=busy.record.id,
-                simulated=cell.simulated,
-            )
+        service.require_free_bus(cell)
         writes = body.undo or body.token is not None
         if writes:
             facts = {"cell": cell.id, "model": record.id, "by": body.by or caller.name, "undo": body.undo}
