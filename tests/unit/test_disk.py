@@ -49,7 +49,7 @@ def test_a_command_that_meets_a_full_disk_says_so_and_is_no_internal_error(
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", "run.h5")
 
-    monkeypatch.setattr("invid.api.load_model", full)
+    monkeypatch.setattr("invid.cli.compare.load_model", full)
     assert run(["compare", "a.json", "b.json"]) == 2
     assert "run.h5: cannot be written: No space left" in capsys.readouterr().err
 
