@@ -22,6 +22,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,8 +32,8 @@ from invid.errors import InvidError
 from invid.identification.identify import identify
 from invid.model.forward import frf as chain_frf
 from invid.recording.model import Recording
-from invid.signals.frf import frf_matrix
-from invid.signals.spectra import all_spectra
+from invid.signals.frf import FrfMatrix, frf_matrix
+from invid.signals.record import make_record
 
 SIZES = (3, 3, 3)
 PEAK = np.array([20.0, 40.0, 60.0])
@@ -48,13 +49,19 @@ def by_invid(method: str) -> Callable[[Recording, np.ndarray], Answer]:
     return run
 
 
+def measured_frf(recording: Recording) -> FrfMatrix:
+    """As measured, by the torque when it acts."""
+    found = frf_matrix([make_record(e, recording.encoder_resolution) for e in recording.experiments])
+    return replace(found, frf=found.frf * np.exp(1j * np.pi * found.frequency_hz / RATE)[:, None, None])
+
+
 def by_subspace(recording: Recording, hz: np.ndarray, *, blocks: int = 20) -> Answer:
     """Subspace identification on the lines (McKelvey, Akçay, Ljung 1996, non-uniform lines), true order.
 
     On the acceleration, whose order is that of the elastic modes alone, weighted by its noise; continuous
     time by the bilinear map. A fifth of the error that MOESP on decimated samples had.
     """
-    measured = frf_matrix(all_spectra(recording), delay_s=0.5 / RATE)
+    measured = measured_frf(recording)
     order, motors = 2 * (sum(SIZES) - len(SIZES)), len(SIZES)
     omega = 2 * np.pi * measured.frequency_hz
     corner = 0.6 * omega[-1]
@@ -94,7 +101,7 @@ def by_subspace(recording: Recording, hz: np.ndarray, *, blocks: int = 20) -> An
 
 def raw(recording: Recording, hz: np.ndarray) -> Answer:
     """What everybody starts from."""
-    measured = frf_matrix(all_spectra(recording), delay_s=0.5 / RATE)
+    measured = measured_frf(recording)
     at = np.abs(measured.frequency_hz[:, None] - hz).argmin(axis=0)
     return measured.frf[at], None
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from invid.errors import InputError, NotIdentifiableError
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.signals.record import Record, make_record, read_holds
-from invid.signals.smooth_command import find_smooth_hold
-from invid.signals.spectra import all_spectra, verified_period
+from invid.signals.holds import find_smooth_hold, read_holds
+from invid.signals.periods import true_period
+from invid.signals.record import Record, make_record
 
 FIFTH = 5
 """Every so many lines one is kept out."""
@@ -76,11 +76,12 @@ def _with_holds(records: Sequence[Record], parts: _Parts) -> list[Record]:
     """The records with the gains of holds that they show: on lines without a command, else by the command's
     smoothness."""
     out = read_holds(records)
-    spectra = all_spectra(replace(parts.recording, experiments=parts.experiments))
+    slow = {e.key for e in parts.experiments if e.kind is Kind.CONSTANT_VELOCITY}
+    shaken = [r for r in records if r.key not in slow]
     for m in range(parts.recording.axis_count):
         if any(np.isfinite(r.hold_damping[m]) or r.is_hold_sampled for r in out):
             continue
-        law = find_smooth_hold(spectra, m)
+        law = find_smooth_hold(shaken, m)
         if law is not None:
             out = [_with_hold(r, m, law) if r.driven[m] and not r.tells_command(m) else r for r in out]
     return out
@@ -95,14 +96,15 @@ def _with_hold(record: Record, axis: int, law: tuple[float, float]) -> Record:
 
 
 def _with_true_periods(recording: Recording) -> tuple[tuple[Experiment, ...], list[str]]:
-    """The experiments with the periods that they have, and what their spectra say about them."""
-    out = []
+    """The experiments with the periods that they have, and what is said of those."""
+    out, said = [], list[str]()
     for e in recording.experiments:
-        period = 0 if e.kind is Kind.CONSTANT_VELOCITY else verified_period(e)
-        # The very experiment where nothing changes: what is known of its spectra is kept by identity.
+        period = 0
+        if e.kind is not Kind.CONSTANT_VELOCITY:
+            period, found = true_period(e)
+            said += found
         out.append(e if period == e.period_samples else replace(e, period_samples=period))
-    said = [w for s in all_spectra(recording) for w in s.warnings]
-    return tuple(out), list(dict.fromkeys(said))
+    return tuple(out), said
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,6 @@ from invid.model.document import Model
 from invid.model.matrices import Condensed, Matrices
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.recording.model import Experiment
-from invid.signals.noise import quiet_power
 from invid.signals.timebase import resample_uniformly
 from invid.simulation.laws import laws_of
 from invid.simulation.plant import matrices
@@ -476,6 +475,6 @@ def _sampled(torque: Float64, interval: float, by: Sampling) -> Float64:
 def _noise(x: Float64, interval: float, high: float) -> Float64:
     """(M,) variance a sample of white noise, from the quiet half of the spectrum above twice the band."""
     window, hz = np.hanning(x.shape[0]), np.fft.rfftfreq(x.shape[0], interval)
-    spectrum = np.asarray(np.fft.rfft(x * window[:, None], axis=0), dtype=np.complex128)
-    power, _ = quiet_power(spectrum, hz > min(2.5 * high, 0.8 * hz[-1]))
-    return power / float((window**2).sum())
+    quiet = np.fft.rfft(x * window[:, None], axis=0)[hz > min(2.5 * high, 0.8 * hz[-1])]
+    # The power of complex noise is exponential: its mean is the median over ln 2.
+    return np.asarray(np.median(np.abs(quiet) ** 2, axis=0) / np.log(2.0) / float((window**2).sum()))
