@@ -93,6 +93,13 @@ def read_frames(path: Path) -> Frames:
     """
     start = FileStart.of(path)
     is_text = not start.head.startswith((*STARTS, *CAPTURES)) and "CANFD" not in start.text
+    if (named := re.search(NAMED, start.text)) is not None:
+        raise InputError(
+            f"{path}: names its frame {named['name']!r}: the log was written with the names of a database in "
+            "place of identifiers",
+            way_out="export it again with identifiers ('symbolic' display off)",
+            code="named_frames",
+        )
     kind = _line_kind(start.text) if is_text else None
     try:
         frames = _of_lines(path, start.text, kind) if kind else _of_messages(path, _messages(path, start))
@@ -119,14 +126,6 @@ def _line_kind(head: str) -> str | None:
 def _of_lines(path: Path, head: str, kind: str) -> Frames:
     """The frames of a text by the pattern of its lines; what looks like a frame and is none is broken."""
     first = next(m for line in head.splitlines() if (m := re.match(LINES[kind], line)))
-    named = re.search(NAMED, head) if kind == "asc" else None
-    if named is not None:
-        raise InputError(
-            f"{path}: names its frame {named['name']!r}: the log was written with the names of a database in "
-            "place of identifiers",
-            way_out="export it again with identifiers ('symbolic' display off)",
-            code="named_frames",
-        )
     of, line = first.groupdict(), pl.col("line")
     is_decimal = bool(re.search(r"(?m)^\*\*\*DEC|^\s*base\s+dec", head))
     data = pl.col("data").fill_null("")
