@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import yaml
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
@@ -55,7 +57,10 @@ class Suggestion:
         lines += [f"# ? UNSURE: {u}" for u in self.unsure]
         lines += [f"# ! FILL IN {key}: {question}" for key, question in self.asked.items()]
         lines += [f"# ~ CANNOT TELL: {c}" for c in self.cannot_tell]
-        return "\n".join(lines) + "\n" + _yaml(self.document, 0)
+        document = yaml.safe_dump(
+            self.document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110
+        )
+        return "\n".join([*lines, document])
 
 
 @dataclass(frozen=True)
@@ -65,22 +70,6 @@ class _Notes:
     reasons: list[str]
     unsure: list[str]
     asked: dict[str, str]
-
-
-def _yaml(value: Any, depth: int) -> str:
-    pad = "  " * depth
-    text = ""
-    for key, item in value.items():
-        if isinstance(item, dict) and depth < 1 and item:
-            text += f"{pad}{key}:\n" + _yaml(item, depth + 1)
-        elif isinstance(item, list) and item and isinstance(item[0], dict):
-            text += f"{pad}{key}:\n"
-            for entry in item:
-                rows = [f"{k}: {json.dumps(v, ensure_ascii=False)}" for k, v in entry.items()]
-                text += f"{pad}  - " + f"\n{pad}    ".join(rows) + "\n"
-        else:
-            text += f"{pad}{key}: {json.dumps(item, ensure_ascii=False)}\n"
-    return text
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,16 +134,9 @@ def suggest_for_all(found: Sequence[Found]) -> tuple[Path, Suggestion]:
 
 def _pattern(names: Sequence[str]) -> str:
     """What file names have in common, with a star for the rest."""
-    if len(set(names)) == 1:
-        return names[0]
-    start = _alike(names)
-    return f"{names[0][:start]}*{names[0][len(names[0]) - _alike([n[start:][::-1] for n in names]) :]}"
-
-
-def _alike(names: Sequence[str]) -> int:
-    """How many letters names have in common from their first on."""
-    unlike = (i for i, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1)
-    return next(unlike, min(map(len, names)))
+    start = os.path.commonprefix([*names])
+    end = os.path.commonprefix([n[len(start) :][::-1] for n in names])[::-1]
+    return start if len(set(names)) == 1 else f"{start}*{end}"
 
 
 def suggest(table: Table, path: Path, source: Mapping[str, Any] = MappingProxyType({})) -> Suggestion:

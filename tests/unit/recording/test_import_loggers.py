@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
 
 from invid.cli.app import run
 from invid.recording import Recording, read_recording
 from invid.recording.import_map import Source
-from invid.recording.readers.mcap_table import read_mcap
+from invid.recording.readers.kinds import read_table
 
 RATE, COUNT = 500.0, 240
 TIME = np.arange(COUNT) / RATE
@@ -122,24 +125,29 @@ def test_a_tdms_file_is_read_whatever_keeps_its_time(tmp_path, capsys, kind):
     holds(imported(path, chart))
 
 
-@pytest.mark.parametrize("encoding", ["cdr", "json"])
+@pytest.mark.parametrize("encoding", ["cdr", "json", "db3", "bag"])
 def test_joint_states_of_a_bag_are_read_by_their_own_stamps(tmp_path, capsys, encoding):
     pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is missing: pip install 'invid[mcap]'")
-    path = tmp_path / "bag.mcap"
+    path = tmp_path / ("bag.mcap" if encoding in ("cdr", "json") else f"a.{encoding}")
     bag(path, encoding)
+    if encoding == "db3":
+        (path,) = path.glob("*.db3")
     chart, asked = suggested(path, capsys)
     assert not asked
     assert [a["name"] for a in chart["axes"]] == ["shoulder", "elbow"]
     recording = imported(path, chart)
     holds(recording)
     assert recording.experiments[0].position[:, 1] == pytest.approx(2 * ANGLE, abs=1e-9)
-    assert "joints of /joint_states: shoulder, elbow" in "".join(read_mcap(path, Source()).reasons)
+    assert "joints of /joint_states: shoulder, elbow" in "".join(read_table(path, Source()).reasons)
 
 
 def bag(path: Path, encoding: str) -> None:
     """Joint states stamped at TIME, logged up to 1 ms later."""
     late = np.random.default_rng(3).integers(0, 1_000_000, COUNT)
     began = 1_700_000_000_000_000_000
+    if encoding in ("db3", "bag"):
+        _ros_bag(path, encoding, (began + np.round(TIME * 1e9)).astype(int), late)
+        return
     with path.open("wb") as stream:
         if encoding == "cdr":
             from mcap_ros2.writer import Writer
@@ -171,6 +179,24 @@ def bag(path: Path, encoding: str) -> None:
             else:
                 writer.add_message(channel, logged, json.dumps(message).encode(), logged)
         writer.finish()
+
+
+def _ros_bag(path: Path, encoding: str, stamps: np.ndarray, late: np.ndarray) -> None:
+    """The same as ROS 2 writes it into SQLite, and as ROS 1 does."""
+    store = get_typestore(Stores.ROS2_HUMBLE if encoding == "db3" else Stores.ROS1_NOETIC)
+    state = "sensor_msgs/msg/JointState"
+    header, time = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+    writer = Writer2(path, version=8) if encoding == "db3" else Writer1(path)
+    serialize = store.serialize_cdr if encoding == "db3" else store.serialize_ros1
+    with writer:
+        connection = writer.add_connection("/joint_states", state, typestore=store)
+        for stamp, q, u, wait in zip(stamps.tolist(), ANGLE, TORQUE, late.tolist(), strict=True):
+            counted = {"seq": 0} if encoding == "bag" else {}
+            body = store.types[state](
+                header(stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="", **counted),
+                ["shoulder", "elbow"], np.array([q, 2 * q]), np.zeros(2), np.array([u, 2 * u]),
+            )  # fmt: skip
+            writer.write(connection, stamp + wait, serialize(body, state))
 
 
 @pytest.mark.parametrize("comma", [False, True])
