@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -134,9 +133,16 @@ def suggest_for_all(found: Sequence[Found]) -> tuple[Path, Suggestion]:
 
 def _pattern(names: Sequence[str]) -> str:
     """What file names have in common, with a star for the rest."""
-    start = os.path.commonprefix([*names])
-    end = os.path.commonprefix([n[len(start) :][::-1] for n in names])[::-1]
-    return start if len(set(names)) == 1 else f"{start}*{end}"
+    if len(set(names)) == 1:
+        return names[0]
+    start = _alike(names)
+    return f"{names[0][:start]}*{names[0][len(names[0]) - _alike([n[start:][::-1] for n in names]) :]}"
+
+
+def _alike(names: Sequence[str]) -> int:
+    """How many letters names have in common from their first on."""
+    unlike = (i for i, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1)
+    return next(unlike, min(map(len, names)))
 
 
 def suggest(table: Table, path: Path, source: Mapping[str, Any] = MappingProxyType({})) -> Suggestion:
