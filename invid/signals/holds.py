@@ -139,11 +139,12 @@ def find_smooth_hold(records: Sequence[Record], axis: int) -> tuple[float, float
 
 
 def _without_command(records: Sequence[Record], axis: int) -> tuple[float, float] | None:
-    """The hold from every k-th excited line, where it explains the torque on those to the noise."""
+    """The hold from all or every k-th of the lines, where it explains the torque on those to the noise."""
     for r in records:
         if not r.driven[axis]:
             continue
-        for stride in range(2, r.driven.size + 1):
+        # All lines, where another axis alone is driven in a record that does not say so.
+        for stride in range(1 if r.driven.size > 1 else 2, r.driven.size + 1):
             for first in range(stride):
                 lines = r.carrying[first::stride]
                 torque, noise = r.torque[lines, axis], r.torque_noise[axis]

@@ -19,7 +19,7 @@ import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording.model import Experiment, Role
-from invid.signals.band import elastic_band, excited_band
+from invid.signals.band import elastic_band, excited_band, sparse_lines
 from invid.signals.demand import command_within
 from invid.signals.timebase import resample_uniformly
 
@@ -147,12 +147,16 @@ class Record:
         if self.excited.size:
             stated = np.unique(self.excited)
             return np.asarray(stated[(stated > 0) & (stated < self.wide.size)])
-        number, power = np.arange(self.wide.size), np.abs(self.torque) ** 2
+        number = np.arange(self.wide.size)
         number = number[(number > 0) & (number % max(self.periods, 1) == 0)]
+        sparse = sparse_lines(self.torque[number]) if self.periods > 1 else None
+        if sparse is not None:
+            return number[sparse]
+        power = np.abs(self.torque[number]) ** 2
         # |X|²/σ² is exponential for noise: exceeded once in 1e4 lines; a thousandth of the strongest line's
         # power is no excitation either, but distortion or leakage.
-        limit = np.maximum(self.torque_noise * np.log(1e4), 1e-4 * power[number].max(axis=0, initial=0.0))
-        return number[(power[number] > limit).any(axis=1)]
+        limit = np.maximum(self.torque_noise * np.log(1e4), 1e-4 * power.max(axis=0, initial=0.0))
+        return number[(power > limit).any(axis=1)]
 
     @cached_property
     def closed_position(self) -> Complex128:
