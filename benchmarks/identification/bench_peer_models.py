@@ -36,6 +36,7 @@ from invid.signals.frf import FrfMatrix, frf_matrix
 from invid.signals.record import make_record
 
 SIZES = (3, 3, 3)
+HZ = np.arange(3, 130) * 0.1
 PEAK = np.array([20.0, 40.0, 60.0])
 Answer = tuple[np.ndarray, np.ndarray | None]
 """G on the lines, and the parameters in the order of ``truth``."""
@@ -102,8 +103,7 @@ def by_subspace(recording: Recording, hz: np.ndarray, *, blocks: int = 20) -> An
 def raw(recording: Recording, hz: np.ndarray) -> Answer:
     """What everybody starts from."""
     measured = measured_frf(recording)
-    at = np.abs(measured.frequency_hz[:, None] - hz).argmin(axis=0)
-    return measured.frf[at], None
+    return measured.frf[np.abs(measured.frequency_hz[:, None] - hz).argmin(axis=0)], None
 
 
 PEERS: dict[str, Callable[[Recording, np.ndarray], Answer]] = {
@@ -124,29 +124,31 @@ def main() -> int:
     parser.add_argument("--periods", type=int, default=3)
     parser.add_argument("--peers", nargs="+", choices=list(PEERS), default=list(PEERS))
     arguments, _ = parser.parse_known_args()
-    plant, peak = oracle.case_study(), PEAK
+    plant = oracle.case_study()
     rows: dict[str, list[tuple[float, float, float, float]]] = defaultdict(list)
     failed: dict[str, list[str]] = defaultdict(list)
     for seed in range(arguments.first, arguments.first + arguments.seeds):
         recording = measure(
             plant, np.random.default_rng(seed), period=10_000, periods=arguments.periods, settle=3,
-            band=(0.3, 13.0), peak=peak,
+            band=(0.3, 13.0), peak=PEAK,
         )  # fmt: skip
-        hz = np.arange(3, 130) * 0.1
-        true = plant.frf(hz)
         for name in dict.fromkeys(("refined", *arguments.peers)):
-            peer = PEERS[name]
             started = time.process_time()
             try:
-                g, values = peer(recording, hz)
+                g, values = PEERS[name](recording, HZ)
             except (InvidError, ValueError, np.linalg.LinAlgError) as error:
                 failed[name].append(f"seed {seed}: {str(error)[:90]}")
                 continue
-            took = time.process_time() - started
-            size = np.linalg.norm(true, axis=(1, 2))
-            off = float(np.median(np.linalg.norm(g - true, axis=(1, 2)) / size))
+            off = float(
+                np.median(
+                    np.linalg.norm(g - plant.frf(HZ), axis=(1, 2))
+                    / np.linalg.norm(plant.frf(HZ), axis=(1, 2))
+                )
+            )
             wrong = np.full(1, np.nan) if values is None else np.abs(values / truth(plant) - 1.0)
-            rows[name].append((off, float(np.median(wrong)), float(np.max(wrong)), took))
+            rows[name].append(
+                (off, float(np.median(wrong)), float(np.max(wrong)), time.process_time() - started)
+            )
     print(f"{'':<14}{'FRF error':>12}{'parameters':>12}{'worst':>12}{'CPU s':>8}   (medians)")
     for name in PEERS:
         if rows[name]:

@@ -91,8 +91,7 @@ def _check(source: list[Path], map_file: Path, plots: Path | None, *, as_json: b
         }
         for path, c in ((path, good.get(path)) for path in checks)
     ]
-    units = {(c.recording.position_unit, c.recording.torque_unit) for c in good.values()}
-    position, torque = next(iter(units), ("rad", "N·m"))
+    position, torque = ("m", "N") if any(c.recording.linear for c in good.values()) else ("rad", "N·m")
     document = {
         "format": "invid-import-check",
         "format_version": 1,

@@ -82,27 +82,22 @@ def _with_holds(records: Sequence[Record], parts: _Parts) -> list[Record]:
         if any(np.isfinite(r.hold_damping[m]) or r.is_hold_sampled for r in out):
             continue
         law = find_smooth_hold(shaken, m)
-        if law is not None:
-            out = [_with_hold(r, m, law) if r.driven[m] and not r.tells_command(m) else r for r in out]
+        if law is not None:  # a stiffness that is stated stands
+            out = [
+                r.with_hold(m, r.hold[m] if r.hold[m] > 0 else law[0], law[1])
+                if r.driven[m] and not r.tells_command(m)
+                else r
+                for r in out
+            ]
     return out
-
-
-def _with_hold(record: Record, axis: int, law: tuple[float, float]) -> Record:
-    """A record with an axis' hold: its damping, and its stiffness where none is stated."""
-    stiffness, damping = law
-    hold, damped = record.hold.copy(), record.hold_damping.copy()
-    hold[axis], damped[axis] = hold[axis] if hold[axis] > 0 else stiffness, damping
-    return replace(record, hold=hold, hold_damping=damped)
 
 
 def _with_true_periods(recording: Recording) -> tuple[tuple[Experiment, ...], list[str]]:
     """The experiments with the periods that they have, and what is said of those."""
     out, said = [], list[str]()
     for e in recording.experiments:
-        period = 0
-        if e.kind is not Kind.CONSTANT_VELOCITY:
-            period, found = true_period(e)
-            said += found
+        period, found = (0, []) if e.kind is Kind.CONSTANT_VELOCITY else true_period(e)
+        said += found
         out.append(e if period == e.period_samples else replace(e, period_samples=period))
     return tuple(out), said
 

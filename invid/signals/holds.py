@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -60,9 +59,7 @@ def read_holds(records: Sequence[Record]) -> list[Record]:
             continue
         for k, record in enumerate(out):
             if np.isnan(record.hold[m]):
-                hold, damped = record.hold.copy(), record.hold_damping.copy()
-                hold[m], damped[m] = stiffness, damping
-                out[k] = replace(record, hold=hold, hold_damping=damped)
+                out[k] = record.with_hold(m, stiffness, damping)
     return out
 
 

@@ -12,7 +12,7 @@ transformed exactly, since the rule errs by (ωh)²/12 of a jump.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -164,6 +164,12 @@ class Record:
         asks of a rigid mass, the record's ends give."""
         bend = self.motion.velocity[-1] - self.motion.velocity[0]
         return self.position - parabola(self.wide, self.span, self.jump, bend)
+
+    def with_hold(self, axis: int, stiffness: float, damping: float) -> Record:
+        """The record with the hold of an axis."""
+        hold, damped = self.hold.copy(), self.hold_damping.copy()
+        hold[axis], damped[axis] = stiffness, damping
+        return replace(self, hold=hold, hold_damping=damped)
 
     def velocity(self, axis: int, lines: Int64) -> Complex128:
         """(L,) velocity of a motor on lines, its ends included."""
