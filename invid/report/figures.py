@@ -71,7 +71,7 @@ def _place(row: dict[str, Any]) -> str:
 
 NOTHING = 1e-3
 """Force over the strongest below which nothing is drawn."""
-SERIES: tuple[tuple[str, str, dict[str, str]], ...] = (
+SERIES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("before", "without causes", {"facecolor": BEFORE, "hatch": "//"}),
     ("after", "with the causes named", {"facecolor": AFTER, "hatch": ""}),
     ("noise_floor", "noise floor", {"facecolor": NOISE, "hatch": ".."}),

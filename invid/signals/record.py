@@ -151,12 +151,12 @@ class Record:
         number = number[(number > 0) & (number % max(self.periods, 1) == 0)]
         sparse = sparse_lines(self.torque[number]) if self.periods > 1 else None
         if sparse is not None:
-            return number[sparse]
+            return np.asarray(number[sparse])
         power = np.abs(self.torque[number]) ** 2
         # |X|²/σ² is exponential for noise: exceeded once in 1e4 lines; a thousandth of the strongest line's
         # power is no excitation either, but distortion or leakage.
         limit = np.maximum(self.torque_noise * np.log(1e4), 1e-4 * power.max(axis=0, initial=0.0))
-        return number[(power > limit).any(axis=1)]
+        return np.asarray(number[(power > limit).any(axis=1)])
 
     @cached_property
     def closed_position(self) -> Complex128:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -233,7 +233,7 @@ def _names_in(value: Any) -> list[str]:
 def _fields(value: Any) -> list[tuple[str, Any]]:
     if isinstance(value, dict):
         return [(str(k), v) for k, v in value.items()]
-    names = getattr(value, "__dataclass_fields__", None) or getattr(value, "__slots__", ())
+    names: Iterable[str] = getattr(value, "__dataclass_fields__", getattr(value, "__slots__", ()))
     return [(s, getattr(value, s)) for s in names if not s.startswith("_")]
 
 
