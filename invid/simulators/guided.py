@@ -329,19 +329,17 @@ class Simulator(Protocol):
 
 def guided(experiment: Experiment, sampling: Sampling, count: Float64 | None = None) -> Guided:
     """Inputs for a simulator from one experiment; ``count`` (M,) [rad or m] of the encoders, where known."""
-    e, record = resample_uniformly(experiment), make_record(experiment, count)
+    e = resample_uniformly(experiment)
     interval = e.step
     stated = experiment.frequencies_hz[experiment.frequencies_hz > 0]
     low = float(stated.min()) if stated.size else 2.0 / (e.samples * interval)
-    high = min(record.top_hz, HIGHEST / interval)
+    high = min(make_record(experiment, count).top_hz, HIGHEST / interval)
     # Beyond a sample it is a delay, no convention.
     sampling = Sampling(np.clip(sampling.later, -interval, interval), sampling.held)
     torque = _sampled(e.torque, interval, sampling)
-    # A line of a span of n samples carries 4σ²/n.
-    noise = (
-        record.torque_noise * record.span / interval / 4,
-        record.position_noise * record.span / interval / 4,
-    )
+    noise = _noise(e.torque, interval, high), _noise(e.position, interval, high)
+    if count is not None:
+        noise = noise[0], np.maximum(noise[1], np.nan_to_num(count) ** 2 / 12.0)
     position = _smooth(e.position, interval, high)
     speed = np.abs(np.diff(position, axis=0))
     lead = round(WARM_UP / interval) if (speed[:3] < AT_REST * speed.max(axis=0)).all() else 0
@@ -454,3 +452,11 @@ def _sampled(torque: Float64, interval: float, by: Sampling) -> Float64:
     # A staircase over the step h has lost (ωh)²/24 of a sine, as second differences take it.
     out[1:-1] += by.held / 24.0 * np.diff(out, 2, axis=0)
     return out
+
+
+def _noise(x: Float64, interval: float, high: float) -> Float64:
+    """(M,) variance a sample of white noise, from the quiet half of the spectrum above twice the band."""
+    window, hz = np.hanning(x.shape[0]), np.fft.rfftfreq(x.shape[0], interval)
+    quiet = np.fft.rfft(x * window[:, None], axis=0)[hz > min(2.5 * high, 0.8 * hz[-1])]
+    # The power of complex noise is exponential: its mean is the median over ln 2.
+    return np.asarray(np.median(np.abs(quiet) ** 2, axis=0) / np.log(2.0) / float((window**2).sum()))
