@@ -75,7 +75,8 @@ class Frames:
 
     def counts(self) -> dict[int, int]:
         """Identifier → frames, most first."""
-        return dict(self.frame["identifier"].value_counts(sort=True).iter_rows())
+        found = self.frame["identifier"].value_counts()
+        return dict(found.sort("count", "identifier", descending=[True, False]).iter_rows())
 
 
 def is_capture(head: bytes) -> bool:

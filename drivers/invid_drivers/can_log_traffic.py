@@ -32,7 +32,9 @@ def chosen_frames(frames: Frames, source: Source, watched: Sequence[int], clock:
     carrying: set[str] = set()
     for identifier in dict.fromkeys((*watched, clock)):
         mine = frames["identifier"] == identifier
-        there: dict[str, int] = dict(frames.frame.filter(mine)["channel"].value_counts().iter_rows())
+        there: dict[str, int] = dict(
+            frames.frame.filter(mine)["channel"].value_counts().sort("channel").iter_rows()
+        )
         said = own.get(identifier, source.channel)
         if identifier == clock and identifier not in watched and said is None and len(carrying) == 1:
             # SYNC of a bus that none of the drives is on clocks nobody.
