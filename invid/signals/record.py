@@ -160,10 +160,14 @@ class Record:
 
     @cached_property
     def closed_position(self) -> Complex128:
-        """(A, M) position less what the jumps of value and slope from end to start make of it: what a drift
-        asks of a rigid mass, the record's ends give."""
-        bend = self.motion.velocity[-1] - self.motion.velocity[0]
-        return self.position - parabola(self.wide, self.span, self.jump, bend)
+        """(A, M) position of a record that repeats without its drift: a free axis coasts, and the straight line
+        through the means of its periods leaks onto every line alike."""
+        if self.periods < 2:
+            return self.position
+        means = self.motion.position[:-1].reshape(self.periods, -1, self.hold.size).mean(axis=1)
+        order = np.arange(self.periods) - (self.periods - 1) / 2.0
+        drift = self.periods * (order @ means) / (order @ order)
+        return np.asarray(self.position - parabola(self.wide, self.span, drift, np.zeros(drift.size)))
 
     def with_hold(self, axis: int, stiffness: float, damping: float) -> Record:
         """The record with the hold of an axis."""
