@@ -160,8 +160,10 @@ class Record:
 
     @cached_property
     def closed_position(self) -> Complex128:
-        """(A, M) position of a record that repeats without its drift: a free axis coasts, and the straight line
-        through the means of its periods leaks onto every line alike."""
+        """(A, M) position of a record that repeats without its drift.
+
+        A free axis coasts, and the straight line through the means of its periods leaks onto every line.
+        """
         if self.periods < 2:
             return self.position
         means = self.motion.position[:-1].reshape(self.periods, -1, self.hold.size).mean(axis=1)
