@@ -22,6 +22,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,10 +32,11 @@ from invid.errors import InvidError
 from invid.identification.identify import identify
 from invid.model.forward import frf as chain_frf
 from invid.recording.model import Recording
-from invid.signals.frf import frf_matrix
-from invid.signals.spectra import all_spectra
+from invid.signals.frf import FrfMatrix, frf_matrix
+from invid.signals.record import make_record
 
 SIZES = (3, 3, 3)
+HZ = np.arange(3, 130) * 0.1
 PEAK = np.array([20.0, 40.0, 60.0])
 Answer = tuple[np.ndarray, np.ndarray | None]
 """G on the lines, and the parameters in the order of ``truth``."""
@@ -48,13 +50,19 @@ def by_invid(method: str) -> Callable[[Recording, np.ndarray], Answer]:
     return run
 
 
+def measured_frf(recording: Recording) -> FrfMatrix:
+    """As measured, by the torque when it acts."""
+    found = frf_matrix([make_record(e, recording.encoder_resolution) for e in recording.experiments])
+    return replace(found, frf=found.frf * np.exp(1j * np.pi * found.frequency_hz / RATE)[:, None, None])
+
+
 def by_subspace(recording: Recording, hz: np.ndarray, *, blocks: int = 20) -> Answer:
     """Subspace identification on the lines (McKelvey, Akçay, Ljung 1996, non-uniform lines), true order.
 
     On the acceleration, whose order is that of the elastic modes alone, weighted by its noise; continuous
     time by the bilinear map. A fifth of the error that MOESP on decimated samples had.
     """
-    measured = frf_matrix(all_spectra(recording), delay_s=0.5 / RATE)
+    measured = measured_frf(recording)
     order, motors = 2 * (sum(SIZES) - len(SIZES)), len(SIZES)
     omega = 2 * np.pi * measured.frequency_hz
     corner = 0.6 * omega[-1]
@@ -94,9 +102,8 @@ def by_subspace(recording: Recording, hz: np.ndarray, *, blocks: int = 20) -> An
 
 def raw(recording: Recording, hz: np.ndarray) -> Answer:
     """What everybody starts from."""
-    measured = frf_matrix(all_spectra(recording), delay_s=0.5 / RATE)
-    at = np.abs(measured.frequency_hz[:, None] - hz).argmin(axis=0)
-    return measured.frf[at], None
+    measured = measured_frf(recording)
+    return measured.frf[np.abs(measured.frequency_hz[:, None] - hz).argmin(axis=0)], None
 
 
 PEERS: dict[str, Callable[[Recording, np.ndarray], Answer]] = {
@@ -117,29 +124,31 @@ def main() -> int:
     parser.add_argument("--periods", type=int, default=3)
     parser.add_argument("--peers", nargs="+", choices=list(PEERS), default=list(PEERS))
     arguments, _ = parser.parse_known_args()
-    plant, peak = oracle.case_study(), PEAK
+    plant = oracle.case_study()
     rows: dict[str, list[tuple[float, float, float, float]]] = defaultdict(list)
     failed: dict[str, list[str]] = defaultdict(list)
     for seed in range(arguments.first, arguments.first + arguments.seeds):
         recording = measure(
             plant, np.random.default_rng(seed), period=10_000, periods=arguments.periods, settle=3,
-            band=(0.3, 13.0), peak=peak,
+            band=(0.3, 13.0), peak=PEAK,
         )  # fmt: skip
-        hz = np.arange(3, 130) * 0.1
-        true = plant.frf(hz)
         for name in dict.fromkeys(("refined", *arguments.peers)):
-            peer = PEERS[name]
             started = time.process_time()
             try:
-                g, values = peer(recording, hz)
+                g, values = PEERS[name](recording, HZ)
             except (InvidError, ValueError, np.linalg.LinAlgError) as error:
                 failed[name].append(f"seed {seed}: {str(error)[:90]}")
                 continue
-            took = time.process_time() - started
-            size = np.linalg.norm(true, axis=(1, 2))
-            off = float(np.median(np.linalg.norm(g - true, axis=(1, 2)) / size))
+            off = float(
+                np.median(
+                    np.linalg.norm(g - plant.frf(HZ), axis=(1, 2))
+                    / np.linalg.norm(plant.frf(HZ), axis=(1, 2))
+                )
+            )
             wrong = np.full(1, np.nan) if values is None else np.abs(values / truth(plant) - 1.0)
-            rows[name].append((off, float(np.median(wrong)), float(np.max(wrong)), took))
+            rows[name].append(
+                (off, float(np.median(wrong)), float(np.max(wrong)), time.process_time() - started)
+            )
     print(f"{'':<14}{'FRF error':>12}{'parameters':>12}{'worst':>12}{'CPU s':>8}   (medians)")
     for name in PEERS:
         if rows[name]:

@@ -45,7 +45,7 @@ def read_log(path: Path, source: Source, *, beside: Path | None = None) -> Table
         pdos += mapped
     guessed: Guess | None = None
     if not pdos:
-        head = frames.where(np.arange(frames.time.size) < LOOKED_AT)
+        head = frames.where(np.arange(frames["time"].size) < LOOKED_AT)
         guessed = guess_pdos(head, source.sync_id)
         pdos, source = list(guessed.pdos), source.model_copy(update={"sync_id": guessed.sync_id})
     if not pdos:
@@ -83,12 +83,12 @@ def _rows(
 ) -> Table:
     clock = source.sync_id if source.sync_id is not None else pdos[0].id
     own = chosen_frames(frames, source, list(fields), clock, path)
-    at = np.flatnonzero(own.identifier == clock)
-    steps = np.diff(own.time[at])
+    at = np.flatnonzero(own["identifier"] == clock)
+    steps = np.diff(own["time"][at])
     mean = float(steps.mean()) if steps.size else 0.0
     if source.echo == "first":
         own = _first_of_pairs(own, CLOSE * mean)
-        at = np.flatnonzero(own.identifier == clock)
+        at = np.flatnonzero(own["identifier"] == clock)
     if at.size < 3:
         what = f"SYNC (0x{clock:X})" if source.sync_id is not None else f"frame 0x{clock:X}"
         raise InputError(
@@ -129,19 +129,19 @@ def _rows(
         )
     part = slice(int(whole[0]), int(whole[-1]) + 1)
     # Epoch stamps keep 0.2 µs in a float64: counted from the first SYNC they keep all the log has.
-    instants = own.time[at][part]
+    instants = own["time"][at][part]
     told = {s.name for pdo in pdos for s in pdo.signals if s.byte_order is not None}
     _refuse_wrong_bytes(own, [f for fs in fields.values() for f in fs if f.name not in told], fields, path)
     return Table(
         name=str(path),
         columns={"time": frozen_float(instants - instants[0])}
         | {n: frozen_float(c[part]) for n, c in columns.items()},
-        lines=own.number[at][part],
+        lines=own["number"][at][part],
         line_word="line" if frames.is_text else "frame",
         notes={"sync_id": clock},
         broken=tuple(broken),
         units={"time": "s"},
-        sums={"time": own.elapsed[at][part]},
+        sums={"time": own["elapsed"][at][part]},
     )
 
 
@@ -149,14 +149,14 @@ def _columns(
     frames: Frames, clock: Int64, pdo: Pdo, fields: list[Field], path: Path, broken: list[BrokenRow]
 ) -> dict[str, Float64]:
     """(rows,) values of the fields of a PDO: the last of each cycle; what the master sends is held."""
-    mine = frames.identifier == pdo.id
+    mine = frames["identifier"] == pdo.id
     own, to_drive = frames.where(mine), pdo.direction == "to_drive"
     rows = np.searchsorted(clock, np.flatnonzero(mine), side="right") - (0 if to_drive else 1)
     rows[(rows < 0) | (rows >= clock.size)] = clock.size
-    there = own.length * 8 >= max((f.start + f.bits for f in fields), default=0)
+    there = own["length"] * 8 >= max((f.start + f.bits for f in fields), default=0)
     for row in np.flatnonzero(~there).tolist():
-        reason = f"frame 0x{pdo.id:X} has {int(own.length[row])} bytes only"
-        broken.append(BrokenRow(path.name, int(own.number[row]), reason))
+        reason = f"frame 0x{pdo.id:X} has {int(own['length'][row])} bytes only"
+        broken.append(BrokenRow(path.name, int(own["number"][row]), reason))
     columns = {}
     for field in fields:
         values = np.full(clock.size + 1, np.nan)
@@ -175,9 +175,9 @@ def _by_message(path: Path, frames: Frames, fields: dict[int, list[Field]], sour
     columns: dict[str, Float64] = {}
     clocks: dict[str, str] = {}
     units: dict[str, str] = {}
-    start = float(own.time[0]) if own.time.size else 0.0
+    start = float(own["time"][0]) if own["time"].size else 0.0
     for identifier, signals in fields.items():
-        mine = own.where(own.identifier == identifier)
+        mine = own.where(own["identifier"] == identifier)
         for group in {f.mux[1] if f.mux else frozenset(): f for f in signals}:
             there = [f for f in signals if (f.mux[1] if f.mux else frozenset()) == group]
             rows = there[0].present(mine)
@@ -185,7 +185,7 @@ def _by_message(path: Path, frames: Frames, fields: dict[int, list[Field]], sour
                 continue
             message = there[0].name.split(".")[0] + "".join(f" {g}" for g in sorted(group))
             clock, part = f"time of {message}", mine.where(rows)
-            columns[clock], units[clock] = frozen_float(part.time - start), "s"
+            columns[clock], units[clock] = frozen_float(part["time"] - start), "s"
             for f in there:
                 columns[f.name], clocks[f.name] = frozen_float(f.values(part)), clock
                 units |= {f.name: f.unit} if f.unit else {}
@@ -199,10 +199,12 @@ def _by_message(path: Path, frames: Frames, fields: dict[int, list[Field]], sour
 
 def _first_of_pairs(frames: Frames, near: float) -> Frames:
     """Frames without those of the same identifier and bytes nearer than ``near`` [s] behind one."""
-    keep = np.ones(frames.time.size, dtype=np.bool_)
+    keep = np.ones(frames["time"].size, dtype=np.bool_)
     for identifier in frames.counts():
-        at = np.flatnonzero(frames.identifier == identifier)
-        same = (frames.data[at][1:] == frames.data[at][:-1]).all(axis=1) & (np.diff(frames.time[at]) < near)
+        at = np.flatnonzero(frames["identifier"] == identifier)
+        same = (frames.data[at][1:] == frames.data[at][:-1]).all(axis=1) & (
+            np.diff(frames["time"][at]) < near
+        )
         keep[at[1:][same]] = False
     return frames.where(keep)
 
@@ -228,7 +230,7 @@ def _refuse_wrong_bytes(
     for field in untold:
         if field.kind == "float" or field.bits % 8 or field.bits == 8:
             continue
-        own = frames.where(frames.identifier == identifiers[field.name])
+        own = frames.where(frames["identifier"] == identifiers[field.name])
         if not roughness(field.values(own)) > ROUGH:
             continue
         if roughness(field.values(own, swapped=True)) < SMOOTH:

@@ -42,7 +42,7 @@ class Field:
 
     def present(self, frames: Frames) -> Bool:
         """(n,) frames that are long enough and of its group."""
-        there: Bool = frames.length * 8 >= self.start + self.bits
+        there: Bool = frames["length"] * 8 >= self.start + self.bits
         if self.mux is not None:
             selector, groups = self.mux
             there &= np.isin(selector.values(frames), list(groups))
@@ -51,7 +51,7 @@ class Field:
     def values(self, frames: Frames, *, swapped: bool = False) -> Float64:
         """(n,) numbers; ``swapped``: with the bytes the other way round, of whole bytes only."""
         raw = np.concatenate(
-            [self._raw(frames.data[i : i + _BLOCK], swapped) for i in range(0, frames.time.size, _BLOCK)]
+            [self._raw(frames.data[i : i + _BLOCK], swapped) for i in range(0, frames["time"].size, _BLOCK)]
             or [np.zeros(0)]
         )
         out: Float64 = raw * self.scale + self.offset

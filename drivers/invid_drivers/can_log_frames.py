@@ -8,9 +8,9 @@ pattern that tells a whole line of candump's log has read it.
 from __future__ import annotations
 
 import re
-from array import array
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +20,16 @@ import numpy as np
 import polars as pl
 
 from invid.errors import InputError
-from invid.numerics.arrays import Bool, Float64, Int64
+from invid.numerics.arrays import Bool
 from invid.recording.readers.kinds import FileStart, first_line
 from invid.recording.readers.text_rows import seconds_of
 from invid.recording.tables import BrokenRow
-from invid_drivers.can_log_kind import ASIDE, CAPTURES, LINES
+from invid_drivers.can_log_kind import ASC_FRAME, ASIDE, CAPTURES, LINES, NAMED
 
 MAX_FRAMES = 50_000_000
 MAX_BROKEN = 100_000
 _BATCH = 200_000
-"""Lines that are taken apart at once."""
+"""Frames that are gathered before they become a table."""
 READ = (
     "candump (-L, or its screen with -t a, z, d, A), Vector ASC, SavvyCAN/GVRET CSV, BUSMASTER, CanKing, "
     "captures of "
@@ -47,51 +47,36 @@ _REMOTE = 0x40000000
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Data frames of a log, n of them, in its order.
+    """Data frames of a log, in its order; a column of each, by name.
 
-    Attributes
-    ----------
-    time
-        (n,) stamps [s].
-    elapsed
-        (n,) [s] the stamps of everything that the log stamps, up to each frame, added up.
-    identifier, length
-        (n,) without flags; bytes of each.
-    data
-        (n, longest) bytes, zeros behind the last.
-    channel
-        (n,) place in ``channels``, the log's names of its buses.
-    received
-        (n,) False where the logger sent the frame itself.
-    number
-        (n,) of the line, in a binary log of the frame, from 1.
+    ``time`` stamps [s]; ``elapsed`` [s] the stamps of everything that the log stamps, up to each frame, added
+    up; ``identifier`` without flags; ``length`` [bytes]; ``channel`` the log's name of the bus; ``received``
+    False where the logger sent the frame itself; ``number`` of the line, or in a binary log of the frame.
     """
 
-    time: Float64
-    elapsed: Float64
-    identifier: Int64
-    length: Int64
-    data: np.typing.NDArray[np.uint8]
-    channel: Int64
-    channels: tuple[str, ...]
-    received: Bool
-    number: Int64
+    frame: pl.DataFrame
     broken: tuple[BrokenRow, ...]
     is_text: bool
 
+    def __getitem__(self, name: str) -> Any:
+        """(n,) of a column."""
+        return self.frame[name].to_numpy()
+
+    @cached_property
+    def data(self) -> np.typing.NDArray[np.uint8]:
+        """(n, longest) bytes, zeros behind the last."""
+        longest = max(int(self["length"].max(initial=0)), 1)
+        cells = self.frame["data"].str.slice(0, 2 * longest).str.pad_end(2 * longest, "0")
+        return np.frombuffer(bytes.fromhex(cells.str.join("").item()), np.uint8).reshape(-1, longest)
+
     def where(self, rows: Bool) -> Frames:
         """The frames of a mask."""
-        if rows.all():
-            return self
-        parts = ("time", "elapsed", "identifier", "length", "data", "channel", "received", "number")
-        own = {name: getattr(self, name)[rows] for name in parts}
-        return Frames(**own, channels=self.channels, broken=self.broken, is_text=self.is_text)
+        return self if rows.all() else Frames(self.frame.filter(rows), self.broken, self.is_text)
 
     def counts(self) -> dict[int, int]:
         """Identifier → frames, most first."""
-        found, counts = np.unique(self.identifier, return_counts=True)
-        order = np.argsort(-counts, kind="stable")
-        return dict(zip(found[order].tolist(), counts[order].tolist(), strict=True))
+        found = self.frame["identifier"].value_counts()
+        return dict(found.sort("count", "identifier", descending=[True, False]).iter_rows())
 
 
 def is_capture(head: bytes) -> bool:
@@ -108,16 +93,24 @@ def read_frames(path: Path) -> Frames:
         No frame of a kind known here.
     """
     start = FileStart.of(path)
-    kind = None if start.head.startswith((*STARTS, *CAPTURES)) else _line_kind(start.text)
+    is_text = not start.head.startswith((*STARTS, *CAPTURES)) and "CANFD" not in start.text
+    if (named := re.search(NAMED, start.text)) is not None:
+        raise InputError(
+            f"{path}: names its frame {named['name']!r}: the log was written with the names of a database in "
+            "place of identifiers",
+            way_out="export it again with identifiers ('symbolic' display off)",
+            code="named_frames",
+        )
+    kind = _line_kind(start.text) if is_text else None
     try:
-        frames = _text_frames(path, kind) if kind else _gathered(path, _messages(path, start))
+        frames = _of_lines(path, start.text, kind) if kind else _of_messages(path, _messages(path, start))
     except InputError:
         raise
     except Exception as error:  # readers raise ValueError, IndexError, struct.error, BLFParseError by kind
         raise InputError(
             f"{path}: cannot be read as a CAN log: {first_line(error)}; read are {READ}", code="unreadable"
         ) from None
-    if not frames.time.size:
+    if not frames.frame.height:
         raise InputError(
             f"{path}: no line of it is a CAN frame of a kind known here; read are {READ}", code="no_frames"
         )
@@ -131,205 +124,101 @@ def _line_kind(head: str) -> str | None:
     )
 
 
-def _text_frames(path: Path, kind: str) -> Frames:
-    lines = pl.scan_csv(
-        path, has_header=False, separator="\x01", quote_char=None, schema={"line": pl.String},
-        encoding="utf8-lossy", truncate_ragged_lines=True, glob=False,
-    ).with_row_index("number", offset=1)  # fmt: skip
-    parts = pl.col("line").str.strip_chars_end("\r").str.extract_groups(LINES[kind])
-    base = 10 if kind == "busmaster" and "***DEC" in FileStart.of(path).text else 16
-    # Texts of all lines at once take five times the file.
-    batches = lines.with_columns(parts.alias("parts")).unnest("parts").collect_batches(chunk_size=_BATCH)
-    channels: dict[str, int] = {}
-    broken: list[BrokenRow] = []
-    frames = [_batch_of_frames(batch, base, channels, path.name, broken) for batch in batches]
-    longest = max((f.data.shape[1] for f in frames), default=1)
-    data = np.zeros((sum(f.time.size for f in frames), longest), np.uint8)
-    at = 0
-    for f in frames:
-        data[at : at + f.time.size, : f.data.shape[1]] = f.data
-        at += f.time.size
-    names = ("time", "elapsed", "identifier", "length", "channel", "received", "number")
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(f, name) for f in frames]) if frames else np.zeros(0, dtype=np.int64)
-        for name in names
-    }
-    joined["elapsed"] = np.cumsum(joined["elapsed"])
-    return Frames(**joined, data=data, channels=tuple(channels), broken=tuple(broken), is_text=True)
-
-
-def _batch_of_frames(
-    frame: pl.DataFrame, base: int, channels: dict[str, int], name: str, broken: list[BrokenRow]
-) -> Frames:
-    """The frames of some lines, with numbers to ``base``; ``elapsed`` are here the stamps themselves."""
-    whole = frame["id"].is_not_null()
-    wrong = frame.filter(~whole & ~frame["line"].fill_null("").str.contains(ASIDE))["number"]
-    room = MAX_BROKEN - len(broken)
-    broken += [BrokenRow(name, n, "no whole CAN frame") for n in wrong.head(room).to_list()]
-    frame = frame.filter(whole)
-    in_us = "us" in frame.columns
-    time = frame["us"].cast(pl.Float64) / 1e6 if in_us else frame["t"].cast(pl.Float64, strict=False)
-    if time.null_count() and (instants := seconds_of(frame["t"])) is not None:
-        time = instants
-    identifier = frame["id"].str.strip_prefix("0x").str.to_integer(base=base, dtype=pl.Int64).to_numpy()
-    data, length = _bytes(frame["data"].fill_null(""), decimal=base == 10)
-    for bus in frame["channel"].unique(maintain_order=True).to_list():
-        channels.setdefault(bus, len(channels))
-    stamps = time.to_numpy().astype(np.float64)
-    stated = frame["length"].cast(pl.Int64).to_numpy() if "length" in frame.columns else length
-    good = (identifier & _ERROR == 0) & ~frame["data"].str.starts_with("R").fill_null(False).to_numpy()
-    frames = Frames(
-        time=stamps,
-        elapsed=stamps,
-        identifier=(identifier & 0x1FFFFFFF).astype(np.int32),
-        length=np.minimum(length, stated).astype(np.int32),
-        data=data,
-        channel=frame["channel"].replace_strict(channels, return_dtype=pl.Int32).to_numpy(),
-        channels=(),
-        received=(frame["way"].fill_null("R").str.to_uppercase() != "T").to_numpy(),
-        number=frame["number"].to_numpy(),
-        broken=(),
-        is_text=True,
+def _of_lines(path: Path, head: str, kind: str) -> Frames:
+    """The frames of a text by the pattern of its lines; what looks like a frame and is none is broken."""
+    first = next(m for line in head.splitlines() if (m := re.match(LINES[kind], line)))
+    of, line = first.groupdict(), pl.col("line")
+    is_decimal = bool(re.search(r"(?m)^\*\*\*DEC|^\s*base\s+dec", head))
+    data = pl.col("data").fill_null("")
+    if is_decimal:
+        data = data.map_elements(lambda cells: bytes(map(int, cells.split())).hex(), return_dtype=pl.String)
+    elif kind != "candump":
+        data = data.str.replace_all(r"\b([0-9A-Fa-f])\b", "0$1").str.replace_all(r"[\s,]+", "")
+    length = data.str.len_bytes() // 2
+    stated = (
+        length if "length" not in of else pl.col("length").str.to_integer(base=16 if kind == "asc" else 10)
     )
-    return frames.where(good & (length >= stated))
+    channel = pl.col("channel")
+    aside = line.str.contains(ASIDE) | (~line.str.contains(ASC_FRAME) if kind == "asc" else False)
+    # A remote frame has a length and no data.
+    is_whole = (length >= stated) | data.is_in(["", "R"])
+    frame = (
+        pl.scan_csv(
+            path, has_header=False, separator="\x01", quote_char=None, schema={"line": pl.String},
+            encoding="utf8-lossy", truncate_ragged_lines=True, glob=False,
+        )
+        .with_row_index("number", offset=1)
+        .with_columns(line.str.strip_chars_end("\r").str.extract_groups(LINES[kind]).alias("parts"))
+        .unnest("parts")
+        .filter(pl.col("id").is_not_null() | ~aside.fill_null(True))
+        .select(
+            "number",
+            pl.col("us").cast(pl.Float64) / 1e6 if "us" in of else pl.col("t").alias("us"),
+            pl.col("id").str.strip_prefix("0x").str.to_integer(base=10 if is_decimal else 16),
+            data.str.replace("^R.*$", "").alias("data"),
+            pl.min_horizontal(length, stated).alias("length"),
+            # python-can counts Vector's channels from 0, and so do maps.
+            (channel.cast(pl.Int64) - 1).cast(pl.String) if kind == "asc" else channel,
+            (pl.col("way").fill_null("R").str.to_uppercase() != "T").alias("received"),
+            (is_whole & pl.col("id").is_not_null()).fill_null(False).alias("whole"),
+            (data.str.starts_with("R") | (length < stated)).alias("empty"),
+        )
+        .collect(engine="streaming")
+    )  # fmt: skip
+    wrong = frame.filter(~pl.col("whole"))["number"].head(MAX_BROKEN).to_list()
+    frame = frame.filter("whole")
+    if frame["us"].dtype == pl.String:
+        seconds = frame["us"].cast(pl.Float64, strict=False)
+        dated = seconds_of(frame["us"]) if seconds.null_count() else None
+        frame = frame.with_columns((seconds if dated is None else dated).alias("us"))
+    broken = tuple(BrokenRow(path.name, n, "no whole CAN frame") for n in wrong)
+    return _frames(frame.rename({"us": "time"}), broken, is_text=True)
 
 
-def _bytes(cells: pl.Series, *, decimal: bool) -> tuple[np.typing.NDArray[np.uint8], Int64]:
-    """(n, longest) bytes and their numbers of cells that write them in hex, or in decimals."""
-    if decimal:
-        values = cells.str.extract_all(r"\d+").list.eval(pl.element().cast(pl.UInt8))
-        length = values.list.len().to_numpy().astype(np.int64)
-        columns = [
-            values.list.get(i, null_on_oob=True).fill_null(0)
-            for i in range(max(int(length.max(initial=0)), 1))
-        ]
-        return np.stack([c.to_numpy() for c in columns], axis=1), length
-    if cells.str.contains(r"[\s,]").any():
-        cells = cells.str.replace_all(r"\b([0-9A-Fa-f])\b", "0$1").str.replace_all(r"[\s,]+", "")
-    cells = cells.str.replace(r"^R.*$", "")
-    length = (cells.str.len_bytes() // 2).to_numpy().astype(np.int64)
-    longest = max(int(length.max(initial=0)), 1)
-    joined = cells.str.pad_end(2 * longest, "0").str.join("").item()
-    return np.frombuffer(bytes.fromhex(joined), np.uint8).reshape(-1, longest), length
+def _frames(frame: pl.DataFrame, broken: tuple[BrokenRow, ...], *, is_text: bool) -> Frames:
+    """The data frames among everything that a log stamps; the flags are in its ``id``."""
+    frame = frame.with_columns(
+        pl.col("time").cum_sum().alias("elapsed"), (pl.col("id") & 0x1FFFFFFF).alias("identifier")
+    )
+    return Frames(frame.filter((pl.col("id") & _ERROR == 0) & ~pl.col("empty")), broken, is_text)
 
 
-@dataclass
-class _Gathered:
-    """Frames as they come one by one: python-can's messages take fifty times their numbers."""
-
-    time: array[float] = field(default_factory=lambda: array("d"))
-    elapsed: array[float] = field(default_factory=lambda: array("d"))
-    identifier: array[int] = field(default_factory=lambda: array("q"))
-    length: array[int] = field(default_factory=lambda: array("q"))
-    channel: array[int] = field(default_factory=lambda: array("q"))
-    received: bytearray = field(default_factory=bytearray)
-    number: array[int] = field(default_factory=lambda: array("q"))
-    data: bytearray = field(default_factory=bytearray)
+_COLUMNS = {
+    "number": pl.Int64, "time": pl.Float64, "id": pl.Int64, "data": pl.String, "length": pl.Int64,
+    "channel": pl.String, "received": pl.Boolean, "empty": pl.Boolean,
+}  # fmt: skip
 
 
-def _gathered(path: Path, messages: _Messages) -> Frames:
-    got, channels, total, count = _Gathered(), dict[str, int](), 0.0, 0
-    broken = messages.broken
+def _of_messages(path: Path, messages: Iterable[Any]) -> Frames:
+    parts, rows, broken, count = list[pl.DataFrame](), list[tuple[Any, ...]](), list[BrokenRow](), 0
     try:
         for count, m in enumerate(messages, 1):
             if count > MAX_FRAMES:
                 raise InputError(f"{path}: more than {MAX_FRAMES} frames; cut the log", code="too_large")
-            total += m.timestamp
-            if m.is_error_frame or m.is_remote_frame:
-                continue
-            got.time.append(m.timestamp)
-            got.elapsed.append(total)
-            got.identifier.append(m.arbitration_id)
-            got.length.append(len(m.data))
-            got.channel.append(channels.setdefault(str(m.channel), len(channels)))
-            got.received.append(m.is_rx)
-            got.number.append(messages.line or count)
-            got.data += m.data
+            flags = m.arbitration_id | _ERROR * m.is_error_frame
+            own = (str(m.channel), m.is_rx, m.is_remote_frame)
+            rows.append((count, m.timestamp, flags, m.data.hex(), len(m.data), *own))
+            if len(rows) == _BATCH:  # python-can's messages take fifty times their numbers
+                parts.append(pl.DataFrame(rows, _COLUMNS, orient="row"))
+                rows.clear()
     except InputError:
         raise
     except Exception as error:  # readers raise ValueError, IndexError, struct.error, BLFParseError by kind
-        if not got.time:
+        if not count:
             raise
         # A log that was cut off while it was written still has all frames before the cut.
         broken.append(BrokenRow(path.name, count + 1, f"the log breaks off: {first_line(error)}"))
-    length = np.array(got.length, dtype=np.int64)
-    data = np.zeros((length.size, max(int(length.max(initial=0)), 1)), np.uint8)
-    data[np.arange(data.shape[1]) < length[:, None]] = np.frombuffer(got.data, np.uint8)
-    return Frames(
-        np.array(got.time), np.array(got.elapsed), np.array(got.identifier, dtype=np.int64), length, data,
-        np.array(got.channel, dtype=np.int64), tuple(channels), np.frombuffer(got.received, np.bool_).copy(),
-        np.array(got.number, dtype=np.int64), tuple(broken), messages.line is not None,
-    )  # fmt: skip
+    parts.append(pl.DataFrame(rows, _COLUMNS, orient="row"))
+    return _frames(pl.concat(parts, rechunk=True), tuple(broken), is_text=False)
 
 
-#    0.002100 1  181             Rx   d 8 37 12 FC FF FA FF FF FF
-_ASC_FRAME = re.compile(r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\b")
-#    0.002100 1  SYNC            Rx   d 0
-_ASC_NAMED = re.compile(r"\s*\d+\.\d+\s+\d+\s+(?P<name>\S+)\s+[RT]x\s+d\s+[0-9A-Fa-f]\b")
-_ASC_WHOLE = re.compile(
-    r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\s+([0-9A-Fa-f])((\s+[0-9A-Fa-f]{1,3})*)(\s.*)?$"
-)
-
-
-@dataclass
-class _Messages:
-    """Messages of a log; of an ASC with the number of their ``line``, without lines that are no whole
-    frame."""
-
-    messages: Iterable[Any] = ()
-    broken: list[BrokenRow] = field(default_factory=list)
-    line: int | None = None
-
-    def __iter__(self) -> Iterator[Any]:
-        """The messages."""
-        return iter(self.messages)
-
-    def asc_lines(self, path: Path) -> Iterator[str]:
-        """The lines of an ASC that python-can's reader can take."""
-        with path.open(encoding="utf-8", errors="replace") as file:
-            for self.line, line in enumerate(file, 1):
-                if _ASC_FRAME.match(line):
-                    whole = _ASC_WHOLE.match(line)
-                    if not whole or len(whole[2].split()) < int(whole[1], 16):
-                        self.broken.append(BrokenRow(path.name, self.line, "no whole CAN frame"))
-                        continue
-                elif (named := _ASC_NAMED.match(line)) is not None:
-                    raise InputError(
-                        f"{path}: line {self.line} names its frame {named['name']!r}: the log was written "
-                        "with the "
-                        "names of a database in place of identifiers",
-                        way_out="export it again with identifiers ('symbolic' display off)",
-                        code="named_frames",
-                    )
-                yield line
-
-
-def _messages(path: Path, start: FileStart) -> _Messages:
+def _messages(path: Path, start: FileStart) -> Iterable[Any]:
     if is_capture(start.head):
-        return _Messages(_captured(path))
-    out = _Messages()
+        return _captured(path)
     reader = next((reader for first, reader in STARTS.items() if start.head.startswith(first)), None)
-    if reader is None and (
-        path.suffix.lower() in (".asc", ".log") or re.search(r"(?m)^\s*base\s+(hex|dec)\b", start.text)
-    ):
-        out.messages = can.ASCReader(_Lines(out.asc_lines(path)))  # type: ignore[arg-type]
-    else:
-        out.messages = reader(path) if reader is not None else can.LogReader(path)
-    return out
-
-
-class _Lines:
-    """Lines as the file that python-can's reader asks for."""
-
-    def __init__(self, lines: Iterator[str]) -> None:
-        self._lines = lines
-
-    def __iter__(self) -> Iterator[str]:
-        """The lines."""
-        return self._lines
-
-    def close(self) -> None:
-        """Nothing: the generator closes its file."""
+    if reader is None and re.search(r"(?m)^\s*base\s+(hex|dec)\b", start.text):
+        reader = can.ASCReader
+    return reader(path) if reader is not None else can.LogReader(path)
 
 
 _SOCKETCAN, _COOKED, _COOKED_2 = 227, 113, 276

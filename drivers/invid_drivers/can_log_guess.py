@@ -94,8 +94,8 @@ def guess_pdos(frames: Frames, sync_id: int | None) -> Guess:
     cycles = max((counts[i] for i in counted), default=1)
     pdos, reasons = [], [] if sync_id is not None else ["no SYNC: a row at each frame of the first PDO"]
     for identifier in sorted(counts):
-        own = frames.where(frames.identifier == identifier)
-        place, length = _pdo_of(identifier), int(own.length.min(initial=64))
+        own = frames.where(frames["identifier"] == identifier)
+        place, length = _pdo_of(identifier), int(own["length"].min(initial=64))
         if place is None or identifier == sync_id or length == 0 or counts[identifier] < ENOUGH * cycles:
             continue
         signals, said = _fields(own.data[:, :length], identifier)
@@ -111,7 +111,7 @@ def _known(frames: Frames, counts: dict[int, int]) -> Guess | None:
     pdos, reasons, remarks = list[Pdo](), list[str](), list[str]()
     units: dict[str, str] = {}
     for identifier in sorted(counts):
-        own = frames.where(frames.identifier == identifier)
+        own = frames.where(frames["identifier"] == identifier)
         for layout in LAYOUTS:
             if layout.command is not None and identifier & 0x1F != layout.command:
                 continue
@@ -138,7 +138,7 @@ def _known(frames: Frames, counts: dict[int, int]) -> Guess | None:
 
 def _fits(pdo: Pdo, frames: Frames) -> bool:
     """Whether all fields of a layout are there, and move smoothly where they move; a position moves."""
-    if frames.time.size < 100 or not (frames.length >= -(-sum(s.size for s in pdo.signals) // 8)).all():
+    if frames["time"].size < 100 or not (frames["length"] >= -(-sum(s.size for s in pdo.signals) // 8)).all():
         return False
     fields = fields_of_pdo(pdo, None)
     values = [f.values(frames) for f in fields]

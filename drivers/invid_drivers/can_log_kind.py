@@ -11,6 +11,9 @@ LINES = {
     # (1700000000.000210) can0 181#3712FCFFFAFFFFFF
     "candump": rf"^\s*\((?P<t>\d+(?:\.\d+)?)\)\s+(?P<channel>\S+)\s+(?P<id>{_HEX}{{3}}|{_HEX}{{8}})#"
     rf"(?P<flags>#{_HEX})?(?P<data>(?:{_HEX}{{2}}){{0,64}}|R{_HEX}?)(?:\s+(?P<way>[TRtr]))?\s*$",
+    #    0.002100 1  181             Rx   d 8 37 12 FC FF FA FF FF FF
+    "asc": rf"^\s*(?P<t>\d+\.\d+)\s+(?P<channel>\d+)\s+(?P<id>{_HEX}+)x?\s+(?P<way>[RT])x\s+d\s+"
+    rf"(?P<length>{_HEX})(?P<data>(?:\s+{_HEX}{{1,3}})*)(?:\s.*)?$",
     #  (1700000000.000210)  can0  RX - -  181   [8]  37 12 FC FF FA FF FF FF
     "screen": rf"^\s*\((?P<t>\d+\.?\d*|\d{{4}}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{{6}})\)\s+(?P<channel>\S+)\s+"
     rf"(?:(?P<way>[TR])X\s+)?(?:-\s+)*(?P<id>{_HEX}{{3}}|{_HEX}{{8}})\s+\[(?P<length>\d+)\]"
@@ -25,6 +28,11 @@ LINES = {
     "canking": rf"^\s*(?P<channel>\d+)\s+(?P<id>{_HEX}{{8}})\s+(?:X\s+)?(?P<length>\d)"
     rf"(?P<data>(?:\s+{_HEX}{{2}})*)\s+(?P<t>\d+\.\d+)\s+(?P<way>[RT])\s*$",
 }
+ASC_FRAME = rf"^\s*\d+\.\d+\s+(CANFD|\d+\s+{_HEX}+x?\s+[RT]x\s+d)\b"
+"""What of an ASC is meant as a frame; its other lines are events."""
+#    0.002100 1  SYNC            Rx   d 0
+NAMED = rf"(?m)^\s*\d+\.\d+\s+\d+\s+(?!{_HEX}+x?\s)(?P<name>\S+)\s+[RT]x\s+d\s+{_HEX}\b"
+"""A frame of an ASC under the name that a database has for it."""
 ASIDE = r"^\s*$|^\s*#|^\s*\*\*\*|^\s*Time ?Stamp\b|^Chn Identifier\b"
 """Empty lines, comments, and the headers of BUSMASTER, SavvyCAN and Kvaser's CanKing."""
 HEADER = "|".join(

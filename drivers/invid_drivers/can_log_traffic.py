@@ -28,14 +28,13 @@ def chosen_frames(frames: Frames, source: Source, watched: Sequence[int], clock:
         meant.
     """
     own = {p.id: p.channel for p in source.pdos if p.channel is not None}
-    keep: Bool = np.zeros(frames.time.size, dtype=np.bool_)
+    keep: Bool = np.zeros(frames["time"].size, dtype=np.bool_)
     carrying: set[str] = set()
     for identifier in dict.fromkeys((*watched, clock)):
-        mine = frames.identifier == identifier
-        there = {
-            frames.channels[c]: int(n)
-            for c, n in zip(*np.unique(frames.channel[mine], return_counts=True), strict=True)
-        }
+        mine = frames["identifier"] == identifier
+        there: dict[str, int] = dict(
+            frames.frame.filter(mine)["channel"].value_counts().sort("channel").iter_rows()
+        )
         said = own.get(identifier, source.channel)
         if identifier == clock and identifier not in watched and said is None and len(carrying) == 1:
             # SYNC of a bus that none of the drives is on clocks nobody.
@@ -43,8 +42,8 @@ def chosen_frames(frames: Frames, source: Source, watched: Sequence[int], clock:
         channel = _channel(identifier, there, None if said is None else str(said), path)
         if channel is not None:
             carrying.add(channel)
-            mine &= frames.channel == frames.channels.index(channel)
-        keep |= mine & _one_way(frames.received, mine, identifier, source, path)
+            mine &= frames["channel"] == channel
+        keep |= mine & _one_way(frames["received"], mine, identifier, source, path)
     return frames.where(keep)
 
 

@@ -75,23 +75,23 @@ def _check(source: list[Path], map_file: Path, plots: Path | None, *, as_json: b
 
     created = datetime.now(UTC).isoformat(timespec="seconds")
     checks, left_out = check_files(source, load_map(map_file), created=created, beside=map_file.parent)
+    good = {path: c for path, c in checks.items() if not isinstance(c, InputError)}
     files = [
         {
-            "file": str(c.path),
-            "rows": c.rows,
-            "broken_rows": c.broken,
-            "experiments": []
-            if c.recording is None
-            else [describe_experiment(e, c.recording) for e in c.recording.experiments],
-            "warnings": list(c.warnings),
-            "cannot_tell": [asdict(lack) for lack in c.cannot_tell],
-            "error": str(c.error) if c.error else None,
-            "error_code": c.error.code or None if c.error else None,
+            "file": str(path),
+            "rows": c.rows if c else 0,
+            "broken_rows": len(c.broken) if c else 0,
+            "experiments": [describe_experiment(e, c.recording) for e in c.recording.experiments]
+            if c
+            else [],
+            "warnings": list(c.warnings) if c else [],
+            "cannot_tell": [asdict(lack) for lack in c.cannot_tell] if c else [],
+            "error": None if c else str(checks[path]),
+            "error_code": getattr(checks[path], "code", "") or None,
         }
-        for c in checks
+        for path, c in ((path, good.get(path)) for path in checks)
     ]
-    units = {(c.recording.position_unit, c.recording.torque_unit) for c in checks if c.recording is not None}
-    position, torque = next(iter(units), ("rad", "N·m"))
+    position, torque = ("m", "N") if any(c.recording.linear for c in good.values()) else ("rad", "N·m")
     document = {
         "format": "invid-import-check",
         "format_version": 1,
@@ -103,11 +103,11 @@ def _check(source: list[Path], map_file: Path, plots: Path | None, *, as_json: b
     if plots is not None:
         from invid.report.import_pictures import draw_files
 
-        document["pictures"] = draw_files(checks, plots)
+        document["pictures"] = draw_files([(p, c.recording) for p, c in good.items()], plots)
     for remark in left_out:
         note(remark)
     emit(document, _check_text(files, position, torque), as_json=as_json)
-    if any(c.error for c in checks):
+    if len(good) < len(checks):
         raise typer.Exit(2)
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from invid.errors import InputError, NotIdentifiableError
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.signals.record import Record, make_record, read_holds
-from invid.signals.smooth_command import find_smooth_hold
-from invid.signals.spectra import all_spectra, verified_period
+from invid.signals.holds import find_smooth_hold, read_holds
+from invid.signals.periods import true_period
+from invid.signals.record import Record, make_record
 
 FIFTH = 5
 """Every so many lines one is kept out."""
@@ -76,33 +76,30 @@ def _with_holds(records: Sequence[Record], parts: _Parts) -> list[Record]:
     """The records with the gains of holds that they show: on lines without a command, else by the command's
     smoothness."""
     out = read_holds(records)
-    spectra = all_spectra(replace(parts.recording, experiments=parts.experiments))
+    slow = {e.key for e in parts.experiments if e.kind is Kind.CONSTANT_VELOCITY}
+    shaken = [r for r in records if r.key not in slow]
     for m in range(parts.recording.axis_count):
         if any(np.isfinite(r.hold_damping[m]) or r.is_hold_sampled for r in out):
             continue
-        law = find_smooth_hold(spectra, m)
-        if law is not None:
-            out = [_with_hold(r, m, law) if r.driven[m] and not r.tells_command(m) else r for r in out]
+        law = find_smooth_hold(shaken, m)
+        if law is not None:  # a stiffness that is stated stands
+            out = [
+                r.with_hold(m, r.hold[m] if r.hold[m] > 0 else law[0], law[1])
+                if r.driven[m] and not r.tells_command(m)
+                else r
+                for r in out
+            ]
     return out
 
 
-def _with_hold(record: Record, axis: int, law: tuple[float, float]) -> Record:
-    """A record with an axis' hold: its damping, and its stiffness where none is stated."""
-    stiffness, damping = law
-    hold, damped = record.hold.copy(), record.hold_damping.copy()
-    hold[axis], damped[axis] = hold[axis] if hold[axis] > 0 else stiffness, damping
-    return replace(record, hold=hold, hold_damping=damped)
-
-
 def _with_true_periods(recording: Recording) -> tuple[tuple[Experiment, ...], list[str]]:
-    """The experiments with the periods that they have, and what their spectra say about them."""
-    out = []
+    """The experiments with the periods that they have, and what is said of those."""
+    out, said = [], list[str]()
     for e in recording.experiments:
-        period = 0 if e.kind is Kind.CONSTANT_VELOCITY else verified_period(e)
-        # The very experiment where nothing changes: what is known of its spectra is kept by identity.
+        period, found = (0, []) if e.kind is Kind.CONSTANT_VELOCITY else true_period(e)
+        said += found
         out.append(e if period == e.period_samples else replace(e, period_samples=period))
-    said = [w for s in all_spectra(recording) for w in s.warnings]
-    return tuple(out), list(dict.fromkeys(said))
+    return tuple(out), said
 
 
 @dataclass(frozen=True, eq=False)

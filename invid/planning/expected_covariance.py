@@ -25,8 +25,8 @@ from invid.planning.belief import Belief
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.response import foretold_motion, hold_gains
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.signals.record import Record, make_record, read_holds
-from invid.signals.spectra import spectra_of
+from invid.signals.holds import read_holds
+from invid.signals.record import Record, make_record
 
 COUPLING_SHARE = 0.1
 """A coupling's uncertainty is taken relative to its value, or to this share of √(m_i·m_j) of the masses it
@@ -144,9 +144,9 @@ def recorded_noise(recording: Recording) -> Noise:
     for e in recording.experiments:
         if e.kind is Kind.CONSTANT_VELOCITY:
             continue
-        s = spectra_of(e)
-        # a line of the mean over n samples carries 4σ²/n
-        power.append(s.floor * s.periods * s.position_wave.shape[0] / 4)
+        r = make_record(e, recording.encoder_resolution)
+        # a line of a span of n samples carries 4σ²/n
+        power.append(np.concatenate((r.position_noise, r.torque_noise)) * r.span / r.step / 4)
     level = np.sqrt(np.median(power, axis=0)) if power else np.full(2 * count, np.nan)
     zero = frozen_float(np.zeros(count))
     return Noise(

@@ -8,10 +8,10 @@ leaves whatever stood there before. Writing while measuring is in ``invid.record
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import h5py
 import numpy as np
@@ -20,9 +20,9 @@ import numpy.typing as npt
 from invid.errors import DiskFullError, InputError, RecordingError
 from invid.model.document import save_bytes
 from invid.numerics.arrays import Float64, UInt16, frozen, frozen_float
-from invid.recording.attributes import Attributes, read_attributes
+from invid.recording.attributes import ExperimentAttributes, RootAttributes
 from invid.recording.check import COLUMNS, check_recording
-from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
+from invid.recording.model import Experiment, Outcome, Recording
 from invid.recording.spool import SUFFIX, as_hdf5, is_spool
 
 FORMAT = "invid-recording"
@@ -32,25 +32,6 @@ MAX_VALUES = 200_000_000
 A small compressed file can claim any size; the claim is checked before memory is taken."""
 MAX_EXPERIMENTS = 10_000
 
-ROOT_ATTRIBUTES = frozenset(
-    [
-        "format",
-        "format_version",
-        "created",
-        "robot",
-        "axes",
-        "masses_per_axis",
-        "position_unit",
-        "torque_unit",
-        "rated_torque",
-        "encoder_resolution",
-        "config",
-        "outcome",
-    ]
-)
-EXPERIMENT_ATTRIBUTES = frozenset(
-    ["kind", "excited_axis", "role", "hold_gain", "period_samples", "frequencies_hz", "sample_rate_hz"]
-)
 # What else libhdf5 and h5py raise on a damaged file, depending on which byte is damaged.
 _DAMAGED = (
     OSError,
@@ -62,7 +43,6 @@ _DAMAGED = (
     MemoryError,
     OverflowError,
 )
-_Enum = TypeVar("_Enum", Kind, Role, Outcome)
 
 
 @dataclass
@@ -127,65 +107,29 @@ def _damage(path: Path, source: str, error: BaseException) -> str:
 
 
 def _read_root(file: h5py.File, source: str, budget: _Budget) -> Recording:
-    a = read_attributes(file, source)
-    if not a.has("format"):
+    if "format" not in file.attrs:
         raise RecordingError(
             f"{source}: attribute 'format' is missing; it is HDF5 but no invid recording "
             f"('invid import' reads HDF5 with other names)"
         )
-    if a.text("format") != FORMAT:
-        raise RecordingError(f"{source}: attribute 'format' is {a.text('format')!r}; it must be {FORMAT!r}")
-    if a.whole("format_version") != FORMAT_VERSION:
-        raise RecordingError(
-            f"{source}: attribute 'format_version' is {a.whole('format_version')}; this invid reads version "
-            f"{FORMAT_VERSION}"
-        )
-    axes = a.texts("axes")
-    if not axes:
+    a = RootAttributes.of(file, source)
+    if not a.axes:
         raise RecordingError(f"{source}: attribute 'axes' names no axis; at least one is needed")
-    outcome = _choice(Outcome, a, "outcome", source) if a.has("outcome") else None
     return Recording(
-        robot=a.text("robot"),
-        axes=axes,
-        position_unit=a.text("position_unit").strip(),
-        torque_unit=_torque_unit(a.text("torque_unit")),
-        created=a.text("created"),
-        experiments=_read_experiments(file, source, axes, outcome, budget),
-        masses_per_axis=tuple(_wholes(a, "masses_per_axis", source)) if a.has("masses_per_axis") else None,
-        rated_torque=a.numbers("rated_torque") if a.has("rated_torque") else None,
-        encoder_resolution=a.numbers("encoder_resolution") if a.has("encoder_resolution") else None,
-        config=a.text("config") if a.has("config") else None,
-        outcome=outcome,
-        attributes=a.rest(ROOT_ATTRIBUTES),
+        robot=a.robot,
+        axes=a.axes,
+        position_unit=a.position_unit.strip(),
+        torque_unit=a.torque_unit,
+        created=a.created,
+        experiments=_read_experiments(file, source, a.axes, a.outcome, budget),
+        masses_per_axis=a.masses_per_axis,
+        rated_torque=a.rated_torque,
+        encoder_resolution=a.encoder_resolution,
+        config=a.config,
+        outcome=a.outcome,
+        attributes=a.rest,
         source=source,
     )
-
-
-def _torque_unit(text: str) -> str:
-    # The dot of N·m is typed in several ways (U+00B7, U+22C5, '.', '*', a space, none).
-    compact = text.strip()
-    for dot in ("⋅", "•", ".", "*", " ", "·"):
-        compact = compact.replace(dot, "")
-    return {"Nm": "N·m", "N": "N"}.get(compact, text)
-
-
-def _wholes(a: Attributes, name: str, source: str) -> list[int]:
-    needed = "a list of whole numbers"
-    values = a.numbers(name, needed)
-    if not np.array_equal(values, np.round(values)) or (np.abs(values) > 1e9).any():
-        raise RecordingError(f"{source}: attribute {name!r} is {values.tolist()}; it must be {needed}")
-    return [int(v) for v in values]
-
-
-def _choice(kind: Callable[[str], _Enum], a: Attributes, name: str, where: str) -> _Enum:
-    text = a.text(name)
-    try:
-        return kind(text)
-    except ValueError:
-        allowed = ", ".join(repr(str(v)) for v in kind)  # type: ignore[attr-defined]
-        raise RecordingError(
-            f"{where}: attribute {name!r} is {text!r}; it must be one of {allowed}"
-        ) from None
 
 
 def _read_experiments(
@@ -229,12 +173,8 @@ def _own(parent: h5py.Group, name: str, where: str) -> Any:
 def _read_experiment(
     node: h5py.Group, key: str, where: str, axes: tuple[str, ...], budget: _Budget
 ) -> Experiment:
-    a = read_attributes(node, where)
-    hold_gain = a.numbers("hold_gain")
-    if hold_gain.size == 1:
-        hold_gain = frozen_float(np.full(len(axes), hold_gain[0]))
-    excited_axis, period_samples = a.whole("excited_axis"), a.whole("period_samples")
-    kind, role = _choice(Kind, a, "kind", where), _choice(Role, a, "role", where)
+    a = ExperimentAttributes.of(node, where)
+    hold_gain = a.hold_gain if a.hold_gain.size != 1 else frozen_float(np.full(len(axes), a.hold_gain[0]))
     time = _dataset(node, "time", where, budget, columns=0)
     if time is None:
         raise RecordingError(f"{where}: dataset 'time' is missing; the contract needs it")
@@ -246,13 +186,13 @@ def _read_experiment(
         columns[name] = values
     return Experiment(
         key=key,
-        kind=kind,
-        role=role,
-        excited_axis=excited_axis,
+        kind=a.kind,
+        role=a.role,
+        excited_axis=a.excited_axis,
         hold_gain=hold_gain,
-        period_samples=period_samples,
-        frequencies_hz=a.numbers("frequencies_hz"),
-        sample_rate_hz=a.number("sample_rate_hz"),
+        period_samples=a.period_samples,
+        frequencies_hz=a.frequencies_hz,
+        sample_rate_hz=a.sample_rate_hz,
         time=time,
         position=columns["position"],
         torque=columns["torque"],
@@ -260,7 +200,7 @@ def _read_experiment(
         position_reference=columns["position_reference"],
         torque_feedforward=columns["torque_feedforward"],
         status=_status(node, where, budget, columns=len(axes), rows=time.shape[0]),
-        attributes=a.rest(EXPERIMENT_ATTRIBUTES),
+        attributes=a.rest,
     )
 
 

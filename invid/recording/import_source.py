@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 
 from invid.errors import ChoiceNeeded, InputError
 from invid.numerics.arrays import Float64, frozen_float
-from invid.recording.cannot_tell import Lack
 from invid.recording.clock import count_slots
 from invid.recording.hdf5 import FORMAT, read_recording
 from invid.recording.import_map import ImportMap, Source
@@ -132,44 +131,27 @@ def _found(path: Path, source: Source, beside: Path | None) -> Found:
             return Found(path, None, error=error)
 
 
-@dataclass(frozen=True, eq=False)
-class FileCheck:
-    """One file: the recording it would give alone, or why it gives none."""
-
-    path: Path
-    recording: Recording | None
-    rows: int
-    broken: int
-    warnings: tuple[str, ...]
-    cannot_tell: tuple[Lack, ...] = ()
-    error: InputError | None = None
-
-
 def check_files(
     sources: Sequence[Path], chart: ImportMap, *, created: str, beside: Path | None
-) -> tuple[tuple[FileCheck, ...], tuple[str, ...]]:
-    """Every file that the map takes, each read for itself, and a sentence for each that it leaves out."""
+) -> tuple[dict[Path, Import | InputError], tuple[str, ...]]:
+    """What every file that the map takes gives alone, or why nothing; a sentence for each that it leaves
+    out."""
     files, left_out = named_files(sources, chart, beside)
-    if chart.sources:
-        return (_checked(files[0], files, chart, created, beside),), left_out
-    by_file: dict[Path, list[Any]] = {}
-    for entry, path in assign(files, chart.experiments):
-        by_file.setdefault(path, []).append(entry.model_copy(update={"file": "*"}))
-    checks = []
-    for path, entries in by_file.items():
-        alone = chart.model_copy(update={"experiments": entries, "files": [], "skip": {}})
-        checks.append(_checked(path, [path], alone, created, beside))
-    return tuple(checks), left_out
-
-
-def _checked(
-    path: Path, files: Sequence[Path], chart: ImportMap, created: str, beside: Path | None
-) -> FileCheck:
-    try:
-        found = import_files(files, chart, created=created, beside=beside)
-    except InputError as error:
-        return FileCheck(path, None, 0, 0, (), error=error)
-    return FileCheck(path, found.recording, found.rows, len(found.broken), found.warnings, found.cannot_tell)
+    alone: dict[Path, ImportMap] = {files[0]: chart} if chart.sources else {}
+    if not alone:
+        by_file: dict[Path, list[Any]] = {}
+        for entry, path in assign(files, chart.experiments):
+            by_file.setdefault(path, []).append(entry.model_copy(update={"file": "*"}))
+        for path, entries in by_file.items():
+            alone[path] = chart.model_copy(update={"experiments": entries, "files": [], "skip": {}})
+    found: dict[Path, Import | InputError] = {}
+    for path, own in alone.items():
+        try:
+            taken = files if chart.sources else [path]
+            found[path] = import_files(taken, own, created=created, beside=beside)
+        except InputError as error:
+            found[path] = error
+    return found, left_out
 
 
 def clock_time(e: Experiment) -> Float64:

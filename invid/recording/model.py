@@ -96,6 +96,11 @@ class Experiment:
         return self.samples / self.sample_rate_hz
 
     @property
+    def is_integrated_velocity(self) -> bool:
+        """Whether the record has no position but the running sum of a velocity."""
+        return bool(self.attributes.get("position_source") == "integrated_velocity")
+
+    @property
     def periods(self) -> int:
         """Whole periods in the record; 0 when not periodic."""
         return self.samples // self.period_samples if self.period_samples else 0

@@ -10,8 +10,8 @@ _LONGEST = 1 << 20
 """Samples that are looked at for a period: four of a minute at 4 kHz."""
 
 
-def find_period(values: Float64) -> int:
-    """Samples after which a signal repeats at least four times over; 0 where it does not.
+def find_period(values: Float64, *, repeats: int = 4) -> int:
+    """Samples after which a signal repeats at least so often; 0 where it does not.
 
     Candidates come from the autocorrelation. A candidate stands where the mean over periods explains
     98 % of the power. That bound is empirical: a measured multisine with 5 % noise reaches 99.7 %; moves
@@ -25,7 +25,7 @@ def find_period(values: Float64) -> int:
     if power <= 0:
         return 0
     spectrum = np.fft.rfft(x, 1 << (2 * n - 1).bit_length())
-    half = n // 4 + 1
+    half = n // repeats + 1
     lags = np.fft.irfft(spectrum * spectrum.conj())[:half] / (n - np.arange(half)) / power
     below = np.flatnonzero(lags < 0.2)
     if below.size == 0 or int(below[0]) >= half - 1:

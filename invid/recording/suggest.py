@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import yaml
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
@@ -55,7 +56,10 @@ class Suggestion:
         lines += [f"# ? UNSURE: {u}" for u in self.unsure]
         lines += [f"# ! FILL IN {key}: {question}" for key, question in self.asked.items()]
         lines += [f"# ~ CANNOT TELL: {c}" for c in self.cannot_tell]
-        return "\n".join(lines) + "\n" + _yaml(self.document, 0)
+        document = yaml.safe_dump(
+            self.document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110
+        )
+        return "\n".join([*lines, document])
 
 
 @dataclass(frozen=True)
@@ -65,22 +69,6 @@ class _Notes:
     reasons: list[str]
     unsure: list[str]
     asked: dict[str, str]
-
-
-def _yaml(value: Any, depth: int) -> str:
-    pad = "  " * depth
-    text = ""
-    for key, item in value.items():
-        if isinstance(item, dict) and depth < 1 and item:
-            text += f"{pad}{key}:\n" + _yaml(item, depth + 1)
-        elif isinstance(item, list) and item and isinstance(item[0], dict):
-            text += f"{pad}{key}:\n"
-            for entry in item:
-                rows = [f"{k}: {json.dumps(v, ensure_ascii=False)}" for k, v in entry.items()]
-                text += f"{pad}  - " + f"\n{pad}    ".join(rows) + "\n"
-        else:
-            text += f"{pad}{key}: {json.dumps(item, ensure_ascii=False)}\n"
-    return text
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import EffectTerm, Model, model_from_json
 from invid.model.forward import frf, resonances
 from invid.numerics.arrays import Complex128, Float64
-from invid.recording.model import Experiment, Recording, Role
+from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.report.missing import (
     Missing,
     Place,
@@ -29,7 +29,6 @@ from invid.report.missing import (
     sound,
 )
 from invid.signals.frf import frf_matrix
-from invid.signals.spectra import all_spectra
 from invid.simulation.run import simulate
 
 LEAST_FORCE, MOST_FORCES = 0.01, 12
@@ -93,7 +92,8 @@ def _receptances(
     diagnosis: Diagnosis | None,
     notes: list[str],
 ) -> list[dict[str, Any]]:
-    measured = frf_matrix(all_spectra(recording))
+    slow = {e.key for e in recording.experiments if e.kind is Kind.CONSTANT_VELOCITY}
+    measured = frf_matrix([m.record for m in shown if m.record.key not in slow])
     if not measured.frequency_hz.size:
         notes.append(
             "The experiments do not excite every axis at common frequencies, so the measured frequency "

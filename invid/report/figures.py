@@ -47,26 +47,17 @@ def forces(rows: list[dict[str, Any]]) -> str:
     def fill(figure: Figure) -> None:
         ax = figure.add_subplot()
         at = np.arange(len(rows))
-        for number, (key, words, colour, hatch) in enumerate(
-            (("before", "without causes", BEFORE, "//"), ("after", "with the causes named", AFTER, ""))
-        ):
+        for number, (key, words, style) in enumerate(SERIES[:2]):
+            sizes = [max(r[key], least) for r in rows]
             ax.barh(
-                at + (number - 0.5) * 0.4,
-                [max(r[key], least) for r in rows],
-                0.38,
-                label=words,
-                facecolor=colour,
-                edgecolor=INK,
-                linewidth=0.5,
-                hatch=hatch,
+                at + (number - 0.5) * 0.4, sizes, 0.38, label=words, edgecolor=INK, linewidth=0.5, **style
             )
-        ax.set_xscale("log")
+        # A stub where nothing is left.
+        ax.set(xscale="log", xlim=(0.6 * least, 2.0 * strongest), yticks=at, yticklabels=map(_place, rows))
+        ax.set_xlabel(f"force in no law, rms [{label(rows[0]['unit'])}]")
         powers_of_ten(ax.xaxis)
-        ax.set_xlim(0.6 * least, 2.0 * strongest)  # a stub where nothing is left
-        ax.set_yticks(at, [_place(r) for r in rows])
         ax.invert_yaxis()
         ax.grid(False, axis="y")
-        ax.set_xlabel(f"force in no law, rms [{label(rows[0]['unit'])}]")
         figure.legend(loc="upper right", ncols=2)
 
     height = 1.4 + 0.32 * len(rows)
@@ -80,43 +71,35 @@ def _place(row: dict[str, Any]) -> str:
 
 NOTHING = 1e-3
 """Force over the strongest below which nothing is drawn."""
+SERIES: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("before", "without causes", {"facecolor": BEFORE, "hatch": "//"}),
+    ("after", "with the causes named", {"facecolor": AFTER, "hatch": ""}),
+    ("noise_floor", "noise floor", {"facecolor": NOISE, "hatch": ".."}),
+)
+"""What bars stand for."""
 
 
 def residual(rows: list[dict[str, Any]]) -> str:
     """Missing torque before and after, and what noise alone would leave where it is known; one scale for all
     axes."""
-    rows = [{**r, "noise_floor": 0.0 if r["noise_floor"] is None else r["noise_floor"]} for r in rows]
+    sizes = {key: [r[key] or 0.0 for r in rows] for key, *_ in SERIES}
 
     def fill(figure: Figure) -> None:
         ax = figure.add_subplot()
         at = np.arange(len(rows))
-        series = (
-            ("before", "linear model", BEFORE, "//"),
-            ("after", "with the causes named", AFTER, ""),
-            ("noise_floor", "noise floor", NOISE, ".."),
-        )
+        for number, (key, words, style) in enumerate(SERIES):
+            place = at + (number - 1) * 0.27
+            bars = ax.bar(place, sizes[key], 0.25, label=words, edgecolor=INK, linewidth=0.5, **style)
+            ax.bar_label(bars, [f"{v:.2g}" for v in sizes[key]], padding=1.5, fontsize=8)
         # An axis may be hundreds of times another: a logarithmic scale shows all of them.
-        values = [r[k] for r in rows for k, *_ in series if r[k] > 0]
-        wide = bool(values) and max(values) > 30 * min(values)
-        for number, (key, words, colour, hatch) in enumerate(series):
-            bars = ax.bar(
-                at + (number - 1) * 0.27,
-                [r[key] for r in rows],
-                0.25,
-                label=words,
-                facecolor=colour,
-                edgecolor=INK,
-                linewidth=0.5,
-                hatch=hatch,
-            )
-            ax.bar_label(bars, [f"{r[key]:.2g}" for r in rows], padding=1.5, fontsize=8)
-        if wide:
+        seen = [v for own in sizes.values() for v in own if v > 0]
+        if seen and max(seen) > 30 * min(seen):
             ax.set_yscale("log")
             powers_of_ten(ax.yaxis)
         ax.margins(y=0.15)
-        ax.set_xticks(at, [label(r["axis"], 16) for r in rows])
-        ax.grid(False, axis="x")
+        ax.set(xticks=at, xticklabels=[label(r["axis"], 16) for r in rows])
         ax.set_ylabel(f"missing torque, rms [{label(rows[0]['unit'])}]")
+        ax.grid(False, axis="x")
         figure.legend(loc="upper right", ncols=3)
 
     return svg(
@@ -143,8 +126,7 @@ def dependence(view: dict[str, Any], name: str) -> str:
         if side["law"]:
             ax.plot(side["law"]["x"], side["law"]["y"], color=BEFORE, lw=1.6, label=f"{words}, fitted")
         ax.axhline(0.0, color=INK, lw=0.6)
-        ax.set_xlabel(label(side["x_label"]))
-        ax.set_ylabel(label(view["y_label"]))
+        ax.set(xlabel=label(side["x_label"]), ylabel=label(view["y_label"]))
         place = f", {view['element']}" if view["element"] else ""
         ax.set_title(label(f"{view['axis']}{place}", 60), loc="left")
         figure.legend(loc="upper right", ncols=3)
@@ -221,8 +203,7 @@ def response(row: dict[str, Any], name: str) -> str:
                 curve = row["simulated"][key]
                 top.plot(hz, _positive(curve["magnitude"]), line, color=colour, lw=1.1, label=words)
                 bottom.plot(hz, curve["phase_deg"], line, color=colour, lw=1.1)
-        top.set_yscale("log")
-        top.set_xscale("log")
+        top.set(xscale="log", yscale="log", ylabel=f"magnitude [{label(row['unit'])}]")
         powers_of_ten(top.yaxis)
         simulated = np.array(row["simulated"]["before"]["magnitude"])
         for peak, height in _apart(row["peaks_hz"], hz, simulated):
@@ -230,11 +211,8 @@ def response(row: dict[str, Any], name: str) -> str:
                 f"{peak:.3g} Hz", (peak, height), (0, 4), textcoords="offset points", ha="center", fontsize=8
             )
         top.margins(y=0.12)
-        top.set_ylabel(f"magnitude [{label(row['unit'])}]")
         top.set_title(label(row["axis"]), loc="left")
-        bottom.set_ylabel("phase [°]")
-        bottom.set_yticks([-270, -180, -90, 0, 90])
-        bottom.set_ylim(-290, 110)
+        bottom.set(ylabel="phase [°]", yticks=[-270, -180, -90, 0, 90], ylim=(-290, 110))
         plain_hz(bottom)
         figure.legend(loc="upper right", ncols=4)
 
@@ -282,8 +260,7 @@ def replay_picture(row: dict[str, Any], name: str) -> str:
             bottom.plot(time, np.array(row[key]) - measured, color=colour, lw=0.9)
         bottom.axhline(0.0, color=INK, lw=0.5)
         top.set_ylabel(f"motion [{label(row['unit'])}]")
-        bottom.set_ylabel(f"simulated − measured [{label(row['unit'])}]")
-        bottom.set_xlabel("time [s]")
+        bottom.set(ylabel=f"simulated − measured [{label(row['unit'])}]", xlabel="time [s]")
         top.set_title(label(f"{row['axis']} ({row['experiment']})", 32), loc="left")
         figure.legend(loc="upper right", ncols=3)
 

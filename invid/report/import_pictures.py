@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from invid.recording.import_source import FileCheck, clock_time
+from invid.recording.import_source import clock_time
 from invid.recording.model import Experiment, Recording
 from invid.report.style import MEASURED
 
@@ -16,18 +16,14 @@ MOST_POINTS = 20_000
 """Points of a curve, of which every n-th is drawn; a longer record looks the same."""
 
 
-def draw_files(checks: Sequence[FileCheck], folder: Path) -> list[str]:
-    """Write a PNG for every experiment that can be read, and return their names."""
+def draw_files(read: Sequence[tuple[Path, Recording]], folder: Path) -> list[str]:
+    """Write a PNG for every experiment of the files that were read, and return their names."""
     folder.mkdir(parents=True, exist_ok=True)
     names = []
-    for number, check in enumerate(checks):
-        recording = check.recording
-        if recording is None:
-            continue
+    for number, (path, recording) in enumerate(read):
         for e in recording.experiments:
-            name = f"{number:02d}-{check.path.stem}-{e.key}.png"
-            _picture(e, recording, check.path.name).savefig(folder / name, dpi=110)
-            names.append(name)
+            names.append(f"{number:02d}-{path.stem}-{e.key}.png")
+            _picture(e, recording, path.name).savefig(folder / names[-1], dpi=110)
     return names
 
 

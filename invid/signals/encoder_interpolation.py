@@ -15,8 +15,7 @@ import numpy as np
 import scipy
 
 from invid.numerics.arrays import Float64
-from invid.recording.model import Experiment, Recording
-from invid.signals.noise import quantisation_step
+from invid.recording.model import Recording
 
 LEAST_SHARE, LEAST_OVER_BAND = 0.125, 3.0
 """Lowest frequency that counts as fast, over the sample rate and over the highest excited one (empirical:
@@ -32,9 +31,6 @@ CHANCE = 1e-6
 SPEED_CHANGE = 0.3
 """Share by which a wave may differ between faster and slower motion. Physical: an encoder's error does not
 depend on speed; motion that a torque ripple makes falls off with its square."""
-POSITION_STEP = "position_step"
-"""Attribute of an experiment: (M,) steps of its readings [rad, m], zero for none, where a correction has
-taken them off their lattice."""
 FEWEST = 500
 """Fewest samples of an axis from which an error is sought."""
 
@@ -83,12 +79,7 @@ def remove_interpolation_error(recording: Recording) -> tuple[Recording, list[st
     if not notes:
         return recording, []
     experiments = [
-        replace(
-            e,
-            position=position,
-            attributes={**e.attributes, POSITION_STEP: quantisation_step(e.position).tolist()},
-        )
-        for e, position in zip(recording.experiments, positions, strict=True)
+        replace(e, position=position) for e, position in zip(recording.experiments, positions, strict=True)
     ]
     return replace(recording, experiments=tuple(experiments)), notes
 
@@ -183,12 +174,3 @@ def _is_of_encoder(readings: _Readings, columns: Float64, sizes: Float64) -> boo
     sides = [shown & (speed <= middle), shown & (speed > middle)]
     slow, fast = (np.linalg.lstsq(own[s], left[s], rcond=None)[0] for s in sides)
     return bool(np.hypot(*(slow - fast)) < SPEED_CHANGE * max(np.hypot(*slow), np.hypot(*fast)))
-
-
-def position_steps(experiment: Experiment, position: Float64) -> Float64:
-    """(M,) steps of the lattice that an experiment's readings lie on; zero for the others."""
-    known = experiment.attributes.get(POSITION_STEP)
-    return quantisation_step(position) if known is None else np.asarray(known, dtype=np.float64)
-
-
-__all__ = ["position_steps", "remove_interpolation_error"]

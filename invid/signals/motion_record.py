@@ -16,7 +16,6 @@ import scipy
 
 from invid.numerics.arrays import Bool, Float64
 from invid.recording.model import Experiment, Kind, Role
-from invid.signals.spectra import is_integrated_velocity
 from invid.signals.timebase import resample_uniformly
 
 NOISE_MARGIN = 5.0
@@ -266,7 +265,7 @@ def find_band(experiments: tuple[Experiment, ...]) -> Band:
     """Cut-offs for all axes, from the longest experiment's own spectra."""
     longest = max(experiments, key=lambda e: e.samples)
     even = resample_uniformly(longest)
-    velocity_only = is_integrated_velocity(longest)
+    velocity_only = longest.is_integrated_velocity
     motion_of = _forward(even.position, even.step) if velocity_only else even.position
     frequency, power, floor = white_psd(motion_of, even.step)
     _, _, torque_floor = white_psd(even.torque, even.step)
@@ -330,7 +329,7 @@ def prepare_rows(experiment: Experiment, band: Band) -> Motion:
     velocity = derivative(even.position, step, cutoff, 1)
     acceleration = derivative(even.position, step, cutoff, 2)
     counts = count_size(even.position)
-    if is_integrated_velocity(experiment):
+    if experiment.is_integrated_velocity:
         measured = _forward(even.position, step)
         velocity = derivative(measured, step, cutoff, 0)
         acceleration = derivative(measured, step, cutoff, 1)

@@ -12,7 +12,6 @@ transformed exactly, since the rule errs by (ωh)²/12 of a jump.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,7 +19,7 @@ import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording.model import Experiment, Role
-from invid.signals.band import elastic_band, excited_band
+from invid.signals.band import elastic_band, excited_band, sparse_lines
 from invid.signals.demand import command_within
 from invid.signals.timebase import resample_uniformly
 
@@ -141,6 +140,48 @@ class Record:
         """(F,) one half for the mean, which is real, one elsewhere."""
         return line_weight(self.omega)
 
+    @cached_property
+    def carrying(self) -> Int64:
+        """Numbers of the lines that the excitation drives: as stated, else those of the period on which a
+        torque stands out of its noise."""
+        if self.excited.size:
+            stated = np.unique(self.excited)
+            return np.asarray(stated[(stated > 0) & (stated < self.wide.size)])
+        number = np.arange(self.wide.size)
+        number = number[(number > 0) & (number % max(self.periods, 1) == 0)]
+        sparse = sparse_lines(self.torque[number]) if self.periods > 1 else None
+        if sparse is not None:
+            return np.asarray(number[sparse])
+        power = np.abs(self.torque[number]) ** 2
+        # |X|²/σ² is exponential for noise: exceeded once in 1e4 lines; a thousandth of the strongest line's
+        # power is no excitation either, but distortion or leakage.
+        limit = np.maximum(self.torque_noise * np.log(1e4), 1e-4 * power.max(axis=0, initial=0.0))
+        return np.asarray(number[(power > limit).any(axis=1)])
+
+    @cached_property
+    def closed_position(self) -> Complex128:
+        """(A, M) position of a record that repeats without its drift.
+
+        A free axis coasts, and the straight line through the means of its periods leaks onto every line.
+        """
+        if self.periods < 2:
+            return self.position
+        means = self.motion.position[:-1].reshape(self.periods, -1, self.hold.size).mean(axis=1)
+        order = np.arange(self.periods) - (self.periods - 1) / 2.0
+        drift = self.periods * (order @ means) / (order @ order)
+        return np.asarray(self.position - parabola(self.wide, self.span, drift, np.zeros(drift.size)))
+
+    def with_hold(self, axis: int, stiffness: float, damping: float) -> Record:
+        """The record with the hold of an axis."""
+        hold, damped = self.hold.copy(), self.hold_damping.copy()
+        hold[axis], damped[axis] = stiffness, damping
+        return replace(self, hold=hold, hold_damping=damped)
+
+    def velocity(self, axis: int, lines: Int64) -> Complex128:
+        """(L,) velocity of a motor on lines, its ends included."""
+        moving = 1j * self.wide[lines] * self.position[lines, axis]
+        return np.asarray(moving + 2.0 / self.span * self.jump[axis])
+
     def stride(self, most: int) -> int:
         """Most instants of the grid of motion, up to ``most``, that divide a period, or the span without
         one."""
@@ -163,6 +204,15 @@ class Record:
     def wide_lines(self, series: Float64) -> Complex128:
         """(A, …) transform on all lines up to where motion is known."""
         return transform(series, np.arange(self.wide.size), 0)
+
+
+def parabola(omega: Float64, span: float, jump: Float64, bend: Float64) -> Complex128:
+    """(A, M) lines of the parabola from 0 with these jumps (M,) of value and slope over a span [s]."""
+    turning = np.where(omega > 0, omega, 1.0)[:, None]
+    out: Complex128 = (2.0 / span) * (1j * jump / turning + bend / turning**2)
+    square = bend / (2.0 * span)
+    out[0] = (2.0 / span) * ((jump / span - square * span) * span**2 / 2.0 + square * span**3 / 3.0)
+    return out
 
 
 def line_weight(omega: Float64) -> Float64:
@@ -223,10 +273,7 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
     top = top_hz or (excited if stated else elastic_band(frequency, rest, spectrum, driven, excited))
     wide = np.arange(int(np.searchsorted(frequency, min(WIDE * top, 0.4 / step), side="right")))
     omega: Float64 = 2 * np.pi * frequency[wide]
-    turning = np.where(omega > 0, omega, 1.0)[:, None]
-    parabola = (2.0 / span) * (1j * jump / turning + bend / turning**2)
-    parabola[0] = (2.0 / span) * (ramp * span**2 / 2.0 + square * span**3 / 3.0)
-    lines = rest[wide] + parabola
+    lines = rest[wide] + parabola(omega, span, jump, bend)
     used = _used_lines(frequency[wide], top, periods)
     rounded = _rounding_seen(motion.position[:: round(step / motion.step)], counts, used)
     position_noise = np.maximum(_level(rest[quiet]), rounded)
@@ -403,59 +450,3 @@ def _hold_damping(
 
 UNEXPLAINED = 0.1
 """Share of the torque on lines without a command that a hold may leave and still be one (empirical)."""
-
-
-SURE_HOLD, SILENT_REST = 0.05, 3.0
-"""Relative deviation of a hold's stiffness up to which it is known, and power over the torque's noise that it
-may leave on lines without a command (empirical, hidden plants with holds inside their drives)."""
-FEWEST = 10
-"""Fewest lines from which a hold is read."""
-
-
-def read_holds(records: Sequence[Record]) -> list[Record]:
-    """The records with holds inside drives made known that show themselves on lines without a command.
-
-    There the torque is −K·position − D·velocity and nothing else: on the lines between those excited and, of
-    an axis that is not driven, on all. Where a hold stays unknown, half a sample h by which it acts at
-    another time than the command looks like a viscous friction of K·h/2.
-    """
-    out = list(records)
-    for m in range(records[0].hold.size if records else 0):
-        seen = [_normal_of_hold(r, m) for r in records]
-        normal = np.sum([n for n, _ in seen], axis=0)
-        if not normal[1, 1]:
-            continue
-        stiffness, damping = np.linalg.solve(normal, np.sum([p for _, p in seen], axis=0))
-        if stiffness <= 0.0 or np.sqrt(np.linalg.inv(normal)[0, 0]) > SURE_HOLD * stiffness:
-            continue
-        for k, record in enumerate(out):
-            if np.isnan(record.hold[m]):
-                hold, damped = record.hold.copy(), record.hold_damping.copy()
-                hold[m], damped[m] = stiffness, damping
-                out[k] = replace(record, hold=hold, hold_damping=damped)
-    return out
-
-
-def _normal_of_hold(record: Record, axis: int) -> tuple[Float64, Float64]:
-    """Normal equations (2, 2), (2,) of an unknown hold's stiffness and damping.
-
-    Zero where it does not explain the torque on lines without a command.
-    """
-    nothing = np.zeros((2, 2)), np.zeros(2)
-    excited = record.excited
-    free = (record.wide > 0.0) & (record.wide < 2 * np.pi * DENSE * record.top_hz)
-    if record.driven[axis]:
-        free[excited[excited < free.size]] = False
-    if not np.isnan(record.hold[axis]) or (record.driven[axis] and not excited.size) or free.sum() < FEWEST:
-        return nothing
-    noise = np.sqrt(record.torque_noise[axis] / 2.0)
-    position, torque = record.position[free, axis] / noise, record.torque[free, axis] / noise
-    velocity = 1j * record.wide[free] * position + 2.0 / record.span * record.jump[axis] / noise
-    columns = -np.stack((position, velocity), axis=1)
-    columns, target = (np.concatenate((w.real, w.imag)) for w in (columns, torque))
-    normal, pull = columns.T @ columns, columns.T @ target
-    size = np.sqrt(np.diag(normal))
-    if not size.all() or np.linalg.cond(normal / size / size[:, None]) > 1e10:
-        return nothing
-    rest = target - columns @ np.linalg.solve(normal, pull)
-    return (normal, pull) if float((rest**2).mean()) < SILENT_REST else nothing

@@ -27,7 +27,8 @@ from invid.model.document import Model
 from invid.model.matrices import Condensed, Matrices
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.recording.model import Experiment
-from invid.signals.noise import quiet_power
+from invid.signals.motion_record import derivative
+from invid.signals.record import make_record
 from invid.signals.timebase import resample_uniformly
 from invid.simulation.laws import laws_of
 from invid.simulation.plant import matrices
@@ -39,8 +40,8 @@ BEYOND_BAND = 2.0
 """The guide follows the motion up to this multiple of the band's top: above is the encoder's noise."""
 GUIDE = 5.0
 """The guide's natural frequency over the band's top at least."""
-CARRIED = 0.999
-"""Share of the torque's power below the band's top, in records that name no lines."""
+HIGHEST = 0.2
+"""Highest frequency that is judged, over the sample rate."""
 WARM_UP = 1.0
 """Seconds at the first position before a record that begins at rest: the load comes to rest as well."""
 EARLY = 4.0
@@ -184,7 +185,7 @@ class Guided:
         """The same with as much noise again."""
         count = self.torque.shape[0] - self.lead
         draws = [np.sqrt(v) * rng.standard_normal((count, v.size)) for v in self.noise]
-        draws[1] = _smooth(draws[1], self.interval, BEYOND_BAND * self.high)
+        draws[1] = _smooth(draws[1], self.interval, self.high)
         torque, position = (np.concatenate([np.repeat(x[:1], self.lead, axis=0), x]) for x in draws)
         return replace(self, torque=self.torque + torque, position=self.position + position)
 
@@ -330,14 +331,16 @@ def guided(experiment: Experiment, sampling: Sampling, count: Float64 | None = N
     """Inputs for a simulator from one experiment; ``count`` (M,) [rad or m] of the encoders, where known."""
     e = resample_uniformly(experiment)
     interval = e.step
-    low, high = _band(experiment, e.torque, interval)
+    stated = experiment.frequencies_hz[experiment.frequencies_hz > 0]
+    low = float(stated.min()) if stated.size else 2.0 / (e.samples * interval)
+    high = min(make_record(experiment, count).top_hz, HIGHEST / interval)
     # Beyond a sample it is a delay, no convention.
     sampling = Sampling(np.clip(sampling.later, -interval, interval), sampling.held)
     torque = _sampled(e.torque, interval, sampling)
     noise = _noise(e.torque, interval, high), _noise(e.position, interval, high)
     if count is not None:
         noise = noise[0], np.maximum(noise[1], np.nan_to_num(count) ** 2 / 12.0)
-    position = _smooth(e.position, interval, BEYOND_BAND * high)
+    position = _smooth(e.position, interval, high)
     speed = np.abs(np.diff(position, axis=0))
     lead = round(WARM_UP / interval) if (speed[:3] < AT_REST * speed.max(axis=0)).all() else 0
     torque, position = (np.concatenate([np.repeat(x[:1], lead, axis=0), x]) for x in (torque, position))
@@ -436,31 +439,9 @@ def _sampling(records: Sequence[Guided], spectra: Sequence[Complex128], plant: M
     return Sampling(later, held_at(later))
 
 
-def _band(experiment: Experiment, torque: Float64, interval: float) -> tuple[float, float]:
-    """What the record excites [Hz]."""
-    lines = experiment.frequencies_hz[experiment.frequencies_hz > 0]
-    nyquist, duration = 0.5 / interval, torque.shape[0] * interval
-    if lines.size:
-        return float(lines.min()), min(float(lines.max()), 0.4 * nyquist)
-    window = np.hanning(torque.shape[0])[:, None]
-    power = np.abs(np.fft.rfft((torque - torque.mean(axis=0)) * window, axis=0)) ** 2
-    share = (power / np.maximum(power.sum(axis=0), 1e-300)).sum(axis=1)
-    hz = np.fft.rfftfreq(torque.shape[0], interval)
-    top = float(hz[np.searchsorted(np.cumsum(share) / share.sum(), CARRIED)])
-    return 2.0 / duration, float(np.clip(top, 10.0 / duration, 0.2 * nyquist))
-
-
-def _smooth(position: Float64, interval: float, top: float) -> Float64:
-    """The motion without what lies above ``top`` [Hz], with no phase; as it was at its very ends, where the
-    mirror has a kink."""
-    count = position.shape[0]
-    line = np.linspace(0.0, 1.0, count)[:, None] * (position[-1] - position[0]) + position[0]
-    odd = np.concatenate([position - line, -(position - line)[::-1]])
-    gain = np.clip((1.5 * top - np.fft.rfftfreq(2 * count, interval)) / (0.5 * top), 0.0, 1.0)[:, None]
-    smooth = np.fft.irfft(np.fft.rfft(odd, axis=0) * gain, 2 * count, axis=0)[:count] + line
-    t = np.arange(count) * interval
-    inside = np.clip(np.minimum(t, t[::-1]) * top / 4.0, 0.0, 1.0)[:, None]
-    return np.asarray(position + (3.0 - 2.0 * inside) * inside**2 * (smooth - position))
+def _smooth(position: Float64, interval: float, high: float) -> Float64:
+    """The motion without what lies beyond the band whose top is ``high`` [Hz]."""
+    return derivative(position, interval, BEYOND_BAND * high, 0, (1.0, 1.5))
 
 
 def _sampled(torque: Float64, interval: float, by: Sampling) -> Float64:
@@ -476,6 +457,6 @@ def _sampled(torque: Float64, interval: float, by: Sampling) -> Float64:
 def _noise(x: Float64, interval: float, high: float) -> Float64:
     """(M,) variance a sample of white noise, from the quiet half of the spectrum above twice the band."""
     window, hz = np.hanning(x.shape[0]), np.fft.rfftfreq(x.shape[0], interval)
-    spectrum = np.asarray(np.fft.rfft(x * window[:, None], axis=0), dtype=np.complex128)
-    power, _ = quiet_power(spectrum, hz > min(2.5 * high, 0.8 * hz[-1]))
-    return power / float((window**2).sum())
+    quiet = np.fft.rfft(x * window[:, None], axis=0)[hz > min(2.5 * high, 0.8 * hz[-1])]
+    # The power of complex noise is exponential: its mean is the median over ln 2.
+    return np.asarray(np.median(np.abs(quiet) ** 2, axis=0) / np.log(2.0) / float((window**2).sum()))

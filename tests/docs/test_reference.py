@@ -10,7 +10,7 @@ import pytest
 from pydantic import BaseModel
 
 from invid.recording import import_map, read_recording
-from invid.recording.hdf5 import EXPERIMENT_ATTRIBUTES, ROOT_ATTRIBUTES
+from invid.recording.attributes import ExperimentAttributes, RootAttributes
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "recording.md").read_text(encoding="utf-8")
 WORDS = set(re.findall(r"\w+", PAGE))
@@ -26,7 +26,7 @@ def test_every_key_of_the_import_map_is_in_the_reference(model: str, name: str) 
     assert name in WORDS, f"{model}.{name}"
 
 
-@pytest.mark.parametrize("name", sorted(ROOT_ATTRIBUTES | EXPERIMENT_ATTRIBUTES))
+@pytest.mark.parametrize("name", sorted({*RootAttributes.model_fields, *ExperimentAttributes.model_fields}))
 def test_every_attribute_of_a_recording_is_in_the_reference(name: str) -> None:
     assert f"`{name}`" in PAGE
 

@@ -133,8 +133,13 @@ def kind_of(path: Path, source: Source) -> FileKind:
     start = FileStart.of(path)
     best = max((*KINDS, *_all_further()), key=lambda k: k.evidence(start))
     if source.kind is not None and not best.holds_another:
-        return next((k for k in KINDS if k.name == source.kind), None) or further_kind(source.kind)
+        return kind_named(source.kind)
     return best if best.evidence(start) else KINDS[-1]
+
+
+def kind_named(name: str) -> FileKind:
+    """The kind of this name, here or in a package above the core."""
+    return next((k for k in KINDS if k.name == name), None) or further_kind(name)
 
 
 @cache
@@ -178,16 +183,10 @@ KINDS: tuple[FileKind, ...] = (
         "parquet", f"{_HERE}.arrays:read_parquet", (b"PAR1", b"ARROW1"), (".parquet", ".pq", ".feather"),
     ),
     FileKind("mcap", f"{_HERE}.mcap_table:read_mcap", (b"\x89MCAP0\r\n",), (".mcap",), packages="mcap"),
+    FileKind("bag", f"{_HERE}.mcap_table:read_bag", (b"#ROSBAG V2.0",), (".bag",), packages="mcap"),
     FileKind("tdms", f"{_HERE}.tdms_table:read_tdms", (b"TDSm",), (".tdms",), packages="tdms"),
     FileKind(
         "mdf", f"{_HERE}.mdf_table:read_mdf", (b"MDF     ", b"UnFinMF "), (".mf4", ".mdf"), packages="mdf"
-    ),
-    _refused(
-        "a ROS 1 bag",
-        "convert it to MCAP (pip install rosbags; rosbags-convert --src run.bag --dst run --dst-storage "
-        "mcap) and "
-        "give the .mcap",
-        b"#ROSBAG V", endings=(".bag",),
     ),
     _refused(
         "an old Excel workbook", "save the sheet as CSV", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1",
@@ -266,6 +265,7 @@ __all__ = [
     "FileStart",
     "first_line",
     "is_document",
+    "kind_named",
     "kind_of",
     "limit_numbers",
     "read_table",

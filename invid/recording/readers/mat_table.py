@@ -65,7 +65,7 @@ class _Found:
             for key in times:
                 self.add(f"{name}.{key}", [f"{p}.{key}" for p in places], value[key], ())
             inside = (*clocks, *(f"{name}.{key}" for key in times))
-            for key in value.keys() - set(times):
+            for key in (k for k in value if k not in times):
                 self.walk(f"{name}.{key}", [f"{p}.{key}" for p in places], value[key], inside)
         elif isinstance(value, list) and (len(value) > _MANY or not any(map(_holds_arrays, value))):
             keys = value[0] if value and isinstance(value[0], dict) else {"": None}

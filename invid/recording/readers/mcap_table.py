@@ -1,4 +1,4 @@
-"""Tables from MCAP, the container of rosbag2: ROS 2 messages (CDR) and JSON.
+"""Tables from bags: MCAP with messages of ROS 2 (CDR) and JSON, rosbag2 in SQLite, and bags of ROS 1.
 
 Every number in a message is a column, by the joint's name where the message gives names:
 ``/joint_states.position[elbow]``, or where another message gave them under the same ``names_version``. Each
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from typing import Any
 import mcap.reader
 import mcap_ros2.decoder
 import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64, frozen_float
@@ -114,6 +116,7 @@ class _Bag:
                 self.long[f"{topic}{name}"] = len(value)
                 return
             keys = names if len(names) == len(value) else range(len(value))
+            value = value.tolist() if isinstance(value, np.ndarray) else value
             for key, entry in zip(keys, value, strict=True):
                 yield from self.numbers(topic, f"{name}[{key}]", entry, depth + 1, (), most)
         elif depth <= _DEPTH and not isinstance(value, str | bytes):
@@ -123,26 +126,52 @@ class _Bag:
                     yield from self.numbers(topic, f"{name}.{field_name}", entry, depth + 1, own, most)
 
 
+_Message = tuple[str, int, Any, str]
+"""Topic, time of logging [ns], body (``None``: not read), and what it is written in."""
+
+
 def read_mcap(path: Path, source: Source, *, beside: Path | None = None) -> Table:
-    """Columns of all topics whose messages hold numbers."""
-    bag, left = _Bag(), MAX_VALUES
+    """Columns of all topics of MCAP whose messages hold numbers."""
+    return _table(path, _of_mcap(path), "the file is MCAP")
+
+
+def read_bag(path: Path, source: Source, *, beside: Path | None = None) -> Table:
+    """Columns of all topics of a bag of ROS 1, or of ROS 2 in SQLite, whose messages hold numbers."""
+    return _table(path, _of_bag(path), "the file is a bag of ROS")
+
+
+def _of_mcap(path: Path) -> Iterator[_Message]:
+    ros = mcap_ros2.decoder.DecoderFactory()
     with path.open("rb") as file:
-        ros = mcap_ros2.decoder.DecoderFactory()
         for schema, channel, message in mcap.reader.make_reader(file).iter_messages():
-            decode = (
-                json.loads
-                if channel.message_encoding == "json"
-                else ros.decoder_for(channel.message_encoding, schema)
+            encoding = channel.message_encoding
+            decode = json.loads if encoding == "json" else ros.decoder_for(encoding, schema)
+            written = encoding if schema is None else schema.encoding
+            yield channel.topic, message.log_time, decode and decode(message.data), written
+
+
+def _of_bag(path: Path) -> Iterator[_Message]:
+    # Bags before ROS 2 Iron hold no definitions of their messages; the usual ones are known.
+    usual = get_typestore(Stores.LATEST)
+    with AnyReader([path], default_typestore=usual) as reader:
+        for connection, logged, raw in reader.messages():
+            known = connection.msgtype in reader.typestore.types
+            body = reader.deserialize(raw, connection.msgtype) if known else None
+            yield connection.topic, logged, body, connection.msgtype
+
+
+def _table(path: Path, messages: Iterator[_Message], kind: str) -> Table:
+    bag, left = _Bag(), MAX_VALUES
+    for topic, logged, body, written in messages:
+        if body is None:
+            bag.passed.add(written)
+            continue
+        left -= bag.add(topic, logged, body)
+        if left < 0:
+            raise InputError(
+                f"{path}: more than {MAX_VALUES} numbers; cut the bag to the topics needed",
+                code="too_large",
             )
-            if decode is None:
-                bag.passed.add(channel.message_encoding if schema is None else schema.encoding)
-                continue
-            left -= bag.add(channel.topic, message.log_time, decode(message.data))
-            if left < 0:
-                raise InputError(
-                    f"{path}: more than {MAX_VALUES} numbers; cut the bag to the topics needed",
-                    code="too_large",
-                )
     for (_, version, *_), stream in bag.streams.items():
         # Names may be said once, before the values or after them.
         stream.name_entries(bag.names.get(version, []))
@@ -153,7 +182,7 @@ def read_mcap(path: Path, source: Source, *, beside: Path | None = None) -> Tabl
         raise InputError(
             f"{path}: holds no topic with numbers in at least two messages{other}", code="no_data"
         )
-    reasons = ["the file is MCAP"]
+    reasons = [kind]
     reasons += [f"joints of {s.topic}: {', '.join(s.orders[0])}" for s in streams if any(s.orders)]
     reasons += [f"messages in {e} are not read" for e in sorted(bag.passed)]
     reasons += [f"{n!r} is a list of {k} numbers without names: not read" for n, k in bag.long.items()]
@@ -204,7 +233,8 @@ def _names_in(value: Any) -> list[str]:
 def _fields(value: Any) -> list[tuple[str, Any]]:
     if isinstance(value, dict):
         return [(str(k), v) for k, v in value.items()]
-    return [(s, getattr(value, s)) for s in getattr(value, "__slots__", ()) if not s.startswith("_")]
+    names: Iterable[str] = getattr(value, "__dataclass_fields__", getattr(value, "__slots__", ()))
+    return [(s, getattr(value, s)) for s in names if not s.startswith("_")]
 
 
 def _stamp(fields: Mapping[str, Any]) -> int | None:

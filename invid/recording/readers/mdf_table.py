@@ -21,7 +21,7 @@ import numpy as np
 from invid.errors import InputError
 from invid.recording.import_map import Source
 from invid.recording.readers.arrays import table_of
-from invid.recording.readers.kinds import first_line, further_kind, limit_numbers
+from invid.recording.readers.kinds import first_line, kind_named, limit_numbers
 from invid.recording.tables import Table
 
 TIME_LIMIT = 600.0
@@ -51,7 +51,7 @@ def read_mdf(path: Path, source: Source, *, beside: Path | None = None) -> Table
     if isinstance(found, str):
         raise InputError(f"{path}: cannot be read as MDF: {found}", code="unreadable")
     if source.kind != "mdf" and any(n.startswith("CAN_DataFrame") for n in found.columns):
-        return further_kind("can_log")(path, source, beside=beside)
+        return kind_named("can_log")(path, source, beside=beside)
     return Table(
         str(path), found.columns, units=found.units, clocks=found.clocks, reasons=("the file is ASAM MDF",)
     )

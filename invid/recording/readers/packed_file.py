@@ -17,7 +17,7 @@ from typing import IO, Any
 from invid.errors import ChoiceNeeded, InputError
 from invid.recording.import_map import Source
 from invid.recording.readers.arrays import read_numpy
-from invid.recording.readers.kinds import first_line, further_kind, is_document, read_table
+from invid.recording.readers.kinds import first_line, is_document, kind_named, read_table
 from invid.recording.tables import Table
 
 MAX_BYTES = 4_000_000_000
@@ -63,20 +63,19 @@ def read_zip(path: Path, source: Source, *, beside: Path | None = None) -> Table
 
 
 def read_sqlite(path: Path, source: Source, *, beside: Path | None = None) -> Table:
-    """The CAN log that python-can wrote; InputError says of others how they become a file that is read."""
+    """The CAN log that python-can wrote, or the bag of ROS 2; InputError says of others how they are read."""
     with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
         found = base.execute("select name from sqlite_master where type = 'table'").fetchall()
         tables = {str(n): {c[1] for c in base.execute(f"pragma table_info('{n}')")} for (n,) in found}
     if "arbitration_id" in tables.get("messages", set()):
-        return further_kind("can_log")(path, source, beside=beside)
-    what, way = (
-        ("a ROS 2 bag in SQLite", "'ros2 bag convert' it to MCAP (output_bags: [{uri: out, storage_id: mcap, "
-         "all_topics: true}]) and give the .mcap")
-        if {"topics", "messages"} <= set(tables)
-        else (f"an SQLite database with the tables {', '.join(tables) or 'none'}",
-              f"sqlite3 -header -csv {path.name} 'select * from TABLE' > record.csv")
-    )  # fmt: skip
-    raise InputError(f"{path}: is {what}, which is not read: {way}", code="kind_not_read")
+        return kind_named("can_log")(path, source, beside=beside)
+    if {"topics", "messages"} <= set(tables):
+        return kind_named("bag")(path, source, beside=beside)
+    raise InputError(
+        f"{path}: is an SQLite database with the tables {', '.join(tables) or 'none'}, which is not read: "
+        f"sqlite3 -header -csv {path.name} 'select * from TABLE' > record.csv",
+        code="kind_not_read",
+    )
 
 
 def _read_inside(path: Path, name: str, opened: IO[bytes], source: Source, beside: Path | None) -> Table:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from foreign_records import imported, json_bag, suggested
+from mcap_ros2.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
 
 from invid.cli.app import run
-from invid.recording import Recording, read_recording
+from invid.recording import Recording
 from invid.recording.import_map import Source
-from invid.recording.readers.mcap_table import read_mcap
+from invid.recording.readers.kinds import read_table
 
 RATE, COUNT = 500.0, 240
 TIME = np.arange(COUNT) / RATE
@@ -33,21 +37,6 @@ uint32 nanosec
 """
 
 
-def suggested(source: Path, capsys: pytest.CaptureFixture[str]) -> tuple[dict, dict[str, str]]:
-    """The map and what it asks for."""
-    capsys.readouterr()
-    assert run(["import", str(source), "--suggest", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    return said["map"], said["fill_in"]
-
-
-def imported(source: Path, chart: dict) -> Recording:
-    path, out = source.parent / "map.yaml", source.parent / "out.h5"
-    path.write_text(yaml.safe_dump(chart, allow_unicode=True), encoding="utf-8")
-    assert run(["import", str(source), "--map", str(path), "-o", str(out)]) == 0
-    return read_recording(out)
-
-
 def holds(recording: Recording, angle=ANGLE, torque=TORQUE) -> None:
     found = recording.experiments[0]
     assert found.sample_rate_hz == pytest.approx(RATE, rel=1e-6)
@@ -59,13 +48,14 @@ def test_a_file_without_time_is_asked_for_its_rate_and_nothing_else(tmp_path, ca
     path = tmp_path / "log.csv"
     rows = [f"{q:.9f},{u:.9f}" for q, u in zip(ANGLE, TORQUE, strict=True)]
     path.write_text("\n".join(["position_rad,torque_nm", *rows]) + "\n", encoding="utf-8")
-    chart, asked = suggested(path, capsys)
+    said = suggested(capsys, path)
+    chart, asked = said["map"], said["fill_in"]
     assert list(asked) == ["time.sample_rate_hz"]
     (tmp_path / "map.yaml").write_text(yaml.safe_dump(chart, allow_unicode=True), encoding="utf-8")
     assert run(["import", str(path), "--map", str(tmp_path / "map.yaml"), "-o", str(tmp_path / "x.h5")]) == 2
     assert "sample_rate_hz" in capsys.readouterr().err
     chart["time"]["sample_rate_hz"] = RATE
-    holds(imported(path, chart))
+    holds(imported(path.parent, path, chart))
 
 
 @pytest.mark.parametrize("separate", [False, True])
@@ -83,9 +73,10 @@ def test_an_mdf_file_is_read_also_where_its_groups_have_clocks_of_their_own(tmp_
         else:
             file.append([signal(ANGLE, TIME, unit="rad", name="motor_position"), torque])
         file.save(path)
-    chart, asked = suggested(path, capsys)
+    said = suggested(capsys, path)
+    chart, asked = said["map"], said["fill_in"]
     assert not asked
-    recording = imported(path, chart)
+    recording = imported(path.parent, path, chart)
     found = recording.experiments[0]
     # Between instants 0.2 ms apart a straight line misses the sine by no more than (23·0.2 ms)²/8 of it.
     kept = np.isin(np.round(TIME, 9), np.round(found.time, 9))
@@ -117,60 +108,67 @@ def test_a_tdms_file_is_read_whatever_keeps_its_time(tmp_path, capsys, kind):
         channels.append(tdms.ChannelObject("drive", "Time", TIME, properties={"unit_string": "s"}))
     with tdms.TdmsWriter(path) as file:
         file.write_segment(channels)
-    chart, asked = suggested(path, capsys)
+    said = suggested(capsys, path)
+    chart, asked = said["map"], said["fill_in"]
     assert not asked
-    holds(imported(path, chart))
+    holds(imported(path.parent, path, chart))
 
 
-@pytest.mark.parametrize("encoding", ["cdr", "json"])
+@pytest.mark.parametrize("encoding", ["cdr", "json", "db3", "bag"])
 def test_joint_states_of_a_bag_are_read_by_their_own_stamps(tmp_path, capsys, encoding):
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is missing: pip install 'invid[mcap]'")
-    path = tmp_path / "bag.mcap"
+    path = tmp_path / ("bag.mcap" if encoding in ("cdr", "json") else f"a.{encoding}")
     bag(path, encoding)
-    chart, asked = suggested(path, capsys)
+    if encoding == "db3":
+        (path,) = path.glob("*.db3")
+    said = suggested(capsys, path)
+    chart, asked = said["map"], said["fill_in"]
     assert not asked
     assert [a["name"] for a in chart["axes"]] == ["shoulder", "elbow"]
-    recording = imported(path, chart)
+    recording = imported(path.parent, path, chart)
     holds(recording)
     assert recording.experiments[0].position[:, 1] == pytest.approx(2 * ANGLE, abs=1e-9)
-    assert "joints of /joint_states: shoulder, elbow" in "".join(read_mcap(path, Source()).reasons)
+    assert "joints of /joint_states: shoulder, elbow" in "".join(read_table(path, Source()).reasons)
 
 
 def bag(path: Path, encoding: str) -> None:
     """Joint states stamped at TIME, logged up to 1 ms later."""
     late = np.random.default_rng(3).integers(0, 1_000_000, COUNT)
-    began = 1_700_000_000_000_000_000
+    stamps = 1_700_000_000_000_000_000 + np.round(TIME * 1e9).astype(int)
+    if encoding in ("db3", "bag"):
+        _ros_bag(path, encoding, stamps, late)
+        return
+    messages = []
+    for stamp, q, u, wait in zip(stamps.tolist(), ANGLE, TORQUE, late.tolist(), strict=True):
+        header = {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": ""}
+        state = {"name": ["shoulder", "elbow"], "position": [q, 2 * q], "velocity": [0.0, 0.0]}
+        messages.append(("/joint_states", stamp + wait, {"header": header, **state, "effort": [u, 2 * u]}))
+    if encoding == "json":
+        json_bag(path, messages)
+        return
     with path.open("wb") as stream:
-        if encoding == "cdr":
-            from mcap_ros2.writer import Writer
-
-            writer = Writer(stream)
-            schema = writer.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE)
-        else:
-            from mcap.writer import Writer as Plain
-
-            writer = Plain(stream)
-            writer.start()
-            schema = writer.register_schema("JointState", "jsonschema", b"{}")
-            channel = writer.register_channel("/joint_states", "json", schema)
-        for t, q, u, wait in zip(TIME, ANGLE, TORQUE, late, strict=True):
-            stamp = began + round(t * 1e9)
-            message = {
-                "header": {
-                    "stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9},
-                    "frame_id": "",
-                },
-                "name": ["shoulder", "elbow"],
-                "position": [q, 2 * q],
-                "velocity": [0.0, 0.0],
-                "effort": [u, 2 * u],
-            }
-            logged = stamp + int(wait)
-            if encoding == "cdr":
-                writer.write_message("/joint_states", schema, message, log_time=logged, publish_time=logged)
-            else:
-                writer.add_message(channel, logged, json.dumps(message).encode(), logged)
+        writer = McapWriter(stream)
+        schema = writer.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE)
+        for topic, at, body in messages:
+            writer.write_message(topic, schema, body, log_time=at, publish_time=at)
         writer.finish()
+
+
+def _ros_bag(path: Path, encoding: str, stamps: np.ndarray, late: np.ndarray) -> None:
+    """The same as ROS 2 writes it into SQLite, and as ROS 1 does."""
+    store = get_typestore(Stores.ROS2_HUMBLE if encoding == "db3" else Stores.ROS1_NOETIC)
+    state = "sensor_msgs/msg/JointState"
+    header, time = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+    writer = Writer2(path, version=8) if encoding == "db3" else Writer1(path)
+    serialize = store.serialize_cdr if encoding == "db3" else store.serialize_ros1
+    with writer:
+        connection = writer.add_connection("/joint_states", state, typestore=store)
+        for stamp, q, u, wait in zip(stamps.tolist(), ANGLE, TORQUE, late.tolist(), strict=True):
+            counted = {"seq": 0} if encoding == "bag" else {}
+            body = store.types[state](
+                header(stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="", **counted),
+                ["shoulder", "elbow"], np.array([q, 2 * q]), np.zeros(2), np.array([u, 2 * u]),
+            )  # fmt: skip
+            writer.write(connection, stamp + wait, serialize(body, state))
 
 
 @pytest.mark.parametrize("comma", [False, True])
@@ -180,10 +178,11 @@ def test_a_scope_export_of_twincat_is_read_whichever_options_it_was_written_with
 ):
     path = tmp_path / "scope.csv"
     path.write_text(scope(comma=comma, shared=shared), encoding="utf-8")
-    chart, asked = suggested(path, capsys)
+    said = suggested(capsys, path)
+    chart, asked = said["map"], said["fill_in"]
     assert list(asked) == ["axes A1 rated_torque"]
     chart["axes"][0]["rated_torque"] = 100.0
-    recording = imported(path, chart)
+    recording = imported(path.parent, path, chart)
     holds(recording)
 
 

@@ -12,11 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from mcap.writer import Writer
+from foreign_records import imported, json_bag, suggested, table
 
 from invid.cli.app import run
 from invid.errors import InputError
-from invid.recording import Recording, read_recording
 from invid.recording.import_map import Source
 from invid.recording.readers.kinds import read_table
 
@@ -24,26 +23,6 @@ N, RATE = 1500, 500.0
 TIME = np.arange(N) / RATE
 ANGLE = 0.4 * np.sin(9 * TIME) + 0.1 * np.sin(31 * TIME)
 TORQUE = 3.0 * np.sin(9 * TIME + 0.3) + np.sin(31 * TIME)
-
-
-def suggested(capsys, source: Path, *more: str, status: int = 0) -> dict:
-    capsys.readouterr()
-    assert run(["import", str(source), *more, "--suggest", "--json"]) == status
-    return json.loads(capsys.readouterr().out)
-
-
-def imported(folder: Path, source: Path | list[Path], chart: dict) -> Recording:
-    path, out = folder / "map.yaml", folder / "r.h5"
-    path.write_text(yaml.safe_dump({"format": "invid-import-map", **chart}, allow_unicode=True), "utf-8")
-    sources = [source] if isinstance(source, Path) else source
-    assert run(["import", *map(str, sources), "--map", str(path), "-o", str(out)]) == 0
-    return read_recording(out)
-
-
-def table(path: Path, names: list[str], *columns: np.ndarray, sep: str = ",") -> Path:
-    rows = [sep.join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True)]
-    path.write_text("\n".join([sep.join(names), *rows]) + "\n", encoding="utf-8")
-    return path
 
 
 def axis(position: str, torque: str, unit: str = "rad") -> dict:
@@ -91,18 +70,6 @@ def test_a_state_called_run_parts_no_record(tmp_path):
 # --- messages -----------------------------------------------------------------------------------------------
 
 
-def bag(path: Path, messages: list[tuple[str, int, dict]]) -> Path:
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("s", "jsonschema", b"{}")
-        channels = {t: writer.register_channel(t, "json", schema) for t, _, _ in messages}
-        for topic, at, body in messages:
-            writer.add_message(channels[topic], at, json.dumps(body).encode(), at)
-        writer.finish()
-    return path
-
-
 @pytest.mark.parametrize("first", [True, False], ids=["names first", "names last"])
 @pytest.mark.parametrize("more", [0, 90])
 def test_names_that_another_message_gives_are_the_columns(tmp_path, capsys, first, more):
@@ -112,7 +79,7 @@ def test_names_that_another_message_gives_are_the_columns(tmp_path, capsys, firs
         ("/stats/values", int(2e6 * k), {"values": [q, u] + [0.0] * more, "names_version": 7})
         for k, (q, u) in enumerate(zip(ANGLE, TORQUE, strict=True))
     ]
-    path = bag(tmp_path / "a.mcap", [said, *rows] if first else [*rows, said])
+    path = json_bag(tmp_path / "a.mcap", [said, *rows] if first else [*rows, said])
     (found,) = suggested(capsys, path)["map"]["axes"]
     assert found["name"] == "elbow"
     assert found["position"]["column"] == f"/stats/values.values[{names[0]}]"
@@ -125,7 +92,7 @@ def test_what_a_controller_puts_out_is_demanded_and_a_name_in_y_is_no_second_enc
     tmp_path, capsys, words, joint
 ):
     at, out = words
-    path = bag(
+    path = json_bag(
         tmp_path / "a.mcap",
         [
             ("/trajectory_controller/state", int(2e6 * k), {
@@ -148,7 +115,7 @@ def test_joints_that_change_their_order_are_read_by_name(tmp_path):
         names = orders[k // 7 % 2]
         said = [float(values[n][k]) for n in names]
         rows.append(("/js", int(2e6 * k), {"name": names, "position": said, "effort": [3 * v for v in said]}))
-    table = read_table(bag(tmp_path / "a.mcap", rows), Source())
+    table = read_table(json_bag(tmp_path / "a.mcap", rows), Source())
     for joint, value in values.items():
         np.testing.assert_allclose(table.columns[f"/js.position[{joint}]"], value)
     with pytest.raises(InputError, match="elbow"):
@@ -157,7 +124,7 @@ def test_joints_that_change_their_order_are_read_by_name(tmp_path):
 
 def test_a_list_without_names_that_is_too_long_is_said(tmp_path, capsys):
     rows = [("/a", int(2e6 * k), {"q": ANGLE[k], "tau": TORQUE[k], "scan": [0.0] * 300}) for k in range(N)]
-    assert any("300 numbers" in r for r in suggested(capsys, bag(tmp_path / "a.mcap", rows))["reasons"])
+    assert any("300 numbers" in r for r in suggested(capsys, json_bag(tmp_path / "a.mcap", rows))["reasons"])
 
 
 # --- CAN ----------------------------------------------------------------------------------------------------

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from foreign_records import suggested, table
 
 from invid.cli.app import run
 from invid.recording.hdf5 import read_recording
@@ -17,23 +17,11 @@ ANGLE = 0.4 * np.sin(9 * TIME)
 TORQUE = 3.0 * np.sin(9 * TIME + 0.3)
 
 
-def written(path: Path, names: list[str], *columns: np.ndarray) -> Path:
-    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True)]
-    path.write_text("\n".join([",".join(names)] * bool(names) + rows) + "\n", encoding="utf-8")
-    return path
-
-
-def suggested(capsys, *sources: Path) -> dict:
-    capsys.readouterr()
-    assert run(["import", *map(str, sources), "--suggest", "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
 @pytest.mark.parametrize("motion", [ANGLE, ANGLE + 0.7 * TIME * (1 + TIME)], ids=["to and fro", "one way"])
 def test_a_file_without_names_has_its_time_where_the_clock_is(tmp_path, capsys, motion):
-    last = suggested(capsys, written(tmp_path / "a.csv", [], motion, TORQUE, TIME))
+    last = suggested(capsys, table(tmp_path / "a.csv", [], motion, TORQUE, TIME))
     assert last["map"]["time"] == {"column": "column2", "unit": "s"}
-    first = suggested(capsys, written(tmp_path / "b.csv", [], TIME, motion, TORQUE))
+    first = suggested(capsys, table(tmp_path / "b.csv", [], TIME, motion, TORQUE))
     assert first["map"]["time"] == {"column": "time", "unit": "s"}
 
 
@@ -49,7 +37,7 @@ def test_a_file_without_names_has_its_time_where_the_clock_is(tmp_path, capsys, 
 )
 def test_what_the_stamps_are_is_said(tmp_path, capsys, stamps, said):
     name = "time_us" if stamps.max() > 1e6 else "time_ms" if stamps.max() > 1e3 else "time"
-    source = written(tmp_path / "a.csv", [name, "position_rad", "torque_Nm"], stamps, ANGLE, TORQUE)
+    source = table(tmp_path / "a.csv", [name, "position_rad", "torque_Nm"], stamps, ANGLE, TORQUE)
     found = suggested(capsys, source)
     assert said in " ".join([*found["reasons"], *found["fill_in"].values()])
 
@@ -65,9 +53,9 @@ def test_what_the_stamps_are_is_said(tmp_path, capsys, stamps, said):
 def test_torque_of_one_side_is_paired_with_motion_of_the_other_in_doubt_alone(
     tmp_path, capsys, torque, motion
 ):
-    found = suggested(capsys, written(tmp_path / "a.csv", ["t", torque, motion], TIME, TORQUE, ANGLE))
+    found = suggested(capsys, table(tmp_path / "a.csv", ["t", torque, motion], TIME, TORQUE, ANGLE))
     assert any("must be of one side" in u for u in found["unsure"])
-    plain = suggested(capsys, written(tmp_path / "b.csv", ["t", "torque", "pos"], TIME, TORQUE, ANGLE))
+    plain = suggested(capsys, table(tmp_path / "b.csv", ["t", "torque", "pos"], TIME, TORQUE, ANGLE))
     assert not any("side" in u for u in plain["unsure"])
 
 

@@ -16,7 +16,7 @@ from invid_service.web.texts import LANGUAGES, sayings
 ROOT = Path(__file__).parents[3]
 SPEAKERS = ["invid", "drivers/invid_drivers", "service/invid_service"]
 WARNERS = [
-    "invid/planning", "invid/sweep", "invid/signals/spectra.py", "invid/identification", "invid/likelihood",
+    "invid/planning", "invid/sweep", "invid/signals/periods.py", "invid/identification", "invid/likelihood",
     "invid/diagnosis", "invid/comparison/compare.py", "drivers/invid_drivers/measurement.py",
 ]  # fmt: skip
 """Whose warnings the page shows of a cell that it measures."""

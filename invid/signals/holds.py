@@ -1,5 +1,4 @@
-"""The hold that works while an axis is driven, identified from its command, which is smooth over
-frequency."""
+"""Holds within recorded torques: read on lines without a command, else by the command's smoothness."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ import scipy
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.distributions import f_isf
 from invid.numerics.linear_algebra import real_rows
-from invid.signals.spectra import LineSpectra
+from invid.signals.record import DENSE, Record
 
 CHANCE = 1e-6
 """Probability of taking a hold for seen where there is none. Small: a command of random amplitudes is rough
@@ -35,7 +34,61 @@ RecordLines = tuple[Complex128, Complex128, Complex128, Float64]
 """Position, velocity, torque and angular frequency of the lines of a record."""
 
 
-def find_smooth_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, float] | None:
+SURE_HOLD, SILENT_REST = 0.05, 3.0
+"""Relative deviation of a hold's stiffness up to which it is known, and power over the torque's noise that it
+may leave on lines without a command (empirical, hidden plants with holds inside their drives)."""
+FEWEST = 10
+"""Fewest lines from which a hold is read."""
+
+
+def read_holds(records: Sequence[Record]) -> list[Record]:
+    """The records with holds inside drives made known that show themselves on lines without a command.
+
+    There the torque is −K·position − D·velocity and nothing else: on the lines between those excited and, of
+    an axis that is not driven, on all. Where a hold stays unknown, half a sample h by which it acts at
+    another time than the command looks like a viscous friction of K·h/2.
+    """
+    out = list(records)
+    for m in range(records[0].hold.size if records else 0):
+        seen = [_normal_of_hold(r, m) for r in records]
+        normal = np.sum([n for n, _ in seen], axis=0)
+        if not normal[1, 1]:
+            continue
+        stiffness, damping = np.linalg.solve(normal, np.sum([p for _, p in seen], axis=0))
+        if stiffness <= 0.0 or np.sqrt(np.linalg.inv(normal)[0, 0]) > SURE_HOLD * stiffness:
+            continue
+        for k, record in enumerate(out):
+            if np.isnan(record.hold[m]):
+                out[k] = record.with_hold(m, stiffness, damping)
+    return out
+
+
+def _normal_of_hold(record: Record, axis: int) -> tuple[Float64, Float64]:
+    """Normal equations (2, 2), (2,) of an unknown hold's stiffness and damping.
+
+    Zero where it does not explain the torque on lines without a command.
+    """
+    nothing = np.zeros((2, 2)), np.zeros(2)
+    excited = record.excited
+    free = (record.wide > 0.0) & (record.wide < 2 * np.pi * DENSE * record.top_hz)
+    if record.driven[axis]:
+        free[excited[excited < free.size]] = False
+    if not np.isnan(record.hold[axis]) or (record.driven[axis] and not excited.size) or free.sum() < FEWEST:
+        return nothing
+    noise = np.sqrt(record.torque_noise[axis] / 2.0)
+    position, torque = record.position[free, axis] / noise, record.torque[free, axis] / noise
+    velocity = record.velocity(axis, np.flatnonzero(free)) / noise
+    columns = -np.stack((position, velocity), axis=1)
+    columns, target = (np.concatenate((w.real, w.imag)) for w in (columns, torque))
+    normal, pull = columns.T @ columns, columns.T @ target
+    size = np.sqrt(np.diag(normal))
+    if not size.all() or np.linalg.cond(normal / size / size[:, None]) > 1e10:
+        return nothing
+    rest = target - columns @ np.linalg.solve(normal, pull)
+    return (normal, pull) if float((rest**2).mean()) < SILENT_REST else nothing
+
+
+def find_smooth_hold(records: Sequence[Record], axis: int) -> tuple[float, float] | None:
     """Gains (P, D) of a hold −(P + jωD)θ within the recorded torque of a driven axis; ``None``: none seen.
 
     The recorded torque T holds the command and the hold's part. Commands of shaking are designed: their
@@ -43,18 +96,18 @@ def find_smooth_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, 
     makes |T + (P + jωD)Θ| smoothest. Where the lines are shared out among the axes (interleaved), an axis'
     torque on the lines of the others is its hold's alone.
     """
-    by_lines = _without_command(spectra, axis)
+    by_lines = _without_command(records, axis)
     if by_lines is not None:
         return by_lines
     parts = []
-    for s in spectra:
-        lines = np.flatnonzero(s.excited)
-        if s.driven[axis] and lines.size >= LEAST_LINES:
-            noise = s.floor[s.axis_count + axis]
-            has_signal = lines[np.abs(s.torque[lines, axis]) ** 2 > SIGNAL_POWER * noise]
+    for r in records:
+        lines = r.carrying
+        if r.driven[axis] and lines.size >= LEAST_LINES:
+            has_signal = lines[np.abs(r.torque[lines, axis]) ** 2 > SIGNAL_POWER * r.torque_noise[axis]]
             if has_signal.size > 0.8 * lines.size:
-                speed = 1j * s.omega[lines] * s.position[lines, axis] + _end_spectrum(s, axis)
-                parts.append((s.position[lines, axis], speed, s.torque[lines, axis], s.omega[lines]))
+                parts.append(
+                    (r.position[lines, axis], r.velocity(axis, lines), r.torque[lines, axis], r.wide[lines])
+                )
     if not parts:
         return None
     count = sum(q.size - 2 for q, *_ in parts)
@@ -82,34 +135,25 @@ def find_smooth_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, 
     return float(law[0]), float(law[1])
 
 
-def _without_command(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, float] | None:
-    """The hold from every k-th excited line, where it explains the torque on those to the noise."""
-    for s in spectra:
-        excited = np.flatnonzero(s.excited)
-        if not s.driven[axis]:
+def _without_command(records: Sequence[Record], axis: int) -> tuple[float, float] | None:
+    """The hold from all or every k-th of the lines, where it explains the torque on those to the noise."""
+    for r in records:
+        if not r.driven[axis]:
             continue
-        noise = s.floor[[axis, s.axis_count + axis]]
-        for stride in range(2, s.axis_count + 1):
+        # All lines, where another axis alone is driven in a record that does not say so.
+        for stride in range(1 if r.driven.size > 1 else 2, r.driven.size + 1):
             for first in range(stride):
-                lines = excited[first::stride]
-                torque, theta = s.torque[lines, axis], s.position[lines, axis]
-                if lines.size < LEAST_LINES or np.mean(np.abs(torque) ** 2) < SIGNAL_POWER * noise[1]:
+                lines = r.carrying[first::stride]
+                torque, noise = r.torque[lines, axis], r.torque_noise[axis]
+                if lines.size < LEAST_LINES or np.mean(np.abs(torque) ** 2) < SIGNAL_POWER * noise:
                     continue
-                rows = -np.stack((theta, 1j * s.omega[lines] * theta + _end_spectrum(s, axis)), axis=1)
+                rows = -np.stack((r.position[lines, axis], r.velocity(axis, lines)), axis=1)
                 law = np.linalg.lstsq(real_rows(rows), real_rows(torque), rcond=None)[0]
-                gain = law[0] ** 2 + (s.omega[lines] * law[1]) ** 2
-                left = np.abs(torque - rows @ law) ** 2 / (noise[1] + gain * noise[0])
+                gain = law[0] ** 2 + (r.wide[lines] * law[1]) ** 2
+                left = np.abs(torque - rows @ law) ** 2 / (noise + gain * r.position_noise[axis])
                 if np.all(law >= 0) and law[0] > 0 and np.mean(left) < MOST_RESIDUAL:
                     return float(law[0]), float(law[1])
     return None
-
-
-def _end_spectrum(s: LineSpectra, axis: int) -> float:
-    """Contribution of the ends of a record that does not close to the spectrum of its velocity."""
-    if not (s.transient and s.periods == 1):
-        return 0.0
-    wave = s.position_wave[:, axis]
-    return float(2.0 * (2.0 * wave[-1] - wave[-2] - wave[0]) / s.span_s)
 
 
 def _roughness(parts: Sequence[RecordLines], law: Float64) -> Float64:
