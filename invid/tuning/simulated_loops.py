@@ -114,10 +114,12 @@ def run_loops(
     command: Command,
     timing: DriveTiming,
     counts: Float64 | None = None,
+    added: Float64 | None = None,
 ) -> LoopRun:
     """Simulate ``command`` on ``model``; values that have run away are NaN from then on.
 
-    ``counts`` (M,) are those of the encoders [rad or m], NaN: ideal.
+    ``counts`` (M,) are those of the encoders [rad or m], NaN: ideal; ``added`` (n, M) torque that the drives
+    are told to add to that of their loops.
     """
     count_of = np.zeros(len(loops)) if counts is None else np.nan_to_num(counts)
     coarse = np.where(count_of > 0, count_of, 1.0)
@@ -129,10 +131,14 @@ def run_loops(
     step = discretise(made, timing.cycle / substeps).compiled
     n, count = command.position.shape
     reach = (4.0 * float(np.abs(command.position).max()), 4.0 * float(np.abs(command.velocity).max()))
+    if added is not None:
+        free = np.cumsum(added, axis=0) * timing.cycle / made.mass[motors, motors]
+        speed = 4.0 * float(np.ptp(free, axis=0).max())
+        reach = (max(reach[0], speed), max(reach[1], speed))
     static, tables = static_table(laws.static, [reach] * len(laws.static))
     forces = compiled_laws([*laws.forces, *static], tables)
     plant = linear_plant(model)
-    drives = _Drives(loops, command, timing, plant)
+    drives = _Drives(loops, command, timing, plant, added)
     decay = np.exp(-timing.cycle / substeps / np.maximum(plant.lag, 1e-12))
     limit = np.array([laws.limit.get(i, np.inf) for i in range(count)])
     state = np.zeros(2 * made.mass.shape[0])
@@ -158,7 +164,12 @@ class _Drives:
     """The sampled loops of all axes at once, with what they remember."""
 
     def __init__(
-        self, loops: Sequence[AxisLoop], command: Command, timing: DriveTiming, plant: LinearPlant
+        self,
+        loops: Sequence[AxisLoop],
+        command: Command,
+        timing: DriveTiming,
+        plant: LinearPlant,
+        added: Float64 | None,
     ) -> None:
         t = timing.cycle
         given = np.stack([command.position, command.velocity, command.acceleration])
@@ -170,6 +181,8 @@ class _Drives:
         self._forward = np.stack(
             [loop.feedforward.torque(*self.shaped[:, :, i]) for i, loop in enumerate(loops)], axis=1
         )
+        if added is not None:
+            self._forward = self._forward + added
         self._gain = np.array([loop.gains.velocity_gain for loop in loops])
         self._integral = t / np.array([loop.gains.integral_time for loop in loops])
         self._position = np.array([loop.gains.position_gain for loop in loops])

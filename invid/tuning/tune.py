@@ -47,6 +47,9 @@ RIPPLE = 0.01
 from a few per cent)."""
 _RIPPLE_SLACK = 1.15
 """The promise of draws that the design has not seen, over what it kept in those that it saw."""
+HELD = 0.1
+"""Least share of an error that a position loop takes away in the rest of the reference move, K_p times its length.
+Empirical (benchmarks/drivers/bench_closed_loop.py): loops that hold 0.65 and more, one that does not 0.01."""
 SPREAD_DRAWS = 6
 """Machines of the covariance in which the reference move is made as well."""
 STAND_IN = "timid gains without feedforward (the drive's own values were not given)"
@@ -178,6 +181,8 @@ def tune_model(
     most = sensors.noise_gain(settings.ripple)
     gains = design_gains(drawn_plants([plant, *seen, *soft], timing), plant, settings.notches, most)
     gains, margins = _kept(fresh, gains, timing, sensors, settings.ripple)
+    command = reference_move(plant, timing, bearable(model, inertia))
+    _require_hold(model, gains, margins, sensors, command.arrived * timing.cycle)
     loop = closed_loop(plant, gains, timing)
     shapers = _shapers(loop, [closed_loop(p, gains, timing) for p in fresh[:_SHAPER_DRAWS]])
     forward = [feedforward(model, plant, i, float(inertia[i]), found.open_terms) for i in range(len(gains))]
@@ -187,7 +192,6 @@ def tune_model(
         for i, name in enumerate(model.axes)
     ]
     margins_before = worst_margins(fresh, tuple(a.gains for a in old), timing, PROMISE, sensors.counts)
-    command = reference_move(plant, timing, _bearable(model, inertia))
     run_before, run_after = (run_loops(model, each, command, timing, sensors.counts) for each in (old, after))
     drawn = drawn_models(known, SPREAD_DRAWS, rng)
     spread = [move_figures(run_loops(m, after, command, timing, sensors.counts), command) for m in drawn]
@@ -211,7 +215,24 @@ def tune_model(
     )  # fmt: skip
 
 
-def _bearable(model: Model, inertia: Float64) -> dict[int, float]:
+def _require_hold(
+    model: Model, gains: Sequence[Gains], margins: Sequence[Margins], sensors: Sensors, rest_s: float
+) -> None:
+    """NotIdentifiableError where counts leave no loop that holds an axis."""
+    for axis, g, m, count, rated in zip(
+        model.axes, gains, margins, sensors.counts, sensors.rated, strict=True
+    ):
+        held = g.position_gain * rest_s
+        if held < HELD and math.isfinite(m.ripple / rated):
+            raise NotIdentifiableError(
+                f"axis {axis}: its encoder's counts of {count:.3g} leave no loop that holds it: within the "
+                f"ripple asked for the position gain is {g.position_gain:.2g} 1/s",
+                way_out=f"a finer encoder, a longer --cycle, or more torque of counts: --ripple "
+                f"{100 * m.ripple / rated / held:.2g} (% of rated)",
+            )
+
+
+def bearable(model: Model, inertia: Float64) -> dict[int, float]:
     """Largest acceleration of the axes whose torque saturates: the move is to show loops, not the limit."""
     limits = {
         model.axes.index(e.axis): e.value("limit") for e in model.effects if e.cause == "torque_saturation"
