@@ -48,8 +48,9 @@ from a few per cent)."""
 _RIPPLE_SLACK = 1.15
 """The promise of draws that the design has not seen, over what it kept in those that it saw."""
 HELD = 0.1
-"""Least share of an error that a position loop takes away in the rest of the reference move, K_p times its length.
-Empirical (benchmarks/drivers/bench_closed_loop.py): loops that hold 0.65 and more, one that does not 0.01."""
+"""Least share of an error that a position loop takes away in the rest of the reference move, K_p times its
+length. Empirical (benchmarks/drivers/bench_closed_loop.py): loops that hold 0.65 and more, one that does not
+0.01."""
 SPREAD_DRAWS = 6
 """Machines of the covariance in which the reference move is made as well."""
 STAND_IN = "timid gains without feedforward (the drive's own values were not given)"
