@@ -17,7 +17,7 @@ import numpy as np
 
 from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
-from invid.tuning.servo_loop import DriveTiming, controller_response
+from invid.tuning.servo_loop import DriveTiming, speed_response
 from invid.tuning.simulated_loops import BAND, AxisLoop, Command, run_loops
 
 SETTLED = 2
@@ -54,9 +54,8 @@ def asked_torque(
     omega = 2 * math.pi * np.asarray(np.fft.rfftfreq(rows[0].size, timing.cycle), dtype=np.float64)
     kept = slice(1, int(np.searchsorted(omega, highest)))
     gain = loop.gains.position_gain
-    to_torque = controller_response(loop.gains, timing, omega[kept])
-    to_torque /= gain + (1.0 - np.exp(-1j * omega[kept] * timing.cycle)) / timing.cycle
-    asked = to_torque * (gain * position[kept] + speed[kept]) + forward[kept]
+    missed = gain * position[kept] + speed[kept]
+    asked = speed_response(loop.gains, timing, omega[kept]) * missed + forward[kept]
     return AskedTorque(omega[kept], asked, rows[0].size)
 
 
@@ -71,13 +70,12 @@ def shaken_motion(
     return run.motor[-n:]
 
 
-def without_delay(ratio: Complex128, sure: Float64, omega: Float64, cycle: float) -> Complex128:
-    """(F,) ``ratio`` of motions without the time by which one is read later than the other; lines count by
-    how ``sure`` (F,) they are, over their deviation."""
+def lateness(ratio: Complex128, sure: Float64, omega: Float64, cycle: float) -> float:
+    """Time [s] by which one of two signals is read later than the other, by their ``ratio`` (F,); lines count
+    by how ``sure`` (F,) they are, over their deviation."""
     tried = np.linspace(-LATEST_CYCLES * cycle, LATEST_CYCLES * cycle, 8001)
-    turned = np.minimum(sure, SURE) * ratio / np.maximum(np.abs(ratio), 1e-300)
-    score = (turned * np.exp(1j * tried[:, None] * omega)).real.sum(axis=1)
-    return np.asarray(ratio * np.exp(1j * omega * tried[int(score.argmax())]), dtype=complex)
+    score = (np.minimum(sure, SURE) * ratio * np.exp(1j * tried[:, None] * omega)).real.sum(axis=1)
+    return float(tried[int(score.argmax())])
 
 
 def motor_figures(error: Float64, command: Command, axis: int, cycle: float) -> Float64:

@@ -23,7 +23,7 @@ from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording import Experiment, Recording
 from invid.tuning.gains import own_inertias
 from invid.tuning.margins import DrawnPlants, axis_margins, drawn_plants
-from invid.tuning.measured_moves import asked_torque, motor_figures, shaken_motion, without_delay
+from invid.tuning.measured_moves import asked_torque, lateness, motor_figures, shaken_motion
 from invid.tuning.plant_draws import drawn_models
 from invid.tuning.servo_loop import DriveTiming, held_plant_response
 from invid.tuning.simulated_loops import AxisLoop, Command, reference_move, run_loops
@@ -51,7 +51,6 @@ WORSE_MOVE = 2.0
 (benchmarks/drivers/bench_closed_loop.py): right models within 1.4, with free play too; the one wrong 25."""
 FAR = 0.5
 """|L| below which the phase of S shows how late the torque is read."""
-LATEST_CYCLES = 3.0
 
 
 class Verdict(StrEnum):
@@ -282,7 +281,8 @@ class _Cell:
         told = (np.fft.rfft(motion[:, index]) / n)[seen.lines] / seen.added.mean(axis=0)
         each = seen.position / seen.added / told
         std = np.maximum(np.sqrt(each.var(axis=0, ddof=1) / len(each)), 1e-9)
-        ratio = without_delay(each.mean(axis=0), 1.0 / std, omega, cycle)
+        mean = each.mean(axis=0)
+        ratio = mean * np.exp(1j * omega * lateness(mean / np.abs(mean), 1.0 / std, omega, cycle))
         asked = asked_torque(self._command, index, self._loops[index], self._timing, float(omega.max()))
         sensitivity, drawn = self._drawn(asked.omega, 1)
         compliance = sensitivity[0, :, index] * drawn.behind_axis(index, self._gains)[0]
@@ -356,10 +356,7 @@ def _late(measured: Complex128, predicted: Complex128, omega: Float64, cycle: fl
     far = (np.abs(1.0 / predicted - 1.0) < FAR) & (omega > np.median(omega))
     if far.sum() < NEIGHBOURS:
         far = omega > np.median(omega)
-    turn = measured[far] / predicted[far]
-    tried = np.linspace(-cycle, LATEST_CYCLES * cycle, 4001)
-    score = (turn[None] * np.exp(1j * tried[:, None] * omega[far])).real.sum(axis=1)
-    return float(tried[int(np.argmax(score))])
+    return lateness((measured / predicted)[far], np.ones(int(far.sum())), omega[far], cycle)
 
 
 def _ripple(seen: _Shaken) -> float:
