@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ def _swing(e: Experiment, axis: int) -> tuple[float, float] | None:
     goal, told = e.position_reference[:, axis], e.torque_feedforward
     moved = np.flatnonzero((np.diff(goal) != 0) | (False if told is None else np.diff(told[:, axis]) != 0))
     edges = [0, *(moved + 1).tolist(), goal.size]
-    first, last = max(zip(edges[:-1], edges[1:], strict=True), key=lambda rows: rows[1] - rows[0])
+    first, last = max(pairwise(edges), key=lambda rows: rows[1] - rows[0])
     if last - first < STANDS_S * e.sample_rate_hz:
         return None
     return _tone(e.position[first:last, axis], e.sample_rate_hz)
