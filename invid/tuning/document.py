@@ -22,6 +22,7 @@ from invid.model.document import (
 from invid.tuning.servo_loop import DriveTiming
 from invid.tuning.simulated_loops import AxisLoop
 from invid.tuning.tune import AxisTuning, Repair, Tuning
+from invid.wording.statement import LANGUAGES, say
 
 FORMAT = "invid-tuning"
 FORMAT_VERSION = 1
@@ -105,6 +106,7 @@ def tuning_to_json(tuning: Tuning) -> dict[str, Any]:
         "model": model_to_json(tuning.model),
         "repairs": [_repair_to_json(r, angle) for r in tuning.repairs],
         "remarks": list(tuning.remarks),
+        "said": {lang: [say(s, lang) for s in tuning.statements] for lang in LANGUAGES},
     }
     clean: dict[str, Any] = finite(document)
     return clean

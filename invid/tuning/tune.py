@@ -28,6 +28,8 @@ from invid.tuning.simulated_loops import (
     reference_move,
     run_loops,
 )
+from invid.wording.clauses import cause_name
+from invid.wording.statement import Figure, Statement, Value, say
 
 DESIGN_DRAWS = 40
 KEPT = 0.98
@@ -136,18 +138,23 @@ class Repair:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """The result. ``before_source`` says what ``before`` was; ``remarks`` what was open or left out."""
+    """The result. ``before_source`` says what ``before`` was; ``statements`` what was open or left out."""
 
     model: Model
     settings: TuneSettings
     axes: tuple[AxisTuning, ...]
     repairs: tuple[Repair, ...]
-    remarks: tuple[str, ...]
+    statements: tuple[Statement, ...]
     before_source: str
     command: Command
     run_before: LoopRun
     run_after: LoopRun
     plant: LinearPlant
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was open or left out, in English."""
+        return tuple(say(s) for s in self.statements)
 
 
 def untuned(plant: LinearPlant, axis: int, inertia: float, timing: DriveTiming) -> Gains:
@@ -312,40 +319,40 @@ def _backlash(model: Model, axis: str) -> float:
     return sum(e.value("gap") for e in model.effects if e.cause == "backlash" and e.axis == axis)
 
 
-def _left_out(lost: Sequence[LeftOut], forward: Sequence[Feedforward], axes: Sequence[str]) -> list[str]:
-    out = [
-        f"{left.term.axis}: {left.term.cause} cannot be simulated here and is in nothing below: {left.reason}"
-        for left in lost
-    ]
+def _left_out(
+    lost: Sequence[LeftOut], forward: Sequence[Feedforward], axes: Sequence[str]
+) -> list[Statement]:
+    out = []
+    for left in lost:
+        said: dict[str, Value] = {
+            "axis": left.term.axis,
+            "cause": cause_name(left.term.cause),
+            "why": left.reason,
+        }
+        out.append(Statement("tune.not_simulated", said))
     for name, f in zip(axes, forward, strict=True):
-        out += [f"{name}: no feedforward for {text}" for text in f.left_out]
+        out += [Statement("tune.no_feedforward", {"axis": name, "what": text}) for text in f.left_out]
     return out
 
 
-def _held_badly(axes: Sequence[AxisTuning]) -> list[str]:
+def _held_badly(axes: Sequence[AxisTuning]) -> list[Statement]:
     return [
-        f"{a.axis}: free play of {a.backlash:.3g} is a limit of its own: margins hold while the teeth touch "
-        "and for the motor alone; no drive value repairs it"
+        Statement("tune.free_play", {"axis": a.axis, "size": Figure(f"{a.backlash:.3g}")})
         for a in axes
         if a.backlash
     ]
 
 
-def _ripples(axes: Sequence[AxisTuning], most: float) -> list[str]:
+def _ripples(axes: Sequence[AxisTuning], most: float) -> list[Statement]:
     unknown = [a.axis for a in axes if math.isnan(a.margins_after.ripple) or math.isnan(a.rated_torque)]
     said = []
     for a in axes:
         share = a.margins_after.ripple / a.rated_torque
         if share > _RIPPLE_SLACK * most:
-            said.append(
-                f"{a.axis}: its encoder's counts make {share:.2g} of rated torque, rms, more than {most:g}; "
-                "a slower loop is not quieter enough: a finer encoder is needed"
-            )
+            sizes = {"share": Figure(f"{share:.2g}"), "most": Figure(f"{most:g}")}
+            said.append(Statement("tune.loud", {"axis": a.axis, **sizes}))
     if unknown:
-        said.append(
-            f"{', '.join(unknown)}: the model does not say the encoder's count and rated torque, so the "
-            "torque that counts make is not bounded; identify a recording that states both"
-        )
+        said.append(Statement("tune.ripple_unknown", {"axes": ", ".join(unknown)}))
     return said
 
 

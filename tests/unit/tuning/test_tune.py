@@ -10,6 +10,7 @@ from tuning.tuned import machine, tuned
 
 from invid.errors import NotIdentifiableError
 from invid.exchange.linear_plant import linear_plant
+from invid.tuning.document import tuning_to_json
 from invid.tuning.gains import PROMISE
 from invid.tuning.margins import worst_margins
 from invid.tuning.plant_draws import drawn_models
@@ -72,6 +73,9 @@ def test_coarse_encoders_bound_the_gains_and_the_torque_they_make_is_the_one_for
         assert axis.after.gains.velocity_gain < 0.8 * tuned().axes[i].after.gains.velocity_gain
     assert not any("not bounded" in r for r in tuning.remarks)
     assert any("not bounded" in r for r in tuned().remarks)
+    said = tuning_to_json(tuned())["said"]["de"]
+    assert any("nicht begrenzt" in r for r in said)
+    assert not any(" the " in r for r in said)
 
 
 def test_a_model_that_is_not_to_be_trusted_is_refused():
