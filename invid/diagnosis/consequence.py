@@ -13,6 +13,7 @@ import numpy as np
 
 from invid.config import CellConfig, parse_config
 from invid.diagnosis.headline import with_headline
+from invid.diagnosis.loop_signs import loop_signs
 from invid.effects.registry import effect_of
 from invid.effects.sizes import Machine, Size, measured_sizes
 from invid.errors import ConfigError
@@ -129,7 +130,9 @@ def grade_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
     # A later comparison asks whether a cause that is not in the model was looked for.
     searched = {"verdict": str(result.verdict), "search_cut_short": bool(result.details.get("cut_short"))}
     model = replace(result.model, fit={**result.model.fit, **searched})
-    result = replace(result, model=model)
+    signs = loop_signs(recording)
+    details = {**result.details, **({"loop": list(signs)} if signs else {})}
+    result = replace(result, model=model, details=details)
     return with_headline(result)
 
 

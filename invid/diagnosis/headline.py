@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Diagnosis, Finding, Grade, Verdict
@@ -24,10 +25,24 @@ from invid.wording.clauses import (
 )
 from invid.wording.expectation import answer_clause
 from invid.wording.figures import explained_percent
-from invid.wording.statement import ENGLISH, LANGUAGES, Clause, Listed, Statement, say, say_sentence
+from invid.wording.statement import (
+    ENGLISH,
+    LANGUAGES,
+    Clause,
+    Figure,
+    Listed,
+    Statement,
+    Value,
+    say,
+    say_sentence,
+)
 
 NAMELESS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 """Verdicts on a model that leaves something without a name."""
+SIDES = dict.fromkeys(("saturation", "actuator_dynamics"), "loop") | dict.fromkeys(
+    ("scale", "sensor", "sampling"), "sensor"
+)
+"""Families of causes that are not the mechanics."""
 MOST = 2
 """Changes told one by one; a person reads no longer headline (a convention)."""
 
@@ -67,6 +82,8 @@ class Facts:
     """Whether all that is left acts behind the motors, whose own torque is explained."""
     has_floor: bool = True
     """Whether the record shows what the sensors' noise alone would leave, on every axis."""
+    loop: Sequence[Mapping[str, Any]] = ()
+    """What the record shows of the loop (``loop_signs``)."""
 
 
 def facts_of(diagnosis: Diagnosis, beside: Beside = Beside()) -> Facts:
@@ -84,6 +101,7 @@ def facts_of(diagnosis: Diagnosis, beside: Beside = Beside()) -> Facts:
         beside.screened,
         _is_left_inside(diagnosis),
         all(r.noise_floor is not None for r in diagnosis.residual),
+        diagnosis.details.get("loop", ()),
     )
 
 
@@ -135,6 +153,27 @@ def headline_order(facts: Facts) -> list[list[Statement]]:
     and nothing changed that matters; else it is the last word, on what to do now. Whoever said what was
     changed is answered before anything else.
     """
+    loop = [_loop(facts)] if facts.loop else []
+    return [*loop, *_of_machine(facts)]
+
+
+def _loop(facts: Facts) -> list[Statement]:
+    """That it is the loop and not the mechanics, with the numbers of up to ``MOST`` signs."""
+    unit, torque = ("m", "N") if facts.linear else ("rad", "N·m")
+    said = []
+    for row in facts.loop[:MOST]:
+        values: dict[str, Value] = {"axis": row["axis"]}
+        if row["sign"] == "at_limit":
+            values["limit"] = Figure(f"{row['limit']:.3g} {torque}")
+            values["share"] = Figure(f"{100 * row['share']:.0f} %")
+        else:
+            values["size"] = Figure(f"{1e3 * row['amplitude']:.2g} m{unit}")
+            values["frequency"] = Figure(f"{row['frequency_hz']:.3g} Hz")
+        said.append(Statement(f"loop.{row['sign']}", values))
+    return [Statement("side.loop", {"what": said[0]}), *said[1:]]
+
+
+def _of_machine(facts: Facts) -> list[list[Statement]]:
     doubt, changes = facts.doubt, facts.changes
     serious = [c for c in changes or () if c.matters]
     answered = [] if facts.answer is None else [answer_clause(facts.answer)]
@@ -214,6 +253,8 @@ def _groups(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     same = [g for g in groups[1:] if grade_of(g[0]) is first]
     rest = [g for g in groups[1:] if grade_of(g[0]) is not first]
     said = [group_clause(groups[0], facts.axes, facts.linear)]
+    if first is not Grade.AS_EXPECTED and facts.changes is None:
+        said = [Statement(f"side.{_side(groups[0][0])}", {"what": Clause(said[0])})]
     said += [group_clause(g, facts.axes, facts.linear, advice=False) for g in same[:1]]
     more = sum(len(g) for g in same[1:])
     if more:
@@ -222,6 +263,12 @@ def _groups(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
     if facts.verdict is Verdict.PARTLY_EXPLAINED:
         said.append(Statement("headline.left_inside" if facts.is_left_inside else "headline.left"))
     return [*said, *_doubtful_floor(facts)]
+
+
+def _side(finding: Finding) -> str:
+    """Which of loop, sensor and mechanics a finding is of."""
+    effect = BY_CAUSE.get(finding.effect.cause)
+    return SIDES.get("" if effect is None else effect.family, "mechanics")
 
 
 def _doubtful_floor(facts: Facts) -> list[Statement]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from invid.model.document import EffectTerm
 from invid.model.plant import Kind
 from invid.numerics.arrays import Float64
 
+FEW = 6
+"""Iterations from a finished fit to that with one law more: a small step, nearly linear."""
 Sizes = dict[str, tuple[Callable[[Float64], float], list[int | None]]]
 """A cause's parameters: each a function of some of the values, and which."""
 
@@ -63,7 +66,29 @@ class TermWriter:
         for part, cause in reversed(FRICTION):
             if part in parts and part is not Part.RISE and not (part is Part.DRY and rise is not None):
                 found[cause] = {BY_CAUSE[cause].main: (lambda v: float(v[0]), [at[part]])}
-        return [self.term(cause, motor, sizes, element="mass 1") for cause, sizes in found.items()]
+        terms = [self.term(cause, motor, sizes, element="mass 1") for cause, sizes in found.items()]
+        return [self._bent(t, motor) if t.cause == "coulomb_friction" else t for t in terms]
+
+    def _bent(self, term: EffectTerm, motor: int) -> EffectTerm:
+        """Dry friction with what it may carry of viscous friction that is out of the fit: what is too small
+        to be told bends what stays."""
+        known = term.parameters["torque"]
+        if (Part.VISCOUS, motor) not in self.now.hypothesis.absent or known.std is None:
+            return term
+        bend = self._coefficient(self._with_viscous, motor) - self._coefficient(self.now, motor)
+        return replace(term, parameters={"torque": replace(known, std=float(np.hypot(known.std, bend)))})
+
+    @staticmethod
+    def _coefficient(now: Supposed, motor: int) -> float:
+        names = [c.name for c in now.fit.problem.columns]
+        return float(now.fit.value.coefficients[names.index((Part.DRY, motor))])
+
+    @cached_property
+    def _with_viscous(self) -> Supposed:
+        """The fit with every motor's viscous friction in it."""
+        was = self.now.hypothesis
+        gone = {(Part.VISCOUS, m) for m in range(self.structure.motors)}
+        return self.now.refit(replace(was, absent=was.absent - gone), iterations=FEW)
 
     def load_spring(self, pair: tuple[int, int]) -> EffectTerm:
         """Term of a spring between two loads."""

@@ -167,6 +167,7 @@ class SignTrial:
             count=self._count,
             rated=self._rated,
             fresh=came,
+            acting=torque - motion.bias[axis] if motion.by_offset(axis) else None,
         )
         still = came.sum() >= trials.SIDE_ROWS and bool(np.ptp(torque[came]) == 0)
         if amplitude >= SEEN_SHARE * self._rated:

@@ -96,6 +96,7 @@ def response(  # noqa: PLR0913 - the columns of one record, and the steps of its
     count: float,
     rated: float,
     fresh: Bool | None = None,
+    acting: Float64 | None = None,
 ) -> Response:
     """Judge a doublet by what its edges did.
 
@@ -113,6 +114,9 @@ def response(  # noqa: PLR0913 - the columns of one record, and the steps of its
         Position of one encoder count: the least that the path is uncertain by.
     fresh
         (n,) whether a row's torque and position came with its SYNC; only those are believed.
+    acting
+        (n,) measured torque around its value at rest with what the drive's own loop gives, where that stays
+        closed: a stiff loop drives the axis back before an edge has bent its path. ``None``: the demand acts.
     """
     came = np.ones(demand.size, dtype=bool) if fresh is None else fresh
     late, follow = _lateness(demand, torque, came)
@@ -123,9 +127,9 @@ def response(  # noqa: PLR0913 - the columns of one record, and the steps of its
         late, follow = 0, float("nan")
         settled, settled_std = float("nan"), float("inf")
     displacement = float(np.abs(position[came]).max(initial=0.0))
-    acting = time[demand != 0]
-    length = float(acting[-1] - acting[0]) if acting.size > 1 else 0.0
-    mobility, std, edges, missed = _edges(time, demand, position, came, count, late)
+    asked = time[demand != 0]
+    length = float(asked[-1] - asked[0]) if asked.size > 1 else 0.0
+    mobility, std, edges, missed = _edges(time, demand, position, came, count=count, late=late, acting=acting)
     return Response(
         inertia=amplitude * length**2 / (16 * displacement) if displacement > 0 else float("inf"),
         displacement=displacement,
@@ -241,13 +245,22 @@ def _windows(
     return usable, late
 
 
-def _edges(
-    time: Float64, demand: Float64, position: Float64, came: Bool, count: float, late: int
+def _edges(  # noqa: PLR0913 - the columns of one record, and how its sensors count
+    time: Float64,
+    demand: Float64,
+    position: Float64,
+    came: Bool,
+    *,
+    count: float,
+    late: int,
+    acting: Float64 | None,
 ) -> tuple[float, float, int, int]:
     """Common Δacceleration/Δtorque over all edges and its standard deviation, for the likeliest lag.
 
-    Then how many edges were judged, and at how many somebody was late.
+    Then how many edges were judged, and at how many somebody was late. ``late``: cycles by which the measured
+    torque, and with it ``acting``, follows the demand.
     """
+    bent = None if acting is None else _twice_summed(time, acting, came)
     lags = (*LAGS, *(late + k for k in (-2, -1, 0, 1) if late + k > max(LAGS)))
     windows, missed = _windows(time, demand, came, max(lags))
     best, best_rest = (0.0, np.inf), np.inf
@@ -258,8 +271,10 @@ def _edges(
         for edge, first, rows in windows:
             kept = np.flatnonzero(came[first + lag : first + lag + rows]) + first + lag
             t = time[kept] - time[edge + lag]
-            # the torque from row ``edge`` on bends the path from there on
-            bend = 0.5 * np.maximum(t, 0.0) ** 2 * (demand[edge] - demand[edge - 1])
+            if bent is None:  # the torque from row ``edge`` on bends the path from there on
+                bend = 0.5 * np.maximum(t, 0.0) ** 2 * (demand[edge] - demand[edge - 1])
+            else:
+                bend = bent[np.clip(kept + late - lag, 0, bent.size - 1)]
             basis, _ = np.linalg.qr(np.vander(t / np.abs(t).max(), 4))
             window = position[kept]
             bends.append(bend - basis @ (basis.T @ bend))
@@ -277,6 +292,15 @@ def _edges(
         if squares < best_rest:
             best_rest, best = squares, (slope, float(np.sqrt(variance / power)))
     return *best, len(windows), missed
+
+
+def _twice_summed(time: Float64, torque: Float64, came: Bool) -> Float64:
+    """(n,) path of a free unit mass under ``torque``, each row of it acting until the next."""
+    steps = np.diff(time, append=2 * time[-1] - time[-2])
+    held = np.interp(time, time[came], torque[came]) if came.any() else torque
+    speed = np.concatenate([[0.0], np.cumsum(held * steps)[:-1]])
+    path: Float64 = np.concatenate([[0.0], np.cumsum((speed + 0.5 * held * steps) * steps)[:-1]])
+    return path
 
 
 def too_late(axis: str, found: Sequence[Response]) -> SafetyStop:

@@ -7,9 +7,9 @@ import io
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from invid.errors import InputError
 from invid.model.document import (
@@ -19,11 +19,10 @@ from invid.model.document import (
     model_from_json,
     model_to_json,
 )
-from invid.tuning.feedforward import Feedforward
-from invid.tuning.servo_loop import DriveTiming, Gains, Notch
-from invid.tuning.shapers import Shaper
+from invid.tuning.servo_loop import DriveTiming
 from invid.tuning.simulated_loops import AxisLoop
 from invid.tuning.tune import AxisTuning, Repair, Tuning
+from invid.wording.statement import LANGUAGES, say
 
 FORMAT = "invid-tuning"
 FORMAT_VERSION = 1
@@ -107,6 +106,7 @@ def tuning_to_json(tuning: Tuning) -> dict[str, Any]:
         "model": model_to_json(tuning.model),
         "repairs": [_repair_to_json(r, angle) for r in tuning.repairs],
         "remarks": list(tuning.remarks),
+        "said": {lang: [say(s, lang) for s in tuning.statements] for lang in LANGUAGES},
     }
     clean: dict[str, Any] = finite(document)
     return clean
@@ -175,56 +175,22 @@ def repair_sentence(r: Repair, unit: str) -> str:
     return f"without {place} the {name} falls from {1e3 * now:.3g} to {1e3 * then:.3g} m{unit}"
 
 
-class _Open(BaseModel):
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+def _with_integral(side: Any) -> Any:
+    """One side of an axis; gains that somebody wrote by hand may leave the integral out."""
+    gains = side.get("gains") if isinstance(side, dict) else None
+    return {**side, "gains": {"integral_time": None, **gains}} if isinstance(gains, dict) else side
 
 
-class _NotchJson(_Open):
-    frequency: float = Field(gt=0)
-    zero_damping: float = Field(gt=0)
-    pole_damping: float = Field(gt=0)
-
-
-class _GainsJson(_Open):
-    velocity_gain: float = Field(gt=0)
-    integral_time: float | None = Field(default=None, gt=0)
-    position_gain: float = Field(gt=0)
-    notches: list[_NotchJson] = []
-
-
-class _FeedforwardJson(_Open):
-    inertia: float = 0.0
-    viscous: float = 0.0
-    dry: float = 0.0
-    offset: float = 0.0
-    weight: float = 0.0
-    angle: float = 0.0
-
-
-class _ShaperJson(_Open):
-    kind: str
-    frequency: float = Field(gt=0)
-    damping: float = Field(ge=0, lt=1)
-    times: list[float]
-    amplitudes: list[float]
-
-
-class _SideJson(_Open):
-    gains: _GainsJson
-    feedforward: _FeedforwardJson = _FeedforwardJson()
-    shaper: _ShaperJson | None = None
-
-
-class _AxisJson(_Open):
+class _AxisJson(BaseModel):
     axis: str
-    after: _SideJson
+    after: Annotated[AxisLoop, BeforeValidator(_with_integral)]
 
 
-class _TuningJson(_Open):
+class _TuningJson(BaseModel):
     format: str = Field(pattern=f"^{FORMAT}$")
     format_version: int = Field(ge=1, le=FORMAT_VERSION)
     axes: list[_AxisJson]
-    cycle_s: float = Field(default=0.001, gt=0)
+    cycle_s: float = Field(default=0.001, gt=0, allow_inf_nan=False)
     dead_cycles: int = Field(default=1, ge=0)
     model: dict[str, Any] | None = None
 
@@ -248,19 +214,4 @@ def loops_from_json(document: Any, source: str) -> dict[str, AxisLoop]:
         read = _TuningJson.model_validate(document)
     except ValidationError as error:
         raise InputError(describe_validation_error(error, source)) from None
-    return {a.axis: _loop(a.after) for a in read.axes}
-
-
-def _loop(side: _SideJson) -> AxisLoop:
-    g, f, s = side.gains, side.feedforward, side.shaper
-    gains = Gains(
-        g.velocity_gain,
-        g.integral_time or math.inf,
-        g.position_gain,
-        tuple(Notch(**n.model_dump()) for n in g.notches),
-    )
-    forward = Feedforward(f.inertia, None, f.viscous, f.dry, f.dry, f.offset, f.weight, f.angle)
-    shaper = None
-    if s is not None:
-        shaper = Shaper(s.kind, s.frequency, s.damping, tuple(s.times), tuple(s.amplitudes), 0.0)
-    return AxisLoop(gains, forward, shaper)
+    return {a.axis: a.after for a in read.axes}

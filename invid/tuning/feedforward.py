@@ -27,8 +27,8 @@ class Feedforward:
     to ``dry``. ``named`` are the causes that went in, ``left_out`` those that did not and why, in sentences.
     """
 
-    inertia: float
-    inertia_std: float | None
+    inertia: float = 0.0
+    inertia_std: float | None = None
     viscous: float = 0.0
     dry: float = 0.0
     breakaway: float = 0.0

@@ -13,6 +13,8 @@ from invid.exchange.linear_plant import LINEAR, parameter_spread
 from invid.model.diagnosis_document import Diagnosis, Finding
 from invid.model.document import EffectTerm, Estimate, Model, with_parameters
 from invid.numerics.arrays import Float64
+from invid.wording.clauses import cause_name
+from invid.wording.statement import Listed, Statement, Value
 
 LOOP_CAUSES = (*LINEAR, "torque_delay")
 """Causes that the loops feel; all others are forces that feedforward or repair answers."""
@@ -24,14 +26,14 @@ _TRIES = 50
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """The models that the data leave open, the stated one first, and what was found open, in sentences.
+    """The models that the data leave open, the stated one first, and what was found open.
 
     ``open_terms`` are effects whose cause may be another one.
     """
 
     models: tuple[Model, ...]
     open_terms: tuple[EffectTerm, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[Statement, ...]
 
 
 def candidates(source: Model | Diagnosis) -> Candidates:
@@ -48,24 +50,21 @@ def candidates(source: Model | Diagnosis) -> Candidates:
             "the model is not to be trusted, its own warnings say why",
             way_out="measure again before anything is tuned on it",
         )
-    models, remarks, terms = [model], [], []
+    models, remarks, terms = [model], list[Statement](), []
     for finding in source.findings if isinstance(source, Diagnosis) else ():
         if not finding.alternatives:
             continue
         terms.append(finding.effect)
-        others = ", ".join(a.cause for a in finding.alternatives)
+        others = Listed(tuple(cause_name(a.cause) for a in finding.alternatives), "comma")
+        said: dict[str, Value] = {"axis": finding.axis, "cause": cause_name(finding.cause), "others": others}
         if finding.cause not in LOOP_CAUSES and not {a.cause for a in finding.alternatives} & set(
             LOOP_CAUSES
         ):
-            remarks.append(
-                f"{finding.axis}: {finding.cause} may also be {others}; these are forces: same loops"
-            )
+            remarks.append(Statement("tune.forces", said))
             continue
         for alternative in _alternatives(finding):
             models.append(_exchanged(model, finding.effect, alternative))
-        remarks.append(
-            f"{finding.axis}: {finding.cause} may also be {others}; designed for the worse of them"
-        )
+        remarks.append(Statement("tune.worse", said))
     return Candidates(tuple(models), tuple(terms), tuple(remarks))
 
 

@@ -13,26 +13,32 @@ controller is the same law as a PID position controller with velocity feedforwar
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, reduce
-from typing import Any
+from typing import Annotated, Any
 
 import control
 import numpy as np
+from annotated_types import Gt
+from pydantic import BeforeValidator
 from scipy.signal import bilinear
 
 from invid.exchange.linear_plant import LinearPlant
 from invid.exchange.statespace import state_space
 from invid.numerics.arrays import Complex128, Float64, frozen_float
 
+Positive = Annotated[float, Gt(0)]
+"""Checked where a document is read."""
+
 
 @dataclass(frozen=True)
 class Notch:
     """A biquad (s² + 2 ζ_z ω s + ω²) / (s² + 2 ζ_p ω s + ω²): ``frequency`` ω/2π [Hz], depth ζ_z/ζ_p."""
 
-    frequency: float
-    zero_damping: float
-    pole_damping: float
+    frequency: Positive
+    zero_damping: Positive
+    pole_damping: Positive
 
     def coefficients(self, cycle: float) -> tuple[Float64, Float64]:
         """Numerator and denominator (3,) in z⁻¹ at a cycle [s], warped so that the centre stays."""
@@ -56,9 +62,9 @@ class Gains:
     ``position_gain`` K_p [1/s].
     """
 
-    velocity_gain: float
-    integral_time: float
-    position_gain: float
+    velocity_gain: Positive
+    integral_time: Annotated[Positive, BeforeValidator(lambda given: math.inf if given is None else given)]
+    position_gain: Positive
     notches: tuple[Notch, ...] = ()
 
     def as_pid(self) -> tuple[float, float, float]:
@@ -85,21 +91,36 @@ class DriveTiming:
 
 
 def _sections(gains: Gains, timing: DriveTiming) -> list[tuple[Float64, Float64]]:
-    """Numerators and denominators (3,) in z⁻¹ of the cascade: its loops, then its notches."""
-    t = timing.cycle
-    pi = gains.velocity_gain * np.array([1.0 + t / gains.integral_time, -1.0])
-    below = np.array([1.0, -1.0, 0.0])
+    """Numerators and denominators in z⁻¹ from the speed that is missed to torque: integral, then notches."""
     if math.isinf(gains.integral_time):  # no pole that its zero would only seem to cancel
-        pi, below = np.array([gains.velocity_gain, 0.0]), np.array([1.0, 0.0, 0.0])
-    loops = np.convolve(pi, [gains.position_gain + 1.0 / t, -1.0 / t])
-    return [(loops, below), *(notch.coefficients(t) for notch in gains.notches)]
+        pi = np.array([gains.velocity_gain]), np.ones(1)
+    else:
+        pi = (
+            gains.velocity_gain * np.array([1.0 + timing.cycle / gains.integral_time, -1.0]),
+            np.array([1.0, -1.0]),
+        )
+    return [pi, *(notch.coefficients(timing.cycle) for notch in gains.notches)]
+
+
+def _place_section(gains: Gains, timing: DriveTiming) -> tuple[Float64, Float64]:
+    """The same from the place that is missed to the speed that is."""
+    return np.array([gains.position_gain + 1.0 / timing.cycle, -1.0 / timing.cycle]), np.array([1.0, 0.0])
 
 
 def controller_response(gains: Gains, timing: DriveTiming, omega: Float64) -> Complex128:
     """(F,) torque per position error at ω [rad/s], without dead time and hold."""
+    return speed_response(gains, timing, omega) * _response([_place_section(gains, timing)], timing, omega)
+
+
+def speed_response(gains: Gains, timing: DriveTiming, omega: Float64) -> Complex128:
+    """(F,) torque per speed error at ω [rad/s], without dead time and hold."""
+    return _response(_sections(gains, timing), timing, omega)
+
+
+def _response(sections: Sequence[tuple[Float64, Float64]], timing: DriveTiming, omega: Float64) -> Complex128:
     late = np.exp(-1j * np.asarray(omega) * timing.cycle)
     out: Complex128 = np.ones(late.shape, dtype=np.complex128)
-    for b, a in _sections(gains, timing):
+    for b, a in sections:
         out = out * np.polyval(b[::-1], late) / np.polyval(a[::-1], late)
     return out
 
@@ -164,8 +185,17 @@ def closed_loop(plant: LinearPlant, gains: tuple[Gains, ...], timing: DriveTimin
 
 def controller(gains: Gains, timing: DriveTiming) -> Any:
     """``control.StateSpace`` of ``controller_response``."""
-    parts = [control.tf2ss(control.tf(b, a, timing.cycle)) for b, a in _sections(gains, timing)]
-    return reduce(lambda before, part: part * before, parts)
+    return speed_controller(gains, timing) * _state_space(*_place_section(gains, timing), timing)
+
+
+def speed_controller(gains: Gains, timing: DriveTiming, dead_cycles: int = 0) -> Any:
+    """``control.StateSpace`` of ``speed_response``, its output ``dead_cycles`` later."""
+    parts = [_state_space(b, a, timing) for b, a in _sections(gains, timing)]
+    return _late(reduce(lambda before, part: part * before, parts), dead_cycles)
+
+
+def _state_space(b: Float64, a: Float64, timing: DriveTiming) -> Any:
+    return control.tf2ss(control.tf(b, a, timing.cycle))
 
 
 def _late(system: Any, cycles: int) -> Any:

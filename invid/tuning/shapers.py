@@ -34,7 +34,7 @@ class Shaper:
     damping: float
     times: tuple[float, ...]
     amplitudes: tuple[float, ...]
-    residual: float
+    residual: float = 0.0
 
     def shape(self, command: Float64, cycle: float) -> Float64:
         """(n,) a command shaped, linear between its samples; before its start it stood still."""

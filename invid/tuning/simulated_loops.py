@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import control
 import numpy as np
 
 from invid.exchange.linear_plant import LinearPlant, linear_plant
@@ -17,9 +18,9 @@ from invid.numerics.arrays import Float64
 from invid.simulation.kernel import march
 from invid.simulation.laws import compiled_laws, laws_of, static_table
 from invid.simulation.plant import discretise, matrices
-from invid.tuning.feedforward import Feedforward
+from invid.tuning.feedforward import NONE, Feedforward
 from invid.tuning.margins import held_modes
-from invid.tuning.servo_loop import DriveTiming, Gains
+from invid.tuning.servo_loop import DriveTiming, Gains, speed_controller
 from invid.tuning.shapers import Shaper
 
 FINENESS = 0.25
@@ -41,7 +42,7 @@ class AxisLoop:
     """All that the drive of one axis is given."""
 
     gains: Gains
-    feedforward: Feedforward
+    feedforward: Feedforward = NONE
     shaper: Shaper | None = None
 
 
@@ -114,10 +115,12 @@ def run_loops(
     command: Command,
     timing: DriveTiming,
     counts: Float64 | None = None,
+    added: Float64 | None = None,
 ) -> LoopRun:
     """Simulate ``command`` on ``model``; values that have run away are NaN from then on.
 
-    ``counts`` (M,) are those of the encoders [rad or m], NaN: ideal.
+    ``counts`` (M,) are those of the encoders [rad or m], NaN: ideal; ``added`` (n, M) torque that the drives
+    are told to add to that of their loops.
     """
     count_of = np.zeros(len(loops)) if counts is None else np.nan_to_num(counts)
     coarse = np.where(count_of > 0, count_of, 1.0)
@@ -129,10 +132,14 @@ def run_loops(
     step = discretise(made, timing.cycle / substeps).compiled
     n, count = command.position.shape
     reach = (4.0 * float(np.abs(command.position).max()), 4.0 * float(np.abs(command.velocity).max()))
+    if added is not None:
+        free = np.cumsum(added, axis=0) * timing.cycle / made.mass[motors, motors]
+        speed = 4.0 * float(np.ptp(free, axis=0).max())
+        reach = (max(reach[0], speed), max(reach[1], speed))
     static, tables = static_table(laws.static, [reach] * len(laws.static))
     forces = compiled_laws([*laws.forces, *static], tables)
     plant = linear_plant(model)
-    drives = _Drives(loops, command, timing, plant)
+    drives = _Drives(loops, command, timing, plant, added)
     decay = np.exp(-timing.cycle / substeps / np.maximum(plant.lag, 1e-12))
     limit = np.array([laws.limit.get(i, np.inf) for i in range(count)])
     state = np.zeros(2 * made.mass.shape[0])
@@ -158,7 +165,12 @@ class _Drives:
     """The sampled loops of all axes at once, with what they remember."""
 
     def __init__(
-        self, loops: Sequence[AxisLoop], command: Command, timing: DriveTiming, plant: LinearPlant
+        self,
+        loops: Sequence[AxisLoop],
+        command: Command,
+        timing: DriveTiming,
+        plant: LinearPlant,
+        added: Float64 | None,
     ) -> None:
         t = timing.cycle
         given = np.stack([command.position, command.velocity, command.acceleration])
@@ -170,35 +182,26 @@ class _Drives:
         self._forward = np.stack(
             [loop.feedforward.torque(*self.shaped[:, :, i]) for i, loop in enumerate(loops)], axis=1
         )
-        self._gain = np.array([loop.gains.velocity_gain for loop in loops])
-        self._integral = t / np.array([loop.gains.integral_time for loop in loops])
+        if added is not None:
+            self._forward = self._forward + added
+        late = [timing.cycles(d) for d in plant.delay]
+        for row, cycles in zip(self._forward.T, late, strict=True):
+            row[:] = np.concatenate([np.zeros(cycles), row[: row.size - cycles]])
         self._position = np.array([loop.gains.position_gain for loop in loops])
-        most = max(len(loop.gains.notches) for loop in loops)
-        self._b, self._a = np.zeros((most, 3, len(loops))), np.zeros((most, 3, len(loops)))
-        self._b[:, 0] = self._a[:, 0] = 1.0
-        for i, loop in enumerate(loops):
-            for k, notch in enumerate(loop.gains.notches):
-                self._b[k, :, i], self._a[k, :, i] = notch.coefficients(t)
-        self._filter = np.zeros((most, 2, len(loops)))
-        self._sum, self._last, self._cycle = np.zeros(len(loops)), np.zeros(len(loops)), t
-        self._late = [timing.cycles(d) for d in plant.delay]
-        self._queue = np.zeros((max(self._late) + 1, len(loops)))
+        self._law = control.append(
+            *(speed_controller(loop.gains, timing, c) for loop, c in zip(loops, late, strict=True))
+        )
+        self._state, self._last = np.zeros(self._law.nstates), np.zeros(len(loops))
+        self._cycle = timing.cycle
 
     def torque(self, k: int, position: Float64) -> Float64:
         """(M,) torque that acts from this cycle on."""
         velocity = (position - self._last) / self._cycle
         self._last = position
-        error = self._position * (self.shaped[0, k] - position) + self.shaped[1, k] - velocity
-        self._sum = self._sum + self._integral * error
-        u = self._gain * (error + self._sum)
-        for b, a, kept in zip(self._b, self._a, self._filter, strict=True):
-            y = b[0] * u + kept[0]
-            kept[0] = b[1] * u - a[1] * y + kept[1]
-            kept[1] = b[2] * u - a[2] * y
-            u = y
-        self._queue = np.roll(self._queue, 1, axis=0)
-        self._queue[0] = u + self._forward[k]
-        return self._queue[self._late, np.arange(len(self._late))]
+        missed = self._position * (self.shaped[0, k] - position) + self.shaped[1, k] - velocity
+        torque = self._law.C @ self._state + self._law.D @ missed + self._forward[k]
+        self._state = self._law.A @ self._state + self._law.B @ missed
+        return np.asarray(torque, dtype=float)
 
 
 def move_figures(run: LoopRun, command: Command) -> tuple[MoveFigures, ...]:

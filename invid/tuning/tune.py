@@ -28,6 +28,8 @@ from invid.tuning.simulated_loops import (
     reference_move,
     run_loops,
 )
+from invid.wording.clauses import cause_name
+from invid.wording.statement import Figure, Statement, Value, say
 
 DESIGN_DRAWS = 40
 KEPT = 0.98
@@ -47,6 +49,10 @@ RIPPLE = 0.01
 from a few per cent)."""
 _RIPPLE_SLACK = 1.15
 """The promise of draws that the design has not seen, over what it kept in those that it saw."""
+HELD = 0.1
+"""Least share of an error that a position loop takes away in the rest of the reference move, K_p times its
+length. Empirical (benchmarks/drivers/bench_closed_loop.py): loops that hold 0.65 and more, one that does not
+0.01."""
 SPREAD_DRAWS = 6
 """Machines of the covariance in which the reference move is made as well."""
 STAND_IN = "timid gains without feedforward (the drive's own values were not given)"
@@ -132,18 +138,23 @@ class Repair:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """The result. ``before_source`` says what ``before`` was; ``remarks`` what was open or left out."""
+    """The result. ``before_source`` says what ``before`` was; ``statements`` what was open or left out."""
 
     model: Model
     settings: TuneSettings
     axes: tuple[AxisTuning, ...]
     repairs: tuple[Repair, ...]
-    remarks: tuple[str, ...]
+    statements: tuple[Statement, ...]
     before_source: str
     command: Command
     run_before: LoopRun
     run_after: LoopRun
     plant: LinearPlant
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was open or left out, in English."""
+        return tuple(say(s) for s in self.statements)
 
 
 def untuned(plant: LinearPlant, axis: int, inertia: float, timing: DriveTiming) -> Gains:
@@ -178,6 +189,8 @@ def tune_model(
     most = sensors.noise_gain(settings.ripple)
     gains = design_gains(drawn_plants([plant, *seen, *soft], timing), plant, settings.notches, most)
     gains, margins = _kept(fresh, gains, timing, sensors, settings.ripple)
+    command = reference_move(plant, timing, bearable(model, inertia))
+    _require_hold(model, gains, margins, sensors, command.arrived * timing.cycle)
     loop = closed_loop(plant, gains, timing)
     shapers = _shapers(loop, [closed_loop(p, gains, timing) for p in fresh[:_SHAPER_DRAWS]])
     forward = [feedforward(model, plant, i, float(inertia[i]), found.open_terms) for i in range(len(gains))]
@@ -187,7 +200,6 @@ def tune_model(
         for i, name in enumerate(model.axes)
     ]
     margins_before = worst_margins(fresh, tuple(a.gains for a in old), timing, PROMISE, sensors.counts)
-    command = reference_move(plant, timing, _bearable(model, inertia))
     run_before, run_after = (run_loops(model, each, command, timing, sensors.counts) for each in (old, after))
     drawn = drawn_models(known, SPREAD_DRAWS, rng)
     spread = [move_figures(run_loops(m, after, command, timing, sensors.counts), command) for m in drawn]
@@ -211,7 +223,24 @@ def tune_model(
     )  # fmt: skip
 
 
-def _bearable(model: Model, inertia: Float64) -> dict[int, float]:
+def _require_hold(
+    model: Model, gains: Sequence[Gains], margins: Sequence[Margins], sensors: Sensors, rest_s: float
+) -> None:
+    """NotIdentifiableError where counts leave no loop that holds an axis."""
+    for axis, g, m, count, rated in zip(
+        model.axes, gains, margins, sensors.counts, sensors.rated, strict=True
+    ):
+        held = g.position_gain * rest_s
+        if held < HELD and math.isfinite(m.ripple / rated):
+            raise NotIdentifiableError(
+                f"axis {axis}: its encoder's counts of {count:.3g} leave no loop that holds it: within the "
+                f"ripple asked for the position gain is {g.position_gain:.2g} 1/s",
+                way_out=f"a finer encoder, a longer --cycle, or more torque of counts: --ripple "
+                f"{100 * m.ripple / rated / held:.2g} (% of rated)",
+            )
+
+
+def bearable(model: Model, inertia: Float64) -> dict[int, float]:
     """Largest acceleration of the axes whose torque saturates: the move is to show loops, not the limit."""
     limits = {
         model.axes.index(e.axis): e.value("limit") for e in model.effects if e.cause == "torque_saturation"
@@ -290,40 +319,40 @@ def _backlash(model: Model, axis: str) -> float:
     return sum(e.value("gap") for e in model.effects if e.cause == "backlash" and e.axis == axis)
 
 
-def _left_out(lost: Sequence[LeftOut], forward: Sequence[Feedforward], axes: Sequence[str]) -> list[str]:
-    out = [
-        f"{left.term.axis}: {left.term.cause} cannot be simulated here and is in nothing below: {left.reason}"
-        for left in lost
-    ]
+def _left_out(
+    lost: Sequence[LeftOut], forward: Sequence[Feedforward], axes: Sequence[str]
+) -> list[Statement]:
+    out = []
+    for left in lost:
+        said: dict[str, Value] = {
+            "axis": left.term.axis,
+            "cause": cause_name(left.term.cause),
+            "why": left.reason,
+        }
+        out.append(Statement("tune.not_simulated", said))
     for name, f in zip(axes, forward, strict=True):
-        out += [f"{name}: no feedforward for {text}" for text in f.left_out]
+        out += [Statement("tune.no_feedforward", {"axis": name, "what": text}) for text in f.left_out]
     return out
 
 
-def _held_badly(axes: Sequence[AxisTuning]) -> list[str]:
+def _held_badly(axes: Sequence[AxisTuning]) -> list[Statement]:
     return [
-        f"{a.axis}: free play of {a.backlash:.3g} is a limit of its own: margins hold while the teeth touch "
-        "and for the motor alone; no drive value repairs it"
+        Statement("tune.free_play", {"axis": a.axis, "size": Figure(f"{a.backlash:.3g}")})
         for a in axes
         if a.backlash
     ]
 
 
-def _ripples(axes: Sequence[AxisTuning], most: float) -> list[str]:
+def _ripples(axes: Sequence[AxisTuning], most: float) -> list[Statement]:
     unknown = [a.axis for a in axes if math.isnan(a.margins_after.ripple) or math.isnan(a.rated_torque)]
     said = []
     for a in axes:
         share = a.margins_after.ripple / a.rated_torque
         if share > _RIPPLE_SLACK * most:
-            said.append(
-                f"{a.axis}: its encoder's counts make {share:.2g} of rated torque, rms, more than {most:g}; "
-                "a slower loop is not quieter enough: a finer encoder is needed"
-            )
+            sizes = {"share": Figure(f"{share:.2g}"), "most": Figure(f"{most:g}")}
+            said.append(Statement("tune.loud", {"axis": a.axis, **sizes}))
     if unknown:
-        said.append(
-            f"{', '.join(unknown)}: the model does not say the encoder's count and rated torque, so the "
-            "torque that counts make is not bounded; identify a recording that states both"
-        )
+        said.append(Statement("tune.ripple_unknown", {"axes": ", ".join(unknown)}))
     return said
 
 

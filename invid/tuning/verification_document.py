@@ -13,10 +13,11 @@ from invid.report.figures import plain_hz
 from invid.report.labels import label
 from invid.report.style import AFTER, BEFORE, INK, svg
 from invid.tuning.document import finite
-from invid.tuning.verification import AxisVerification, Verdict, Verification
+from invid.tuning.verification import AxisVerification, Verification
 from invid.wording.statement import ENGLISH, LANGUAGES, Figure, Statement, say_sentence
 
 FORMAT = "invid-verification"
+_FIGURES = ("sensitivity", "gain_margin", "phase_margin", "ripple", "following", "settling", "wander")
 
 
 def verification_to_json(found: Verification) -> dict[str, Any]:
@@ -42,7 +43,8 @@ def _axis_to_json(a: AxisVerification) -> dict[str, Any]:
         "worst_at_hz": a.worst_at,
         "read_late_s": a.late,
         "rated_torque": a.rated,
-        **{k: asdict(getattr(a, k)) for k in ("sensitivity", "gain_margin", "phase_margin", "ripple")},
+        "unit": a.unit,
+        **{k: asdict(getattr(a, k)) for k in _FIGURES},
         "response": {
             "frequency_hz": a.frequency.tolist(),
             "sensitivity": {
@@ -65,7 +67,8 @@ def _phase(loop: Any) -> Any:
 
 
 def sentence(a: AxisVerification, language: str = ENGLISH) -> str:
-    """One axis: the verdict, peak of sensitivity and phase margin measured and predicted, torque ripple."""
+    """One axis: verdict, peak of sensitivity, phase margin and following error as measured and predicted,
+    ripple, the undo where the values stand on what was not found."""
     peak, phase = a.sensitivity, a.phase_margin
     parts = [
         Statement(
@@ -80,12 +83,17 @@ def sentence(a: AxisVerification, language: str = ENGLISH) -> str:
             },
         )
     ]
-    if a.verdict in (Verdict.WORSE, Verdict.OTHER):
+    if a.verdict.asks_for_undo:
         parts.append(Statement("verify.at", {"frequency": Figure(f"{a.worst_at:.1f}")}))
     share = 100.0 * a.ripple.measured / a.rated
     if math.isfinite(share):
         parts.append(Statement("verify.ripple", {"share": Figure(f"{share:.2f}")}))
-    if a.verdict is Verdict.WORSE:
+    missed, wander = Figure(f"{1e3 * a.following.measured:.2g}"), Figure(f"{1e3 * a.wander.measured:.2g}")
+    foretold = Figure(f"{1e3 * a.following.low:.2g} … {1e3 * a.following.high:.2g}")
+    parts.append(Statement("verify.move", {"error": missed, "foretold": foretold, "unit": f"m{a.unit}"}))
+    if a.wander.measured > a.following.high:
+        parts.append(Statement("verify.wander", {"error": wander, "unit": f"m{a.unit}"}))
+    if a.verdict.asks_for_undo:
         parts.append(Statement("verify.undo"))
     return say_sentence(parts, language)
 

@@ -36,7 +36,7 @@ from invid_service.cells.registry import Cell, load_cells
 from invid_service.jobs.last_words import LastWords, interruption
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
-from invid_service.jobs.manager import JobManager, Limits
+from invid_service.jobs.manager import JobManager
 from invid_service.jobs.orphans import settle
 from invid_service.jobs.results import Results, load
 from invid_service.jobs.run_log import tell_ended
@@ -365,22 +365,13 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
         engine = open_engine(settings.database)
         upgrade(engine)
         store, blobs = Store(engine), Blobs(settings.data_dir / "files")
-        results = Results(
-            store, blobs, auto_accept=settings.auto_accept, unchanged_percent=settings.unchanged_percent
-        )
+        results = Results(store, blobs, settings)
         if settings.stop_grace_s < STOP_S and not all(is_virtual(c.config) for c in cells.values()):
             raise ConfigError(
                 f"stop_grace_s is {settings.stop_grace_s:g}: a runner that stops its drives in order may "
                 f"take {STOP_S:.0f} s; leave it out, or set more"
             )
-        limits = Limits(
-            settings.check_timeout_s,
-            settings.arm_timeout_s,
-            settings.analysis_timeout_s,
-            settings.stop_grace_s,
-            settings.motion_silence_s,
-        )
-        jobs = JobManager(store, results, launcher, limits, clock, parallel_uploads=settings.parallel_uploads)
+        jobs = JobManager(store, results, launcher, settings, clock)
         metrics = Metrics(lambda: len([c for c in cells if jobs.occupying(c) is not None]))
 
         def ended(run: LiveRun) -> None:

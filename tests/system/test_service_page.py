@@ -15,6 +15,8 @@ pytestmark = [pytest.mark.browser, pytest.mark.service]
 
 
 @pytest.mark.campaign
+@pytest.mark.panel
+@pytest.mark.timeout(900)
 @needs_browser
 def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_page(tmp_path: Path) -> None:
     # With dry friction far above the noise there is a cause to be shown.
@@ -36,7 +38,7 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         page.press(driver.find_element("id", "arm"))
         page.wait_text("run-title", "Measuring")
         assert not page.stop_covered()
-        accept = page.shown("accept", 120)
+        accept = page.shown("accept", 300)
         # First where it is, and whether to accept; the numbers unfold.
         assert "Dry friction on A1" in page.text("sentence")
         assert "As expected" in page.text("grade")

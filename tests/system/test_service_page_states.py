@@ -21,6 +21,8 @@ pytestmark = [
     pytest.mark.browser,
     pytest.mark.service,
     pytest.mark.campaign,
+    pytest.mark.panel,
+    pytest.mark.timeout(900),
     needs_browser,
 ]
 SIZES = ((1280, 800), (390, 844))
@@ -28,6 +30,7 @@ STIFF = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 0.3}}}\n"
 # Nothing is kept for validation, which is said before arming and with the result.
 SHORT = re.sub(r"  - \{kind: multisine, role: validate.*\n", "", STIFF)
 LONG = SHORT.replace("periods: 3}", "periods: 120}").replace("small", "long")
+TWO_PERIODS = 2 / 120
 ABSENT = SHORT.replace("small", "absent").replace("invid-virtual", "socketcan")
 WORDS = "the|and|of|is|are|it|with|for|that|its|this|from|to|axis|torque|record"
 ENGLISH = re.compile(rf"\b({WORDS})\b", re.IGNORECASE)
@@ -113,7 +116,7 @@ def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
         page.press(page.shown("arm"))
         page.shown("progress")
         location = _started(service, "long")
-        service.wait_for_motion(location)
+        service.wait_for_motion(location, share=TWO_PERIODS)
         page.action("running", "stop", "cancel")
         page.reads("running")
         page.shown("stop").click()
@@ -130,7 +133,7 @@ def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
         page.reads("cancelled")
         page.press(page.shown("retry"))
         location = _start(service, "long")
-        service.wait_for_motion(location)
+        service.wait_for_motion(location, share=TWO_PERIODS)
         for runner in service.runners():
             os.kill(runner, signal.SIGKILL)
         service.wait(location, "failed", timeout=20)
@@ -143,7 +146,7 @@ def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
         page.shown("progress")
         page.action("analysing", "cancel")
         page.reads("analysing")
-        page.shown("accept", 120)
+        page.shown("accept", 300)
         page.drawing()
         page.action("awaiting accept", "accept", "reject")
         page.shown("numbers")
@@ -154,7 +157,7 @@ def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
         page.reads("succeeded")
         page.press(page.shown("again"))
         location = _start(service, "short", mode="test")
-        page.shown("untrusted", 120)
+        page.shown("untrusted", 300)
         page.drawing()
         page.action("not to be trusted", "accept", "reject")
         page.reads("not to be trusted")

@@ -12,7 +12,7 @@ from invid.config import load_config
 from invid.model.document import dump_json, load_json, save_text
 from invid.recording import read_recording
 from invid.tuning.document import prediction_from_json
-from invid.tuning.verification import Verdict, verify
+from invid.tuning.verification import verify
 from invid.tuning.verification_document import verification_picture, verification_to_json
 from invid.wording.statement import ENGLISH
 from invid_drivers.cli.confirmation import confirm
@@ -48,7 +48,7 @@ def register(app: typer.Typer) -> None:
         save_text(output / "verification.json", dump_json(document))
         save_text(output / "verification.svg", verification_picture(found))
         lines = [*document["sentences"][ENGLISH], f"verification.json, .svg and .h5 in {output}"]
-        if found.verdict is Verdict.WORSE:
+        if found.verdict.asks_for_undo:
             lines.append(f"the old values come back with: invid apply --undo {config}")
         emit(document, "\n".join(lines), as_json=as_json)
-        return EXIT_NOT_TRUSTWORTHY if found.verdict is Verdict.WORSE else EXIT_OK
+        return EXIT_NOT_TRUSTWORTHY if found.verdict.asks_for_undo else EXIT_OK

@@ -154,7 +154,8 @@ class AxisSimulation(Strict):
     hold its values (``loops``)."""
     loop_cycle_s: float = Field(default=0.0, ge=0, le=0.02)
     """Cycle of the drive's loops: the speed is then the difference of two readings, and torque acts one cycle
-    late, as `invid tune` has it. 0: they run in each sub-step on the speed itself, without notch filters."""
+    late, as `invid tune` has it. 0: as they come they run in each sub-step on the speed itself; values that
+    somebody writes run once in a millisecond."""
     brake: bool = True
     brake_torque: float | None = Field(
         default=None, gt=0, validation_alias=AliasChoices("brake_torque", "brake_torque_Nm", "brake_force_N")

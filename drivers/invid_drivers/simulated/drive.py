@@ -15,7 +15,7 @@ from invid_drivers.simulated import kernel
 from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation
 from invid_drivers.simulated.limits import Limits
-from invid_drivers.simulated.loops import LoopValues, loop_values, put_into
+from invid_drivers.simulated.loops import LoopValues, loop_cycle, loop_values, put_into
 from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 from invid_drivers.simulated.plant import Plant
@@ -448,7 +448,7 @@ class Drive:
         loops = loop_values(self.node.od, self._scales.loops)
         if loops != self._loops:
             self._loops = loops
-            put_into(self._command, loops, self._settings.loop_cycle_s)
+            put_into(self._command, loops, loop_cycle(loops, self._scales.loops, self._settings.loop_cycle_s))
             self.kept()
         self._limits = Limits.of(self.node.od, self._counts_per_rev, rpm=self._scales.velocity_in_rpm)
 

@@ -22,6 +22,8 @@ from invid_drivers.simulated import kernel
 from invid_drivers.simulated.object_dictionary import ObjectDictionary, SdoAbort
 
 LOOPS, FILTERS, EPOS4 = 0x2500, 0x2501, 0x30A2
+SAMPLED_S = 0.001
+"""Cycle of loops whose values somebody wrote, unless the config says another: that of `invid tune`."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,16 @@ def _torque_constant(od: ObjectDictionary, values: LoopValues) -> float:
     """[N·m/A]: thousandths of both objects, where the drive shows them."""
     torque, current = od.number(0x6076, missing=0), od.number(0x6075, missing=0)
     return torque / current if torque and current else values.torque_constant
+
+
+def loop_cycle(values: LoopValues, shipped: LoopValues, cycle_s: float) -> float:
+    """Cycle [s] at which ``values`` run: the config's; where it says none, 0 for those that the drive came
+    with and ``SAMPLED_S`` for those that somebody wrote."""
+    came_with = not values.notches and all(
+        math.isclose(getattr(values, name), getattr(shipped, name), rel_tol=1e-6)
+        for name in ("velocity_gain", "position_gain", "reset", "viscous", "inertia")
+    )
+    return cycle_s or (0.0 if came_with else SAMPLED_S)
 
 
 def put_into(row: Float64, values: LoopValues, cycle_s: float) -> None:

@@ -39,6 +39,7 @@ from invid_service.jobs.results import Results
 from invid_service.jobs.run_log import tell_began, tell_ended
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.jobs.stops import without_trace
+from invid_service.settings import Settings
 from invid_service.store.database import is_full
 from invid_service.store.store import RunRecord, Store, StoredEvent
 
@@ -47,18 +48,6 @@ _RETRY_S = 1.0
 _KEEP_RETRY_S = 5.0
 _LAST_WORDS_S = 2.0
 """At the end: for the store to take the last state of a run; one that does not answer is not waited for."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Times that bound a run [s]."""
-
-    check_s: float
-    arm_s: float
-    analysis_s: float
-    stop_grace_s: float
-    motion_silence_s: float
-    """Longest that a motion says nothing new of itself."""
 
 
 @dataclass(frozen=True)
@@ -102,17 +91,15 @@ class JobManager:
         store: Store,
         results: Results,
         launcher: Launcher,
-        limits: Limits,
+        settings: Settings,
         clock: Callable[[], datetime],
-        *,
-        parallel_uploads: int = 1,
     ) -> None:
         self._store, self._results, self._launch = store, results, launcher
-        self._limits, self._clock = limits, clock
+        self._settings, self._clock = settings, clock
         self._live: dict[str, LiveRun] = {}
         self._latest: dict[str, LiveRun] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        self._uploads = asyncio.Semaphore(parallel_uploads)
+        self._uploads = asyncio.Semaphore(settings.parallel_uploads)
         self.on_end: Callable[[LiveRun], None] = lambda run: None
 
     # --- what is going on ----------------------------------------------------------------------
@@ -186,7 +173,7 @@ class JobManager:
             await self.decide(run, Decision(accept=False, by="cancel", caller="cancel"))
         elif run.record.state in OCCUPYING:
             self._end_early(run, "cancel")
-            deadline = self._limits.stop_grace_s + 2.0
+            deadline = self._settings.stop_grace_s + 2.0
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(deadline):
                     while not run.ended:
@@ -241,7 +228,7 @@ class JobManager:
         if worker is None:
             return
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(self._limits.stop_grace_s):
+            async with asyncio.timeout(self._settings.stop_grace_s):
                 worker.send(Stop())
                 await run.motion_ended.wait()
                 return
@@ -349,10 +336,10 @@ class JobManager:
             state = run.record.state
             moves = state is State.RUNNING
             bound = {
-                State.CHECKING: self._limits.check_s,
-                State.AWAITING_ARM: self._limits.arm_s,
-                State.RUNNING: self._limits.motion_silence_s,
-                State.ANALYSING: self._limits.analysis_s,
+                State.CHECKING: self._settings.check_timeout_s,
+                State.AWAITING_ARM: self._settings.arm_timeout_s,
+                State.RUNNING: self._settings.motion_silence_s,
+                State.ANALYSING: self._settings.analysis_timeout_s,
             }.get(state)
             said = run.progress.place
             try:
@@ -411,9 +398,9 @@ class JobManager:
         known: tuple[str, ...] = ()
         if job.config is not None:
             config = CellConfig.model_validate(job.config)
-            known = await asyncio.to_thread(known_after_death, config, self._limits.stop_grace_s)
+            known = await asyncio.to_thread(known_after_death, config, self._settings.stop_grace_s)
         what = (
-            f"the runner process did not stop within {self._limits.stop_grace_s:.0f} s and was killed"
+            f"the runner process did not stop within {self._settings.stop_grace_s:.0f} s and was killed"
             if run.killed
             else f"the runner process ended without a result (exit status {status})"
         )
@@ -522,7 +509,7 @@ class JobManager:
         runs = [run for run in self._live.values() if run.record.state in OCCUPYING]
         self.begin_shutdown()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(self._limits.stop_grace_s + 3.0):
+            async with asyncio.timeout(self._settings.stop_grace_s + 3.0):
                 for run in runs:
                     while not run.ended:
                         await run.changed.wait()

@@ -27,7 +27,7 @@ from invid_service.cells.changes import changes_view
 from invid_service.jobs.doubts import doubt_view, doubts_against
 from invid_service.jobs.leftovers import complete_recording
 from invid_service.jobs.stated_change import StatedChange
-from invid_service.settings import AutoAccept
+from invid_service.settings import Settings
 from invid_service.store.blobs import KINDS, Blobs
 from invid_service.store.store import RunRecord, Store, StoredModel
 
@@ -39,11 +39,8 @@ HISTORY = 40
 class Results:
     """Store files and models of runs; synchronous, called from threads."""
 
-    def __init__(
-        self, store: Store, blobs: Blobs, *, auto_accept: AutoAccept | None, unchanged_percent: float
-    ) -> None:
-        self._store, self._blobs = store, blobs
-        self._auto, self._unchanged = auto_accept, unchanged_percent
+    def __init__(self, store: Store, blobs: Blobs, settings: Settings) -> None:
+        self._store, self._blobs, self._settings = store, blobs, settings
 
     def keep(self, run: RunRecord, now: datetime) -> set[str]:
         """Move what the runner wrote into the store; return the kinds that are safe there. Twice is no
@@ -105,7 +102,7 @@ class Results:
             history=history,
             before=[loaded[m] for m in before],
             after=[loaded[m] for m in after],
-            tolerance=self._unchanged / 100.0,
+            tolerance=self._settings.unchanged_percent / 100.0,
         )
         return found, ([*before, old.id][-found.runs[0] :], [*after, new.id][-found.runs[1] :])
 
@@ -193,7 +190,7 @@ class Results:
 
         The first model of a cell has nothing to be within bounds of: a person looks at it.
         """
-        bounds, changes = self._auto, summary.get("changes")
+        bounds, changes = self._settings.auto_accept, summary.get("changes")
         if bounds is None or changes is None or summary.get("verdict") not in bounds.verdicts:
             return False
         if summary.get("answer") not in (None, Agreement.AS_SAID, Agreement.SIZE_OPEN):

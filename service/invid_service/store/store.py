@@ -5,25 +5,17 @@ Synchronous; called from threads. Failures of the database leave as ``SQLAlchemy
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Engine, and_, delete, func, or_, select, text, update
+from sqlalchemy import Connection, Engine, Select, and_, delete, func, insert, or_, select, text, update
 from sqlalchemy.exc import IntegrityError
-from sqlalchemy.orm import Session
 
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.store.blobs import Blob
-from invid_service.store.tables import (
-    ApprovalRow,
-    ArtefactRow,
-    EventRow,
-    IdempotencyRow,
-    ModelRow,
-    RunRow,
-)
+from invid_service.store.tables import APPROVALS, ARTEFACTS, EVENTS, IDEMPOTENCY, MODELS, RUNS
 
 
 @dataclass(frozen=True)
@@ -84,20 +76,9 @@ class CellBusyError(Exception):
     """Another run occupies the cell."""
 
 
-def _plain(row: Any) -> dict[str, Any]:
-    """The columns of a row by name; SQLite forgets the zone of times, and everything is written in UTC."""
-    values = {column.name: getattr(row, column.name) for column in row.__table__.columns}
-    return {
-        name: v.replace(tzinfo=UTC) if isinstance(v, datetime) and v.tzinfo is None else v
-        for name, v in values.items()
-    }
-
-
-def _run(row: RunRow) -> RunRecord:
-    columns = _plain(row)
-    del columns["number"]
-    own = {"axes": tuple(row.axes), "state": State(row.state), "facts": dict(row.facts)}
-    return RunRecord(**{**columns, **own})
+def _run(row: Any) -> RunRecord:
+    own = {"axes": tuple(row.axes), "state": State(row.state)}
+    return RunRecord(**{name: v for name, v in row._mapping.items() if name != "number"} | own)
 
 
 def _columns(run: RunRecord) -> dict[str, Any]:
@@ -105,8 +86,24 @@ def _columns(run: RunRecord) -> dict[str, Any]:
     return {**vars(run), "axes": list(run.axes), "state": str(run.state), "facts": dict(run.facts)}
 
 
+def _add(link: Connection, run: str, event: StoredEvent) -> None:
+    link.execute(insert(EVENTS).values(run=run, id=event.id, type=event.type, data=dict(event.data)))
+
+
+def _earlier(link: Connection, cell: str, key: str, body_sha256: str) -> RunRecord | None:
+    """The run that a key stands for; KeyReusedError with another body."""
+    used = select(IDEMPOTENCY).where(IDEMPOTENCY.c.cell == cell, IDEMPOTENCY.c.key == key)
+    earlier = link.execute(used).one_or_none()
+    if earlier is None:
+        return None
+    if earlier.body_sha256 != body_sha256:
+        raise KeyReusedError
+    return _run(link.execute(select(RUNS).where(RUNS.c.id == earlier.run)).one())
+
+
 _CHANGE = ("state", "started", "ended", "facts", "robot", "axes", "simulated")
 """Columns of a run that change after it was queued."""
+_LAST_FIRST = (RUNS.c.number.desc(), RUNS.c.id.desc())
 
 
 class Store:
@@ -114,6 +111,10 @@ class Store:
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
+
+    def _all(self, query: Select[Any]) -> Sequence[Any]:
+        with self.engine.connect() as link:
+            return link.execute(query).all()
 
     # --- runs ----------------------------------------------------------------------------------
     def add_run(
@@ -128,55 +129,44 @@ class Store:
         CellBusyError
             Where the cell has a run in progress.
         """
+        key = None if run.cell is None else idempotency_key
         try:
-            with Session(self.engine) as session, session.begin():
-                if idempotency_key is not None and run.cell is not None:
-                    earlier = session.get(IdempotencyRow, (run.cell, idempotency_key))
-                    if earlier is not None:
-                        if earlier.body_sha256 != body_sha256:
-                            raise KeyReusedError
-                        row = session.get_one(RunRow, earlier.run)
-                        return _run(row)
-                last = select(func.coalesce(func.max(RunRow.number), 0) + 1).scalar_subquery()
-                session.add(RunRow(**_columns(run), number=last))
-                session.flush()
-                if idempotency_key is not None and run.cell is not None:
-                    used = {"cell": run.cell, "key": idempotency_key, "body_sha256": body_sha256}
-                    session.add(IdempotencyRow(**used, run=run.id, created=run.created))
+            with self.engine.begin() as link:
+                if (
+                    key is not None
+                    and (found := _earlier(link, run.cell or "", key, body_sha256)) is not None
+                ):
+                    return found
+                last = select(func.coalesce(func.max(RUNS.c.number), 0) + 1).scalar_subquery()
+                link.execute(insert(RUNS).values(**_columns(run), number=last))
+                if key is not None:
+                    used = {"cell": run.cell, "key": key, "body_sha256": body_sha256}
+                    link.execute(insert(IDEMPOTENCY).values(**used, run=run.id, created=run.created))
             return run
         except IntegrityError:
-            if idempotency_key is not None and run.cell is not None:
-                found = self.find_idempotent(run.cell, idempotency_key, body_sha256)
-                if found is not None:
-                    return found
-            raise CellBusyError from None
+            found = None if key is None else self.find_idempotent(run.cell or "", key, body_sha256)
+            if found is None:
+                raise CellBusyError from None
+            return found
 
     def find_idempotent(self, cell: str, key: str, body_sha256: str) -> RunRecord | None:
         """Return the run this key stands for; KeyReusedError with another body."""
-        with Session(self.engine) as session:
-            earlier = session.get(IdempotencyRow, (cell, key))
-            if earlier is None:
-                return None
-            if earlier.body_sha256 != body_sha256:
-                raise KeyReusedError
-            return _run(session.get_one(RunRow, earlier.run))
+        with self.engine.connect() as link:
+            return _earlier(link, cell, key, body_sha256)
 
     def save_state(self, run: RunRecord, event: StoredEvent | None) -> None:
         """Write the run's state and facts with the event that tells of it."""
-        with Session(self.engine) as session, session.begin():
-            session.execute(
-                update(RunRow)
-                .where(RunRow.id == run.id)
-                .values({name: value for name, value in _columns(run).items() if name in _CHANGE})
-            )
-            if event is not None and session.get(EventRow, (run.id, event.id)) is None:
-                session.add(EventRow(run=run.id, id=event.id, type=event.type, data=dict(event.data)))
+        changed = {name: value for name, value in _columns(run).items() if name in _CHANGE}
+        with self.engine.begin() as link:
+            link.execute(update(RUNS).where(RUNS.c.id == run.id).values(changed))
+            if event is not None:
+                known = select(EVENTS.c.id).where(EVENTS.c.run == run.id, EVENTS.c.id == event.id)
+                if link.execute(known).first() is None:
+                    _add(link, run.id, event)
 
     def run(self, run_id: str) -> RunRecord | None:
         """Return one run."""
-        with Session(self.engine) as session:
-            row = session.get(RunRow, run_id)
-            return None if row is None else _run(row)
+        return next((_run(row) for row in self._all(select(RUNS).where(RUNS.c.id == run_id))), None)
 
     def runs(  # noqa: PLR0913 - the query's filters
         self,
@@ -200,123 +190,110 @@ class Store:
         measured
             Without those of uploaded recordings.
         """
-        query = select(RunRow).order_by(RunRow.number.desc(), RunRow.id.desc()).limit(limit)
+        query = select(RUNS).order_by(*_LAST_FIRST).limit(limit)
         if cell is not None:
-            query = query.where(RunRow.cell == cell)
+            query = query.where(RUNS.c.cell == cell)
         if state is not None:
-            query = query.where(RunRow.state == str(state))
+            query = query.where(RUNS.c.state == str(state))
         if measured:
-            query = query.where(RunRow.mode != UPLOAD)
+            query = query.where(RUNS.c.mode != UPLOAD)
         if since is not None:
-            query = query.where(RunRow.created >= since)
+            query = query.where(RUNS.c.created >= since)
         if until is not None:
-            query = query.where(RunRow.created < until)
-        with Session(self.engine) as session:
-            if after is not None:
-                last = session.get(RunRow, after)
-                if last is None:
-                    raise KeyError(after)
-                query = query.where(
-                    or_(RunRow.number < last.number, and_(RunRow.number == last.number, RunRow.id < last.id))
-                )
-            return [_run(row) for row in session.scalars(query)]
+            query = query.where(RUNS.c.created < until)
+        if after is not None:
+            found = self._all(select(RUNS.c.number, RUNS.c.id).where(RUNS.c.id == after))
+            if not found:
+                raise KeyError(after)
+            number, identity = found[0]
+            same = and_(RUNS.c.number == number, RUNS.c.id < identity)
+            query = query.where(or_(RUNS.c.number < number, same))
+        return [_run(row) for row in self._all(query)]
 
     def events(self, run_id: str, after: int = 0) -> list[StoredEvent]:
         """Return the stored events of a run."""
-        query = select(EventRow).where(EventRow.run == run_id, EventRow.id > after).order_by(EventRow.id)
-        with Session(self.engine) as session:
-            return [StoredEvent(row.id, row.type, row.data) for row in session.scalars(query)]
+        columns = select(EVENTS.c.id, EVENTS.c.type, EVENTS.c.data).order_by(EVENTS.c.id)
+        query = columns.where(EVENTS.c.run == run_id, EVENTS.c.id > after)
+        return [StoredEvent(*row) for row in self._all(query)]
 
     def interrupt_unfinished(
         self, now: datetime, error_of: Callable[[RunRecord], dict[str, Any]]
     ) -> list[RunRecord]:
         """Mark what a restart cut off, each with its error; called once, before anything else may start."""
-        with Session(self.engine) as session, session.begin():
-            query = select(RunRow).where(RunRow.state.in_([str(s) for s in OCCUPYING]))
-            rows = list(session.scalars(query))
-            for row in rows:
-                last = session.scalars(
-                    select(EventRow.id).where(EventRow.run == row.id).order_by(EventRow.id.desc()).limit(1)
-                ).first()
-                error = error_of(_run(row))
-                row.facts = {**row.facts, "error": error}
-                row.state, row.ended = str(State.INTERRUPTED), now
+        marked = []
+        with self.engine.begin() as link:
+            query = select(RUNS).where(RUNS.c.state.in_([str(s) for s in OCCUPYING]))
+            for run in [_run(row) for row in link.execute(query)]:
+                last = link.scalar(select(func.max(EVENTS.c.id)).where(EVENTS.c.run == run.id))
+                facts = {**run.facts, "error": error_of(run)}
+                marked.append(replace(run, state=State.INTERRUPTED, ended=now, facts=facts))
+                ended = {"state": str(State.INTERRUPTED), "ended": now, "facts": facts}
+                link.execute(update(RUNS).where(RUNS.c.id == run.id).values(ended))
+                told = {"state": str(State.INTERRUPTED), "error": facts["error"]}
                 identity = max((last or 0) + 1, int(now.timestamp() * 1000))
-                session.add(
-                    EventRow(run=row.id, id=identity, type="state", data={"state": row.state, "error": error})
-                )
-            return [_run(row) for row in rows]
+                _add(link, run.id, StoredEvent(identity, "state", told))
+        return marked
 
     # --- artefacts -----------------------------------------------------------------------------
     def add_artefacts(self, run_id: str, blobs: Mapping[str, Blob], now: datetime) -> None:
         """Register stored files."""
-        with Session(self.engine) as session, session.begin():
+        with self.engine.begin() as link:
+            earlier = (ARTEFACTS.c.run == run_id, ARTEFACTS.c.kind.in_(blobs))
+            link.execute(delete(ARTEFACTS).where(*earlier))
             for kind, blob in blobs.items():
-                session.merge(ArtefactRow(run=run_id, kind=kind, created=now, deleted=None, **vars(blob)))
+                link.execute(insert(ARTEFACTS).values(run=run_id, kind=kind, created=now, **vars(blob)))
 
     def artefacts(self, run_id: str) -> dict[str, Blob | None]:
         """Return the files of a run by kind; ``None`` where one was deleted after its retention."""
-        with Session(self.engine) as session:
-            rows = session.scalars(select(ArtefactRow).where(ArtefactRow.run == run_id))
-            return {
-                row.kind: None if row.deleted is not None else Blob(row.path, row.size, row.sha256)
-                for row in rows
-            }
+        rows = self._all(select(ARTEFACTS).where(ARTEFACTS.c.run == run_id))
+        return {r.kind: None if r.deleted is not None else Blob(r.path, r.size, r.sha256) for r in rows}
 
     def expire_artefacts(self, before: datetime, now: datetime) -> list[str]:
         """Mark files of ended runs older than ``before`` as deleted, accepted models' apart; return their
         paths.
         """
-        kept = select(ApprovalRow.model)
-        with Session(self.engine) as session, session.begin():
-            query = (
-                select(ArtefactRow)
-                .join(RunRow, RunRow.id == ArtefactRow.run)
-                .where(RunRow.ended < before, ArtefactRow.deleted.is_(None), RunRow.id.not_in(kept))
-            )
-            rows = list(session.scalars(query))
-            for row in rows:
-                row.deleted = now
-            session.execute(delete(IdempotencyRow).where(IdempotencyRow.created < before))
-            return [row.path for row in rows]
+        old = select(RUNS.c.id).where(RUNS.c.ended < before, RUNS.c.id.not_in(select(APPROVALS.c.model)))
+        expired = (ARTEFACTS.c.run.in_(old), ARTEFACTS.c.deleted.is_(None))
+        with self.engine.begin() as link:
+            paths = list(link.scalars(select(ARTEFACTS.c.path).where(*expired)))
+            link.execute(update(ARTEFACTS).where(*expired).values(deleted=now))
+            link.execute(delete(IDEMPOTENCY).where(IDEMPOTENCY.c.created < before))
+        return paths
 
     # --- models --------------------------------------------------------------------------------
     def add_model(self, model: StoredModel) -> None:
         """Keep an identified model."""
-        with Session(self.engine) as session, session.begin():
-            session.merge(ModelRow(**vars(model)))
+        with self.engine.begin() as link:
+            known = update(MODELS).where(MODELS.c.id == model.id)
+            if not link.execute(known.values(**vars(model))).rowcount:
+                link.execute(insert(MODELS).values(**vars(model)))
 
     def model(self, cell: str, model_id: str) -> StoredModel | None:
         """Return one model of a cell."""
-        with Session(self.engine) as session:
-            row = session.get(ModelRow, model_id)
-            return None if row is None or row.cell != cell else StoredModel(**_plain(row))
+        query = select(MODELS).where(MODELS.c.id == model_id, MODELS.c.cell == cell)
+        return next((StoredModel(**row._mapping) for row in self._all(query)), None)
 
     def models(self, cell: str, limit: int = 200) -> list[StoredModel]:
         """Return the models of a cell, that of the last run first."""
-        query = select(ModelRow).join(RunRow, RunRow.id == ModelRow.id).where(ModelRow.cell == cell)
-        with Session(self.engine) as session:
-            rows = session.scalars(query.order_by(RunRow.number.desc(), RunRow.id.desc()).limit(limit))
-            return [StoredModel(**_plain(row)) for row in rows]
+        query = select(MODELS).join(RUNS, RUNS.c.id == MODELS.c.id).where(MODELS.c.cell == cell)
+        return [StoredModel(**r._mapping) for r in self._all(query.order_by(*_LAST_FIRST).limit(limit))]
 
     def approve(self, cell: str, model_id: str, *, by: str, how: str, now: datetime) -> Approval:
         """Take a model into force."""
-        with Session(self.engine) as session, session.begin():
-            row = ApprovalRow(cell=cell, model=model_id, at=now, by=by, how=how)
-            session.add(row)
-            session.flush()
-            return Approval(**_plain(row))
+        row = insert(APPROVALS).values(cell=cell, model=model_id, at=now, by=by, how=how)
+        with self.engine.begin() as link:
+            return Approval(
+                link.execute(row.returning(APPROVALS.c.id)).scalar_one(), cell, model_id, now, by, how
+            )
 
     def approvals(self, cell: str) -> list[Approval]:
         """Return the history of accepted models, newest first."""
-        query = select(ApprovalRow).where(ApprovalRow.cell == cell).order_by(ApprovalRow.id.desc())
-        with Session(self.engine) as session:
-            return [Approval(**_plain(row)) for row in session.scalars(query)]
+        query = select(APPROVALS).where(APPROVALS.c.cell == cell).order_by(APPROVALS.c.id.desc())
+        return [Approval(**row._mapping) for row in self._all(query)]
 
     def ping(self) -> None:
         """Raise where the database does not answer."""
-        with self.engine.connect() as connection:
-            connection.execute(text("SELECT 1"))
+        self._all(select(text("1")))
 
     def close(self) -> None:
         """Close every connection."""

@@ -14,6 +14,7 @@ from invid.model.diagnosis_document import load_document
 from invid.model.document import dump_json, load_json, save_text
 from invid.tuning.forms import write_tuning
 from invid.tuning.simulated_loops import AxisLoop
+from invid.wording.statement import Statement
 from invid_drivers.protocol import Done, Failed, line_of_process
 from invid_drivers.values.present import known_loops, present_values
 from invid_service.precedence import behind_parent
@@ -26,7 +27,7 @@ def carry_out(order: Order) -> None:
     source = load_document(order.source)
     before, why = _present(order, arguments.a_model(source).axes)
     tuned = tune(source, before=before, cycle=order.cycle_s, notches=order.notches, draws=order.draws)
-    tuned = replace(tuned, remarks=(*tuned.remarks, *why))
+    tuned = replace(tuned, statements=(*tuned.statements, *why))
     written = write_tuning(tuned, order.folder, drive=order.drive, motors=dict(order.motors))
     path = order.folder / KINDS["tuning"][0]
     save_text(path, dump_json({**load_json(path), "simulated": order.simulated}))
@@ -35,15 +36,15 @@ def carry_out(order: Order) -> None:
             archive.write(order.folder / name, name)
 
 
-def _present(order: Order, axes: Sequence[str]) -> tuple[dict[str, AxisLoop] | None, tuple[str, ...]]:
-    """What the drives hold now, and why it is not known, in a sentence."""
+def _present(order: Order, axes: Sequence[str]) -> tuple[dict[str, AxisLoop] | None, tuple[Statement, ...]]:
+    """What the drives hold now, and why it is not known."""
     if order.config is None:
         return None, ()
     try:
         found = known_loops(present_values(CellConfig.model_validate(order.config), order.motors))
         return {name: loop for name, loop in found.items() if name in axes}, ()
     except InvidError as error:
-        return None, (f"what the drives hold now is not known: {error.reason or error}",)
+        return None, (Statement("tune.present_unknown", {"why": str(error.reason or error)}),)
 
 
 def main() -> None:

@@ -134,7 +134,7 @@ def test_findings_are_listed_by_consequence_and_their_sentences_with_them() -> N
     assert [s.split(":")[0] for s in result.sentences] == ["A2", "A1", "A3"]
     assert result.grade is Grade.ACT
     assert result.headline.startswith(
-        "Free play in the transmission on A2 at spring 1, 2 mrad (6.9′) of play: check"
+        "The mechanics: free play in the transmission on A2 at spring 1, 2 mrad (6.9′) of play: check"
     )
     assert "2 as expected" in result.headline
 
@@ -191,3 +191,44 @@ def test_nothing_found_is_nothing_to_do_and_nothing_named_is_not() -> None:
     odd = grade_consequences(odd, recording())
     assert odd.headline.startswith("Something on A2 is not in the model and no known cause explains it")
     assert odd.grade is None
+
+
+def with_motion(position: np.ndarray, torque: np.ndarray, **more: np.ndarray) -> Recording:
+    given = recording()
+    columns = {"position": position[:, None] * np.ones(3), "torque": torque[:, None] * np.ones(3), **more}
+    return replace(given, experiments=(replace(given.experiments[0], **columns),))
+
+
+def test_torque_at_its_limit_is_the_loop_and_not_the_mechanics_and_comes_first() -> None:
+    wave = np.sin(2 * np.pi * 2.5 * np.arange(2000) / 1000.0)
+    found = grade_consequences(
+        diagnosis(term("backlash", "A2", "spring 1", gap=2e-3)),
+        with_motion(0.01 * wave, np.clip(30.0 * wave, -10.0, 10.0)),
+    )
+    assert found.headline.startswith(
+        "The loop, not the mechanics: the torque of A1 stands at its limit of 10 N·m"
+    )
+    assert found.headlines["de"].startswith("Die Regelung, nicht die Mechanik: das Moment von A1")
+    assert "Free play" in found.headline or "free play" in found.headline
+
+
+@pytest.mark.parametrize("swings", [True, False])
+def test_a_swing_at_a_goal_that_stands_is_the_loop(swings: bool) -> None:
+    rng = np.random.default_rng(0)
+    time = np.arange(2000) / 1000.0
+    position = 2e-3 * np.sin(2 * np.pi * 7.0 * time) if swings else np.zeros(2000)
+    position = position + 1e-5 * rng.standard_normal(2000)
+    goal = np.full((2000, 3), 0.3)
+    found = grade_consequences(
+        diagnosis(verdict=Verdict.CONSISTENT, explained=None),
+        with_motion(position, rng.standard_normal(2000), position_reference=goal),
+    )
+    said = "The loop, not the mechanics: A1 swings by 2 mrad at 7 Hz while its goal stands"
+    assert found.headline.startswith(said) == swings
+
+
+def test_a_sensor_is_said_to_be_one() -> None:
+    found = grade_consequences(
+        diagnosis(term("encoder_eccentricity", "A2", amplitude=0.02, phase=0.1)), recording()
+    )
+    assert found.headline.startswith("A sensor, not the mechanics")

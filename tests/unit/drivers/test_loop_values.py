@@ -18,7 +18,8 @@ from invid.tuning.feedforward import NONE
 from invid.tuning.motor_scale import MotorScale
 from invid.tuning.servo_loop import DriveTiming, Gains, Notch
 from invid.tuning.simulated_loops import AxisLoop
-from invid.tuning.verification import Verdict, verify
+from invid.tuning.verification import Verdict, Verification, verify
+from invid.tuning.verification_document import sentence
 from invid_drivers.connect import connect
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.values.applying import Proposal, apply, propose, undo, written_entries
@@ -168,6 +169,14 @@ def model(spring: float = SPRING, load: float = LOAD) -> Model:
     return Model("bench", "refined", chains, std)
 
 
+def verified(config: CellConfig, folder: Path, believed: Model, loop: AxisLoop) -> Verification:
+    """``loop`` written into the drive and measured, beside what ``believed`` says of it."""
+    apply(config, {"A1": loop}, {}, yes)
+    path = folder / "closed.h5"
+    measure_to_file(closed_loop_config(config), path)
+    return verify(believed, {"A1": loop}, DriveTiming(0.001), read_recording(path))
+
+
 @pytest.mark.parametrize(
     ("believed", "verdicts"),
     [
@@ -178,9 +187,33 @@ def model(spring: float = SPRING, load: float = LOAD) -> Model:
 def test_the_loops_measured_while_closed_are_those_predicted_unless_the_model_is_wrong(
     tmp_path: Path, believed: Model, verdicts: set[Verdict]
 ) -> None:
-    config = cell(tmp_path)
-    apply(config, {"A1": TUNED}, {}, yes)
-    path = tmp_path / "closed.h5"
-    measure_to_file(closed_loop_config(config), path)
-    found = verify(believed, {"A1": TUNED}, DriveTiming(0.001), read_recording(path))
+    found = verified(cell(tmp_path), tmp_path, believed, TUNED)
     assert found.verdict in verdicts, found.axes[0]
+
+
+def test_values_that_are_written_into_a_drive_as_it_comes_are_verified_as_predicted(tmp_path: Path) -> None:
+    config = cell(tmp_path, {"loop_cycle_s": 0.0})
+    assert verified(config, tmp_path, model(), TUNED).verdict is Verdict.AS_PREDICTED
+
+
+def test_a_model_that_is_wrong_asks_for_the_undo_and_says_what_the_move_would_miss(tmp_path: Path) -> None:
+    found = verified(
+        cell(tmp_path),
+        tmp_path,
+        model(load=0.2 * LOAD),
+        replace(TUNED, feedforward=replace(NONE, inertia=1.4)),
+    )
+    (axis,) = found.axes
+    assert found.verdict.asks_for_undo
+    assert axis.following.measured > 2.0 * axis.following.high
+    assert "write the old values back" in sentence(axis)
+
+
+def test_an_axis_that_its_loop_does_not_hold_is_worse_whatever_its_margins_are(tmp_path: Path) -> None:
+    """Seen of a coarse encoder: gains so small that the sensitivity is one, as predicted."""
+    weak = AxisLoop(Gains(0.2, 30.0, 0.03), replace(NONE, inertia=3.0))
+    config = cell(tmp_path, {"encoder_counts": 8192, "friction": {"coulomb_Nm": 0.1}})
+    (axis,) = verified(config, tmp_path, model(), weak).axes
+    assert axis.sensitivity.measured == pytest.approx(axis.sensitivity.predicted, rel=0.05)
+    assert axis.verdict is Verdict.WORSE
+    assert "it is not held" in sentence(axis)

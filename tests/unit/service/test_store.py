@@ -25,7 +25,7 @@ from invid_service.store.blobs import Blobs
 from invid_service.store.database import open_engine, upgrade
 from invid_service.store.lock import DataLock
 from invid_service.store.store import RunRecord, Store
-from invid_service.store.tables import Base
+from invid_service.store.tables import METADATA
 
 V1 = Path(__file__).parents[2] / "data" / "store-v1"
 ACCEPTED, FAILED = "20261101T080000-00000001", "20261101T090000-00000002"
@@ -42,7 +42,7 @@ def test_the_migrations_make_exactly_the_tables_of_today(tmp_path: Path) -> None
     upgrade(engine)
     with engine.connect() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True})
-        assert compare_metadata(context, Base.metadata) == []
+        assert compare_metadata(context, METADATA) == []
         assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
 
 

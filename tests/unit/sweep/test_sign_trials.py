@@ -123,3 +123,24 @@ def test_a_measured_torque_of_the_other_sign_is_named() -> None:
     found = Response(1.0, 1.0, 1.0, 0.1, torque_slope=-0.9, edges=4)
     with pytest.raises(SafetyStop, match="opposite sign"):
         judge("A1", found, 10.0, amplitude=1.0, unit="rad", torque_unit="N·m")
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_stiff_loop_that_drives_the_axis_back_is_no_wrong_sign(sign: float) -> None:
+    mass, gain, kp, cycle = 1.3, 274.0, 20.0, 1e-3
+    wave = 1.73 * np.concatenate([np.zeros(40), doublet(80), np.zeros(40)])
+    x, v, path, torque, last, pending = 0.0, 0.0, [], [], 0.0, 0.0
+    for asked in wave:
+        shown = round(x / COUNT) * COUNT
+        path.append(shown)
+        torque.append(asked + pending)
+        pending = -sign * gain * (kp * shown + (shown - last) / cycle)
+        last = shown
+        a = sign * torque[-1] / mass
+        x, v = x + v * cycle + 0.5 * a * cycle**2, v + a * cycle
+    time, whole, shown_path = np.arange(wave.size) * cycle, np.array(torque), np.array(path)
+    alone = response(time, wave, wave, shown_path, count=COUNT, rated=69.0)
+    found = response(time, wave, wave, shown_path, count=COUNT, rated=69.0, acting=whole)
+    assert alone.mobility * sign < 0.5 / mass  # the demand alone does not say what acted
+    assert found.mobility * sign > DECISIVE * found.mobility_std
+    assert found.mobility * sign == pytest.approx(1 / mass, rel=0.1)

@@ -10,6 +10,7 @@ from tuning.tuned import machine, tuned
 
 from invid.errors import NotIdentifiableError
 from invid.exchange.linear_plant import linear_plant
+from invid.tuning.document import tuning_to_json
 from invid.tuning.gains import PROMISE
 from invid.tuning.margins import worst_margins
 from invid.tuning.plant_draws import drawn_models
@@ -48,6 +49,14 @@ def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_
     assert play.bought > 0
 
 
+def test_an_encoder_so_coarse_that_no_loop_holds_the_axis_is_refused_with_the_ripple_of_one_that_does():
+    stated = {"encoder_resolution": 2 * np.pi / 4096, "rated_torque": 2.0}
+    coarse = replace(machine(), provenance={"sensors": {"A1": stated, "A2": stated}})
+    with pytest.raises(NotIdentifiableError, match="no loop that holds it") as refused:
+        tune_model(coarse, TuneSettings(draws=50))
+    assert "--ripple" in str(refused.value.way_out)
+
+
 def test_coarse_encoders_bound_the_gains_and_the_torque_they_make_is_the_one_foretold():
     count, rated = 2 * np.pi / 2**17, 8.0
     stated = {"encoder_resolution": count, "rated_torque": rated}
@@ -64,6 +73,9 @@ def test_coarse_encoders_bound_the_gains_and_the_torque_they_make_is_the_one_for
         assert axis.after.gains.velocity_gain < 0.8 * tuned().axes[i].after.gains.velocity_gain
     assert not any("not bounded" in r for r in tuning.remarks)
     assert any("not bounded" in r for r in tuned().remarks)
+    said = tuning_to_json(tuned())["said"]["de"]
+    assert any("nicht begrenzt" in r for r in said)
+    assert not any(" the " in r for r in said)
 
 
 def test_a_model_that_is_not_to_be_trusted_is_refused():

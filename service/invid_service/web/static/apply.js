@@ -58,8 +58,9 @@ export async function verified(run) {
   const found = await get(run.links.verification), made = el("table", { class: "stacks" });
   const both = (f, digits = 3) => `${fmt(f.measured, digits)} (${f.low === f.high ? fmt(f.low, digits) : `${fmt(f.low, digits)} … ${fmt(f.high, digits)}`})`;
   const ripple = (a) => (a.ripple.measured == null || a.rated_torque == null ? "–" : `${fmt(100 * a.ripple.measured / a.rated_torque, 2)} (${a.ripple.high == null ? "–" : fmt(100 * a.ripple.high / a.rated_torque, 2)})`);
-  table(made, ["axis", "peak", "gain", "phase", "ripple"].map((h) => t(`verified.${h}`)), found.axes.map((a) => ({ changed: a.verdict === "worse", cells: [
-    el("b", {}, a.axis), both(a.sensitivity), a.gain_margin.measured > 100 ? "> 100" : both(a.gain_margin), both(a.phase_margin), ripple(a)] })));
+  const move = (a) => `${fmt(1e3 * a.following.measured, 2)} m${a.unit} (${fmt(1e3 * a.following.high, 2)})`;
+  table(made, ["axis", "peak", "gain", "phase", "move", "settling", "ripple"].map((h) => t(`verified.${h}`)), found.axes.map((a) => ({ changed: ["worse", "other"].includes(a.verdict), cells: [
+    el("b", {}, a.axis), both(a.sensitivity), a.gain_margin.measured > 100 ? "> 100" : both(a.gain_margin), both(a.phase_margin), move(a), a.settling.measured == null ? "–" : both(a.settling, 2), ripple(a)] })));
   return el("section", { id: "verified", class: "advice" }, [el("h3", {}, t("verified.title")), el("p", { class: "quiet" }, t("verified.note")),
     el("div", { class: "scroll", role: "region", "aria-label": t("verified.title") }, [made]), el("p", { class: "actions" }, beside(run.verifies))]);
 }

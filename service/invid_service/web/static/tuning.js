@@ -3,7 +3,7 @@ import { Problem, call } from "./api.js";
 import { offerApply } from "./apply.js";
 import { $, el, fill, fmt, table } from "./dom.js";
 import { refused, spoken } from "./spoken.js";
-import { english, named, t } from "./texts.js";
+import { LANGUAGE, english, named, t } from "./texts.js";
 
 const AGAIN_MS = 2000, SAVED = { "tuning-files": "tuning.zip", "tuning-page": "tuning.html" };
 /** @type {Run} */
@@ -70,13 +70,13 @@ async function show(run, tuning) {
   };
   table(gains, [t("tune.values"), ...tuning.axes.map((a) => a.axis)], Object.entries(rows).map(([name, of_]) => ({ cells: [t(`tune.${name}`, { unit, torque, angle }), ...tuning.axes.map(of_)] })));
   const picture = el("div", { class: "scroll", role: "region", "aria-label": t("tune.picture") });
-  const repairs = tuning.repairs.map((r) => repair(r, unit)).filter(Boolean), remarks = tuning.remarks.map((r) => spoken("li", r));
+  const repairs = tuning.repairs.map((r) => repair(r, unit)).filter(Boolean), own = tuning.said?.[LANGUAGE], remarks = own ? own.map((r) => el("li", {}, r)) : tuning.remarks.map((r) => spoken("li", r));
   fill($("tuned"), [
     el("div", { class: "scroll", role: "region", "aria-label": t("tune.title") }, [made]),
     el("div", { class: "scroll", role: "region", "aria-label": t("tune.values") }, [gains]), el("p", { class: "quiet" }, `${t("tune.before")} ${t(tuning.before.startsWith("read from") ? "tune.before_read" : "tune.before_timid")}`),
     el("figure", {}, [el("figcaption", {}, t("tune.picture")), picture]),
     repairs.length ? el("section", {}, [el("h4", {}, t("tune.repairs")), el("ul", { class: "reasons" }, repairs.map((r) => el("li", {}, r)))]) : null,
-    remarks.length ? el("ul", { class: "reasons" }, [english ? null : el("li", { class: "quiet" }, t("page.untranslated")), ...remarks].filter(Boolean)) : null,
+    remarks.length ? el("ul", { class: "reasons" }, [english || own ? null : el("li", { class: "quiet" }, t("page.untranslated")), ...remarks].filter(Boolean)) : null,
     run.cell ? offerApply(run.id) : null,
     el("p", { class: "links" }, Object.entries(SAVED).map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, t(name === "tuning-page" ? "tune.page" : "tune.files")))),
   ].filter(Boolean));
