@@ -255,8 +255,8 @@ def _covariance_slope(
     """(T,) half the gradient by each term through S, in the quadratic form and in ln|S|, and through the
     loop.
 
-    With G the balance half the change is Re tr(G·dZ C_θ Zᴴ) + Re tr(G·dH q g Hᴴ), dZ = V u uᵀ Vᵀ, dH = −V u uᵀ
-    X b, and through the ends Re tr(E JᴴS⁻¹·dJ), dJ = −V u uᵀX·(1, jω).
+    With G the balance half the change is Re tr(G·dZ C_θ Zᴴ) + Re tr(G·dH q g Hᴴ), dZ = V u uᵀ Vᵀ,
+    dH = −V u uᵀX b, and through the ends Re tr(E JᴴS⁻¹·dJ), dJ = −V u uᵀX·(1, jω).
     """
     terms = value.numbers.plant.structure.terms
     noise, condensed = work.noise, work.condensed
