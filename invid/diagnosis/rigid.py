@@ -21,7 +21,7 @@ from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE, CATALOGUE
 from invid.errors import InputError
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.worth import NUMBER
+from invid.likelihood.unknown_forces.price import NUMBER
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Unexplained
 from invid.model.document import EffectTerm, Model
 from invid.numerics import budget

@@ -8,7 +8,7 @@ import numpy as np
 
 from invid.effects.supposed.law import SupposedLaw
 from invid.errors import NotIdentifiableError
-from invid.likelihood.unknown_forces.worth import PRICE, pays
+from invid.likelihood.unknown_forces.price import pays, price
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
@@ -129,7 +129,7 @@ def _with_delays(rows: Rows, current: Fit) -> Fit:
         if abs(value[0]) <= step + 2 * std[0] and not is_lost:
             continue
         bare = settled(rows, [t for t in current.terms if t is not term])
-        is_sure = not is_lost and pays(*falls(bare, current), 1, PRICE)
+        is_sure = not is_lost and pays(*falls(bare, current), price())
         before, after = (float(missing_powers(rows, f).sum()) for f in (bare, current))
         is_most = after < NEARLY_ALL * before
         if is_sure and is_most and _is_late_in_motion(rows, current, term, step):

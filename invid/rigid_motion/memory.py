@@ -12,11 +12,11 @@ import numpy as np
 
 from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.worth import NUMBER, PRICE_OF_FRICTION, pays
+from invid.likelihood.unknown_forces.price import NUMBER, PARTS, pays, price_at_motors
 from invid.numerics import budget
 from invid.rigid_motion.fit import Fit, chance_of_gain, falls, fit_terms, settled, unseen
 from invid.rigid_motion.rows import Rows, colour_of
-from invid.rigid_motion.search import BY_WAY, MOST_CHANCE, OF_LOOKING, reshaped, without_idle
+from invid.rigid_motion.search import BY_WAY, MOST_CHANCE, reshaped, without_idle
 from invid.rigid_motion.terms import HELD, PRESLIDING, RISE, Term
 
 YIELDS, LARGEST = 16, 0.1
@@ -69,5 +69,5 @@ def _on_axis(rows: Rows, current: Fit, axis: int) -> Fit | None:
     best = settled(rows, reshaped(rows, terms, terms[-1], ()) if terms[-1].shape else terms)
     more = best.numbers - current.numbers
     # One law for another brings no number, and has but to be the likelier one.
-    price = NUMBER if more <= 0 else PRICE_OF_FRICTION + OF_LOOKING * float(np.log(len(options)))
-    return best if pays(*falls(current, best), max(more, 1), price) else None
+    least = NUMBER if more <= 0 else price_at_motors(PARTS * len(options), more)
+    return best if pays(*falls(current, best), least) else None

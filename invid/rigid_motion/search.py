@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.worth import NUMBER, PRICE_OF_FRICTION, pays
+from invid.likelihood.unknown_forces.price import NUMBER, PARTS, pays, price_at_motors
 from invid.numerics import budget
 from invid.rigid_motion.fit import (
     Fit,
@@ -44,9 +44,6 @@ NEIGHBOUR, ABOVE = 0.5, 0.1
 """Logarithms by which a shape may lie below and above the best of its grid (numerical)."""
 ALIKE = 1e-4
 """Share of a law's power that nothing else explains, below which it is none of its own, as for chains."""
-OF_LOOKING = 4.0
-"""Price of a logarithm of the number of shapes that were looked at: two on the rows of either role
-(statistical)."""
 LEAST_GAIN = 0.1
 """Least share of the power that rows kept out miss on an axis that a cause takes. Empirical: on measured axes
 the rigid model itself is wrong by some per cent of it in ways that any smooth law absorbs."""
@@ -235,7 +232,6 @@ def _pays(rows: Rows, term: Term, candidates: Sequence[Term], fits: tuple[Fit, F
     before."""
     before, after = fits
     looked = max(sum(t.label == term.label for t in candidates), 1)
-    price = PRICE_OF_FRICTION + OF_LOOKING * float(np.log(looked))
     befores, mine = [before], term.axes
     if term.law is BEND and not any(t.law is BY_DIRECTION and t.axis == term.axis for t in before.terms):
         # What bends towards less friction alike both ways has no name; it is no asymmetry either.
@@ -244,7 +240,7 @@ def _pays(rows: Rows, term: Term, candidates: Sequence[Term], fits: tuple[Fit, F
     new = axis_powers(rows, rows.judged, after.held_out)[mine]
     return all(
         bool((new < (1.0 - LEAST_GAIN) * axis_powers(rows, rows.judged, less.held_out)[mine]).any())
-        and pays(*falls(less, after), max(after.numbers - less.numbers, 1), price)
+        and pays(*falls(less, after), price_at_motors(PARTS * looked, max(after.numbers - less.numbers, 1)))
         for less in befores
     )
 

@@ -9,7 +9,7 @@ from invid.effects.motion_effect import OF_RATE
 from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.worth import NUMBER, pays
+from invid.likelihood.unknown_forces.price import NUMBER, pays, price
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.numerics.smooth_parts import smooth_parts
@@ -112,7 +112,7 @@ def any_law(rows: Rows, axis: int, over: str) -> list[Term]:
 
 def _is_accepted(rows: Rows, before: Fit, after: Fit, axis: int) -> bool:
     """Whether a law pays, is known, and brings its axis to the noise or takes nearly all."""
-    if not pays(*falls(before, after), max(after.numbers - before.numbers, 1)):
+    if not pays(*falls(before, after), price(max(after.numbers - before.numbers, 1))):
         return False
     law = after.terms[-1]
     part = after.span(law)

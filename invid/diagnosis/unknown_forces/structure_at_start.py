@@ -9,7 +9,6 @@ from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions_of
 from invid.identification.contest import (
     NOTHING,
-    PRICE_OF_MASS,
     Known,
     astray,
     bent_axes,
@@ -19,6 +18,7 @@ from invid.identification.contest import (
     torque_rms,
 )
 from invid.identification.own_time import tones_of
+from invid.likelihood.unknown_forces.price import price
 from invid.likelihood.unknown_forces.supposition import Bench, Supposed
 from invid.model.plant import Structure
 
@@ -66,4 +66,4 @@ def _with_what_scan_shows(now: Supposed) -> Supposed:
 
 def _priced(found: Supposed) -> float:
     structure = found.hypothesis.structure
-    return found.total + PRICE_OF_MASS / 3.0 * sum(a.numbers(structure) for a in additions_of(structure))
+    return found.total + sum(price(a.numbers(structure)) for a in additions_of(structure))

@@ -1,8 +1,8 @@
 """The price of a cause: the fall of −2 ln L that it must bring.
 
-On records of a machine that the model fits, the largest fall that k numbers bring in n tries passes the quantile of
-χ² at ``ALARM``/n with the probability ``ALARM`` (Bonferroni). No model is the machine: what ours misses falls as
-well, and that is added as it was seen where nothing was hidden.
+On records of a machine that the model fits, the largest fall that k numbers bring in n tries passes the
+quantile of χ² at ``ALARM``/n with the probability ``ALARM`` (Bonferroni). No model is the machine: what ours
+misses falls as well, and that is added as it was seen where nothing was hidden.
 """
 
 from __future__ import annotations
@@ -13,18 +13,19 @@ from invid.numerics.distributions import chi2_isf
 
 ALARM = 0.01
 """Probability of a cause in one diagnosis of a machine that has none."""
-TRIES = 3000
-"""Laws, places and shapes of one search: those of three axes with three masses."""
-PARTS, PLACES = 20, 30
-"""Parts of friction, and places at which something may act without a name, of such a machine."""
+TRIES, PARTS, PLACES = 3000, 20, 30
+"""Laws, places and shapes of one search, parts of friction, and places at which a force without a name may
+act: of three axes with three masses."""
 ERROR = 98.0
-"""What the form of friction and the grid of motion bring besides, on all records (empirical: false falls of up to
-120 in sixty rounds of whole cells of another hand)."""
+"""What the form of friction and the grid of motion bring besides, on all records (empirical: false falls of
+up to 120 in sixty rounds of whole cells of another hand)."""
 ERROR_AT_MOTORS = 28.0
-"""The same of what acts at motors, to which an encoder's rounding and friction's own shape are all that is missing
-(empirical: up to 31, nothing hidden)."""
+"""The same of what acts at motors, where an encoder's rounding and friction's own shape are all that is
+missing (empirical: up to 31, nothing hidden)."""
 FITTED, KEPT = 1 / 3, 1 / 12
-"""Shares of the price that the records fitted and those kept out have to bring each (empirical)."""
+"""Shares of a price that the records fitted and those kept out have to bring each (empirical)."""
+NUMBER = 10.0
+"""What a further number costs where hypotheses are compared by their odds: Schwarz's, of 10⁴ rows."""
 
 
 @cache
@@ -39,7 +40,7 @@ def price(numbers: int = 1) -> float:
 
 
 def price_at_motors(tries: int, numbers: int = 1) -> float:
-    """Fall for a part of a motor's friction, or for a force that acts somewhere, of so many tries."""
+    """Fall for a term of a motor, or for a force that acts somewhere, of so many tries."""
     return chance(numbers, tries) + ERROR_AT_MOTORS
 
 
