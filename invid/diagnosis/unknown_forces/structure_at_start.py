@@ -66,7 +66,7 @@ def _with_what_scan_shows(now: Supposed) -> Supposed:
 
 
 def _priced(found: Supposed) -> float:
-    """−2 ln L with the prices of what is beside the chains: of a mode, and again of what a base has more, which
+    """−2 ln L with the prices of what is beside the chains: of a mode, and again of what a base has more: it
     holds the mode of any load as a special case."""
     structure = found.hypothesis.structure
     more = [a.numbers(structure) - NUMBERS for a in additions_of(structure)]
