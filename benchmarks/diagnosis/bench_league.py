@@ -2,7 +2,8 @@
 
 One definition for all: every held-out sample, standing and reversing ones too, below the record's band; rms
 over that of the torque. Without a part to validate the last experiment is kept out, of a single one the last
-quarter.
+quarter; nobody is shown it, neither in a fit nor in a choice. Beside it the product's own figure, of what it
+kept out itself.
 
     python -m benchmarks.diagnosis.bench_league [WORD …]     records whose title holds a word; all without
 """
@@ -29,7 +30,7 @@ from invid.model.diagnosis_document import Diagnosis
 from invid.numerics import budget
 from invid.recording import Experiment, Recording, Role
 from invid.rigid_motion.analysis import Analysis, analyse
-from invid.rigid_motion.terms import columns
+from invid.rigid_motion.terms import torque_of
 from invid.signals.motion_record import derivative, prepare_rows
 from invid.signals.timebase import resample_uniformly
 
@@ -82,13 +83,15 @@ def kept_out(recording: Recording) -> Recording:
 def of_rigid_axes(a: Analysis, e: Experiment, axes: int) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Torque of each axis at every sample, what the terms say of it, and the step."""
     even = resample_uniformly(e)
-    motion = [derivative(even.position, even.step, a.band.motion_hz, k) for k in range(3)]
-    rate = derivative(even.torque, even.step, a.band.motion_hz, 1)
+    *motion, rate = (
+        derivative(x, even.step, a.band.motion_hz, k)
+        for x, k in (*((even.position, k) for k in range(3)), (even.torque, 1))
+    )
     m = replace(
         prepare_rows(e, a.band), position=motion[0], velocity=motion[1], acceleration=motion[2],
         torque=even.torque, torque_rate=rate, reading=np.asarray(even.position),
     )  # fmt: skip
-    told = sum(columns(t, m) @ a.final.of(t)[0] for t in a.final.terms)
+    told = torque_of(a.final.parts, m)
     return [(even.torque[:, i], told[:, i], even.step) for i in range(axes)]
 
 
@@ -116,12 +119,13 @@ def of_chains(found: Diagnosis, e: Experiment, axes: int) -> list[tuple[np.ndarr
 
 
 def ours(recording: Recording) -> tuple[Diagnosis, Parts]:
-    """The diagnosis, and of each axis the held-out parts with what its model says of them."""
+    """The diagnosis of what peers are fitted to, and what it says of each axis' held-out parts."""
+    held, axes = recording.with_role(Role.VALIDATE), recording.axis_count
+    recording = replace(recording, experiments=recording.with_role(Role.IDENTIFY))
     with budget.use_budget(budget.Budget(BUDGET, time.process_time)), np.errstate(all="ignore"):
         begin = cache(partial(begin_elastic, recording, None, start=begin_with_structure))
         with budget.use_share(1.0, 0.0, 0.3):
             kind = machine_kind(recording, None, begin, 0.5)
-        held, axes = recording.with_role(Role.VALIDATE), recording.axis_count
         if kind.rigid:
             a = kind.analysis or analyse(recording)
             found = diagnose_trajectory(recording, analysis=a)
@@ -150,7 +154,7 @@ def main(wanted: list[str]) -> int:
         spent = time.process_time() - began
         peers = shares(recording, below_hz)
         power = np.sqrt(
-            np.mean(np.concatenate([e.torque for e in recording.with_role(Role.VALIDATE)]) ** 2, axis=0)
+            np.mean(np.concatenate([e.torque for e in recording.with_role(Role.IDENTIFY)]) ** 2, axis=0)
         )
         for i, row in enumerate(found.residual):
             own, best = missed(parts[i], below_hz), min(peers[n][i] for n in names)

@@ -15,22 +15,22 @@ from invid.diagnosis.outcome import (
     limit_unfinished_search,
     share_among_rivals,
 )
-from invid.diagnosis.thresholds import COMPETES, FLOOR, NAMED, UNSIZED
+from invid.diagnosis.thresholds import COMPETES, NAMED, UNSIZED
 from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.effects.laws.empirical_law import NAMELESS
 from invid.effects.registry import BY_CAUSE, CATALOGUE
 from invid.errors import InputError
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.worth import NUMBER
+from invid.likelihood.unknown_forces.price import NUMBER
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Unexplained
 from invid.model.document import EffectTerm, Model
 from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.rigid_motion import search
-from invid.rigid_motion.analysis import Analysis, analyse, row_floor, sampling_error
+from invid.rigid_motion.analysis import Analysis, analyse, missed_by
 from invid.rigid_motion.effect_terms import effect_of_cause, place_of
 from invid.rigid_motion.figures import figures_of
-from invid.rigid_motion.fit import Fit, axis_powers, falls, settled
+from invid.rigid_motion.fit import Fit, axes_at_noise, falls, missing_torque, noise_powers, settled
 from invid.rigid_motion.model import model_of
 from invid.rigid_motion.smooth_law import depends_on, law_fits
 from invid.rigid_motion.terms import BEND, BY_DIRECTION, GRAVITY, RISE, Term
@@ -55,10 +55,8 @@ def diagnose_trajectory(
     found = search.causes_of(a.final.terms)
     explained = explained_share(residual) if found else None
     near = axis_above_floor(residual) is None
-    missing = any(
-        r.after > max(FLOOR * r.floor, allowed)
-        for r, allowed in zip(residual, sampling_error(a), strict=True)
-    )
+    every, left = a.rows.every, missing_torque(a.rows, a.final)
+    missing = not near and not axes_at_noise(every, a.final, left).all()
     causes = sorted(_causes(a, found, explained or 0.0), key=lambda c: c.after - c.before)
     sizes = extended.chains.masses_per_branch
     outcome = Outcome(
@@ -76,16 +74,11 @@ def diagnose_trajectory(
     return limit_unfinished_search(result) if a.is_cut_short else result
 
 
-def _missing(a: Analysis, result: Fit) -> list[float]:
-    """Rms torque that each axis misses in rows kept out."""
-    return [float(x) for x in np.sqrt(axis_powers(a.rows, a.rows.judged, result.held_out))]
-
-
 def _residuals(a: Analysis) -> tuple[AxisResidual, ...]:
-    floor = np.sqrt(axis_powers(a.rows, a.rows.judged, np.sqrt(row_floor(a))))
-    unit, columns = a.recording.torque_unit, (_missing(a, a.base), _missing(a, a.final), floor)
+    unit = a.recording.torque_unit
+    columns = (missed_by(a.rows, a.base), missed_by(a.rows, a.final), np.sqrt(noise_powers(a.rows, a.final)))
     return tuple(
-        AxisResidual(name, unit, before, after, float(noise))
+        AxisResidual(name, unit, float(before), float(after), float(noise))
         for name, before, after, noise in zip(a.recording.axes, *columns, strict=True)
     )
 
@@ -93,8 +86,8 @@ def _residuals(a: Analysis) -> tuple[AxisResidual, ...]:
 def _causes(a: Analysis, found: list[search.Cause], explained: float) -> list[Cause]:
     """The causes with what each explains and its rivals."""
     without = [search.without(a.rows, a.final, c) for c in found]
-    gains = [max(sum(falls(a.rows, w, a.final)), 0.0) for w in without]
-    after = _missing(a, a.final)
+    gains = [max(sum(falls(w, a.final)), 0.0) for w in without]
+    after = missed_by(a.rows, a.final)
     # What leaves more is wrong somewhere: of a drag with the square of the speed viscous friction takes six
     # sevenths, and is not what is there.
     most = 1.0 if explained >= NAMED else UNSIZED
@@ -106,8 +99,8 @@ def _causes(a: Analysis, found: list[search.Cause], explained: float) -> list[Ca
         out.append(
             Cause(
                 effect,
-                _missing(a, bare)[axis],
-                after[axis],
+                float(missed_by(a.rows, bare)[axis]),
+                float(after[axis]),
                 explained * gain / max(sum(gains), 1e-300),
                 min(most, share_among_rivals([gain, *(worse for worse, _ in rivals)])),
                 tuple(said for worse, said in rivals if worse < COMPETES),
@@ -142,9 +135,9 @@ def _rivals(a: Analysis, cause: search.Cause, bare: Fit) -> list[tuple[float, Al
         place = place_of(cause.terms[0], a.recording.axes)
         out += [(NAMELESS, place, f) for f in law_fits(a.rows, bare, axis, ("position", ""))]
     return [
-        (worse, Alternative(name, at, element, _missing(a, f)[axis], other))
+        (worse, Alternative(name, at, element, float(missed_by(a.rows, f)[axis]), other))
         for name, (at, element, other), f in out
-        for worse in (sum(falls(a.rows, f, a.final)) + NUMBER * (f.numbers - a.final.numbers),)
+        for worse in (sum(falls(f, a.final)) + NUMBER * (f.numbers - a.final.numbers),)
     ]
 
 

@@ -14,12 +14,12 @@ from invid.identification.kept_out import Split, all_records, records_of
 from invid.identification.missing_torque import missed_share
 from invid.identification.own_time import AxisTones, changes_within, sized, tones_of
 from invid.likelihood.unknown_forces.motor_laws import Part, first_shapes
+from invid.likelihood.unknown_forces.price import NUMBER
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.stack import hold_damping, stack_records
 from invid.likelihood.unknown_forces.supposition import Bench, Hypothesis, Supposed, first_strength, suppose
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Numbers
-from invid.likelihood.unknown_forces.worth import NUMBER
 from invid.model.chains import CoupledChains
 from invid.model.plant import Structure
 from invid.numerics import budget

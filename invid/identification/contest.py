@@ -25,6 +25,7 @@ from invid.identification.first_plants import (
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw, axis_of
 from invid.likelihood.unknown_forces.motor_laws import first_shapes
+from invid.likelihood.unknown_forces.price import price
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, with_law
 from invid.likelihood.unknown_forces.supposition import (
     Bench,
@@ -52,11 +53,10 @@ GO_ON = 5
 three masses the fourth came home)."""
 MOST_MASSES = 8
 """Masses of an axis beyond which none are sought."""
+NUMBERS = 3
+"""Numbers of one more mass: itself, its spring and its damper."""
 PASSES = 2
 """Times that every chain astray is split, again where that made it better."""
-PRICE_OF_MASS = 120.0
-"""Fall of −2 ln L on all records for one more mass: Schwarz's price of its three numbers is 25; the rest is
-what the form of friction leaves, up to 83 (empirical, axes without a period of another hand)."""
 AS_WELL = 10.0
 """Rise of −2 ln L up to which another structure with as many numbers does as well: odds of 150 to one."""
 HOME, HOME_AT_MOTORS = 0.01, 0.03
@@ -182,7 +182,7 @@ def _with_splits(now: Supposed, bent: Axes) -> Supposed:
             if worst is None or axis in bent or budget.is_left_out("further starts"):
                 continue
             now = _split_anew(now, (axis, _masses_before(now.hypothesis.structure, axis, worst)), rng)
-        if before.total - now.total < PRICE_OF_MASS or not astray(now):
+        if before.total - now.total < price(NUMBERS) or not astray(now):
             break
     return now
 
@@ -281,7 +281,7 @@ def _begin_seen(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, .
         tried += [found] if found is not None and is_settled(found) else []
     best = min(tried, key=lambda f: f.total, default=now)
     more = sum(best.hypothesis.structure.sizes) - sum(sizes)
-    pays = now.total - best.total > more * PRICE_OF_MASS and best.kept_total < now.kept_total
+    pays = now.total - best.total > price(NUMBERS * more) and best.kept_total < now.kept_total
     return (best, _as_well(best, tried)) if pays else (now, ())
 
 
@@ -305,7 +305,7 @@ def _begin_grown(benches: Benches, motors: int) -> tuple[Supposed, tuple[Sizes, 
         best = reshape(scan_friction(first))
         more = sum(best.hypothesis.structure.sizes) - sum(sizes)
         falls = now.total - best.total, now.kept_total - best.kept_total
-        if sum(falls) < more * PRICE_OF_MASS or min(falls) < 0.0:
+        if sum(falls) < price(NUMBERS * more) or min(falls) < 0.0:
             break
         now, alike = best, _as_well(first, tried)
     return now, alike

@@ -16,6 +16,7 @@ from invid.identification.late_drives import late_drives
 from invid.identification.quantities import axis_and_element
 from invid.identification.terms import TermWriter
 from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.price import pays, price
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.worth import (
@@ -23,7 +24,6 @@ from invid.likelihood.unknown_forces.worth import (
     Worth,
     channel_deletions,
     friction_deletions,
-    pays,
     prune,
     role_falls,
     spring_deletions,
@@ -87,7 +87,7 @@ def model_of_fit(begun: Begun, end: Supposed, worths: Sequence[Worth]) -> Model:
 def _with_late_drives(now: Supposed) -> Supposed:
     """With the delay or lag of every drive that is late, the better of the two for each."""
     while not budget.is_left_out("drives that are late"):
-        late = [d for d in late_drives(now) if pays(*role_falls(d.without, d.found))]
+        late = [d for d in late_drives(now) if pays(*role_falls(d.without, d.found), price())]
         if not late:
             break
         now = reshape(scan_friction(min(late, key=lambda d: d.found.total).found))

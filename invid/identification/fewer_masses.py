@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.identification.contest import PRICE_OF_MASS
+from invid.identification.contest import NUMBERS
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import LARGEST_STEP
+from invid.likelihood.unknown_forces.price import price
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.plant import Element, Kind
 from invid.numerics import budget
@@ -43,7 +44,7 @@ def with_masses_seen(now: Supposed) -> Supposed:
             break
         fewer = min(known, key=lambda s: s.total)
         gone = sum(best.hypothesis.structure.sizes) - sum(fewer.hypothesis.structure.sizes)
-        if fewer.total - best.total < gone * PRICE_OF_MASS:
+        if fewer.total - best.total < price(NUMBERS * gone):
             best = fewer
     return best
 

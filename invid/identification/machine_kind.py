@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -19,13 +20,18 @@ from invid.model.doubts import Doubt, DoubtCode
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Kind, Recording
-from invid.rigid_motion.analysis import Analysis, analyse, row_floor
+from invid.rigid_motion.analysis import Analysis, analyse, missed_by
+from invid.rigid_motion.fit import axis_powers, noise_powers
 from invid.rigid_motion.model import TRAJECTORY, identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
 
 RIGID_ENOUGH = 0.1
 """Missed share of the torque (rms, held-out rows) below which rigid axes are not doubted. Empirical: 0.007 to
 0.17 on five real rigid machines, 0.11 and more on twenty simulated chains in moves, noise and chirps."""
+MOSTLY_RIGID = 0.45
+"""Missed share below which a machine that is shaken is one of rigid axes moved fast, and is doubted as others
+that are moved. Empirical: 0.17 and less on the moves of three machines, 0.57 and more on the worst axis of
+ten chains that noise or a stepped sine shook."""
 CLEAR_RATIO = 0.5
 """Ratio of missed torque, chains over rigid axes, below which a moved machine counts as elastic (empirical):
 a factor of two in amplitude."""
@@ -45,6 +51,22 @@ class MachineKind:
     """The analysis of rigid axes, where it was made and they are rigid."""
 
 
+@dataclass(frozen=True)
+class Tried:
+    """What a fit of one kind came to: neither figure nor failure where it is no fit of that kind."""
+
+    missed: float | None = None
+    """Rms share of the torque that it misses on rows kept out."""
+    failure: str = ""
+    """Why there is no fit."""
+
+    def __str__(self) -> str:
+        """ "miss 3.0%"."""
+        if self.missed is None:
+            return f"are no fit ({self.failure})" if self.failure else "show no elasticity"
+        return f"miss {self.missed:.1%}"
+
+
 def machine_kind(
     recording: Recording, masses: Sequence[int] | str | None, chains: Callable[[], Begun], share: float = 1.0
 ) -> MachineKind:
@@ -55,61 +77,63 @@ def machine_kind(
     """
     wanted = recording.masses_per_axis if masses is None else masses
     if wanted is not None and not isinstance(wanted, str):
-        stated = replace(recording, masses_per_axis=tuple(wanted))
-        return MachineKind(all(n == 1 for n in wanted) and is_trajectory(stated))
-    experiments = recording.experiments
-    if any(e.period_samples and e.periods >= 2 for e in experiments):
+        return MachineKind(
+            max(wanted) == 1 and is_trajectory(replace(recording, masses_per_axis=tuple(wanted)))
+        )
+    if any(e.period_samples and e.periods >= 2 for e in recording.experiments):
         return MachineKind(rigid=False)
-    if all(e.kind is Kind.CONSTANT_VELOCITY for e in experiments):
+    if all(e.kind is Kind.CONSTANT_VELOCITY for e in recording.experiments):
         return MachineKind(rigid=True)
     is_moved = is_trajectory(recording)
-    if not is_moved and not any(e.kind is Kind.OTHER for e in experiments):
+    if not is_moved and not any(e.kind is Kind.OTHER for e in recording.experiments):
         return MachineKind(rigid=False)
-    try:
-        with budget.use_share(1.0 if is_moved else share):
-            found = analyse(recording)
-        missed = rigid_missed_share(found)
-        identify_trajectory(recording, analysis=found)  # an axis may not accelerate at all
-        # There may be time for more of it, but of a machine that is moved it had all there was.
-        analysis = None if found.is_cut_short and not is_moved else found
-    except InvidError:
-        analysis, missed = None, float("inf")
-    if is_moved and missed < RIGID_ENOUGH:
+    analysed = cache(partial(_analysed, recording))
+    with budget.use_share(1.0 if is_moved else share):
+        rigid = _tried(lambda: rigid_missed_share(analysed()))
+    is_moved = is_moved or (rigid.missed is not None and rigid.missed < MOSTLY_RIGID)
+    # There may be time for more of it, but of a machine that is moved it had all there was.
+    is_whole = rigid.missed is not None and (is_moved or not analysed().is_cut_short)
+    analysis = analysed() if is_whole else None
+    if is_moved and rigid.missed is not None and rigid.missed < RIGID_ENOUGH:
         return MachineKind(rigid=True, analysis=analysis)
-    tried, left = None, float("inf")
-    try:
-        with budget.use_share(max(share, TIME_TO_DOUBT) if is_moved else share):
-            tried = chains()
+    with budget.use_share(max(share, TIME_TO_DOUBT) if is_moved else share):
         # One mass an axis is no elasticity: rigid axes hold that, and the weight that changes with the pose.
-        if max(tried.sizes) > 1:
-            left = tried.missed
-    except (InvidError, np.linalg.LinAlgError):
-        pass
-    is_single = tried is not None and max(tried.sizes) == 1
+        elastic = _tried(lambda: begun.missed if max((begun := chains()).sizes) > 1 else None)
+    is_single = elastic == Tried()
     if is_single and FURTHER_MASSES in budget.left_out():
         # Nothing is concluded from orders that were not tried.
         said = "whether the machine is elastic is open: the budget ended before further masses were tried"
-        if is_moved:
-            return MachineKind(True, sentence=said, analysis=analysis)
-        return MachineKind(False, said)
-    if np.isinf(missed) and np.isinf(left):
-        return MachineKind(is_moved and tried is None)  # whoever fits it again says why
-    sentence = f"rigid axes miss {_share_text(missed)} of the torque on rows kept out, " + (
-        "and no elasticity shows" if is_single else f"chains {_share_text(left)}"
-    )
+        return MachineKind(is_moved, said, analysis if is_moved else None)
+    if rigid.missed is None and elastic.missed is None:
+        return MachineKind(is_moved and not is_single)  # whoever fits it again says why
+    sentence = f"of the torque on rows kept out rigid axes {rigid}, chains {elastic}"
     # The better one wins; of what is moved and not shaken only where it is so clearly.
-    if tried is not None and left < (CLEAR_RATIO if is_moved else 1.0) * missed:
-        sentence = f"taken for an elastic machine: {sentence}"
-        return MachineKind(False, sentence)
-    return MachineKind(True, sentence=f"taken for a rigid machine: {sentence}", analysis=analysis)
+    most = np.inf if rigid.missed is None else (CLEAR_RATIO if is_moved else 1.0) * rigid.missed
+    if elastic.missed is not None and elastic.missed < most:
+        return MachineKind(False, f"taken for an elastic machine: {sentence}")
+    return MachineKind(True, f"taken for a rigid machine: {sentence}", analysis)
+
+
+def _tried(fit: Callable[[], float | None]) -> Tried:
+    """What a fit came to that returns the share it misses."""
+    try:
+        return Tried(fit())
+    except (InvidError, np.linalg.LinAlgError) as error:
+        return Tried(failure=str(error))
+
+
+def _analysed(recording: Recording) -> Analysis:
+    """The analysis of rigid axes all of which accelerate, or stand."""
+    found = analyse(recording)
+    identify_trajectory(recording, analysis=found)
+    return found
 
 
 def is_of_rigid_axes(model: Model, recording: Recording) -> bool:
     """Return whether a recording is to be diagnosed as one of rigid axes with the given model."""
-    if max(model.chains.masses_per_branch) > 1:
-        return False
     periodic = any(e.period_samples and e.periods >= 2 for e in recording.experiments)
-    return is_trajectory(recording) or (model.method == TRAJECTORY and not periodic)
+    is_known = model.method == TRAJECTORY and not periodic
+    return max(model.chains.masses_per_branch) == 1 and (is_trajectory(recording) or is_known)
 
 
 def rigid_model(recording: Recording, kind: MachineKind) -> Model:
@@ -120,27 +144,27 @@ def rigid_model(recording: Recording, kind: MachineKind) -> Model:
     analysis = analyse(recording) if kind.analysis is None else kind.analysis
     model = identify_trajectory(recording, analysis=analysis)
     left, power = np.sum(_rigid_powers(analysis), axis=0)
-    warnings = [kind.sentence] if kind.sentence else []
+    said = ""
     if left > MISSED**2 * power:
-        share = float(np.sqrt(left / power))
-        sentence = f"the model misses {_share_text(share)} of the torque on rows kept out"
-        doubt = Doubt(DoubtCode.MISSED_TORQUE, sentence, {"share": share})
-        model, warnings = model.distrusted(doubt), [sentence, *warnings]
-    return replace(model, warnings=(*warnings, *model.warnings))
+        said = (
+            f"the model misses {(share := float(np.sqrt(left / power))):.1%} of the torque on rows kept out"
+        )
+        model = model.distrusted(Doubt(DoubtCode.MISSED_TORQUE, said, {"share": share}))
+    return replace(model, warnings=(*filter(None, (said, kind.sentence)), *model.warnings))
 
 
 def rigid_missed_share(analysis: Analysis) -> float:
-    """Rms share of the torque that rigid axes miss beyond noise on held-out rows, of the worst axis."""
+    """Rms share of the torque that rigid axes miss beyond noise on rows kept out, of the worst that moves.
+
+    One whose encoder flickers while it stands says nothing of the machine's kind.
+    """
     left, power = _rigid_powers(analysis).T
-    return float(np.sqrt(np.max(left / np.maximum(power, 1e-300))))
+    moves = analysis.reach.travel > 2.0 * np.max([m.blur for m in analysis.rows.motions], axis=0)
+    return float(np.sqrt(np.max(left / np.maximum(power, 1e-300), where=moves, initial=0.0)))
 
 
 def _rigid_powers(analysis: Analysis) -> Float64:
     """(M, 2) power that is missing on rows kept out, beyond noise, and that of the torque."""
-    rows, left = analysis.rows, analysis.final.held_out**2 - row_floor(analysis)
-    sums = [np.bincount(rows.axis[rows.judged], x[rows.judged], rows.axes) for x in (left, rows.torque**2)]
-    return np.maximum(np.stack(sums, axis=1), 0.0)
-
-
-def _share_text(missed: float) -> str:
-    return "all" if np.isinf(missed) else f"{missed:.1%}"
+    every = analysis.rows.every
+    left = missed_by(analysis.rows, analysis.final) ** 2 - noise_powers(analysis.rows, analysis.final)
+    return np.maximum(np.stack([left, axis_powers(every, every.judged, every.torque)], axis=1), 0.0)

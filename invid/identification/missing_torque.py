@@ -16,39 +16,34 @@ LOUD = 10.0
 
 @dataclass(frozen=True, eq=False)
 class AxisMissing:
-    """Rms of missing torque (M,) and what the sensors alone would leave (M,) [N·m]."""
+    """Rms of missing torque, of what the sensors alone would leave, and of the torque, (M,) each [N·m]."""
 
     missing: Float64
     floor: Float64
+    torque: Float64
 
 
 def axis_missing(found: Supposed) -> AxisMissing:
     """On the records kept out, else on those fitted: rms over the informative lines, on which torque stands
-    above the sensors, and not those where the plant multiplies the encoders' noise."""
+    above the sensors, and not those where the plant multiplies the encoders' noise; torque over all."""
     value: Value = found.kept_value or found.fit.value
-    motors = found.hypothesis.structure.motors
-    power, floor, count = np.zeros(motors), np.zeros(motors), 0
+    sums, count = np.zeros((3, found.hypothesis.structure.motors)), 0
     for k, work in enumerate(value.work):
         stack = work.stack
-        stiffness = work.condensed.stiffness
-        sensors = (np.abs(stiffness) ** 2 * work.position_noise).sum(axis=2) + work.torque_noise
-        torque = (np.abs(stack.parts.sum(axis=0)) ** 2).mean(axis=(0, 1))
-        use = (sensors < torque) & (sensors <= LOUD * np.median(sensors, axis=0))
-        use = use * stack.weight[:, None]
-        power += ((np.abs(missing_torque(value, k)) ** 2) * use).sum(axis=(0, 1)) / 2.0
-        floor += stack.count * (sensors * use).sum(axis=0) / 2.0
+        sensors = (np.abs(work.condensed.stiffness) ** 2 * work.position_noise).sum(
+            axis=2
+        ) + work.torque_noise
+        torque, weight = np.abs(stack.parts.sum(axis=0)) ** 2, stack.weight[:, None]
+        use = (sensors < torque.mean(axis=(0, 1))) & (sensors <= LOUD * np.median(sensors, axis=0))
+        sums[0] += ((np.abs(missing_torque(value, k)) ** 2) * (use * weight)).sum(axis=(0, 1))
+        sums[1] += stack.count * (sensors * use * weight).sum(axis=0)
+        sums[2] += (torque * weight).sum(axis=(0, 1))
         count += stack.count
-    return AxisMissing(np.sqrt(power / count), np.sqrt(floor / count))
+    return AxisMissing(*np.sqrt(sums / (2.0 * count)))
 
 
 def missed_share(found: Supposed) -> float:
     """Rms share of the torque that is missing beyond the sensors' noise, of the worst axis."""
-    value = found.kept_value or found.fit.value
     at = axis_missing(found)
-    power = [
-        (np.abs(w.stack.parts.sum(axis=0)) ** 2 * w.stack.weight[:, None]).sum(axis=(0, 1)) / 2.0
-        for w in value.work
-    ]
-    torque = np.sum(power, axis=0) / sum(w.stack.count for w in value.work)
-    left = np.maximum(at.missing**2 - at.floor**2, 0.0) / np.maximum(torque, 1e-300)
+    left = np.maximum(at.missing**2 - at.floor**2, 0.0) / np.maximum(at.torque**2, 1e-300)
     return float(np.sqrt(left.max()))

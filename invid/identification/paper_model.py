@@ -68,6 +68,6 @@ def _rows(readings: Readings, work: StackWork) -> tuple[Float64, int]:
     torque = (stiffness @ work.stack.position[..., None])[..., 0]
     slopes = work.whitener @ stiffness @ readings.motion_slopes(omega, torque)
     rows = real_rows(np.where((work.turning > 0)[:, None, None], slopes, 0.0))
-    rows = rows - work.ends @ (work.ends.T @ rows)
+    rows = work.ends.out_of(rows)
     whole = np.concatenate((rows, -work.laws), axis=2)
     return whole.reshape(-1, whole.shape[2]), rows.shape[2]

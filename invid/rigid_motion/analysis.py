@@ -8,24 +8,24 @@ import numpy as np
 
 from invid.effects.supposed.law import SupposedLaw
 from invid.errors import NotIdentifiableError
-from invid.likelihood.unknown_forces.worth import PRICE, pays
+from invid.likelihood.unknown_forces.price import pays, price
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 from invid.rigid_motion.fit import (
-    RESOLUTION,
     Fit,
     axis_powers,
     falls,
     fit_terms,
     load_terms,
-    noise_of,
+    missing_powers,
+    missing_torque,
     settled,
 )
 from invid.rigid_motion.memory import with_memory
 from invid.rigid_motion.record_kind import grounded_axes
 from invid.rigid_motion.rows import Rows, colour_of
-from invid.rigid_motion.search import search
+from invid.rigid_motion.search import search, without_harm
 from invid.rigid_motion.smooth_law import add_laws, any_law, without_wrong_laws
 from invid.rigid_motion.terms import (
     COGGING,
@@ -37,7 +37,7 @@ from invid.rigid_motion.terms import (
     extent,
     first_terms,
 )
-from invid.signals.motion_record import Band, find_band, prepare_rows
+from invid.signals.motion_record import Band, motions_of
 
 NEARLY_ALL = 0.1
 """Share of what is missing beyond noise that a delay may leave: in closed loop anything else that is missing
@@ -68,8 +68,7 @@ def analyse(recording: Recording) -> Analysis:
     NotIdentifiableError
         Where nothing moves enough for any row.
     """
-    band = find_band(recording.experiments)
-    motions = [prepare_rows(e, band) for e in recording.experiments]
+    motions = motions_of(recording)
     if sum(int(m.keep.sum()) for m in motions) < 12:
         raise NotIdentifiableError(
             f"{recording.source}: the axes move in too little of the record (fewer than 12 rows); record "
@@ -93,10 +92,13 @@ def analyse(recording: Recording) -> Analysis:
             final, is_cut = search(rows, settled_offsets.terms, candidates)
     final = add_laws(rows, without_wrong_laws(rows, final))
     if not reach.steady:
-        rows, final = with_memory(rows, final, candidates, late)
+        rows, final = with_memory(rows, final, candidates)
+    final = without_harm(rows, final)
     loads = [t for t in load_terms(rows, final) if all(t.label != n.label for n in final.terms)]
     rigid = fit_terms(rows, [t for t in final.terms if t.is_base])
-    return Analysis(recording, band, rows, reach, springs, [*candidates, *loads], rigid, final, is_cut)
+    return Analysis(
+        recording, motions[0].band, rows, reach, springs, [*candidates, *loads], rigid, final, is_cut
+    )
 
 
 def _is_of_fullest(term: Term) -> bool:
@@ -127,19 +129,15 @@ def _with_delays(rows: Rows, current: Fit) -> Fit:
         if abs(value[0]) <= step + 2 * std[0] and not is_lost:
             continue
         bare = settled(rows, [t for t in current.terms if t is not term])
-        is_sure = not is_lost and pays(*falls(rows, bare, current), 1, PRICE)
-        if is_sure and _explains_most(rows, bare, current) and _is_late_in_motion(rows, current, term, step):
+        is_sure = not is_lost and pays(*falls(bare, current), price())
+        before, after = (float(missing_powers(rows, f).sum()) for f in (bare, current))
+        is_most = after < NEARLY_ALL * before
+        if is_sure and is_most and _is_late_in_motion(rows, current, term, step):
             terms = [replace(t, law=Base.DELAY) if t is term else t for t in current.terms]
             current = settled(rows, terms)
         else:
             current = bare
     return current
-
-
-def _explains_most(rows: Rows, bare: Fit, current: Fit) -> bool:
-    noise = float(np.sum(rows.noise[rows.judged]))
-    before, after = (float(np.sum(f.held_out[rows.judged] ** 2)) for f in (bare, current))
-    return after - noise < NEARLY_ALL * (before - noise)
 
 
 def _is_late_in_motion(rows: Rows, current: Fit, term: Term, step: float) -> bool:
@@ -159,30 +157,7 @@ def _is_late_in_motion(rows: Rows, current: Fit, term: Term, step: float) -> boo
     return bool(abs(value[0]) > step + 3 * std[0])
 
 
-def row_floor(analysis: Analysis) -> Float64:
-    """(rows,) variance that white noise of torque and position alone leaves in each row."""
-    return noise_of(analysis.rows, analysis.final)
-
-
-def sampling_error(analysis: Analysis) -> Float64:
-    """(M,) largest rms torque that sampling leaves on a machine without a cause, beside its sensors'
-    noise."""
-    rows, floor = analysis.rows, row_floor(analysis)
-    noise, torque = (np.sqrt(axis_powers(rows, rows.judged, x)) for x in (np.sqrt(floor), rows.torque))
-    out: Float64 = np.maximum(RESOLUTION * torque, np.hypot(noise, quantisation_error(analysis)))
-    return out
-
-
-def quantisation_error(analysis: Analysis) -> Float64:
-    """(M,) largest rms torque that the counts of the encoder leave in the rows.
-
-    At a constant speed the rounding is no white noise but a tone, at whatever frequency the sampling aliases
-    it to: at worst all of it, count²/12, at the cut-off.
-    """
-    count: Float64 = np.max([m.counts for m in analysis.rows.motions], axis=0)
-    most = np.zeros_like(count)
-    for term in analysis.final.terms:
-        if term.law is Base.INERTIA:
-            bent = (2 * np.pi * analysis.band.rows_hz[term.axis]) ** 2 * count[term.axis] / np.sqrt(12.0)
-            most[term.axis] = abs(float(analysis.final.of(term)[0][0])) * bent
-    return most
+def missed_by(rows: Rows, result: Fit) -> Float64:
+    """(M,) rms torque that each axis misses in every row kept out."""
+    every = rows.every
+    return np.sqrt(axis_powers(every, every.judged, missing_torque(rows, result)))

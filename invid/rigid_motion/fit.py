@@ -11,9 +11,9 @@ import scipy
 from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.value import bounded_minimum
-from invid.numerics.arrays import Bool, Float64
+from invid.numerics.arrays import Bool, Float64, Int64
 from invid.rigid_motion.rows import Rows
-from invid.rigid_motion.terms import GRAVITY, LOADS, Base, Term, load_on
+from invid.rigid_motion.terms import GRAVITY, LOADS, Base, Term, load_on, torque_of
 
 FALSE_ALARM = 0.01
 """Chance that noise alone passes for something on an axis (statistical)."""
@@ -26,11 +26,17 @@ ROUNDS = 4
 """Times that the unknown force is estimated beside the terms, which settles it (numerical)."""
 LEAST_PIECES = 3
 """Pieces from which on one may be left out (statistical)."""
+DRAWS = 4000
+"""Draws of signs in a test (numerical: a chance of 0.1 is told to 0.005)."""
 RIDGE = 1e-11
 """Of columns of unit length (numerical)."""
 LEAST_VARIATION = 0.1
 """Spread of |load| over its mean below which it counts as constant. Physical: |load|·sign(v) is then Coulomb
 friction to a tenth."""
+
+
+Folds = list[tuple[Int64, Float64]]
+"""Pieces that go out together, and the coefficients of the fit to the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +54,9 @@ class Fit:
     covariance: Float64
     residual: Float64
     held_out: Float64
+    folds: Folds
     strength: Float64
     """(M,) of the unknown force."""
-    effective: float
-    """Independent rows behind the training rows."""
     fitted: float
     kept: float
     """−2 ln L of the rows fitted and of rows kept out, where what is in no term may be another."""
@@ -64,6 +69,11 @@ class Fit:
                 return slice(start, start + len(t.low))
             start += len(t.low)
         raise KeyError(term.cause)
+
+    @property
+    def parts(self) -> list[tuple[Term, Float64]]:
+        """Every term with its coefficients."""
+        return [(t, self.value[self.span(t)]) for t in self.terms]
 
     def of(self, term: Term) -> tuple[Float64, Float64]:
         """Coefficients of one term and their standard deviations."""
@@ -93,15 +103,17 @@ def fit_terms(rows: Rows, terms: list[Term]) -> Fit:
         normal, right = a[train].T @ a[train], a[train].T @ b[train]
         scaled, free = bounded_minimum(normal, -right, (low * size, np.full(low.size, np.inf)))
         residual = torque - matrix @ (scaled / size)
-    held_out = residual.copy()
     ridged = (normal + RIDGE * np.eye(low.size))[np.ix_(free, free)]
     known = b - a[:, ~free] @ scaled[~free]
-    for fold in _folds(rows):
+    folds = []
+    for groups in _folds(rows):
+        fold = train & np.isin(rows.group, groups)
         own = a[fold][:, free]
         left = a[train][:, free].T @ known[train] - own.T @ known[fold]
         full = scaled.copy()
         full[free] = scipy.linalg.solve(ridged - own.T @ own, left, assume_a="sym")
-        held_out[fold] = torque[fold] - matrix[fold] @ (full / size)
+        folds.append((groups, full / size))
+    held_out = unseen(rows, terms, scaled / size, folds)
     strength = np.sqrt(np.maximum(axis_powers(rows, train, residual), 1e-300))
     return Fit(
         terms,
@@ -110,8 +122,8 @@ def fit_terms(rows: Rows, terms: list[Term]) -> Fit:
         covariance_of(rows, matrix, strength),
         residual,
         held_out,
+        folds,
         strength,
-        float(rows.independent.sum()),
         _total(rows, train, residual),
         _total(rows, rows.judged, held_out),
     )
@@ -124,28 +136,57 @@ def _total(rows: Rows, asked: Bool, left: Float64) -> float:
     return float(counts @ np.log(np.maximum(power, 1e-300)))
 
 
-def _folds(rows: Rows) -> list[Bool]:
+def _folds(rows: Rows) -> list[Int64]:
     numbers = np.unique(rows.group[rows.train])
-    if numbers.size < 3:
-        return []
-    return [rows.train & np.isin(rows.group, s) for s in np.array_split(numbers, min(FOLDS, numbers.size))]
+    return [] if numbers.size < LEAST_PIECES else np.array_split(numbers, min(FOLDS, numbers.size))
 
 
-def falls(rows: Rows, before: Fit, after: Fit) -> tuple[float, float]:
-    """Falls of −2 ln L on the rows fitted and on rows kept out, the unknown force as strong as either shows.
+def unseen(rows: Rows, terms: list[Term], value: Float64, folds: Folds) -> Float64:
+    """(rows,) residual of each row by coefficients that have not seen it: of ``folds``, else ``value``."""
+    matrix = rows.matrix(terms)
+    out: Float64 = rows.torque - matrix @ value
+    for groups, known in folds:
+        own = rows.train & np.isin(rows.group, groups)
+        out[own] = rows.torque[own] - matrix[own] @ known
+    return out
 
-    The piece that gains most is left out: what stands on it alone is an event, not a cause.
+
+def missing_torque(rows: Rows, result: Fit) -> Float64:
+    """(every row,) torque that the measured motion needs beyond a fit that has not seen it.
+
+    Where an axis stands its dry friction may be anything between what it is either way: of that nothing is
+    missing.
     """
-    out = []
-    for asked, kind in ((rows.train, "residual"), (rows.judged, "held_out")):
-        left = [rows.colour.whitened(rows, getattr(f, kind))[asked] ** 2 for f in (before, after)]
-        pieces = np.unique(rows.group[asked], return_inverse=True)[1]
-        gains = np.bincount(pieces, (left[0] - left[1]) / after.strength[rows.axis[asked]] ** 2)
-        kept = pieces != np.argmax(gains) if gains.size > LEAST_PIECES else np.ones(pieces.size, dtype=bool)
-        axis = rows.axis[asked][kept]
-        sums = [np.maximum(np.bincount(axis, x[kept], rows.axes), 1e-300) for x in left]
-        out.append(float(np.bincount(axis, minlength=rows.axes) @ np.log(sums[0] / sums[1])))
-    return out[0], out[1]
+    least, most = [], []
+    for m in rows.motions:
+        speed = np.maximum(np.abs(m.velocity), 2.0 * m.rest)
+        told, *ends = (
+            torque_of(result.parts, replace(m, velocity=v))
+            for v in (m.velocity, *(np.where(m.still, way * speed, m.velocity) for way in (-1.0, 1.0)))
+        )
+        least.append(m.whole().rows(np.min(ends, axis=0) - told))
+        most.append(m.whole().rows(np.max(ends, axis=0) - told))
+    every = rows.every
+    left = unseen(every, result.terms, result.value, result.folds)
+    return left - np.clip(left, every.stack(least), every.stack(most))
+
+
+def falls(before: Fit, after: Fit) -> tuple[float, float]:
+    """Falls of −2 ln L on rows fitted and on rows kept out, the unknown force as strong as either shows."""
+    return before.fitted - after.fitted, before.kept - after.kept
+
+
+def chance_of_gain(rows: Rows, left: tuple[Float64, Float64], axis: int) -> float:
+    """Chance that pieces kept out gain as much on an axis without any cause: that gains of these sizes and of
+    either sign sum up to as much (randomisation test, which one large gain does not decide).
+
+    ``left`` (rows,): what is missing before and after.
+    """
+    mine = rows.judged & (rows.axis == axis)
+    pieces = np.unique(rows.group[mine], return_inverse=True)[1]
+    gains = np.bincount(pieces, left[0][mine] ** 2 - left[1][mine] ** 2)
+    signs = np.random.default_rng(0).choice((-1.0, 1.0), (DRAWS, gains.size))
+    return float(np.mean(signs @ np.abs(gains) >= gains.sum() * (1.0 - 1e-9)))
 
 
 def axis_powers(rows: Rows, asked: Bool, x: Float64) -> Float64:
@@ -155,25 +196,39 @@ def axis_powers(rows: Rows, asked: Bool, x: Float64) -> Float64:
     return out
 
 
-def noise_of(rows: Rows, result: Fit) -> Float64:
-    """(rows,) variance that white noise of torque and position alone leaves in each row."""
-    variance = rows.noise.copy()
+def noise_powers(rows: Rows, result: Fit, *, at_worst: bool = False) -> Float64:
+    """(M,) mean square that white noise of torque and position leaves in rows kept out.
+
+    ``at_worst``: with the counts of the encoder. At a constant speed rounding is no white noise but a tone,
+    wherever the sampling aliases it to: at worst all of it, count²/12, at the cut-off.
+    """
+    band, counts = rows.motions[0].band, np.max([m.counts for m in rows.motions], axis=0)
+    worst = (2 * np.pi * band.rows_hz) ** 4 * counts**2 / 12.0
+    felt = band.accelerating() + (worst if at_worst else 0.0)
+    power = axis_powers(rows, rows.judged, np.sqrt(rows.noise))
     for term in result.terms:
         if term.law is Base.INERTIA:
-            mass = float(result.of(term)[0][0])
-            own = rows.axis == term.axis
-            variance[own] += mass**2 * float(rows.motions[0].band.accelerating()[term.axis])
-    return variance
+            power[term.axis] += float(result.of(term)[0][0]) ** 2 * felt[term.axis]
+    return power
 
 
-def axes_at_noise(rows: Rows, result: Fit) -> Bool:
-    """(M,) axes whose unseen rows hold no more than noise or sampling leaves: nothing is asked there."""
+def axes_at_noise(rows: Rows, result: Fit, left: Float64 | None = None) -> Bool:
+    """(M,) axes whose rows kept out hold no more than noise, counts and sampling leave: all is said.
+
+    ``left`` (rows,): what the rows hold, where it is not the fit's own.
+    """
     count = np.maximum(rows.independent, 1.0)
-    most = scipy.stats.chi2.isf(FALSE_ALARM, count) / count
-    floor = axis_powers(rows, rows.judged, np.sqrt(noise_of(rows, result)))
+    most = scipy.stats.chi2.isf(FALSE_ALARM, count) / count * noise_powers(rows, result, at_worst=True)
     sampled = RESOLUTION**2 * axis_powers(rows, rows.judged, rows.torque)
-    quiet: Bool = axis_powers(rows, rows.judged, result.held_out) <= np.maximum(most * floor, sampled)
+    quiet: Bool = axis_powers(rows, rows.judged, result.held_out if left is None else left) <= np.maximum(
+        most, sampled
+    )
     return quiet
+
+
+def missing_powers(rows: Rows, result: Fit) -> Float64:
+    """(M,) power that rows kept out miss beyond noise."""
+    return axis_powers(rows, rows.judged, result.held_out) - noise_powers(rows, result)
 
 
 def load_terms(rows: Rows, current: Fit) -> list[Term]:

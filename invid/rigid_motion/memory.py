@@ -12,12 +12,11 @@ import numpy as np
 
 from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.worth import NUMBER, PRICE_OF_FRICTION, pays
+from invid.likelihood.unknown_forces.price import NUMBER, PARTS, pays, price_at_motors
 from invid.numerics import budget
-from invid.numerics.arrays import Float64
-from invid.rigid_motion.fit import Fit, axis_powers, falls, fit_terms, settled
+from invid.rigid_motion.fit import Fit, chance_of_gain, falls, fit_terms, settled, unseen
 from invid.rigid_motion.rows import Rows, colour_of
-from invid.rigid_motion.search import BY_WAY, LEAST_GAIN, OF_LOOKING, reshaped, without_idle
+from invid.rigid_motion.search import BY_WAY, MOST_CHANCE, reshaped, without_idle
 from invid.rigid_motion.terms import HELD, PRESLIDING, RISE, Term
 
 YIELDS, LARGEST = 16, 0.1
@@ -25,7 +24,7 @@ YIELDS, LARGEST = 16, 0.1
 farther is a spring (empirical)."""
 
 
-def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term], late: Float64) -> tuple[Rows, Fit]:
+def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term]) -> tuple[Rows, Fit]:
     """Every row and the fit with memory in the dry friction of axes where that pays; else as given.
 
     Two elements in parallel at most, one that slides at once and one after a travel: generalised Maxwell slip
@@ -33,10 +32,9 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term], late: Float6
     """
     if not all(np.isfinite(m.blur).all() for m in rows.motions):
         return rows, final  # of a velocity alone no place is known
-    whole = Rows([m.whole() for m in rows.motions])
-    whole.bend(late)
+    whole = rows.every
+    whole.set_colour(colour_of(whole, settled(whole, final.terms).residual))
     current = settled(whole, final.terms)
-    whole.set_colour(colour_of(whole, current.residual))
     found = False
     for axis in range(rows.axes):
         if budget.is_left_out("friction with a memory"):
@@ -44,7 +42,13 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term], late: Float6
         better = _on_axis(whole, current, axis)
         if better is not None:
             current, found = better, True
-    return (whole, without_idle(whole, current, candidates)) if found else (rows, final)
+    if not found:
+        return rows, final
+    current = without_idle(whole, current, candidates)
+    left = unseen(whole, final.terms, final.value, final.folds), current.held_out
+    moved = {t.axis for t in {*current.terms} ^ {*final.terms}}
+    is_better = all(chance_of_gain(whole, left, axis) < MOST_CHANCE for axis in moved)
+    return (whole, current) if is_better else (rows, final)
 
 
 def _on_axis(rows: Rows, current: Fit, axis: int) -> Fit | None:
@@ -63,9 +67,7 @@ def _on_axis(rows: Rows, current: Fit, axis: int) -> Fit | None:
         return None
     terms = min(trials, key=lambda t: t.fitted + NUMBER * t.numbers).terms
     best = settled(rows, reshaped(rows, terms, terms[-1], ()) if terms[-1].shape else terms)
-    old, new = (axis_powers(rows, rows.judged, f.held_out)[axis] for f in (current, best))
     more = best.numbers - current.numbers
     # One law for another brings no number, and has but to be the likelier one.
-    price = NUMBER if more <= 0 else PRICE_OF_FRICTION + OF_LOOKING * float(np.log(len(options)))
-    is_better = pays(*falls(rows, current, best), max(more, 1), price)
-    return best if is_better and new < (1.0 - LEAST_GAIN) * old else None
+    least = NUMBER if more <= 0 else price_at_motors(PARTS * len(options), more)
+    return best if pays(*falls(current, best), least) else None

@@ -110,7 +110,11 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
             for c in causes_of(final.terms)
         ),
         warnings=tuple(warnings),
-        fit={**facts, "rows": int(a.rows.torque.size), "independent_rows": round(final.effective, 1)},
+        fit={
+            **facts,
+            "rows": int(a.rows.torque.size),
+            "independent_rows": round(float(a.rows.independent.sum()), 1),
+        },
         provenance={"recording": recording.source, "model_of": "rigid body with gravity and friction"},
     )
 
@@ -128,20 +132,23 @@ def _hidden_inertia_std(a: Analysis, axis: int) -> float:
 
 
 def _warnings(a: Analysis) -> list[str]:
-    found = []
-    if not a.rows.has_validation:
-        found.append(
+    cutoffs = ", ".join(f"{f:.3g}" for f in a.band.rows_hz)
+    sources = [e.attributes.get("position_source") for e in a.recording.experiments]
+    said = (
+        (
+            not a.rows.has_validation,
             "the recording names no validation data: whole pieces (or constant-speed records) were kept out "
-            "in turn"
-        )
-    if any(e.attributes.get("position_source") == "integrated_velocity" for e in a.recording.experiments):
-        found.append(
-            "position is the integral of a measured velocity: causes that depend on position were weak"
-        )
-    if not a.reach.steady:
-        cutoffs = ", ".join(f"{f:.3g}" for f in a.band.rows_hz)
-        found.append(
-            f"residuals are judged below {cutoffs} Hz; the noise floor is read from the upper quarter of the "
-            f"spectra and taken as white"
-        )
-    return found
+            "in turn",
+        ),
+        (
+            "integrated_velocity" in sources,
+            "position is the integral of a measured velocity: causes that depend on position were weak",
+        ),
+        (
+            not a.reach.steady,
+            f"residuals are those of every row kept out, below {cutoffs} Hz; what dry friction may take up "
+            "while an axis stands or turns is not missing; the noise floor is read from the upper quarter of "
+            "the spectra and taken as white",
+        ),
+    )
+    return [sentence for is_so, sentence in said if is_so]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -43,9 +44,9 @@ class Rows:
             far = [np.broadcast_to(m.far, (m.far.shape[0], self.axes)) for m in motions if m.role == role]
             whole |= np.concatenate(far).mean(axis=0) < ENOUGH
         self._chosen: Bool = _stacked([m.far | whole for m in motions])
-        self.torque = self._stack([m.rows(m.torque) for m in motions])
-        self.noise = self._stack([m.row_noise for m in motions])
-        self.far = self._stack([m.far for m in motions])
+        self.torque = self.stack([m.rows(m.torque) for m in motions])
+        self.noise = self.stack([m.row_noise for m in motions])
+        self.far = self.stack([m.far for m in motions])
         self.axis: Int64 = self._spread([np.arange(self.axes)] * len(motions))
         roles: list[Bool] = [np.full(self.axes, m.role == "validate") for m in motions]
         self.validate = self._spread(roles)
@@ -53,6 +54,7 @@ class Rows:
         self.train = ~self.validate if self.has_validation else np.ones(self.validate.size, dtype=bool)
         self.group, self.gap = self._places()
         self.step = float(np.median([m.row_step for m in motions]))
+        self.late = np.zeros(self.axes)
         self.set_colour(Colour(np.full(self.axes, self.step), np.ones(self.axes)))
 
     @property
@@ -69,18 +71,25 @@ class Rows:
         """Take what is in no term for correlated like this."""
         self.colour, self.independent = colour, colour.independent(self)
 
+    @cached_property
+    def every(self) -> Rows:
+        """The same with every row, standing and reversing ones too."""
+        every = Rows([m.whole() for m in self.motions])
+        every.bend(self.late)
+        return every
+
     def bend(self, late: Float64) -> None:
         """Second order of each axis's time offset: τ(t − δ) = τ − δ τ̇ + ½ δ² τ̈, the first being a term.
 
         At a hundredth of a second between samples and motion of 4 Hz it is a per cent of the torque.
         """
         parts = [m.rows(0.5 * late**2 * m.torque_bend) for m in self.motions]
-        second: Float64 = self._stack(parts)
-        self.torque = self.torque + second
+        second: Float64 = self.stack(parts)
+        self.torque, self.late = self.torque + second, late
 
     def on_axis(self, rows: list[Float64], axis: int) -> Float64:
         """What every motion has in its kept rows, (rows, M) each, in the order of this axis's rows."""
-        mine: Float64 = self._stack(rows)[self.axis == axis]
+        mine: Float64 = self.stack(rows)[self.axis == axis]
         return mine
 
     def columns(self, term: Term) -> Float64:
@@ -96,26 +105,27 @@ class Rows:
         none = np.zeros((self.torque.size, 0))
         return np.concatenate([none, *(self.columns(t) for t in terms)], axis=1)
 
-    def _stack(self, rows: list[NDArray[_T]]) -> NDArray[_T]:
+    def stack(self, rows: list[NDArray[_T]]) -> NDArray[_T]:
+        """What every motion has in its kept rows, (rows, M) each, in the order of these rows."""
         chosen: NDArray[_T] = _stacked(rows)[self._chosen]
         return chosen
 
     def _spread(self, of_axes: list[NDArray[_T]]) -> NDArray[_T]:
         counts = [int(m.keep.sum()) for m in self.motions]
-        return self._stack([np.tile(one, (n, 1)) for one, n in zip(of_axes, counts, strict=True)])
+        return self.stack([np.tile(one, (n, 1)) for one, n in zip(of_axes, counts, strict=True)])
 
     def _places(self) -> tuple[Int64, Float64]:
         groups, times, start = [], [], 0
         for number, m in enumerate(self.motions):
             at = np.flatnonzero(m.keep)
-            pieces = np.arange(at.size) * (1 if m.steady else PIECES) // max(at.size, 1)
+            pieces = at * PIECES // m.keep.size
             groups.append(np.tile((start + pieces)[:, None], self.axes))
             times.append(np.tile(at[:, None] * m.row_step, self.axes) + 1e12 * number)
-            start += int(pieces.max(initial=0)) + 1
-        time = self._stack(times)
+            start += PIECES
+        time = self.stack(times)
         gap = np.diff(time, prepend=-np.inf)
         new = (np.diff(self.axis, prepend=-1) != 0) | (gap < 0) | (gap > 1e11)
-        return self._stack(groups), np.where(new, np.inf, gap)
+        return self.stack(groups), np.where(new, np.inf, gap)
 
 
 def _stacked(rows: list[NDArray[_T]]) -> NDArray[_T]:

@@ -10,9 +10,19 @@ import numpy as np
 import scipy
 
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.worth import NUMBER, PRICE_OF_FRICTION, pays
+from invid.likelihood.unknown_forces.price import NUMBER, PARTS, pays, price_at_motors
 from invid.numerics import budget
-from invid.rigid_motion.fit import Fit, axes_at_noise, axis_powers, falls, fit_terms, load_terms, settled
+from invid.rigid_motion.fit import (
+    Fit,
+    axes_at_noise,
+    axis_powers,
+    chance_of_gain,
+    falls,
+    fit_terms,
+    load_terms,
+    missing_torque,
+    settled,
+)
 from invid.rigid_motion.rows import Rows
 from invid.rigid_motion.terms import (
     ANY_BEND,
@@ -34,12 +44,11 @@ NEIGHBOUR, ABOVE = 0.5, 0.1
 """Logarithms by which a shape may lie below and above the best of its grid (numerical)."""
 ALIKE = 1e-4
 """Share of a law's power that nothing else explains, below which it is none of its own, as for chains."""
-OF_LOOKING = 4.0
-"""Price of a logarithm of the number of shapes that were looked at: two on the rows of either role
-(statistical)."""
 LEAST_GAIN = 0.1
 """Least share of the power that rows kept out miss on an axis that a cause takes. Empirical: on measured axes
 the rigid model itself is wrong by some per cent of it in ways that any smooth law absorbs."""
+MOST_CHANCE = 0.1
+"""Chance up to which a gain counts as one (statistical: each cause has paid a price before)."""
 CHOSEN = (Base.CONFIGURATION, Base.CARRIED)
 """Parts of the base that stay only where they pay."""
 FRICTION = (Part.DRY, Part.VISCOUS, Part.OFFSET)
@@ -55,11 +64,12 @@ class Cause:
     terms: tuple[Term, ...]
 
 
-def causes_of(terms: Sequence[Term]) -> list[Cause]:
-    """The causes that terms are: dry friction with its rise is one, and all friction by direction."""
+def causes_of(terms: Sequence[Term], *parts_of_base: Base) -> list[Cause]:
+    """The causes that terms are: dry friction with its rise is one, and all friction by direction; with them
+    some parts of the base."""
     out = []
     for axis in sorted({t.axis for t in terms}):
-        here = [t for t in terms if t.axis == axis and not t.is_base]
+        here = [t for t in terms if t.axis == axis and (not t.is_base or t.law in parts_of_base)]
         heads = [t for t in here if t.law in BY_WAY] or [t for t in here if t.law is RISE]
         if heads:
             parts = FRICTION if heads[0].law in BY_WAY else (Part.DRY,)
@@ -120,9 +130,7 @@ def best_law(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit | None
         if trial.free[trial.span(trial.terms[-1])].any() and _pays(
             rows, trial.terms[-1], candidates, (current, trial)
         ):
-            trials.append(
-                (sum(falls(rows, current, trial)) - NUMBER * (trial.numbers - current.numbers), trial)
-            )
+            trials.append((sum(falls(current, trial)) - NUMBER * (trial.numbers - current.numbers), trial))
     return max(trials, key=lambda t: t[0])[1] if trials else None
 
 
@@ -200,7 +208,7 @@ def without_idle(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit:
         for term in [t for t in current.terms if not t.is_base or t.law in CHOSEN]:
             simpler = settled(rows, _less(current.terms, term))
             if not _pays(rows, term, candidates, (simpler, current)):
-                idle.append((sum(falls(rows, simpler, current)), simpler))
+                idle.append((sum(falls(simpler, current)), simpler))
         if not idle:
             break
         current = min(idle, key=lambda i: i[0])[1]
@@ -224,7 +232,6 @@ def _pays(rows: Rows, term: Term, candidates: Sequence[Term], fits: tuple[Fit, F
     before."""
     before, after = fits
     looked = max(sum(t.label == term.label for t in candidates), 1)
-    price = PRICE_OF_FRICTION + OF_LOOKING * float(np.log(looked))
     befores, mine = [before], term.axes
     if term.law is BEND and not any(t.law is BY_DIRECTION and t.axis == term.axis for t in before.terms):
         # What bends towards less friction alike both ways has no name; it is no asymmetry either.
@@ -233,9 +240,25 @@ def _pays(rows: Rows, term: Term, candidates: Sequence[Term], fits: tuple[Fit, F
     new = axis_powers(rows, rows.judged, after.held_out)[mine]
     return all(
         bool((new < (1.0 - LEAST_GAIN) * axis_powers(rows, rows.judged, less.held_out)[mine]).any())
-        and pays(*falls(rows, less, after), max(after.numbers - less.numbers, 1), price)
+        and pays(*falls(less, after), price_at_motors(PARTS * looked, max(after.numbers - less.numbers, 1)))
         for less in befores
     )
+
+
+def without_harm(rows: Rows, current: Fit) -> Fit:
+    """The fit without causes that do not lower what every row kept out misses beyond the chance of it, the
+    least first."""
+    while not rows.steady and (causes := causes_of(current.terms, *CHOSEN)):
+        after, trials = missing_torque(rows, current), []
+        for cause in causes:
+            fewer = without(rows, current, cause)
+            left = missing_torque(rows, fewer), after
+            trials.append((chance_of_gain(rows.every, left, cause.terms[0].axis), fewer))
+        chance, fewer = max(trials, key=lambda t: t[0])
+        if chance < MOST_CHANCE or budget.is_left_out("causes that help no row kept out"):
+            break
+        current = fewer
+    return current
 
 
 def without(rows: Rows, current: Fit, cause: Cause) -> Fit:

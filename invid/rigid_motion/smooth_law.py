@@ -9,11 +9,11 @@ from invid.effects.motion_effect import OF_RATE
 from invid.effects.registry import BY_CAUSE
 from invid.effects.supposed.of_effect import SmoothLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
-from invid.likelihood.unknown_forces.worth import NUMBER, pays
+from invid.likelihood.unknown_forces.price import NUMBER, pays, price
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.numerics.smooth_parts import smooth_parts
-from invid.rigid_motion.fit import Fit, axes_at_noise, axis_powers, falls, fit_terms, noise_of, settled
+from invid.rigid_motion.fit import Fit, axes_at_noise, falls, fit_terms, missing_powers, settled
 from invid.rigid_motion.rows import Rows
 from invid.rigid_motion.terms import Base, Term
 
@@ -48,7 +48,11 @@ def law_fits(rows: Rows, current: Fit, axis: int, quantities: tuple[str, str]) -
     """The fits with a law over one quantity or two instead of what may stand for a part of it, alone and with
     dry friction beside it, which jumps."""
     over = quantities[0]
-    kept = [t for t in current.terms if t.axis != axis or not _is_alike(t, over)]
+    kept = [
+        t
+        for t in current.terms
+        if t.axis != axis or isinstance(t.law, Base) or not is_like_law(BY_CAUSE[t.cause], over)
+    ]
     offset, moves = Term(Base.TIME_OFFSET, axis), any(t.label == (Base.INERTIA, axis, None) for t in kept)
     if moves and not any(t.law in (Base.TIME_OFFSET, Base.DELAY) and t.axis == axis for t in kept):
         kept.append(offset)  # without the law it may have been lost
@@ -56,10 +60,6 @@ def law_fits(rows: Rows, current: Fit, axis: int, quantities: tuple[str, str]) -
     options = [kept, [*kept, Term(Part.DRY, axis)]] if jumps else [kept]
     fits = (_with_law(rows, settled(rows, terms), axis, quantities) for terms in options)
     return [f for f in fits if f is not None]
-
-
-def _is_alike(term: Term, over: str) -> bool:
-    return not isinstance(term.law, Base) and is_like_law(BY_CAUSE[term.cause], over)
 
 
 def _with_law(rows: Rows, bare: Fit, axis: int, quantities: tuple[str, str]) -> Fit | None:
@@ -81,7 +81,7 @@ def _with_law(rows: Rows, bare: Fit, axis: int, quantities: tuple[str, str]) -> 
             bare.residual[:, None],
         )
     )
-    price, best = float(np.log(max(bare.effective, 2.0))), bare
+    price, best = float(np.log(max(rows.independent.sum(), 2.0))), bare
     for _ in range(ROUNDS):
         scale = best.strength[rows.axis, None]
         felt, known, missed = ((x / scale)[rows.train] for x in (every, matrix, left))
@@ -112,7 +112,7 @@ def any_law(rows: Rows, axis: int, over: str) -> list[Term]:
 
 def _is_accepted(rows: Rows, before: Fit, after: Fit, axis: int) -> bool:
     """Whether a law pays, is known, and brings its axis to the noise or takes nearly all."""
-    if not pays(*falls(rows, before, after), max(after.numbers - before.numbers, 1)):
+    if not pays(*falls(before, after), price(max(after.numbers - before.numbers, 1))):
         return False
     law = after.terms[-1]
     part = after.span(law)
@@ -122,12 +122,6 @@ def _is_accepted(rows: Rows, before: Fit, after: Fit, axis: int) -> bool:
     old, new = missing_powers(rows, before)[axis], missing_powers(rows, after)[axis]
     is_quiet = bool(axes_at_noise(rows, after)[axis])
     return is_quiet or bool(new < (1.0 - NEARLY_ALL) * old)
-
-
-def missing_powers(rows: Rows, result: Fit) -> Float64:
-    """(M,) power that rows kept out miss beyond noise."""
-    noise = axis_powers(rows, rows.judged, np.sqrt(noise_of(rows, result)))
-    return axis_powers(rows, rows.judged, result.held_out) - noise
 
 
 def without_wrong_laws(rows: Rows, final: Fit) -> Fit:
@@ -157,4 +151,4 @@ def depends_on(rows: Rows, result: Fit, axis: int, quantity: list[Float64]) -> b
     bins = np.searchsorted(np.quantile(driver, np.linspace(0, 1, BINS + 1)[1:-1]), driver)
     sums, counts = np.bincount(bins, left, BINS), np.maximum(np.bincount(bins, minlength=BINS), 1)
     share = float(np.sum(sums**2 / counts) / max(np.sum(left**2), 1e-300))
-    return bool(share > max(PART, LEAST_BINNED * rows.axes / max(result.effective, 1.0)))
+    return bool(share > max(PART, LEAST_BINNED * rows.axes / rows.independent.sum()))

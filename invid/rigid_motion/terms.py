@@ -6,7 +6,7 @@ one mass.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -155,8 +155,14 @@ def spot_motion(term: Term, motion: Motion) -> SpotMotion:
 
 def load_on(term: Term, motion: Motion) -> Float64:
     """(n,) torque that the terms of ``term.load`` ask of its axis."""
-    parts = [columns(part, motion)[:, term.axis] @ np.array(value) for part, value in term.load]
-    out: Float64 = np.sum([np.zeros(motion.position.shape[0]), *parts], axis=0)
+    return torque_of(term.load, motion)[:, term.axis]
+
+
+def torque_of(parts: Iterable[tuple[Term, Sequence[float] | Float64]], motion: Motion) -> Float64:
+    """(n, M) torque that terms with their coefficients ask of a motion."""
+    out: Float64 = np.zeros_like(motion.position)
+    for term, value in parts:
+        out = out + columns(term, motion) @ np.asarray(value)
     return out
 
 

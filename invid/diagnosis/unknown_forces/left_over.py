@@ -12,6 +12,7 @@ from invid.likelihood.unknown_forces.descent import Fit, fit
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import axis_of
 from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.price import PLACES, price_at_motors
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.likelihood.unknown_forces.worth import Worth
 from invid.model.diagnosis_document import ForceAt
@@ -19,9 +20,8 @@ from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.recording.model import Recording
 
-SURE = 40.0
-"""Rise of −2 ln L without a strength from which something acts at its place: at 1 % false alarms over
-thirty places chance alone gives 13; the rest is friction's own shape (empirical: nulls of another hand)."""
+SURE = price_at_motors(PLACES)
+"""Rise of −2 ln L without a strength from which something acts at its place."""
 
 IMPERFECT = 0.03
 """Share of what acts at a place that a named cause may leave there since its law is not quite the machine's

@@ -34,11 +34,12 @@ from invid.likelihood.unknown_forces.descent import fit
 from invid.likelihood.unknown_forces.forces import Spot, Where, colours
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.price import FITTED, KEPT, PARTS, price, price_at_motors
 from invid.likelihood.unknown_forces.slope import inner_motion, whitened_rows
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, CONVENTION, EXPECTED_DELAY, HOLD
 from invid.likelihood.unknown_forces.value import Value
-from invid.likelihood.unknown_forces.worth import FRICTION, LEAST_FITTED, LEAST_KEPT, PRICE, PRICE_OF_FRICTION
+from invid.likelihood.unknown_forces.worth import FRICTION
 from invid.model.diagnosis_document import Finding, RuledOut
 from invid.model.place import Place
 from invid.model.plant import Kind, Structure
@@ -204,12 +205,12 @@ class Screen:
             along = (np.abs(np.einsum("fmp,rfm->rfp", reach.conj(), lines)) ** 2).sum(axis=0)
             own += float((rows**2).sum()) - np.einsum("fp,fpcq->pcq", along, share)
         held = float(prior @ prior)
-        needs = [(PRICE, 1.0 + self.kept, held), (LEAST_FITTED, 1.0, held)]
+        needs = [(price(), 1.0 + self.kept, held), (FITTED * price(), 1.0, held)]
         if self.kept:
-            needs.append((LEAST_KEPT, self.kept, 0.0))
+            needs.append((KEPT * price(), self.kept, 0.0))
         return max(
             float(np.sqrt((((np.sqrt(need) + SURE) ** 2 - part * cost) / (part * own + fixed)).max()))
-            for need, part, fixed in ([(PRICE_OF_FRICTION, 1.0, held)] if of_friction else needs)
+            for need, part, fixed in ([(price_at_motors(PARTS), 1.0, held)] if of_friction else needs)
         )
 
     def of_law(self, law: SupposedLaw, spot: Spot, main: str) -> Iterator[Limit | None]:
@@ -273,7 +274,7 @@ class Screen:
     def _rises_of_friction(self, name: Hashable, sizes: Sequence[float]) -> list[tuple[float, float]]:
         """Sizes, and the rise of −2 ln L with a part of friction held so much below its best, over what is
         asked for."""
-        problem, need = self.end.fit.problem, (np.sqrt(PRICE_OF_FRICTION) + SURE) ** 2
+        problem, need = self.end.fit.problem, (np.sqrt(price_at_motors(PARTS)) + SURE) ** 2
 
         def held(low: float, high: float) -> Value:
             columns = (replace(c, low=low, high=high) if c.name == name else c for c in problem.columns)

@@ -24,9 +24,10 @@ from invid.identification.missing_torque import axis_missing
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.price import NUMBER, pays, price
 from invid.likelihood.unknown_forces.shapes import curvature
 from invid.likelihood.unknown_forces.supposition import Hypothesis, Supposed
-from invid.likelihood.unknown_forces.worth import pays, role_falls
+from invid.likelihood.unknown_forces.worth import role_falls
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
 from invid.numerics.smooth_parts import smooth_parts
@@ -36,8 +37,8 @@ FIRST, FIRST_OF_TWO, ROUNDS = 6, 15, 3
 anew (empirical)."""
 FITTED = 3
 """Laws of the scores that are fitted (empirical, for the time)."""
-SIMPLER = 30.0
-"""Rise of −2 ln L at which a law stands for its place's friction as well: Schwarz's price of three."""
+SIMPLER = 3 * NUMBER
+"""Rise of −2 ln L at which a law stands for its place's friction as well: the odds of three numbers."""
 AT_MASS, AT_SPRING = ("velocity", "position"), ("deflection", "deflection rate")
 
 
@@ -176,7 +177,7 @@ def _best(now: Supposed, choices: Sequence[Choice]) -> Supposed | None:
     found = [_first_fit(now, c.placed) for c in choices[:FITTED]]
     for first, base in sorted(found, key=lambda f: f[0].total):
         best = _shaped(first, base)
-        if pays(*role_falls(now, best)) and _is_law_known(best):
+        if pays(*role_falls(now, best), price()) and _is_law_known(best):
             return best
     return None
 

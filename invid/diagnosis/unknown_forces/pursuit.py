@@ -25,9 +25,10 @@ from invid.effects.supposed_laws import SUPPOSED
 from invid.identification.late_drives import late_drives
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
+from invid.likelihood.unknown_forces.price import FITTED, NUMBER, pays, price
 from invid.likelihood.unknown_forces.shapes import reshape, scan_friction, smoothed_with_shapes, with_law
 from invid.likelihood.unknown_forces.supposition import Supposed, excess
-from invid.likelihood.unknown_forces.worth import LEAST_FITTED, NUMBER, pays, role_falls
+from invid.likelihood.unknown_forces.worth import role_falls
 from invid.model.plant import Kind
 from invid.numerics import budget
 
@@ -91,7 +92,9 @@ class Trial:
         """Whether it pays its price, which contains what the places and shapes of laws cost, however far the
         hypothesis without it may still fall."""
         fitted, kept = role_falls(self.base, self.found)
-        return pays(fitted - self.base.fit.open_gap, kept, 1 if self.addition is None else self.numbers)
+        return pays(
+            fitted - self.base.fit.open_gap, kept, price(1 if self.addition is None else self.numbers)
+        )
 
 
 def is_sound(found: Supposed) -> bool:
@@ -189,7 +192,7 @@ def stand_again(now: Supposed) -> tuple[Supposed, tuple[tuple[Trial, Trial], ...
         tried = try_structures(less, taken.fall, growing=False, start=start)
         others = [t for t in tried if t.addition != own]
         # What holds it as a special case does as well: its further freedom has to pay by itself.
-        paid = [t for t in others if not t.holds(taken) or pays(*role_falls(now, t.found))]
+        paid = [t for t in others if not t.holds(taken) or pays(*role_falls(now, t.found), price())]
         best = max((taken, *paid), key=lambda t: t.merit)
         now = now if best is taken else settle(best.found)
         best = replace(best, found=now)
@@ -214,7 +217,7 @@ def finish(trials: Sequence[Trial]) -> list[Trial]:
     """The trials, the best first; those that come near the best are fitted to the end before they are
     compared."""
     best = max((t.merit for t in trials), default=0.0)
-    close = [t for t in trials if t.merit > best - max(NEARLY_AS_WELL * best, LEAST_FITTED)]
+    close = [t for t in trials if t.merit > best - max(NEARLY_AS_WELL * best, FITTED * price())]
     if len(close) > 1:
         ended = {id(t): replace(t, found=t.found.refit()) for t in close}
         trials = [ended.get(id(t), t) for t in trials]
@@ -268,7 +271,7 @@ def pursue(
         taken = next((t for t in trials if t.pays), None)
         if taken is None:
             break
-        close = taken.fall - max(NEARLY_AS_WELL * taken.fall, LEAST_FITTED)
+        close = taken.fall - max(NEARLY_AS_WELL * taken.fall, FITTED * price())
         rivals += [(taken, t) for t in trials if t is not taken and t.fall > close]
         now = settle(reshape(scan_friction(taken.found)))
     now, beside = stand_again(now)

@@ -25,9 +25,10 @@ from invid.identification.quantities import axis_and_element
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.price import NUMBER
 from invid.likelihood.unknown_forces.shapes import with_law
 from invid.likelihood.unknown_forces.supposition import Channel, Hypothesis, Supposed
-from invid.likelihood.unknown_forces.worth import FRICTION, NUMBER, Worth, role_falls
+from invid.likelihood.unknown_forces.worth import FRICTION, Worth, role_falls
 from invid.model.diagnosis_document import Alternative
 from invid.numerics import budget
 from invid.recording.model import Recording

@@ -9,7 +9,7 @@ from invid.diagnosis.unknown_forces.resonances import Scan
 from invid.diagnosis.unknown_forces.structures import Addition, Base, Mode, add, additions_of
 from invid.identification.contest import (
     NOTHING,
-    PRICE_OF_MASS,
+    NUMBERS,
     Known,
     astray,
     bent_axes,
@@ -19,6 +19,7 @@ from invid.identification.contest import (
     torque_rms,
 )
 from invid.identification.own_time import tones_of
+from invid.likelihood.unknown_forces.price import price
 from invid.likelihood.unknown_forces.supposition import Bench, Supposed
 from invid.model.plant import Structure
 
@@ -65,5 +66,8 @@ def _with_what_scan_shows(now: Supposed) -> Supposed:
 
 
 def _priced(found: Supposed) -> float:
+    """−2 ln L with the prices of what is beside the chains: of a mode, and again of what a base has more: it
+    holds the mode of any load as a special case."""
     structure = found.hypothesis.structure
-    return found.total + PRICE_OF_MASS / 3.0 * sum(a.numbers(structure) for a in additions_of(structure))
+    more = [a.numbers(structure) - NUMBERS for a in additions_of(structure)]
+    return found.total + sum(price(NUMBERS) + (price(k) if k else 0.0) for k in more)

@@ -9,6 +9,10 @@ minimises
     |r + H·δF + E·δa|² by S  +  |F + δF − φ(d) + φ'·(X·δF − B·δa)|² by Q,
 
 φ' a factor in time, all else on lines.
+
+Where a load hangs free in a gap most of the time many motions are such minima: which contact is when? The
+motion is followed from a law that is averaged over wide offsets of d, which has one, to the law itself
+(graduated non-convexity, Blake and Zisserman 1987).
 """
 
 from __future__ import annotations
@@ -23,16 +27,21 @@ from numpy.typing import NDArray
 
 from invid.effects.supposed.law import SpotMotion
 from invid.likelihood.unknown_forces.smoother import SmoothedStack
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.numerics.newton_descent import descend, solve_normal
 from invid.signals.record import Record
 
-LEAST_POWER = 1e-2
-"""Least Q over the torque's noise: no law is the machine's to more than a tenth of what a line shows."""
+LEAST_POWER = 0.1
+"""Least Q over the torque's noise: no law is the machine's to more than a third of what a line shows."""
 TIED = 1e-6
 """Diagonal beside ends that a record cannot tell apart."""
 DIFFERENCE = 1e-4
 """Step of motion over its deviation for a law's derivative."""
+SEEN = 4.0
+"""Deviations of χ² by which force and law of a record part further than Q lets expect (statistical)."""
+BLURS = (1.5, 0.75, 0.35, 0.15)
+"""Offsets over the deviation of the motion up to which a law is averaged, one after another."""
+OFFSETS = np.linspace(-1.0, 1.0, 7)[1:-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +59,50 @@ class LawOfMotion:
         """(A,) resistance of a record's motion on its lines."""
         return record.wide_lines(self.resistance(motion.every(self.stride)))
 
+    def of_records(self, which: Int64) -> LawOfMotion:
+        """The same of some of the records."""
+        smoothed, before = ([m[k] for k in which] for m in (self.smoothed, self.before))
+        return replace(self, smoothed=smoothed, before=before)
+
+    def averaged(self, share: float, stride: int) -> LawOfMotion:
+        """The laws averaged over offsets of up to a ``share`` of the deviation of the motion."""
+        wide = share * float(np.std(np.concatenate([m.position for m in self.smoothed])))
+        weight = np.cos(OFFSETS * np.pi / 2.0) ** 2
+
+        def resistance(motion: SpotMotion) -> Float64:
+            moved = (replace(motion, position=motion.position + wide * u) for u in OFFSETS)
+            parts = [w * self.resistance(m) for w, m in zip(weight / weight.sum(), moved, strict=True)]
+            return np.asarray(np.sum(parts, axis=0), dtype=np.float64)
+
+        return replace(self, resistance=resistance, stride=max(self.stride, stride))
+
 
 def agree(stack: SmoothedStack, place: int, vector: Float64, law: LawOfMotion) -> SmoothedStack:
     """A stack's motion with that at a place, along ``vector`` (n,), as its laws and the records together have
     it."""
     rows = _Rows.of(stack, place, vector, law)
-    nothing = _Change(np.zeros_like(rows.force), np.zeros((rows.force.shape[0], rows.swing[0].shape[0])))
-    start = _At.of(rows, nothing)
+    start = _At.of(rows, rows.nothing)
     if not any(s.any() for s in start.slopes):  # a law of the past of the motion, or of none
         return stack
-    return rows.moved(descend(start).change)
+    found = descend(start)
+    most = found.expected + SEEN * np.sqrt(2.0 * found.expected)
+    apart = np.flatnonzero(found.costs_of_law > most)
+    if not apart.size:
+        return rows.moved(found.change)
+    other = _from_afar(rows.of_records(apart))
+    better = apart[other.costs < found.costs[apart]]
+    change = found.change.with_records(better, other.change, np.searchsorted(apart, better))
+    return rows.moved(change)
+
+
+def _from_afar(rows: _Rows) -> _At:
+    """The motion that is followed from laws averaged over wide offsets to the laws themselves."""
+    change = rows.nothing
+    for share in BLURS:
+        change = descend(
+            _At.of(replace(rows, law=rows.law.averaged(share, rows.stack.stride)), change)
+        ).change
+    return descend(_At.of(rows, change))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +114,12 @@ class _Change:
 
     def plus(self, other: _Change) -> _Change:
         return _Change(self.force + other.force, self.ends + other.ends)
+
+    def with_records(self, which: Int64, other: _Change, theirs: Int64) -> _Change:
+        """With some records as ``theirs`` of another change."""
+        force, ends = self.force.copy(), self.ends.copy()
+        force[which], ends[which] = other.force[theirs], other.ends[theirs]
+        return _Change(force, ends)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +167,16 @@ class _Rows:
             stack.motion_by_ends(np.eye(length.size) / length),
             np.array(was) + unknown,
         )
+
+    def of_records(self, which: Int64) -> _Rows:
+        """The same of some of the records."""
+        stack, law = self.stack.of_records(which), self.law.of_records(which)
+        return replace(self, stack=stack, law=law, missing=self.missing[which], force=self.force[which])
+
+    @property
+    def nothing(self) -> _Change:
+        """No change."""
+        return _Change(np.zeros_like(self.force), np.zeros((self.force.shape[0], self.swing[0].shape[0])))
 
     @cached_property
     def swing(self) -> tuple[Float64, Float64]:
@@ -187,9 +246,26 @@ class _At:
         return self.rows.force + self.change.force - self.law
 
     @cached_property
+    def costs_of_law(self) -> Float64:
+        """(R,) squares of force less law by its power Q."""
+        out: Float64 = (np.abs(self.apart) ** 2 / self.rows.power) @ self.rows.stack.weight
+        return out
+
+    @property
+    def expected(self) -> float:
+        """What ``costs_of_law`` of one record is on average where what is unknown has the power Q."""
+        told = self.rows.power * (np.abs(self.rows.reach) ** 2).sum(axis=1)
+        return float((told / (1.0 + told)) @ self.rows.stack.weight)
+
+    @cached_property
+    def costs(self) -> Float64:
+        """(R,) the sum of squares of each record."""
+        told: Float64 = (np.abs(self.missing) ** 2).sum(axis=2) @ self.rows.stack.weight
+        return told + self.costs_of_law
+
+    @property
     def cost(self) -> float:
-        told = (np.abs(self.missing) ** 2).sum(axis=2) + np.abs(self.apart) ** 2 / self.rows.power
-        return float((told * self.rows.stack.weight).sum())
+        return float(self.costs.sum())
 
     def moved(self, step: Float64) -> _At:
         return _At.of(self.rows, self.change.plus(self._unpack(step)))

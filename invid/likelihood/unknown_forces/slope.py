@@ -56,7 +56,6 @@ def slope(problem: Problem, value: Value) -> Slope:
     joint = np.zeros((size + free.size, size + free.size))
     gradient, pull = np.zeros(size), np.zeros(numbers.strength.shape)
     for k, work in enumerate(value.work):
-        count, lines, motors = work.shape
         rows = work.missing + work.laws @ value.coefficients
         factor = terms.factors(work.stack.omega, numbers.plant.slope)
         seen = along(work.condensed.motion, terms.vectors)
@@ -64,9 +63,9 @@ def slope(problem: Problem, value: Value) -> Slope:
         flat = np.concatenate((columns, work.laws[..., free]), axis=2).reshape(-1, joint.shape[0])
         joint += flat.T @ flat
         gradient += columns.reshape(-1, size).T @ rows.ravel()
-        white = (rows[:, : lines * motors] + 1j * rows[:, lines * motors :]).reshape(count, lines, motors)
-        gradient[:plant] += terms.by_parameter(_covariance_slope(problem, value, work, white, seen, factor))
-        pull += _strength_slope(problem, work, white)
+        left = _Left.of(work, value.coefficients)
+        gradient[:plant] += terms.by_parameter(_covariance_slope(problem, value, work, left, seen, factor))
+        pull += _strength_slope(problem, work, left)
     prior = 1.0 / problem.spread**2
     gradient += (numbers.x - problem.centre) * prior
     gradient -= _through_laws(problem, value, joint, size)
@@ -94,13 +93,13 @@ def number_rows(problem: Problem, value: Value, number: int) -> Float64:
     scales = torque_scales(problem, value.coefficients)
     by_timing = _timing_columns(work, value.numbers.timing, scales)
     rows = np.concatenate((real_rows(by_plant), real_rows(by_timing)), axis=2)
-    return rows - work.ends @ (work.ends.T @ rows)
+    return work.ends.out_of(rows)
 
 
 def whitened_rows(work: StackWork, lines: Complex128) -> Float64:
     """(R, 2FM, k) whitened rows of torques at the motors (R, F, M, k), without the ends' share."""
     rows = real_rows(work.whitener @ lines)
-    return rows - work.ends @ (work.ends.T @ rows)
+    return work.ends.out_of(rows)
 
 
 def _through_laws(problem: Problem, value: Value, joint: Float64, size: int) -> Float64:
@@ -150,7 +149,7 @@ def _profiled(joint: Float64, size: int) -> Float64:
 def ends_of(value: Value, number: int) -> Float64:
     """(R, 2n) the ends α, then β_e, of each record of a stack, over 2/T."""
     work = value.work[number]
-    out: Float64 = -(work.law_ends @ np.append(value.coefficients, 1.0)) @ work.back.T
+    out: Float64 = work.law_ends @ np.append(value.coefficients, 1.0)
     return out
 
 
@@ -194,12 +193,34 @@ def _timing_columns(work: StackWork, timing: Timing, scales: Float64) -> Complex
     return columns.reshape(*slopes.shape[:3], slopes.shape[2] * slopes.shape[3])
 
 
-def _strength_slope(problem: Problem, work: StackWork, white: Complex128) -> Float64:
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What is left of a stack's rows: ``balance`` (F, M, M) half the gradient by S, weights included, and
+    ``by_ends`` (F, 2n, M) that by the ends' reach.
+
+    With E the covariance that is left of the ends of J, S⁻¹R − Σ S⁻¹r rᴴS⁻¹ − R·S⁻¹J E JᴴS⁻¹, and R·E JᴴS⁻¹.
+    """
+
+    balance: Complex128
+    by_ends: Complex128
+
+    @classmethod
+    def of(cls, work: StackWork, coefficients: Float64) -> _Left:
+        """At the laws' coefficients (J,)."""
+        white = work.left(coefficients)
+        turned, double = work.whitener.conj().transpose(0, 2, 1), (2.0 * work.stack.weight)[:, None, None]
+        pulled = turned @ white.transpose(1, 2, 0)
+        told = (pulled @ pulled.conj().transpose(0, 2, 1)) / double
+        jumps = turned @ (work.whitener @ work.condensed.jumps(work.stack.omega))
+        by_ends = work.stack.count * (work.ends.covariance @ jumps.conj().transpose(0, 2, 1))
+        return cls(work.stack.count * (turned @ work.whitener) - told - jumps @ by_ends / double, by_ends)
+
+
+def _strength_slope(problem: Problem, work: StackWork, left: _Left) -> Float64:
     """(P, 2) half the gradient by each strength, in the quadratic form and in ln|S|."""
-    reach = work.noise.whitener @ work.noise.reach
-    told = (np.abs(reach.conj().transpose(0, 2, 1) @ white.transpose(1, 2, 0)) ** 2).sum(axis=2) / 2.0
-    expected = work.stack.count * work.stack.weight[:, None] * (np.abs(reach) ** 2).sum(axis=1)
-    out: Float64 = (expected - told).T @ colours(work.stack.omega, problem.corner)
+    reach = work.noise.reach
+    pull = (reach.conj() * (left.balance @ reach)).real.sum(axis=1) / 2.0
+    out: Float64 = pull.T @ colours(work.stack.omega, problem.corner)
     return out
 
 
@@ -229,27 +250,26 @@ def _covariance_columns(problem: Problem, value: Value, work: StackWork, moving:
 
 
 def _covariance_slope(
-    problem: Problem, value: Value, work: StackWork, white: Complex128, seen: Complex128, factor: Complex128
+    problem: Problem, value: Value, work: StackWork, left: _Left, seen: Complex128, factor: Complex128
 ) -> Float64:
     """(T,) half the gradient by each term through S, in the quadratic form and in ln|S|, and through the
     loop.
 
-    With G = R·S⁻¹ − Σ S⁻¹r rᴴS⁻¹ (weights included) half the change is Re tr(G·dZ C_θ Zᴴ) + Re tr(G·dH q g
-    Hᴴ), dZ = V u uᵀ Vᵀ, dH = −V u uᵀ X b.
+    With G the balance half the change is Re tr(G·dZ C_θ Zᴴ) + Re tr(G·dH q g Hᴴ), dZ = V u uᵀ Vᵀ,
+    dH = −V u uᵀX b, and through the ends Re tr(E JᴴS⁻¹·dJ), dJ = −V u uᵀX·(1, jω).
     """
-    turned = work.whitener.conj().transpose(0, 2, 1)
-    pulled = turned @ white.transpose(1, 2, 0)
-    told = (pulled @ pulled.conj().transpose(0, 2, 1)) / (2.0 * work.stack.weight)[:, None, None]
-    balance = white.shape[0] * (turned @ work.whitener) - told
     terms = value.numbers.plant.structure.terms
     noise, condensed = work.noise, work.condensed
-    pull = balance @ seen
+    pull = left.balance @ seen
     motion_noise = work.position_noise[:, None] * condensed.stiffness.conj().transpose(0, 2, 1)
     by_motion = (seen * (motion_noise @ pull)).sum(axis=1)
     pushed = (noise.power[:, :, None] * noise.reach.conj().transpose(0, 2, 1)).transpose(0, 2, 1)  # (F, M, P)
     pushed = along(pushed, problem.spots.vectors.T).transpose(0, 2, 1)  # (F, n, M)
     by_force = -(along(condensed.receptance, terms.vectors) * (pushed @ pull)).sum(axis=1)
-    out = ((by_motion + by_force) * factor).real
+    size = condensed.receptance.shape[-1]
+    swung = left.by_ends[:, :size] + 1j * work.stack.omega[:, None, None] * left.by_ends[:, size:]
+    by_ends = -(along(condensed.receptance, terms.vectors) * (swung @ seen)).sum(axis=1)
+    out = ((by_motion + by_force + by_ends) * factor).real
     loop = closed_loop(problem, work, value.coefficients)
     if loop.size:
         answer = np.linalg.inv(loop).sum(axis=0)

@@ -22,7 +22,7 @@ from invid.likelihood.unknown_forces.slope import ends_of
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
 from invid.model.plant import Condensed, Plant
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.signals.record import line_weight
 
 OVERSAMPLING = 4
@@ -50,6 +50,11 @@ class SmoothedStack:
     sensors: Float64
     condensed: Condensed
     noise: MissingNoise
+
+    def of_records(self, which: Int64) -> SmoothedStack:
+        """The same of some of the records."""
+        parts = {n: getattr(self, n)[which] for n in ("lines", "jump", "bend", "force", "missing")}
+        return replace(self, stack=self.stack.of_records(which), **parts)
 
     @cached_property
     def grid(self) -> int:

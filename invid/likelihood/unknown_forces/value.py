@@ -14,8 +14,8 @@ the drives' commands free (restricted likelihood: the contrast r of motion and t
 motion is Z + L). Without it lines on which the machine answers an unknown force through plant and hold pull Z
 to zero.
 
-Ends and coefficients are profiled out: the ends by a QR for each stack, the coefficients, within their
-bounds, by normal equations over all stacks.
+The ends are integrated out, with a prior of the size of the motion's own momentum; the coefficients are
+profiled out, within their bounds, by normal equations over all stacks.
 """
 
 from __future__ import annotations
@@ -87,6 +87,8 @@ class Problem:
     corner: float
     least: float
     """Least strength [(N·m)²]."""
+    momentum: tuple[float, float]
+    """Deviation that a record's ends α and β_e are expected to have: of momentum and of its integral."""
     shut: Int64 = field(default_factory=lambda: np.zeros(0, dtype=int))
     """Places whose strength stays as it is."""
 
@@ -103,6 +105,7 @@ class Problem:
             np.concatenate((structure.prior, timing.prior)),
             2 * np.pi * CORNER * top,
             LEAST * float(np.mean([s.torque_noise.mean() for s in stacks])),
+            _largest_momentum(stacks),
         )
 
     @cached_property
@@ -117,10 +120,70 @@ class Problem:
         return np.array([c.vector for c in self.columns]).T if self.columns else np.zeros((n, 0))
 
 
+LARGE = 3.0
+"""Deviation of a record's ends over the motors' own momentum: inner masses swing further than motors."""
+
+
+def _largest_momentum(stacks: tuple[Stack, ...]) -> tuple[float, float]:
+    """Momentum, and its integral over time, by each axis' torque over its acceleration."""
+    out = [(0.0, 0.0)]
+    for record in (r for s in stacks for r in s.records):
+        motion = record.motion
+        moved, fast, pushed = (
+            motion.position.std(axis=0),
+            motion.velocity.std(axis=0),
+            motion.acceleration.std(axis=0),
+        )
+        mass = record.torque_wave.std(axis=0) / np.where(pushed > 0.0, pushed, np.inf)
+        out += zip(mass * fast, mass * moved, strict=True)
+    return LARGE * max(p for p, _ in out), LARGE * max(q for _, q in out)
+
+
 NEARLY_SINGULAR = 1e-12
 """Diagonal beside normal equations of unit diagonal, for laws that the records cannot tell apart."""
-TIED = 1e-6
-"""Diagonal beside the ends' columns of unit length: ends that a record cannot tell apart stay small."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """What the ends of any record of a stack, which nobody knows, take out of its whitened rows.
+
+    With A (2FM, 2n) their rows for deviations of one, A = U·S·Vᵀ, rows keep 1 − U·S²/(1 + S²)·Uᵀ of their
+    square, and the value has ln|1 + AᵀA| beside. Attributes: ``basis`` U, ``sizes`` S, ``turned`` (2n, 2n)
+    the deviations times V: from coordinates to the ends' own numbers.
+    """
+
+    basis: Float64
+    sizes: Float64
+    turned: Float64
+
+    @classmethod
+    def of(cls, columns: Float64, deviation: Float64) -> Ends:
+        """Of rows (2FM, 2n) for ends of one, and their deviation (2n,)."""
+        basis, sizes, turned = np.linalg.svd(columns * deviation, full_matrices=False)
+        return cls(basis, sizes, deviation[:, None] * turned.T)
+
+    def out_of(self, rows: Float64) -> Float64:
+        """(…, 2FM, k) rows whose squares are those that are left of ``rows``."""
+        kept = 1.0 / np.sqrt(1.0 + self.sizes**2)
+        out: Float64 = rows - self.basis @ ((1.0 - kept)[:, None] * (self.basis.T @ rows))
+        return out
+
+    def estimate(self, rows: Float64) -> Float64:
+        """(…, 2n, k) the ends that rows (…, 2FM, k) of missing torque ask for."""
+        shrunk = self.sizes / (1.0 + self.sizes**2)
+        out: Float64 = -self.turned @ (shrunk[:, None] * (self.basis.T @ rows))
+        return out
+
+    @cached_property
+    def covariance(self) -> Float64:
+        """(2n, 2n) that is left of them."""
+        out: Float64 = (self.turned / (1.0 + self.sizes**2)) @ self.turned.T
+        return out
+
+    @cached_property
+    def log_determinant(self) -> float:
+        """ln|1 + AᵀA|."""
+        return float(np.log1p(self.sizes**2).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,21 +199,24 @@ class StackWork:
     """(M,) of the torque that acts: that of the recorded one, scaled as it is."""
     whitener: Complex128
     """(F, M, M) with the lines' weights: rows of unit variance."""
-    ends: Float64
-    """(2FM, 2n) orthonormal basis of the ends' rows."""
-    back: Float64
-    """(2n, 2n) from coordinates in it to the ends' own numbers."""
+    ends: Ends
     laws: Float64
     """(R, 2FM, J) whitened laws without the ends' share."""
     missing: Float64
     """(R, 2FM) whitened missing torque of the plant alone, the same way."""
     law_ends: Float64
-    """(R, 2n, J + 1) coordinates of laws and missing torque in the ends' basis."""
+    """(R, 2n, J + 1) ends that laws and missing torque ask for."""
 
     @property
     def turning(self) -> Float64:
         """(F,) weights of the loop's term: none for the mean, at which a free machine has no stiffness."""
         return np.where(self.stack.omega > 0.0, self.stack.weight, 0.0)
+
+    def left(self, coefficients: Float64) -> Complex128:
+        """(R, F, M) whitened missing torque with laws and ends in it."""
+        count, lines, motors = self.shape
+        rows = self.ends.out_of((self.missing + self.laws @ coefficients)[..., None])[..., 0]
+        return (rows[:, : lines * motors] + 1j * rows[:, lines * motors :]).reshape(count, lines, motors)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -234,19 +300,17 @@ def _work(problem: Problem, numbers: Numbers, number: int, scales: Scales) -> St
     )
     whitener = noise.whitener * np.sqrt(2.0 * stack.weight)[:, None, None]
     columns = real_rows((whitener @ condensed.jumps(omega))[None])[0]
-    length = np.linalg.norm(columns, axis=0) + 1e-300
-    basis, triangle = np.linalg.qr(np.vstack((columns / length, TIED * np.eye(length.size))))
-    basis = basis[: columns.shape[0]]
+    # Jumps are for ends over 2/T.
+    deviation = np.repeat(np.array(problem.momentum) * (2.0 / stack.span), columns.shape[1] // 2)
+    ends = Ends.of(columns, deviation)
     acting = numbers.timing.acting(stack)
     missing = (stiffness @ stack.position[..., None])[..., 0] - acting
     both = np.concatenate(
         (_law_columns(problem, number, (whitener, condensed, acting)), (whitener @ missing[..., None])),
         axis=3,
     )
-    rows = real_rows(both)
-    inside = basis.T @ rows
-    rows = rows - basis @ inside
-    back = np.linalg.inv(triangle) / length[:, None]
+    whole = real_rows(both)
+    rows = ends.out_of(whole)
     law_rows, missing_rows = rows[..., :-1], rows[..., -1]
     return StackWork(
         stack,
@@ -255,11 +319,10 @@ def _work(problem: Problem, numbers: Numbers, number: int, scales: Scales) -> St
         position_noise,
         torque_noise,
         whitener,
-        basis,
-        back,
+        ends,
         law_rows,
         missing_rows,
-        inside,
+        ends.estimate(whole),
     )
 
 
@@ -350,6 +413,7 @@ def _shares(problem: Problem, work: StackWork, rows: Float64, coefficients: Floa
     loop = closed_loop(problem, work, coefficients)
     closed = 4.0 * (work.turning * np.linalg.slogdet(loop)[1]).sum(axis=1) if loop.size else 0.0
     out: Float64 = (rows**2).sum(axis=1) + 2.0 * float(weight @ work.noise.log_determinant)
+    out += work.ends.log_determinant
     out[work.stack.closed] -= closed
     # Where a hold is not known the torque is what answers: its Jacobian is the drives' scale.
     scale = float(np.log(torque_scales(problem, coefficients)).sum())
@@ -393,7 +457,5 @@ def closed_loop(problem: Problem, work: StackWork, coefficients: Float64) -> Com
 def missing_torque(value: Value, number: int) -> Complex128:
     """(R, F, M) missing torque with laws and ends in it."""
     work = value.work[number]
-    count, lines, motors = work.shape
-    rows = work.missing + work.laws @ value.coefficients
-    white = (rows[:, : lines * motors] + 1j * rows[:, lines * motors :]).reshape(count, lines, motors)
+    white = work.left(value.coefficients)
     return np.asarray((np.linalg.inv(work.whitener) @ white[..., None])[..., 0], dtype=np.complex128)

@@ -11,25 +11,11 @@ import numpy as np
 from invid.likelihood.unknown_forces.descent import Ended
 from invid.likelihood.unknown_forces.forces import Spot
 from invid.likelihood.unknown_forces.motor_laws import Part
+from invid.likelihood.unknown_forces.price import PARTS, pays, price, price_at_motors
 from invid.likelihood.unknown_forces.shapes import reshape
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.model.plant import Kind
 from invid.numerics import budget
-
-PRICE, LEAST_FITTED, LEAST_KEPT = 120.0, 40.0, 10.0
-"""Fall of −2 ln L that a cause must bring on all records, on those fitted and on those kept out.
-
-Schwarz's price of its numbers, and of the places and shapes looked at, is about 40; the rest is what the form
-of friction and the grid of motion leave (empirical: false falls of up to 60 of −ln L in sixty rounds of whole
-cells of another hand).
-"""
-NUMBER = 10.0
-"""Schwarz's price of one number and ten thousand rows."""
-PRICE_OF_FRICTION = 40.0
-"""Rise of −2 ln L for a part of the friction of a motor, which is expected on every motor: Schwarz's price
-of its two numbers and ten thousand rows is 20; the rest is what an encoder's rounding leaves, up to 31
-(empirical, nothing hidden)."""
-
 
 WEIGHING = "what each cause is worth"
 """What a spent budget leaves out, in the words of the warning."""
@@ -67,7 +53,7 @@ class Worth:
     @property
     def price(self) -> float:
         """Rise at which it is as likely as not."""
-        return PRICE_OF_FRICTION if self.is_friction else price_of(self.numbers)
+        return price_at_motors(PARTS) if self.is_friction else price(self.numbers)
 
     @property
     def is_weighed(self) -> bool:
@@ -87,25 +73,12 @@ class Worth:
         if self.is_friction:
             # Its strength left at a motor makes a fit without it less sure of the records kept out.
             return self.rise + more > self.price and fitted + more + kept > self.price
-        return pays(fitted + more, kept, self.numbers)
+        return pays(fitted + more, kept, self.price)
 
 
 def role_falls(before: Supposed, after: Supposed) -> tuple[float, float]:
     """Falls on the records fitted and on those kept out."""
     return before.total - after.total, before.kept_total - after.kept_total
-
-
-def price_of(numbers: int, first: float = PRICE) -> float:
-    """Fall that so many numbers must bring, ``first`` that of one."""
-    return first + NUMBER * (numbers - 1)
-
-
-def pays(fitted: float, kept: float, numbers: int = 1, first: float = PRICE) -> bool:
-    """Return whether falls on the records fitted and kept out pay the price of so many numbers, ``first`` of
-    one."""
-    price = price_of(numbers, first)
-    share = price / PRICE
-    return fitted + kept > price and fitted > share * LEAST_FITTED and kept > share * LEAST_KEPT
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +170,7 @@ def without_loose_springs(now: Supposed) -> Supposed:
     if not loose or budget.is_left_out(WEIGHING):
         return now
     less = now.refit(replace(now.hypothesis, absent=now.hypothesis.absent | loose))
-    return less if less.fit.is_finished and less.total - now.total < PRICE else now
+    return less if less.fit.is_finished and less.total - now.total < price() else now
 
 
 def _without_channel(now: Supposed, own: tuple[Channel, int]) -> Supposed:

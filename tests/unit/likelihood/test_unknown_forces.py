@@ -25,7 +25,7 @@ from invid.likelihood.unknown_forces.supposition import (
     suppose,
 )
 from invid.likelihood.unknown_forces.timing import Timing
-from invid.likelihood.unknown_forces.value import Column, Numbers, evaluate
+from invid.likelihood.unknown_forces.value import Column, Ends, Numbers, evaluate
 from invid.model.plant import Kind, Plant, Structure
 from invid.recording.model import Role
 from invid.signals.record import make_record
@@ -80,6 +80,22 @@ def test_the_gradient_is_that_of_the_value():
         step[k] = 1e-5
         up, down = (evaluate(problem, numbers.moved(numbers.x + s)).total for s in (step, -step))
         assert exact[k] == pytest.approx((up - down) / 4e-5, rel=2e-3, abs=0.05 + 1e-5 * np.abs(exact).max())
+
+
+def test_ends_are_integrated_out_with_their_prior():
+    """As one joint Gaussian of rows and ends has it."""
+    rng = np.random.default_rng(3)
+    columns, deviation = rng.normal(size=(30, 4)) * [1.0, 10.0, 1e-3, 0.0], np.array([1.0, 2.0, 0.5, 3.0])
+    rows = rng.normal(size=(2, 30, 3))
+    ends, spread = Ends.of(columns, deviation), columns * deviation
+    joint = np.eye(30) + spread @ spread.T
+    left = ends.out_of(rows)
+    wanted = np.einsum("rik,ij,rjk->rk", rows, np.linalg.inv(joint), rows)
+    np.testing.assert_allclose((left**2).sum(axis=1), wanted)
+    assert ends.log_determinant == pytest.approx(np.linalg.slogdet(joint)[1])
+    known = np.linalg.inv(columns.T @ columns + np.diag(deviation**-2.0))
+    np.testing.assert_allclose(ends.covariance, known, atol=1e-12)
+    np.testing.assert_allclose(ends.estimate(rows), -known @ columns.T @ rows, atol=1e-12)
 
 
 def test_a_scale_of_all_readings_is_worth_nothing_beside_lighter_masses():
