@@ -33,8 +33,8 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term]) -> tuple[Row
     if not all(np.isfinite(m.blur).all() for m in rows.motions):
         return rows, final  # of a velocity alone no place is known
     whole = rows.every
-    whole.set_colour(colour_of(whole, settled(whole, final.terms).residual))
     current = settled(whole, final.terms)
+    whole.set_colour(colour_of(whole, current.residual))
     found = False
     for axis in range(rows.axes):
         if budget.is_left_out("friction with a memory"):
@@ -45,10 +45,10 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term]) -> tuple[Row
     if not found:
         return rows, final
     current = without_idle(whole, current, candidates)
-    left = unseen(whole, final.terms, final.value, final.folds), current.held_out
+    before = unseen(whole, final.terms, final.value, final.folds)
     moved = {t.axis for t in {*current.terms} ^ {*final.terms}}
-    is_better = all(chance_of_gain(whole, left, axis) < MOST_CHANCE for axis in moved)
-    return (whole, current) if is_better else (rows, final)
+    chances = [chance_of_gain(whole, (before, current.held_out), axis) for axis in moved]
+    return (whole, current) if max(chances, default=0.0) < MOST_CHANCE else (rows, final)
 
 
 def _on_axis(rows: Rows, current: Fit, axis: int) -> Fit | None:
@@ -70,4 +70,4 @@ def _on_axis(rows: Rows, current: Fit, axis: int) -> Fit | None:
     more = best.numbers - current.numbers
     # One law for another brings no number, and has but to be the likelier one.
     price = NUMBER if more <= 0 else PRICE_OF_FRICTION + OF_LOOKING * float(np.log(len(options)))
-    return best if pays(*falls(current, best), max(more, 1), price) else None
+    return best if pays(*falls(rows, current, best), max(more, 1), price) else None

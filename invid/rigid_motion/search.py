@@ -133,7 +133,9 @@ def best_law(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit | None
         if trial.free[trial.span(trial.terms[-1])].any() and _pays(
             rows, trial.terms[-1], candidates, (current, trial)
         ):
-            trials.append((sum(falls(current, trial)) - NUMBER * (trial.numbers - current.numbers), trial))
+            trials.append(
+                (sum(falls(rows, current, trial)) - NUMBER * (trial.numbers - current.numbers), trial)
+            )
     return max(trials, key=lambda t: t[0])[1] if trials else None
 
 
@@ -211,7 +213,7 @@ def without_idle(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit:
         for term in [t for t in current.terms if not t.is_base or t.law in CHOSEN]:
             simpler = settled(rows, _less(current.terms, term))
             if not _pays(rows, term, candidates, (simpler, current)):
-                idle.append((sum(falls(simpler, current)), simpler))
+                idle.append((sum(falls(rows, simpler, current)), simpler))
         if not idle:
             break
         current = min(idle, key=lambda i: i[0])[1]
@@ -244,7 +246,7 @@ def _pays(rows: Rows, term: Term, candidates: Sequence[Term], fits: tuple[Fit, F
     new = axis_powers(rows, rows.judged, after.held_out)[mine]
     return all(
         bool((new < (1.0 - LEAST_GAIN) * axis_powers(rows, rows.judged, less.held_out)[mine]).any())
-        and pays(*falls(less, after), max(after.numbers - less.numbers, 1), price)
+        and pays(*falls(rows, less, after), max(after.numbers - less.numbers, 1), price)
         for less in befores
     )
 
@@ -257,7 +259,7 @@ def without_harm(rows: Rows, current: Fit) -> Fit:
         for cause in causes:
             fewer = without(rows, current, cause)
             left = missing_torque(rows, fewer), after
-            trials.append((chance_of_gain(rows.every, left, cause.terms[0].axis), fewer))
+            trials += [(chance_of_gain(rows, left, cause.terms[0].axis), fewer)]
         chance, fewer = max(trials, key=lambda t: t[0])
         if chance < MOST_CHANCE or budget.is_left_out("causes that help no row kept out"):
             break

@@ -112,7 +112,7 @@ def any_law(rows: Rows, axis: int, over: str) -> list[Term]:
 
 def _is_accepted(rows: Rows, before: Fit, after: Fit, axis: int) -> bool:
     """Whether a law pays, is known, and brings its axis to the noise or takes nearly all."""
-    if not pays(*falls(before, after), max(after.numbers - before.numbers, 1)):
+    if not pays(*falls(rows, before, after), max(after.numbers - before.numbers, 1)):
         return False
     law = after.terms[-1]
     part = after.span(law)
@@ -120,8 +120,7 @@ def _is_accepted(rows: Rows, before: Fit, after: Fit, axis: int) -> bool:
     if not is_known(felt, after.value[part], after.covariance[part, part]):
         return False
     old, new = missing_powers(rows, before)[axis], missing_powers(rows, after)[axis]
-    is_quiet = bool(axes_at_noise(rows, after)[axis])
-    return is_quiet or bool(new < (1.0 - NEARLY_ALL) * old)
+    return bool(axes_at_noise(rows, after)[axis] or new < (1.0 - NEARLY_ALL) * old)
 
 
 def without_wrong_laws(rows: Rows, final: Fit) -> Fit:
