@@ -86,7 +86,7 @@ def _residuals(a: Analysis) -> tuple[AxisResidual, ...]:
 def _causes(a: Analysis, found: list[search.Cause], explained: float) -> list[Cause]:
     """The causes with what each explains and its rivals."""
     without = [search.without(a.rows, a.final, c) for c in found]
-    gains = [max(sum(falls(a.rows, w, a.final)), 0.0) for w in without]
+    gains = [max(sum(falls(w, a.final)), 0.0) for w in without]
     after = missed_by(a.rows, a.final)
     # What leaves more is wrong somewhere: of a drag with the square of the speed viscous friction takes six
     # sevenths, and is not what is there.
@@ -137,7 +137,7 @@ def _rivals(a: Analysis, cause: search.Cause, bare: Fit) -> list[tuple[float, Al
     return [
         (worse, Alternative(name, at, element, float(missed_by(a.rows, f)[axis]), other))
         for name, (at, element, other), f in out
-        for worse in (sum(falls(a.rows, f, a.final)) + NUMBER * (f.numbers - a.final.numbers),)
+        for worse in (sum(falls(f, a.final)) + NUMBER * (f.numbers - a.final.numbers),)
     ]
 
 

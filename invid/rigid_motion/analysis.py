@@ -129,7 +129,7 @@ def _with_delays(rows: Rows, current: Fit) -> Fit:
         if abs(value[0]) <= step + 2 * std[0] and not is_lost:
             continue
         bare = settled(rows, [t for t in current.terms if t is not term])
-        is_sure = not is_lost and pays(*falls(rows, bare, current), 1, PRICE)
+        is_sure = not is_lost and pays(*falls(bare, current), 1, PRICE)
         is_most = bool(missing_powers(rows, current).sum() < NEARLY_ALL * missing_powers(rows, bare).sum())
         if is_sure and is_most and _is_late_in_motion(rows, current, term, step):
             terms = [replace(t, law=Base.DELAY) if t is term else t for t in current.terms]

@@ -14,7 +14,7 @@ from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.worth import NUMBER, PRICE_OF_FRICTION, pays
 from invid.numerics import budget
-from invid.rigid_motion.fit import Fit, chance_of_gain, falls, fit_terms, settled, unseen
+from invid.rigid_motion.fit import Fit, chance_of_gain, falls, fit_terms, settled
 from invid.rigid_motion.rows import Rows, colour_of
 from invid.rigid_motion.search import BY_WAY, MOST_CHANCE, OF_LOOKING, reshaped, without_idle
 from invid.rigid_motion.terms import HELD, PRESLIDING, RISE, Term
@@ -33,8 +33,8 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term]) -> tuple[Row
     if not all(np.isfinite(m.blur).all() for m in rows.motions):
         return rows, final  # of a velocity alone no place is known
     whole = rows.every
-    current = settled(whole, final.terms)
-    whole.set_colour(colour_of(whole, current.residual))
+    whole.set_colour(colour_of(whole, settled(whole, final.terms).residual))
+    current = plain = settled(whole, final.terms)
     found = False
     for axis in range(rows.axes):
         if budget.is_left_out("friction with a memory"):
@@ -45,9 +45,8 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term]) -> tuple[Row
     if not found:
         return rows, final
     current = without_idle(whole, current, candidates)
-    before = unseen(whole, final.terms, final.value, final.folds)
     moved = {t.axis for t in {*current.terms} ^ {*final.terms}}
-    chances = [chance_of_gain(whole, (before, current.held_out), axis) for axis in moved]
+    chances = [chance_of_gain(whole, (plain.held_out, current.held_out), axis) for axis in moved]
     return (whole, current) if max(chances, default=0.0) < MOST_CHANCE else (rows, final)
 
 
@@ -70,4 +69,4 @@ def _on_axis(rows: Rows, current: Fit, axis: int) -> Fit | None:
     more = best.numbers - current.numbers
     # One law for another brings no number, and has but to be the likelier one.
     price = NUMBER if more <= 0 else PRICE_OF_FRICTION + OF_LOOKING * float(np.log(len(options)))
-    return best if pays(*falls(rows, current, best), max(more, 1), price) else None
+    return best if pays(*falls(current, best), max(more, 1), price) else None

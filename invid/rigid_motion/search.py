@@ -133,9 +133,7 @@ def best_law(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit | None
         if trial.free[trial.span(trial.terms[-1])].any() and _pays(
             rows, trial.terms[-1], candidates, (current, trial)
         ):
-            trials.append(
-                (sum(falls(rows, current, trial)) - NUMBER * (trial.numbers - current.numbers), trial)
-            )
+            trials.append((sum(falls(current, trial)) - NUMBER * (trial.numbers - current.numbers), trial))
     return max(trials, key=lambda t: t[0])[1] if trials else None
 
 
@@ -213,7 +211,7 @@ def without_idle(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit:
         for term in [t for t in current.terms if not t.is_base or t.law in CHOSEN]:
             simpler = settled(rows, _less(current.terms, term))
             if not _pays(rows, term, candidates, (simpler, current)):
-                idle.append((sum(falls(rows, simpler, current)), simpler))
+                idle.append((sum(falls(simpler, current)), simpler))
         if not idle:
             break
         current = min(idle, key=lambda i: i[0])[1]
@@ -246,7 +244,7 @@ def _pays(rows: Rows, term: Term, candidates: Sequence[Term], fits: tuple[Fit, F
     new = axis_powers(rows, rows.judged, after.held_out)[mine]
     return all(
         bool((new < (1.0 - LEAST_GAIN) * axis_powers(rows, rows.judged, less.held_out)[mine]).any())
-        and pays(*falls(rows, less, after), max(after.numbers - less.numbers, 1), price)
+        and pays(*falls(less, after), max(after.numbers - less.numbers, 1), price)
         for less in befores
     )
 

@@ -112,7 +112,7 @@ def any_law(rows: Rows, axis: int, over: str) -> list[Term]:
 
 def _is_accepted(rows: Rows, before: Fit, after: Fit, axis: int) -> bool:
     """Whether a law pays, is known, and brings its axis to the noise or takes nearly all."""
-    if not pays(*falls(rows, before, after), max(after.numbers - before.numbers, 1)):
+    if not pays(*falls(before, after), max(after.numbers - before.numbers, 1)):
         return False
     law = after.terms[-1]
     part = after.span(law)
