@@ -130,8 +130,7 @@ def _with_delays(rows: Rows, current: Fit) -> Fit:
             continue
         bare = settled(rows, [t for t in current.terms if t is not term])
         is_sure = not is_lost and pays(*falls(bare, current), price())
-        before, after = (float(missing_powers(rows, f).sum()) for f in (bare, current))
-        is_most = after < NEARLY_ALL * before
+        is_most = bool(missing_powers(rows, current).sum() < NEARLY_ALL * missing_powers(rows, bare).sum())
         if is_sure and is_most and _is_late_in_motion(rows, current, term, step):
             terms = [replace(t, law=Base.DELAY) if t is term else t for t in current.terms]
             current = settled(rows, terms)
@@ -159,5 +158,4 @@ def _is_late_in_motion(rows: Rows, current: Fit, term: Term, step: float) -> boo
 
 def missed_by(rows: Rows, result: Fit) -> Float64:
     """(M,) rms torque that each axis misses in every row kept out."""
-    every = rows.every
-    return np.sqrt(axis_powers(every, every.judged, missing_torque(rows, result)))
+    return np.sqrt(axis_powers(rows.every, rows.every.judged, missing_torque(rows, result)))

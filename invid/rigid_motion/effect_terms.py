@@ -35,12 +35,11 @@ def effect_of_cause(rows: Rows, final: Fit, cause: Cause, axes: Sequence[str], *
         for h, e in zip(steps, np.eye(x.size), strict=True)
         for down in (_sizes(cause, x - h * e),)
     ]
-    known = {**BY_CAUSE[cause.name].parameters}
-    force, speed = "torque", "velocity"
     parameters = {}
     for name, size in _sizes(cause, x).items():
         slope = np.array([s[name] for s in slopes])
-        kind = known.get(name, speed if name.endswith("velocity") else force)
+        usual = "velocity" if name.endswith("velocity") else "torque"
+        kind = BY_CAUSE[cause.name].parameters.get(name, usual)
         unit = "1" if name in ("exponent", "inertia_counts") else unit_of(kind, linear)
         std = float(np.sqrt(max(slope @ spread @ slope, 0.0)))
         parameters[name] = Estimate(size, std, None if unit == "1" else unit)

@@ -34,8 +34,7 @@ def figures_of(a: Analysis) -> dict[str, Any]:
 
 
 def _relative_error(residual: Float64, torque: Float64) -> float:
-    size = float(np.linalg.norm(torque))
-    return 100 * float(np.linalg.norm(residual)) / size if size > 0 else 0.0
+    return 100 * float(np.linalg.norm(residual)) / max(float(np.linalg.norm(torque)), 1e-300)
 
 
 def _axes_not_shown(a: Analysis) -> list[str]:

@@ -166,9 +166,8 @@ def missing_torque(rows: Rows, result: Fit) -> Float64:
         )
         least.append(m.whole().rows(np.min(ends, axis=0) - told))
         most.append(m.whole().rows(np.max(ends, axis=0) - told))
-    every = rows.every
-    left = unseen(every, result.terms, result.value, result.folds)
-    return left - np.clip(left, every.stack(least), every.stack(most))
+    left = unseen(rows.every, result.terms, result.value, result.folds)
+    return left - np.clip(left, rows.every.stack(least), rows.every.stack(most))
 
 
 def falls(before: Fit, after: Fit) -> tuple[float, float]:
@@ -177,16 +176,18 @@ def falls(before: Fit, after: Fit) -> tuple[float, float]:
 
 
 def chance_of_gain(rows: Rows, left: tuple[Float64, Float64], axis: int) -> float:
-    """Chance that pieces kept out gain as much on an axis without any cause: that gains of these sizes and of
-    either sign sum up to as much (randomisation test, which one large gain does not decide).
+    """Chance that pieces of every row kept out gain as much on an axis without any cause: that gains of these
+    sizes and of either sign sum up to as much (randomisation test, which one large gain does not decide).
 
-    ``left`` (rows,): what is missing before and after.
+    ``left`` (every row,): what is missing before and after; whitened, since slow parts of an unknown force
+    else drown a gain; 1 where it is no less as it stands.
     """
-    mine = rows.judged & (rows.axis == axis)
-    pieces = np.unique(rows.group[mine], return_inverse=True)[1]
-    gains = np.bincount(pieces, left[0][mine] ** 2 - left[1][mine] ** 2)
+    mine = rows.every.judged & (rows.every.axis == axis)
+    before, after = (rows.colour.whitened(rows.every, x)[mine] for x in left)
+    gains = np.bincount(np.unique(rows.every.group[mine], return_inverse=True)[1], before**2 - after**2)
     signs = np.random.default_rng(0).choice((-1.0, 1.0), (DRAWS, gains.size))
-    return float(np.mean(signs @ np.abs(gains) >= gains.sum() * (1.0 - 1e-9)))
+    is_lower = bool(np.sum(left[1][mine] ** 2) < np.sum(left[0][mine] ** 2))
+    return float(np.mean(signs @ np.abs(gains) >= gains.sum() * (1.0 - 1e-9))) if is_lower else 1.0
 
 
 def axis_powers(rows: Rows, asked: Bool, x: Float64) -> Float64:
@@ -203,8 +204,7 @@ def noise_powers(rows: Rows, result: Fit, *, at_worst: bool = False) -> Float64:
     wherever the sampling aliases it to: at worst all of it, count²/12, at the cut-off.
     """
     band, counts = rows.motions[0].band, np.max([m.counts for m in rows.motions], axis=0)
-    worst = (2 * np.pi * band.rows_hz) ** 4 * counts**2 / 12.0
-    felt = band.accelerating() + (worst if at_worst else 0.0)
+    felt = band.accelerating() + at_worst * (2 * np.pi * band.rows_hz) ** 4 * counts**2 / 12.0
     power = axis_powers(rows, rows.judged, np.sqrt(rows.noise))
     for term in result.terms:
         if term.law is Base.INERTIA:

@@ -14,7 +14,7 @@ from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.price import NUMBER, PARTS, pays, price_at_motors
 from invid.numerics import budget
-from invid.rigid_motion.fit import Fit, chance_of_gain, falls, fit_terms, settled, unseen
+from invid.rigid_motion.fit import Fit, chance_of_gain, falls, fit_terms, settled
 from invid.rigid_motion.rows import Rows, colour_of
 from invid.rigid_motion.search import BY_WAY, MOST_CHANCE, reshaped, without_idle
 from invid.rigid_motion.terms import HELD, PRESLIDING, RISE, Term
@@ -34,7 +34,7 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term]) -> tuple[Row
         return rows, final  # of a velocity alone no place is known
     whole = rows.every
     whole.set_colour(colour_of(whole, settled(whole, final.terms).residual))
-    current = settled(whole, final.terms)
+    current = plain = settled(whole, final.terms)
     found = False
     for axis in range(rows.axes):
         if budget.is_left_out("friction with a memory"):
@@ -45,10 +45,9 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term]) -> tuple[Row
     if not found:
         return rows, final
     current = without_idle(whole, current, candidates)
-    left = unseen(whole, final.terms, final.value, final.folds), current.held_out
     moved = {t.axis for t in {*current.terms} ^ {*final.terms}}
-    is_better = all(chance_of_gain(whole, left, axis) < MOST_CHANCE for axis in moved)
-    return (whole, current) if is_better else (rows, final)
+    chances = [chance_of_gain(whole, (plain.held_out, current.held_out), axis) for axis in moved]
+    return (whole, current) if max(chances, default=0.0) < MOST_CHANCE else (rows, final)
 
 
 def _on_axis(rows: Rows, current: Fit, axis: int) -> Fit | None:

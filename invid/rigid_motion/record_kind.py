@@ -89,6 +89,5 @@ def grounded_axes(recording: Recording) -> set[int]:
         slowest = 4.0 / max(e.duration for e in recording.experiments)
         inside = slowest < own < float(rows.motions[0].band.rows_hz[i])
         left, without = (axis_powers(rows, rows.judged, f.held_out)[i] for f in (after, before))
-        if inside and left < LEFT_BY_SPRING * without:
-            found.add(i)
+        found |= {i} if inside and left < LEFT_BY_SPRING * without else set()
     return found

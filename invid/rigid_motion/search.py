@@ -253,7 +253,7 @@ def without_harm(rows: Rows, current: Fit) -> Fit:
         for cause in causes:
             fewer = without(rows, current, cause)
             left = missing_torque(rows, fewer), after
-            trials.append((chance_of_gain(rows.every, left, cause.terms[0].axis), fewer))
+            trials += [(chance_of_gain(rows, left, cause.terms[0].axis), fewer)]
         chance, fewer = max(trials, key=lambda t: t[0])
         if chance < MOST_CHANCE or budget.is_left_out("causes that help no row kept out"):
             break

@@ -120,8 +120,7 @@ def _is_accepted(rows: Rows, before: Fit, after: Fit, axis: int) -> bool:
     if not is_known(felt, after.value[part], after.covariance[part, part]):
         return False
     old, new = missing_powers(rows, before)[axis], missing_powers(rows, after)[axis]
-    is_quiet = bool(axes_at_noise(rows, after)[axis])
-    return is_quiet or bool(new < (1.0 - NEARLY_ALL) * old)
+    return bool(axes_at_noise(rows, after)[axis] or new < (1.0 - NEARLY_ALL) * old)
 
 
 def without_wrong_laws(rows: Rows, final: Fit) -> Fit:
