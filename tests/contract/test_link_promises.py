@@ -23,6 +23,7 @@ from invid_drivers.cia402.standing.hold_memory import HoldMemory
 from invid_drivers.cia402.standing.holding import remembered
 from invid_drivers.cli.measure import stop_on_signals
 from invid_drivers.measurement import run_measurement
+from tests.machines.foreign.habits import GivesLess
 
 NOTHING: dict[str, Any] = {}
 
@@ -238,3 +239,31 @@ def test_a_run_that_is_killed_leaves_that_its_axes_may_be_energised(cell: Foreig
     assert again.not_ready == ()
     again.close()
     assert found() == []
+
+
+@pytest.mark.parametrize("brake_s", [0.03, 0.05, 0.1])
+@pytest.mark.parametrize("echoes", [True, False])
+@pytest.mark.parametrize("left", [0.5, 0.0])
+def test_an_axis_that_its_drive_does_not_carry_is_left_to_its_brake_for_as_long_as_that_takes(
+    tmp_path: Path, brake_s: float, left: float, *, echoes: bool
+) -> None:
+    """It comes to its brake in motion: the drop of the brake test, from rest, is no measure of it."""
+    load = 5.0
+    cell = ForeignCell(tmp_path, [{"plant": {"load": load, "brake": brake_s}}], [True])
+    master = energised(cell)
+    for _ in range(250):
+        master.exchange([0.0])
+    assert master.secure([True])
+    (axis,) = cell.bus.axes
+    rested = axis.plant.q
+    axis.take_up(GivesLess(at=cell.bus.now(), torque=left * load, echoes=echoes))
+    with pytest.raises(SafetyStop, match="A1"):
+        for _ in range(500):
+            master.exchange([0.0])
+    seen = axis.plant.v
+    master.close()
+    assert axis.state == "off"
+    assert axis.plant.is_braked
+    physics = brake_s * abs(seen) + 0.5 * load * brake_s**2
+    assert rested - axis.plant.q < physics + 0.02
+    assert master.holdings[0].brake_in_time

@@ -383,6 +383,7 @@ class Supervisor:
             self.enter(a, AxisState.BRAKING)
             return
         a.power_is_useless |= a.is_energised
+        a.in_vain |= a.state in (AxisState.HELD, AxisState.LED, AxisState.CAUGHT)
         if a.state in (AxisState.BRAKING, AxisState.BRAKED):
             a.brake_failed = True
         if a.state in (AxisState.PARKING, AxisState.STANDS):
