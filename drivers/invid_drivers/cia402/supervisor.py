@@ -383,7 +383,7 @@ class Supervisor:
             self.enter(a, AxisState.BRAKING)
             return
         a.power_is_useless |= a.is_energised
-        a.in_vain |= a.state in (AxisState.HELD, AxisState.LED, AxisState.CAUGHT)
+        a.in_vain |= RULES[a.state].command is Command.ENABLE and a.state is not AxisState.CATCHING
         if a.state in (AxisState.BRAKING, AxisState.BRAKED):
             a.brake_failed = True
         if a.state in (AxisState.PARKING, AxisState.STANDS):
