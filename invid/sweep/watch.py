@@ -8,7 +8,7 @@ from invid.errors import SafetyStop
 from invid.sweep.bounds import Bounds
 from invid.sweep.drive_word import DriveWords
 from invid.sweep.ports import Sample
-from invid.sweep.stuck_encoder import Halting, Standing
+from invid.sweep.stuck_encoder import Halting
 
 STATE_MASK, OPERATION_ENABLED, FAULT = 0x6F, 0x27, 0x08
 """State bits of 0x6041 (CiA 402)."""
@@ -35,7 +35,6 @@ class Watch:
         self._energies: list[float] = []
         limits = bounds.limits
         names = [a.name for a in limits]
-        self.standing = Standing(names, cycle_s)
         self.words = DriveWords(names, cycle_s)
         self.halting = Halting(names, [a.resolution for a in limits], limits[0].unit, cycle_s)
         self.held: set[int] = set()
@@ -45,7 +44,6 @@ class Watch:
         """Judge growth of energy afresh, as the excitation changed."""
         self._energies.clear()
         self._energy, self._energy_cycles = 0.0, 0
-        self.standing.settle()
 
     def check(self, sample: Sample) -> None:
         """Raise SafetyStop where the motion must stop."""
@@ -62,7 +60,6 @@ class Watch:
         self.words.check(sample)
         try:
             self.halting.check(sample)
-            self.standing.check(sample)
         except SafetyStop as error:
             bounds.blind = {i for i, limit in enumerate(bounds.limits) if limit.name == error.axis}
             raise
