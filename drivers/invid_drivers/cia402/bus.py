@@ -245,7 +245,7 @@ class Cia402Cell:
             self._link.nmt(NMT_START, drive.node_id)
         self._link.wait(0.005)
         self._cycle.restart_slots()
-        self.held.memory.defer()  # from here on no cycle waits for a disk
+        self.held.memory.disk.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._look_first()
         self._wants = [Want.HOLD if mode is Mode.HOLD else Want.LEAD for mode in modes]
@@ -533,7 +533,7 @@ class Cia402Cell:
         try:
             if self.held_at_end:
                 self._link.attend = lambda: self._supervised.tick([Want.END] * len(self._drives))
-            for disk in (self.journal, self.held.memory):
+            for disk in (self.journal.disk, self.held.memory.disk):
                 try:
                     disk.settle()
                 except BusError as error:
