@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import can
 
@@ -445,8 +444,7 @@ class Cia402Cell:
         with contextlib.suppress(Exception):  # whoever listens may have gone
             self.tell(STOPPING)
         self._weigh_at_once(supervisor)
-        weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
-        way_out = procedures.leave(self._stage, longest_way_out(), weigh, self.held.doubted)
+        way_out = procedures.leave(self._stage, longest_way_out(), self.held.doubted)
         self._leave_by(way_out)
         self._note_ends(supervisor)
         off = (AxisState.OFF, AxisState.BRAKED, AxisState.FAULT, AxisState.UNHEARD)
@@ -564,7 +562,7 @@ class Cia402Cell:
         self._leave_by(procedures.look_after(self._stage))
         if not all(a.is_final for a in supervisor.axes):
             supervisor.speak()
-            self._leave_by(procedures.leave(self._stage, longest_way_out(), None, ()))
+            self._leave_by(procedures.leave(self._stage, longest_way_out(), ()))
         self._note_ends(supervisor)
 
     @property
