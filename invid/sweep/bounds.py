@@ -93,7 +93,7 @@ class Bounds:
             cycle_s,
         )
         """Torque that must have moved axes whose encoders stand."""
-        self.obedience = Obedience([a.name for a in limits], [a.resolution for a in limits], cycle_s)
+        self.obedience = Obedience([a.name for a in limits], cycle_s)
         """Demand against motion."""
         self.led: set[int] = set()
         """Axes whose loops the master closes."""

@@ -230,6 +230,10 @@ class Sweep:
         self._motion.rest(excited)
         self._motion.centre(excited, lowest=lowest_frequency([experiment]), path=path)
         self.sink.begin(experiment, self._motion.stated_holds(), scale)
+        # a path is followed with what torque that takes; a share that friction may hide moves nobody surely
+        played = scale * np.abs(experiment.torque).max(axis=0, initial=0.0)
+        moved = set() if path else excited & self._rehearsal.moved_by(played)
+        self._motion.watching.expect_motion(moved, lowest_frequency([experiment]))
         try:
             self._motion.play(
                 experiment.torque,
@@ -239,6 +243,7 @@ class Sweep:
                 recording=RowSink(self.sink, experiment.record_from, experiment.record_to),
             )
         finally:
+            self._motion.watching.expect_motion(())
             self.sink.end()
 
     def say(self, phase: str) -> None:

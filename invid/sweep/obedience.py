@@ -1,4 +1,4 @@
-"""Whether an axis goes on moving as its torque has it, the opposite way, or not at all.
+"""Whether an axis goes on moving as its torque has it, or the opposite way: demand against motion.
 
 While the amplitude is tried each shaken axis tells how the way in one block of cycles follows from the ways
 and the torques of the blocks before:
@@ -9,8 +9,7 @@ What the a's leave of y is p_k + e_k where the torque acts as it did, and -p_k +
 has changed its sign. What other axes, friction and springs add to e is not known and grows with the torque,
 so no variance is believed: over the last n blocks the log of the likelihood ratio of the two signs, each
 with the variance that these blocks show for it, is n/2·ln(Σ(left - p)² / Σ(left + p)²). An axis that
-friction holds leaves nothing, which speaks for neither. Where no block of them has a way, the same ratio is
-that of an encoder which stands and of the axis as it was tried, whose friction is in the variance of e.
+friction holds leaves nothing, which speaks for neither.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ import numpy as np
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Bool, Float64
 from invid.sweep.ports import Sample
-from invid.sweep.stuck_encoder import UNMOVED_COUNTS
 
 LONGEST_S, SHARE = 0.016, 0.25
 """A block is so long, and at most that share of the period of the fastest line: the counts of an encoder then
@@ -58,8 +56,6 @@ class _Axis:
     u: deque[float] = field(default_factory=lambda: deque(maxlen=TORQUES))
     place: float | None = None
     cycles: int = 0
-    still: int = 0
-    """Blocks in a row without a way."""
     asked: float = 0.0
     same: deque[float] = field(default_factory=lambda: deque(maxlen=LENGTHS[-1]))
     """Squares of what the known sign leaves."""
@@ -69,26 +65,23 @@ class _Axis:
         """What comes next follows from nothing before."""
         for past in (self.y, self.u, self.same, self.other):
             past.clear()
-        self.place, self.cycles, self.still, self.asked = None, 0, 0, 0.0
+        self.place, self.cycles, self.asked = None, 0, 0.0
 
-    def surprises(self) -> tuple[float, float]:
-        """Log of the likelihood ratio of the other sign and the known one, and of no motion and that."""
-        same = other = turned = stands = 0.0
+    def turned(self) -> float:
+        """Log of the likelihood ratio of the other sign and the known one."""
+        same = other = found = 0.0
         for n, (s, o) in enumerate(zip(reversed(self.same), reversed(self.other), strict=True), start=1):
             same, other = same + s, other + o
-            if n in LENGTHS and same > n * self.rest:
-                turned = max(turned, 0.5 * n * math.log(same / max(other, n * self.rest)))
-                stands = max(stands, 0.5 * n * math.log(same / (n * self.rest)) * (self.still >= n))
-        return turned, stands
+            if n in LENGTHS and same > other:
+                found = max(found, 0.5 * n * math.log(same / max(other, n * self.rest)))
+        return found
 
 
 class Obedience:
     """Demand against motion of each axis whose loop the master closes."""
 
-    def __init__(self, names: Sequence[str], resolution: Sequence[float], cycle_s: float) -> None:
-        """``resolution`` of the encoders [rad or m]."""
+    def __init__(self, names: Sequence[str], cycle_s: float) -> None:
         self._names, self._cycle = list(names), cycle_s
-        self._flicker = [UNMOVED_COUNTS * abs(r) for r in resolution]
         self._slot: int | None = None
         self._learned: dict[frozenset[int], list[_Axis | None]] = {}
         """By the axes that were shaken: how one follows depends on what the others do meanwhile."""
@@ -126,9 +119,8 @@ class Obedience:
         scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
         found = np.linalg.lstsq(columns / scale, ways[rows], rcond=1e-8)[0] / scale
         rest = float(np.mean((ways[rows] - columns @ found) ** 2))
-        least = self._flicker[i] ** 2  # a way is never known better
         self._axes[i] = _Axis(
-            length, found[:WAYS].tolist(), found[WAYS:-1].tolist(), float(found[-1]), max(rest, least)
+            length, found[:WAYS].tolist(), found[WAYS:-1].tolist(), float(found[-1]), max(rest, 1e-300)
         )
 
     def check(self, sample: Sample, asked: Sequence[float]) -> None:
@@ -161,24 +153,14 @@ class Obedience:
 
     def _judge(self, i: int, axis: _Axis, way: float) -> None:
         by_torque = sum(b * u for b, u in zip(axis.torques, axis.u, strict=True))
-        axis.still = axis.still + 1 if abs(way) <= self._flicker[i] else 0
         left = way - axis.offset - sum(a * y for a, y in zip(axis.ways, axis.y, strict=True))
         axis.same.append((left - by_torque) ** 2)
         axis.other.append((left + by_torque) ** 2)
-        turned, stands = axis.surprises()
-        if turned > SURE:
+        if axis.turned() > SURE:
             raise SafetyStop(
                 f"axis {self._names[i]}: it moved as its torque had it and now goes the opposite way",
                 way_out="a sign has turned in motor or encoder: find out before anything moves again",
                 code="disobeys",
-                axis=self._names[i],
-            )
-        if stands > SURE:
-            raise SafetyStop(
-                f"axis {self._names[i]}: it moved as its torque had it and stands now, for "
-                f"{axis.still * axis.length * self._cycle:.2g} s of shaking",
-                way_out="the encoder is stuck, the brake is closed, or friction is above the torque",
-                code="stands",
                 axis=self._names[i],
             )
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
 from invid.planning.forecast import (
     DRIVE_HOLDS_HZ,
@@ -24,7 +23,6 @@ from invid.recording.model import Kind
 from invid.sweep.motion import Log, Motion, RowSink, joined
 from invid.sweep.ports import Sink
 from invid.sweep.sign_trial import SignTrial
-from invid.sweep.stuck_encoder import UNMOVED_COUNTS
 
 GENTLE, LEAST_SHARE = 1.0 / 3.0, 0.01
 SMOOTH_S, SMOOTH_CYCLE = 0.02, 0.2
@@ -37,11 +35,6 @@ CLIMB, SHORT = 5.0, 3.0
 """A step of a trial has at most five times the torque of the one before, whose motion friction may have
 hidden wholly; where a third of what is allowed is not reached in the second, and its torque is still below
 the usual, there is another."""
-STAND_S, STAND_PERIODS, STAND_PARTS = 1.5, 0.25, 6
-"""An encoder that stands so long in a trial is dead, and never sooner than after a quarter period of the
-slowest line. A mass under a sinusoidal torque of amplitude A with Coulomb friction F stops where
-A·(cos φ₀ − cos φ) = F·(φ − φ₀), sin φ₀ = F/A, and breaks loose at π + φ₀: it stands for a quarter period at
-F = 0.87·A, and from there on friction has nearly won. It is looked for in sixths of that."""
 BISECTIONS = 12
 """A scale is sought to a four-thousandth."""
 
@@ -84,6 +77,9 @@ class Rehearsal:
         self.warnings = warnings
         self.scales = np.ones(len(motion.plan.experiments))
         """Factor on the torque of every experiment; below 1 where a limit would be near."""
+        self._sure: Float64 = np.zeros(motion.count)
+        """(M,) least torque with which an axis must move: friction may hold one that is shaken with less than
+        it was tried with."""
         self._as_foretold: set[int] = set()
         """Axes that doublets of a tenth of the amplitude moved as the model says."""
         self.bounds: Float64 = np.zeros((3, motion.count))
@@ -131,6 +127,9 @@ class Rehearsal:
         path = experiment.reference
         led = 0.0 if path is None else np.abs(path).max(axis=0)
 
+        peak = np.abs(experiment.torque).max(axis=0, initial=0.0)
+        self._sure = np.maximum(self._sure, np.where(peak > 0, sure * peak, 0.0))
+
         def bound(spread: Float64) -> Float64:
             most: Float64 = linear * spread
             most[2] += np.abs(self._motion.bias)
@@ -175,6 +174,10 @@ class Rehearsal:
             if peak > 0 and 0 < inertia < np.inf:
                 share = min(share, GENTLE * float(travel[i]) * inertia * omega**2 / peak)
         return max(share, LEAST_SHARE)
+
+    def moved_by(self, torque: Float64) -> set[int]:
+        """Axes that so much torque (M,) must move."""
+        return {i for i in range(torque.size) if torque[i] >= (1 - 1e-9) * self._sure[i]}
 
     def _allowed(self, experiment: PlannedExperiment, played: float) -> Float64:
         """(3, M) what was announced, or the plan's share of 95 % of the limits where that is less.
@@ -258,19 +261,10 @@ class Rehearsal:
         motion.watching.words.begin()
         if recorded:
             self._sink.begin(experiment, motion.stated_holds(), share)
-        lowest, played = lowest_frequency([experiment]), list[Log]()
-        still_s = max(STAND_S, STAND_PERIODS / lowest) if lowest > 0 else STAND_S
-        part = max(1, round(still_s / STAND_PARTS / cycle))
-        for k in range(0, cycles, part):
-            rows = slice(k, min(k + part, cycles))
-            taken = RowSink(self._sink, 0, part, is_logged=True) if recorded else None
-            along = None if path is None else path[rows]
-            torque = experiment.torque[rows] * share
-            played.append(motion.play(torque, rows.stop - k, reference=along, recording=taken))
-            # the fades at the ends of the excitation stand still by themselves
-            if moves and fade + still_s / cycle <= rows.stop <= cycles - fade:
-                self._require_motion(excited, joined(played[-STAND_PARTS:]))
-        body = joined(played)
+        taken = RowSink(self._sink, 0, cycles, is_logged=True) if recorded else None
+        motion.watching.expect_motion(excited if moves else (), lowest_frequency([experiment]))
+        body = motion.play(experiment.torque * share, cycles, reference=path, recording=taken)
+        motion.watching.expect_motion(())
         motion.watching.words.require_no_limit(range(motion.count), f"{share:.0%} of the planned amplitude")
         if recorded:
             self._sink.end()
@@ -295,22 +289,6 @@ class Rehearsal:
         # the rest has a hold of its own, whatever the share
         torque = self._torque(body, highest_frequency([experiment]))
         return Seen(share, np.stack([travel, velocity]), early, torque)
-
-    def _require_motion(self, excited: set[int], kept: Log) -> None:
-        """SafetyStop where the encoder of an axis that must move has shown one value all along."""
-        for i in excited:
-            seen = kept.position[kept.fresh[:, i], i]
-            if np.ptp(seen) > UNMOVED_COUNTS * abs(self._motion.cell.resolution[i]):
-                continue
-            name = self._motion.plan.axes[i]
-            self._motion.watching.bounds.blind.add(i)
-            raise SafetyStop(
-                f"axis {name}: the encoder has shown one value for "
-                f"{kept.time[-1] - kept.time[0]:.2g} s of shaking",
-                way_out="the encoder is stuck, the brake is closed, or friction is above the torque",
-                code="stands",
-                axis=name,
-            )
 
     def _torque(self, kept: Log, highest: float) -> Float64:
         """(M,) largest torque beyond the bias: commanded, or measured where a drive holds its axis.
