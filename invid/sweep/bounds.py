@@ -237,19 +237,17 @@ class Bounds:
     def _check_given(self, sample: Sample, asked: Sequence[float]) -> None:
         """What is given and done against what is asked for; who fails is not trusted to hold afterwards."""
         try:
-            kind: Kind | None = Kind.FALLS
             self._shortfall.check(sample, asked, self.led & self.weights.keys())
-            kind = Kind.DRIVEN
             self._signs.check(sample, asked)
             self.obedience.check(sample, asked)
-            kind = None
             self.unmoved.check(sample, asked)
         except SafetyStop as error:
             i = next(k for k, limit in enumerate(self.limits) if limit.name == error.axis)
-            if kind is None:
+            if error.code == "stands":
                 self.blind.add(i)
-                raise
-            self.falls = {i: Fall(kind, math.nan, sample.torque[i], at_limit=False)}
+            else:
+                kind = Kind.FALLS if error.code == "no_torque" else Kind.DRIVEN
+                self.falls = {i: Fall(kind, math.nan, sample.torque[i], at_limit=False)}
             raise
 
     def _check_travel(self, i: int, limit: AxisLimits, travel: float) -> None:

@@ -231,10 +231,9 @@ class Sweep:
         self._motion.centre(excited, lowest=lowest_frequency([experiment]), path=path)
         self.sink.begin(experiment, self._motion.stated_holds(), scale)
         # a path is followed with what torque that takes; a share that friction may hide moves nobody surely
-        if not path:
-            played = scale * np.abs(experiment.torque).max(axis=0, initial=0.0)
-            self._motion.must_move = excited & self._rehearsal.moved_by(played)
-        self._motion.watching.standing.slowest(lowest_frequency([experiment]))
+        played = scale * np.abs(experiment.torque).max(axis=0, initial=0.0)
+        moved = set() if path else excited & self._rehearsal.moved_by(played)
+        self._motion.watching.expect_motion(moved, lowest_frequency([experiment]))
         try:
             self._motion.play(
                 experiment.torque,
@@ -244,9 +243,7 @@ class Sweep:
                 recording=RowSink(self.sink, experiment.record_from, experiment.record_to),
             )
         finally:
-            self._motion.must_move = set()
-            self._motion.watching.standing.excited = set()
-            self._motion.expect_life(False)
+            self._motion.watching.expect_motion(())
             self.sink.end()
 
     def say(self, phase: str) -> None:

@@ -121,13 +121,11 @@ class Motion:
         self.done_s = 0.0
         self._next_report = 0.0
         self._watch: Watch | None = None
-        self.must_move: set[int] = set()
-        """Axes whose encoders may not stand still while rows are recorded."""
         self.led: set[int] = set()
         """Axes that are or were shaken, in torque mode around their places."""
         self._rested: set[int] | None = None
         """Axes that rest, and have done nothing else since."""
-        self._recorded = self._living = False
+        self._recorded = False
         self._recent: deque[tuple[float, tuple[float, ...], tuple[float, ...]]] = deque(
             maxlen=max(1, round(TRACE_S / plan.cycle_s))
         )
@@ -293,9 +291,6 @@ class Motion:
         watch.bounds.obedience.paused = reference is not None
         first, last = (0, 0) if recording is None else (recording.first, recording.last)
         logged = recording is None or recording.is_logged
-        edge = round(0.5 / cycle)
-        acting = cycles if torque is None else int(np.flatnonzero(torque.any(axis=1)).max(initial=-1)) + 1
-        shaken = (edge, min(cycles, acting) - edge)
         kept: tuple[list[list[float]], ...] = ([], [], [], [])
         instants: list[float] = []
         start: int | None = None
@@ -324,12 +319,6 @@ class Motion:
             if start is None:
                 start = sample.slot
             k = sample.slot - start
-            if recording is not None:
-                # an encoder that stands still is stuck, but not while the excitation fades in or out
-                watch.standing.excited = (
-                    self.must_move if shaken[0] <= k < shaken[1] and not fading else set()
-                )
-                self.expect_life(first <= k < last and not fading)
             recent.append((sample.time, tuple(sample.position), tuple(sample.torque)))
             watch.check(sample)
             self._differentiate(sample)
@@ -367,15 +356,6 @@ class Motion:
         for i in experiment.excited:
             columns = kept.time, kept.demand[:, i], kept.position[:, i], kept.fresh[:, i]
             obedience.learn(i, *columns, fastest)
-
-    def expect_life(self, expected: bool) -> None:
-        """While a periodic excitation is recorded, held axes that tremble with it must go on trembling."""
-        e = self.experiment
-        if expected is self._living or e is None:
-            return
-        self._living = expected
-        held = set(range(self.count)) - set(e.excited) if expected and e.period_samples else set()
-        self.watching.standing.expect_life(held, e.period_samples)
 
     def _differentiate(self, sample: Sample) -> None:
         last, before, velocity, position = self._last, self._last_time, self._velocity, sample.position

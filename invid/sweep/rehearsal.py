@@ -97,12 +97,8 @@ class Rehearsal:
         plan is scaled down where that bound lies beyond the announced figures or 95 % of a limit.
         """
         experiment, config = trial.experiment, self._motion.config
-        peak = np.abs(experiment.torque).max(axis=0, initial=0.0)
         self._motion.phase, self._motion.experiment = "trying the amplitude", experiment
-        lowest = lowest_frequency([experiment])
         self._motion.rest(set(experiment.excited))
-        self._motion.watching.standing.slowest(lowest)
-        self._motion.watching.standing.forget()
         sure, second = trial_shares(config, experiment)
         # the speed that is permitted to all of the second step's torque is permitted to less
         allowed = self._allowed(experiment, second)
@@ -131,6 +127,7 @@ class Rehearsal:
         path = experiment.reference
         led = 0.0 if path is None else np.abs(path).max(axis=0)
 
+        peak = np.abs(experiment.torque).max(axis=0, initial=0.0)
         self._sure = np.maximum(self._sure, np.where(peak > 0, sure * peak, 0.0))
 
         def bound(spread: Float64) -> Float64:
@@ -257,34 +254,22 @@ class Rehearsal:
         experiment, first = (excerpt(motion.config, trial, k) for k in (step, 0))
         recorded = bool(trial.recorded_share) and step == 1
         excited, cycle = set(experiment.excited), motion.plan.cycle_s
-        cycles = experiment.cycles
-        # the fades at the ends of the excitation stand still by themselves
+        cycles, path = experiment.cycles, experiment.reference
         fade = min(round(0.5 / cycle), cycles // 4)
         motion.centre(excited, lowest=lowest_frequency([experiment]))
         before = np.array(motion.place)
         motion.watching.words.begin()
-        rows, path = experiment.torque * share, experiment.reference
-
-        def play(first: int, last: int) -> Log:
-            part = None if path is None else path[first:last]
-            taken = RowSink(self._sink, 0, last - first, is_logged=True) if recorded else None
-            return motion.play(rows[first:last], last - first, reference=part, recording=taken)
-
         if recorded:
             self._sink.begin(experiment, motion.stated_holds(), share)
-        opening = play(0, fade)
-        motion.must_move = motion.watching.standing.excited = excited if moves else set()
-        body = play(fade, cycles - fade)
-        motion.must_move = motion.watching.standing.excited = set()
-        if moves:
-            motion.watching.standing.learn(excited)
-        words = f"{share:.0%} of the planned amplitude"
-        motion.watching.words.require_no_limit(range(motion.count), words)
-        ending = play(cycles - fade, cycles)
+        taken = RowSink(self._sink, 0, cycles, is_logged=True) if recorded else None
+        motion.watching.expect_motion(excited if moves else (), lowest_frequency([experiment]))
+        body = motion.play(experiment.torque * share, cycles, reference=path, recording=taken)
+        motion.watching.expect_motion(())
+        motion.watching.words.require_no_limit(range(motion.count), f"{share:.0%} of the planned amplitude")
         if recorded:
             self._sink.end()
         rest = motion.rest(excited)
-        kept = joined([opening, body, ending, rest])
+        kept = joined([body, rest])
         if experiment.kind is not Kind.CHIRP or experiment.cycles == trial.experiment.cycles:
             motion.learn(experiment, kept)  # the half of a sweep tells nothing of its other lines
         led = np.zeros_like(kept.position) if path is None else _until(path, len(kept.position))
@@ -302,7 +287,7 @@ class Rehearsal:
             early[0, i] = away[came < common].max(initial=0.0)
             early[1, i] = max(speed[came[step:] < common].max(initial=0.0), 0.0)
         # the rest has a hold of its own, whatever the share
-        torque = self._torque(joined([opening, body, ending]), highest_frequency([experiment]))
+        torque = self._torque(body, highest_frequency([experiment]))
         return Seen(share, np.stack([travel, velocity]), early, torque)
 
     def _torque(self, kept: Log, highest: float) -> Float64:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from itertools import pairwise
 
 from invid.errors import SafetyStop
 from invid.sweep.bounds import Bounds
 from invid.sweep.drive_word import DriveWords
 from invid.sweep.ports import Sample
-from invid.sweep.stuck_encoder import Halting, Standing
+from invid.sweep.stuck_encoder import UNMOVED_COUNTS, Halting
 
 STATE_MASK, OPERATION_ENABLED, FAULT = 0x6F, 0x27, 0x08
 """State bits of 0x6041 (CiA 402)."""
 
+STAND_S, STAND_PERIODS = 1.5, 0.25
+"""An encoder that stands so long under shaking is dead, and never sooner than after a quarter period of the
+slowest line. A mass under a sinusoidal torque of amplitude A with Coulomb friction F stops where
+A·(cos φ₀ − cos φ) = F·(φ − φ₀), sin φ₀ = F/A, and breaks loose at π + φ₀: it stands for a quarter period at
+F = 0.87·A, and from there on friction has nearly won. Sooner torque tells that must have moved the axis."""
 ENERGY_WINDOW_S = 0.25
 ENERGY_GROWTH = 1.25
 ENERGY_WINDOWS = 4
@@ -33,9 +39,10 @@ class Watch:
         self._energy = 0.0
         self._energy_cycles = 0
         self._energies: list[float] = []
+        self._stands: dict[int, tuple[float, float] | None] = {}
+        self._longest_s = STAND_S
         limits = bounds.limits
         names = [a.name for a in limits]
-        self.standing = Standing(names, cycle_s)
         self.words = DriveWords(names, cycle_s)
         self.halting = Halting(names, [a.resolution for a in limits], limits[0].unit, cycle_s)
         self.held: set[int] = set()
@@ -45,7 +52,11 @@ class Watch:
         """Judge growth of energy afresh, as the excitation changed."""
         self._energies.clear()
         self._energy, self._energy_cycles = 0.0, 0
-        self.standing.settle()
+
+    def expect_motion(self, axes: Collection[int], lowest_hz: float = 0.0) -> None:
+        """From here on these axes are shaken, by lines from ``lowest_hz`` on, with what must move them."""
+        self._stands = dict.fromkeys(axes)
+        self._longest_s = max(STAND_S, STAND_PERIODS / lowest_hz) if lowest_hz > 0 else STAND_S
 
     def check(self, sample: Sample) -> None:
         """Raise SafetyStop where the motion must stop."""
@@ -62,10 +73,24 @@ class Watch:
         self.words.check(sample)
         try:
             self.halting.check(sample)
-            self.standing.check(sample)
+            self._check_motion(sample)
         except SafetyStop as error:
             bounds.blind = {i for i, limit in enumerate(bounds.limits) if limit.name == error.axis}
             raise
+
+    def _check_motion(self, sample: Sample) -> None:
+        for i, stand in self._stands.items():
+            limit, place = self.bounds.limits[i], sample.position[i]
+            if stand is None or abs(place - stand[0]) > UNMOVED_COUNTS * abs(limit.resolution):
+                self._stands[i] = (place, sample.time) if sample.fresh[i] else None
+            elif sample.time - stand[1] > self._longest_s:
+                raise SafetyStop(
+                    f"axis {limit.name}: the encoder has shown one value for {self._longest_s:.2g} s of "
+                    "shaking",
+                    way_out="the encoder is stuck, the brake is closed, or friction is above the torque",
+                    code="stands",
+                    axis=limit.name,
+                )
 
     def _watch_energy(self, energy: float) -> None:
         self._energy += energy

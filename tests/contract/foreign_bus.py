@@ -60,8 +60,9 @@ class ForeignCell:
                 "limits": limits,
                 "inertia_kgm2": 1.0,
                 "gravity_loaded": is_loaded,
+                "brake": "none" if node.get("plant", {}).get("brake") is None else "drive",
             }
-            for n, is_loaded in enumerate(loaded, 1)
+            for n, (is_loaded, node) in enumerate(zip(loaded, nodes, strict=True), 1)
         ]
         self.config = CellConfig.model_validate(
             {

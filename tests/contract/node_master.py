@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
+import can
 import yaml
 
 import invid_drivers.simulated as simulated
@@ -54,23 +55,30 @@ class Master:
     def close(self) -> None:
         self.bus.shutdown()
 
+    def put(self, can_id: int, data: bytes) -> None:
+        self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+    def get(self, timeout: float) -> tuple[float, int, bytes] | None:
+        frame = self.bus.recv(timeout)
+        return None if frame is None else (frame.timestamp, frame.arbitration_id, bytes(frame.data))
+
     def wait(self, seconds: float) -> list[tuple[float, int, bytes]]:
         """All frames of the next ``seconds``."""
         end = self.bus.clock.now() + seconds
         frames = self.other
         self.other = []
         while (left := end - self.bus.clock.now()) > 0:
-            frame = self.bus.recv_raw(left)
+            frame = self.get(left)
             if frame is not None:
                 frames.append(frame)
         return frames
 
     def answer(self, node: int, request: bytes) -> bytes:
         """The SDO response to a request."""
-        self.bus.send_raw(0x600 + node, request)
+        self.put(0x600 + node, request)
         end = self.bus.clock.now() + 0.5
         while self.bus.clock.now() < end:
-            frame = self.bus.recv_raw(0.05)
+            frame = self.get(0.05)
             if frame is not None and frame[1] == 0x580 + node:
                 return frame[2]
             if frame is not None:
@@ -118,7 +126,7 @@ class Master:
             self.map_pdo(node, "r", 1, [target, 0x60400010])
             self.map_pdo(node, "t", 1, [0x60640020, 0x60770010, 0x60410010])
             assert self.write(node, 0x6060, 0, "b", mode) == 0
-        self.bus.send_raw(0, b"\x01\x00")
+        self.put(0, b"\x01\x00")
         self.next_sync = round(self.bus.clock.now() + 0.002, 3)
         self.mode = mode
 
@@ -126,13 +134,13 @@ class Master:
         """One SYNC with targets behind it; node -> position, torque, statusword."""
         self.bus.clock.sleep_until(self.next_sync)
         self.next_sync += period
-        self.bus.send_raw(0x80, b"")
+        self.put(0x80, b"")
         for node, target in zip(self.nodes, targets, strict=True):
             code = "<iH" if self.mode == 8 else "<hH"
-            self.bus.send_raw(0x200 + node, struct.pack(code, target, word))
+            self.put(0x200 + node, struct.pack(code, target, word))
         answers: dict[int, tuple[int, int, int]] = {}
         while (left := self.next_sync - 0.0001 - self.bus.clock.now()) > 0:
-            frame = self.bus.recv_raw(left)
+            frame = self.get(left)
             if frame is None:
                 break
             if 0x181 <= frame[1] <= 0x1FF:

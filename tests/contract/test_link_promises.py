@@ -17,12 +17,14 @@ from foreign_bus import LOADED, ForeignCell
 from invid.errors import BusError, DriveError, RecordingError, SafetyStop, left_by
 from invid.recording import Outcome
 from invid.sweep import Mode
+from invid.sweep.ports import Loop
 from invid_drivers.cia402.bus import STOPPED_S, Cia402Cell
 from invid_drivers.cia402.link import HEARD_S
 from invid_drivers.cia402.standing.hold_memory import HoldMemory
 from invid_drivers.cia402.standing.holding import remembered
 from invid_drivers.cli.measure import stop_on_signals
 from invid_drivers.measurement import run_measurement
+from tests.machines.foreign.habits import GivesLess
 
 NOTHING: dict[str, Any] = {}
 
@@ -238,3 +240,41 @@ def test_a_run_that_is_killed_leaves_that_its_axes_may_be_energised(cell: Foreig
     assert again.not_ready == ()
     again.close()
     assert found() == []
+
+
+@pytest.mark.parametrize("brake_s", [0.03, 0.1])
+@pytest.mark.parametrize(("left", "echoes"), [(0.5, True), (0.5, False), (0.0, True)])
+@pytest.mark.parametrize("led", [True, False])
+def test_an_axis_that_its_drive_does_not_carry_is_left_to_its_brake_for_as_long_as_that_takes(
+    tmp_path: Path, brake_s: float, left: float, *, echoes: bool, led: bool
+) -> None:
+    """It comes to its brake in motion: the drop of the brake test, from rest, is no measure of it."""
+    load = 5.0
+    cell = ForeignCell(tmp_path, [{"plant": {"load": load, "brake": brake_s}}], [True])
+    master = energised(cell)
+    (axis,) = cell.bus.axes
+
+    def go_on(cycles: int) -> None:
+        for _ in range(cycles):
+            master.exchange([load])
+
+    go_on(250)
+    assert master.secure([True])
+    if led:
+        master.set_modes([Mode.TORQUE])
+        go_on(20)
+        master.set_loops([Loop(load, 20.0)])
+    rested = axis.plant.q
+    axis.take_up(GivesLess(at=cell.bus.now(), torque=left * load, echoes=echoes))
+    if led:
+        go_on(10)  # until a person stops the run
+    else:
+        with pytest.raises(SafetyStop, match="A1"):
+            go_on(500)
+    speed = abs(axis.plant.v)
+    master.close()
+    assert axis.state == "off"
+    assert axis.plant.is_braked
+    seen_s = brake_s + (0.1 if led else 0.0)
+    assert rested - axis.plant.q < speed * seen_s + 0.5 * load * seen_s**2 + 0.02
+    assert master.holdings[0].brake_in_time

@@ -20,11 +20,11 @@ def test_a_node_whose_cable_is_pulled_stops_by_its_own_heartbeat_watch() -> None
     )
     assert master.write(1, 0x1016, 1, "I", 127 << 16 | 30) == 0
     master.prepare()
-    master.bus.send_raw(0x77F, b"\x05")
+    master.put(0x77F, b"\x05")
     master.enable()
     for _ in range(400):
         answers = master.cycle([100], 0x0F)
-        master.bus.send_raw(0x77F, b"\x05")
+        master.put(0x77F, b"\x05")
     assert not answers
     assert master.bus.cell.drives[0].state.name == "FAULT"
     assert abs(float(master.bus.cell.plant.velocities[0])) < 1e-9
@@ -45,11 +45,11 @@ def test_random_frames_never_break_a_node(frames: list[tuple[int, bytes]]) -> No
     master = Master(cell(axes=2))
     try:
         assert master.write(1, 0x1016, 1, "I", 0x7F0064) == 0
-        master.bus.send_raw(0, b"\x01\x00")
+        master.put(0, b"\x01\x00")
         for can_id, data in frames:
-            master.bus.send_raw(can_id, data)
+            master.put(can_id, data)
             master.wait(0.0005)
-        master.bus.send_raw(0, b"\x81\x00")  # reset: whatever it was in, it comes back
+        master.put(0, b"\x81\x00")  # reset: whatever it was in, it comes back
         master.wait(0.1)
         assert master.read(1, 0x1000) == 0x00020192
         assert np.isfinite(master.bus.cell.plant.state).all()

@@ -111,11 +111,11 @@ def test_a_lost_heartbeat_of_the_master_ends_as_the_abort_connection_option_says
     assert master.write(1, 0x6007, 0, "h", option) == 0
     assert master.write(1, 0x1016, 1, "I", 127 << 16 | 50) == 0
     master.prepare()
-    master.bus.send_raw(0x77F, b"\x05")
+    master.put(0x77F, b"\x05")
     master.enable()
     for _ in range(30):
         master.cycle([100], 0x0F)
-        master.bus.send_raw(0x77F, b"\x05")
+        master.put(0x77F, b"\x05")
     frames = master.wait(0.5)  # silence
     emergencies = [(t, struct.unpack_from("<H", d)[0]) for t, i, d in frames if i == 0x81]
     assert emergencies[0][1] == 0x8130

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import can
 
@@ -245,7 +244,7 @@ class Cia402Cell:
             self._link.nmt(NMT_START, drive.node_id)
         self._link.wait(0.005)
         self._cycle.restart_slots()
-        self.held.memory.defer()  # from here on no cycle waits for a disk
+        self.held.memory.disk.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._look_first()
         self._wants = [Want.HOLD if mode is Mode.HOLD else Want.LEAD for mode in modes]
@@ -445,8 +444,7 @@ class Cia402Cell:
         with contextlib.suppress(Exception):  # whoever listens may have gone
             self.tell(STOPPING)
         self._weigh_at_once(supervisor)
-        weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
-        way_out = procedures.leave(self._stage, longest_way_out(), weigh, self.held.doubted)
+        way_out = procedures.leave(self._stage, longest_way_out(), self.held.doubted)
         self._leave_by(way_out)
         self._note_ends(supervisor)
         off = (AxisState.OFF, AxisState.BRAKED, AxisState.FAULT, AxisState.UNHEARD)
@@ -533,7 +531,7 @@ class Cia402Cell:
         try:
             if self.held_at_end:
                 self._link.attend = lambda: self._supervised.tick([Want.END] * len(self._drives))
-            for disk in (self.journal, self.held.memory):
+            for disk in (self.journal.disk, self.held.memory.disk):
                 try:
                     disk.settle()
                 except BusError as error:
@@ -564,7 +562,7 @@ class Cia402Cell:
         self._leave_by(procedures.look_after(self._stage))
         if not all(a.is_final for a in supervisor.axes):
             supervisor.speak()
-            self._leave_by(procedures.leave(self._stage, longest_way_out(), None, ()))
+            self._leave_by(procedures.leave(self._stage, longest_way_out(), ()))
         self._note_ends(supervisor)
 
     @property

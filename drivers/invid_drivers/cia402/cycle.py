@@ -17,7 +17,7 @@ from invid.errors import BusError
 from invid.sweep.ports import Event, Sample, Severity
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
-from invid_drivers.cia402.cycle_requests import EVERY_CYCLES, ModeChange, SettingWrite, StateQuestion, upload
+from invid_drivers.cia402.cycle_requests import EVERY_CYCLES, Change, StateQuestion, upload
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
 from invid_drivers.cia402.objects import Object
@@ -113,7 +113,7 @@ class Cycle:
         self._next_listen = -math.inf
         self._answered_s = 0.5 * self._cycle
         self._mode_asked = 0
-        self._changes: dict[int, ModeChange | SettingWrite] = {}
+        self._changes: dict[int, Change] = {}
         self._changes_asked = 0
         self.asking: set[int] = set()
         """Axes that are asked for state and place by SDO: their process data do not come."""
@@ -150,14 +150,13 @@ class Cycle:
         torque mode, and until it holds. ``taken``: it has the mode, and is only to show it.
         """
         held = operation is OperationMode.CYCLIC_POSITION
-        self._changes[axis] = ModeChange(
-            operation, self._of_node[axis], self._link.clock.now(), held=held, taken=taken
-        )
+        steps = [od.TARGET_POSITION] * held + [od.MODE] * (not taken) + [od.MODE_DISPLAY]
+        self._changes[axis] = Change(self._of_node[axis], steps, int(operation), self._link.clock.now())
 
-    def change_of(self, axis: int) -> ModeChange | None:
+    def change_of(self, axis: int) -> Change | None:
         """The change of mode that goes on at an axis."""
         change = self._changes.get(axis)
-        return change if isinstance(change, ModeChange) else None
+        return None if change is None or change.operation is None else change
 
     def drop_change(self, axis: int) -> None:
         """Go on no longer with the mode that was asked for."""
@@ -188,12 +187,9 @@ class Cycle:
         moved = 0 if origin is None else wrapped_difference(counts, origin, self._span[axis])
         return ((origin or 0) + moved if origin is not None else counts) * self._position_unit[axis]
 
-    def set_object(self, axis: int, what: Object, value: int) -> SettingWrite:
+    def set_object(self, axis: int, what: Object, value: int) -> None:
         """Write an object of a drive in the cycles to come, while ``changing``."""
-        write = self._changes[axis] = SettingWrite(
-            self._of_node[axis].at(what), value, self._link.clock.now()
-        )
-        return write
+        self._changes[axis] = Change(self._of_node[axis], [what], value, self._link.clock.now())
 
     def restart_slots(self) -> None:
         """Let the next SYNC be at the next whole slot from now, after SDO traffic that took its time."""
@@ -494,7 +490,7 @@ class Cycle:
     def _go_on_changing(self, now: float) -> None:
         """Conclude the changes of mode that are done or failed; send the next request of one of them."""
         for axis, change in list(self._changes.items()):
-            if isinstance(change, ModeChange) and change.without_power and self.waits_for_power_off[axis]:
+            if change.without_power and self.waits_for_power_off[axis]:
                 continue
             why = change.failure(now)
             if why is not None:

@@ -39,59 +39,28 @@ def upload(what: Object) -> bytes:
     return struct.pack("<BHB", 0x40, what.index, what.sub).ljust(8, b"\0")
 
 
-class SettingWrite:
-    """One object written in the cycle; a drive that refuses keeps what it has."""
+class Change:
+    """Objects written to a drive one after the other: a setting, which a drive may refuse, or another mode.
 
-    operation: OperationMode | None = None
+    A mode is asked for by 0x6060, with the place of an axis that is to be held as target before, and awaited
+    in 0x6061.
+    """
 
-    def __init__(self, what: Object, value: int, began: float) -> None:
-        self._what, self._value = what, value
-        self._deadline = began + CHANGE_S
-        self.done = False
-        self.refused: str | None = None
-        """What the drive refused."""
-
-    def request(self, now: float, counts: int) -> bytes | None:
-        """The request to send; ``None`` once it is answered."""
-        return None if self.done else download(self._what, self._value)
-
-    def answered(self, data: bytes, now: float) -> None:
-        """Take in an SDO answer of the drive."""
-        named = len(data) == 8 and data[1:4] == struct.pack("<HB", self._what.index, self._what.sub)
-        if len(data) == 8 and data[0] == 0x80 and (named or not any(data[1:4])):
-            self.refused = f"SDO abort 0x{int.from_bytes(data[4:8], 'little'):08X}"
-            self.done = True
-        elif named and data[0] & 0xE0 == 0x60:
-            self.done = True
-
-    def failure(self, now: float) -> str | None:
-        """Why the write will not come about; ``None`` while it may."""
-        if now < self._deadline:
-            return None
-        return f"the drive does not answer ({self._what.address}) for {CHANGE_S:g} s"
-
-
-class ModeChange:
-    """A change of mode: where the axis is to be held its place as target, then 0x6060, then 0x6061."""
-
-    def __init__(
-        self, operation: OperationMode, of_node: NodeAxis, began: float, *, held: bool, taken: bool = False
-    ) -> None:
-        """``held``: at its place; ``taken``: 0x6060 is set, and 0x6061 is to show it."""
+    def __init__(self, of_node: NodeAxis, steps: list[Object], value: int, began: float) -> None:
+        """``value`` goes into each of ``steps`` that takes one."""
         self._at = of_node.at
-        self.operation = operation
-        self._began = began
-        self._next = began
-        self._steps = [od.TARGET_POSITION] * held + [od.MODE] * (not taken) + [od.MODE_DISPLAY]
+        self._steps, self._value = steps, value
+        self._began = self._next = began
+        self.operation = OperationMode(value) if od.MODE_DISPLAY in steps else None
+        """The mode that is asked for, if that is what changes."""
         self._shown: int | None = None
-        self.refused: str | None = None
-        """What the drive refused."""
+        self._refused: str | None = None
         self.without_power = False
         """It takes the mode without power only."""
 
     def ask_again(self, now: float) -> None:
         """Ask once more: the drive is without power by now."""
-        self.without_power, self.refused, self._began = False, None, now
+        self.without_power, self._refused, self._began = False, None, now
 
     @property
     def taken(self) -> bool:
@@ -100,7 +69,7 @@ class ModeChange:
 
     @property
     def done(self) -> bool:
-        """Whether the drive shows the mode."""
+        """Whether the drive shows the mode, or has answered to the setting."""
         return not self._steps
 
     def request(self, now: float, counts: int) -> bytes | None:
@@ -110,7 +79,7 @@ class ModeChange:
         step = self._steps[0]
         if step is od.MODE_DISPLAY:
             return upload(self._at(step))
-        return download(self._at(step), counts if step is od.TARGET_POSITION else int(self.operation))
+        return download(self._at(step), counts if step is od.TARGET_POSITION else self._value)
 
     def answered(self, data: bytes, now: float) -> None:
         """Take in an SDO answer of the drive; one of another object is not for this change."""
@@ -121,11 +90,13 @@ class ModeChange:
         if data[0] == 0x80 and (named or not any(data[1:4])):  # some drives abort without naming the object
             code = int.from_bytes(data[4:8], "little")
             self.without_power = step is od.MODE and code == NOT_NOW
-            self.refused = f"{step.address} {step.name} was refused (SDO abort 0x{code:08X})"
+            self._refused = f"{step.address} {step.name} was refused (SDO abort 0x{code:08X})"
+            if self.operation is None:  # it keeps what it has
+                self._steps.clear()
         elif named and step is od.MODE_DISPLAY and data[0] & 0xE0 == 0x40:
             self._shown = step.unpack(data[4:5])
             self._next = now + POLL_S
-            if self._shown == int(self.operation):
+            if self._shown == self._value:
                 self._steps.pop(0)
         elif named and data[0] & 0xE0 == 0x60:
             self._steps.pop(0)
@@ -134,8 +105,8 @@ class ModeChange:
         """Why the change will not come about; ``None`` while it may, or has."""
         if self.done:
             return None
-        if self.refused is not None:
-            why = self.refused
+        if self._refused is not None:
+            why = self._refused
             if self.without_power:
                 why += ": it takes one without power only, and the axis was not seen to stand without"
         elif now < self._began + (CHANGE_S if self._shown is None or self._shown > 0 else BUSY_S):
@@ -144,7 +115,9 @@ class ModeChange:
             why = f"the drive does not answer ({self._steps[0].address}) for {CHANGE_S:g} s"
         else:
             why = f"the drive shows mode {self._shown} (0x6061) after {now - self._began:.0f} s"
-        return f"mode {self.operation.name.lower()} was asked for, but {why}"
+        return (
+            why if self.operation is None else f"mode {self.operation.name.lower()} was asked for, but {why}"
+        )
 
 
 class StateQuestion:

@@ -1,4 +1,4 @@
-"""Writes to disk that no cycle waits for."""
+"""Writes to disk that no cycle waits for, each with what its failure would mean."""
 
 from __future__ import annotations
 
@@ -12,11 +12,16 @@ PATIENCE_S = 10.0
 """Longest wait for a disk while no axis is energised."""
 
 
+def unwritten(file: str, error: OSError, meaning: str) -> BusError:
+    """What to raise where a file cannot be written."""
+    return BusError(f"{file}: cannot be written ({error.strerror}){meaning}")
+
+
 class Disk:
     """Does one write after another in a thread of its own."""
 
     def __init__(self) -> None:
-        self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._todo: queue.SimpleQueue[tuple[Callable[[], None], str, str]] = queue.SimpleQueue()
         self._failed: list[BusError] = []
         self._idle = threading.Event()
         self._idle.set()
@@ -24,14 +29,15 @@ class Disk:
         self._lock = threading.Lock()
         self._deferred = False
 
-    def put(self, write: Callable[[], None]) -> None:
-        """Queue a write and wait for it unless deferred. BusError where it failed or takes too long."""
+    def put(self, write: Callable[[], None], file: str, meaning: str) -> None:
+        """Queue a write and wait for it unless deferred. BusError where it failed, with what that means, or
+        takes too long."""
         with self._lock:
             if not self._left:
                 threading.Thread(target=self._work, name="disk", daemon=True).start()
             self._left += 1
             self._idle.clear()
-        self._todo.put(write)
+        self._todo.put((write, file, meaning))
         if not self._deferred:
             self.settle()
 
@@ -52,11 +58,11 @@ class Disk:
 
     def _work(self) -> None:
         while True:
-            write = self._todo.get()
+            write, file, meaning = self._todo.get()
             try:
                 write()
-            except BusError as error:
-                self._failed.append(error)
+            except OSError as error:
+                self._failed.append(unwritten(file, error, meaning))
             with self._lock:
                 self._left -= 1
                 if not self._left:

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from invid.errors import BusError
-from invid_drivers.cia402.disk import Disk
+from invid_drivers.cia402.disk import Disk, unwritten
 from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.cia402.state_folder import (
     append_line,
@@ -24,6 +24,15 @@ from invid_drivers.cia402.state_folder import (
     replace_state,
     require_writable,
     state_folder,
+)
+
+NEEDED = (
+    "; nothing is written into a drive that could not be restored after a power cut; set XDG_STATE_HOME to a "
+    "folder of yours that lasts, in a container one on a volume"
+)
+COMPARED = (
+    "; what it says of settings that are restored is compared with the drive at the next start, and "
+    "left as it is"
 )
 
 
@@ -50,11 +59,14 @@ class Journal:
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self._entries: list[Entry] = []
-        self._disk = Disk()
+        self.disk = Disk()
         self.reservation: Reservation | None = None
         """Held as long as the bus is this process's."""
         if path is not None:
-            _require_writable(path)
+            try:
+                require_writable(path.parent)
+            except OSError as error:
+                raise unwritten(f"journal {path}", error, NEEDED) from None
             self._entries = _read(path)
 
     @property
@@ -70,20 +82,12 @@ class Journal:
         """Record a write before it is made."""
         self._entries.append(entry)
         if self.path is not None:
-            self._disk.put(partial(_append, self.path, _line(entry)))
+            self.disk.put(partial(append_line, self.path, _line(entry)), f"journal {self.path}", NEEDED)
 
     def note(self, entry: Entry) -> None:
         """Record a write under power: on disk soon, for no cycle waits for it."""
-        self.defer()
+        self.disk.defer()
         self.add(entry)
-
-    def defer(self) -> None:
-        """Wait for the disk no longer, until ``settle``."""
-        self._disk.defer()
-
-    def settle(self) -> None:
-        """Wait until what was noted is on disk; BusError where it is not."""
-        self._disk.settle()
 
     def release(self) -> None:
         """Give the bus free for the next process."""
@@ -99,39 +103,8 @@ class Journal:
         kept = set(map(id, entries))  # a value may be written twice: equal entries are two
         self._entries = [e for e in self._entries if e.node_id != node_id or id(e) in kept]
         if self.path is not None:
-            self._disk.put(partial(_replace, self.path, b"".join(map(_line, self._entries))))
-
-
-def _require_writable(path: Path) -> None:
-    try:
-        require_writable(path.parent)
-    except OSError as error:
-        raise BusError(_unwritable(path, error)) from None
-
-
-def _unwritable(path: Path, error: OSError) -> str:
-    return (
-        f"journal {path}: cannot be written ({error.strerror}); nothing is written into a drive "
-        "that could not be restored after a power cut; set XDG_STATE_HOME to a folder of yours that lasts, "
-        "in a container one on a volume"
-    )
-
-
-def _append(path: Path, line: bytes) -> None:
-    try:
-        append_line(path, line)
-    except OSError as error:
-        raise BusError(_unwritable(path, error)) from None
-
-
-def _replace(path: Path, text: bytes) -> None:
-    try:
-        replace_state(path, text)
-    except OSError as error:
-        raise BusError(
-            f"journal {path}: cannot be written ({error.strerror}); what it says of settings that "
-            "are restored is compared with the drive at the next start, and left as it is"
-        ) from None
+            text = b"".join(map(_line, self._entries))
+            self.disk.put(partial(replace_state, self.path, text), f"journal {self.path}", COMPARED)
 
 
 def _line(entry: Entry) -> bytes:

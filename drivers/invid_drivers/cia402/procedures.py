@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.errors import BusError, DriveError, SafetyStop
-from invid.numerics.arrays import Bool, Float64
-from invid.sweep.loads import CONFIRM_S
+from invid.sweep.loads import CONFIRM_S, LOAD_SHARE
 from invid_drivers.cia402.axis_state import BRAKE_S, ENABLE_S, AxisState
 from invid_drivers.cia402.states import DriveState
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
@@ -44,15 +43,11 @@ SEEN_OFF_S = 0.5
 on its brake has left its tolerance."""
 WEIGHINGS = 3
 """An axis weighs nothing that showed no load once: those that were just let go swing on for a while."""
-WEIGHED_SHARE = 0.5
-"""Of the samples by which an axis is weighed must have come."""
 AFTER_S = 5.0
 """What is left held is looked at so long without its master: quick stops with a time limit, late faults and
 slow loops showed themselves within four seconds."""
 
 CAUGHT = (AxisState.CAUGHT, AxisState.LOST, AxisState.FAULT)
-Weigh = Callable[[Collection[int], Float64, Bool], Collection[int]]
-"""Which of these axes carry nothing, by torque and freshness (n, M) while their drives hold them."""
 
 
 @dataclass(frozen=True)
@@ -354,7 +349,7 @@ def _resume(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
 # --- the way out -------------------------------------------------------------------------------------
 
 
-def leave(stage: Stage, longest_s: float, weigh: Weigh | None, doubted: Collection[int]) -> Procedure:
+def leave(stage: Stage, longest_s: float, doubted: Collection[int]) -> Procedure:
     """Every axis to rest, each at its own pace, and off where nothing needs to hold it; then looked at.
 
     ``doubted`` axes stay held only because nobody knows whether they are loaded: their torque tells.
@@ -363,9 +358,9 @@ def leave(stage: Stage, longest_s: float, weigh: Weigh | None, doubted: Collecti
     yield from _until_final(stage, end)
     for _ in range(WEIGHINGS):
         left = [a for a in stage.axes if a.index in doubted and a.state is AxisState.STANDS and a.carries]
-        if weigh is None or not left or stage.now() > end:
+        if not left or stage.now() > end:
             break
-        yield from _weigh(stage, left, weigh)
+        yield from _weigh(stage, left)
         yield from _until_final(stage, end)
 
 
@@ -381,21 +376,19 @@ def _is_seen_final(a: SupervisedAxis) -> bool:
     return a.is_final and (a.seconds >= SEEN_OFF_S or not without_torque)
 
 
-def _weigh(stage: Stage, axes: Sequence[SupervisedAxis], weigh: Weigh) -> Procedure:
-    """Axes that carry nothing need not stay under power because a stop came before that was known."""
-    torque: list[list[float]] = []
-    fresh: list[list[bool]] = []
-    steady = {a.index for a in axes}
-    end = stage.now() + CONFIRM_S
-    while stage.now() < end:
-        yield stage.everyone(Want.END)
-        torque.append([a.shown_torque for a in stage.axes])
-        fresh.append([a.fresh for a in stage.axes])
-        moved = [a for a in axes if a.state is not AxisState.STANDS or a.drop > a.estimator.tolerance]
-        steady -= {a.index for a in moved}
-    came = np.array(fresh)
-    told = [i for i in sorted(steady) if came[:, i].mean() > WEIGHED_SHARE]
-    weigh(told, np.array(torque), came)
+def _weigh(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
+    """Axes that carry nothing, by the torque that holds them, need not stay under power because a stop came
+    before that was known."""
+    shown: dict[int, list[float]] = {a.index: [] for a in axes}
+    for wants in stage.wait(CONFIRM_S, stage.everyone(Want.END)):
+        yield wants
+        for a in axes:
+            shown[a.index] += [a.shown_torque] * a.fresh
+    for a in axes:
+        stood = a.state is AxisState.STANDS and a.drop <= a.estimator.tolerance
+        least = LOAD_SHARE * a.estimator.limits.rated_torque
+        if stood and shown[a.index] and abs(np.mean(shown[a.index])) <= least:
+            a.holding.loaded = a.holding.taken_over = False
 
 
 def look_after(stage: Stage) -> Procedure:

@@ -95,6 +95,8 @@ class SupervisedAxis:
     brake_failed: bool = False
     power_is_useless: bool = False
     """It fell while its drive was still to hold it: its brake closes the sooner without."""
+    in_vain: bool = False
+    """It fell while its drive held it: given it again its drive would open the brake."""
     brake_is_last: bool = False
     """Nothing better than its brake is left, however late it closes."""
     weak: bool = False
@@ -339,7 +341,7 @@ class SupervisedAxis:
     def _has_dropped(self) -> bool:
         """Whether an axis that was at rest has gone too far, or half of that and is faster than a loop that
         sags."""
-        if self.entry_speed**2 > 2 * SEEN * self.most_drop:  # it came into its state in motion
+        if self.in_vain or self.entry_speed**2 > 2 * SEEN * self.most_drop:  # it came in motion
             return self.drop > self.estimator.limits.position
         return (self.drop > self.most_drop / 2 and self._speeds_up()) or self.drop > self.most_drop
 
@@ -369,8 +371,7 @@ class SupervisedAxis:
         nothing."""
         if self.has_brake and self.state not in (AxisState.BRAKING, AxisState.BRAKED):
             return AxisState.BRAKING
-        # what fell while its drive held it is not held better by that once more
-        in_vain = self.state in (AxisState.HELD, AxisState.CAUGHT) and self.last_means() is AxisState.BRAKING
+        in_vain = self.in_vain and self.last_means() is AxisState.BRAKING
         return AxisState.CATCHING if self.is_catchable and not in_vain else self.use_last_means()
 
     def last_means(self) -> AxisState:

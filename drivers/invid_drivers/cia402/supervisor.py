@@ -20,7 +20,7 @@ from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import ModeSet
 from invid_drivers.cia402.axis_state import CHANGING_S, NEXT, RULES, AxisState, Command, Fact
 from invid_drivers.cia402.cycle import Cycle
-from invid_drivers.cia402.cycle_requests import ModeChange
+from invid_drivers.cia402.cycle_requests import Change
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link
 from invid_drivers.cia402.states import DriveState, OperationMode
 from invid_drivers.cia402.supervised_axis import DEAF_S, DRIVEN_LOOK_S, SupervisedAxis, Trouble
@@ -383,6 +383,7 @@ class Supervisor:
             self.enter(a, AxisState.BRAKING)
             return
         a.power_is_useless |= a.is_energised
+        a.in_vain |= RULES[a.state].command is Command.ENABLE and a.state is not AxisState.CATCHING
         if a.state in (AxisState.BRAKING, AxisState.BRAKED):
             a.brake_failed = True
         if a.state in (AxisState.PARKING, AxisState.STANDS):
@@ -436,7 +437,7 @@ class Supervisor:
         elif a.seconds > self._within(a, rule.within_s):
             self._be_late(a, rule.late)
 
-    def _switch_mode(self, a: SupervisedAxis, change: ModeChange) -> None:
+    def _switch_mode(self, a: SupervisedAxis, change: Change) -> None:
         """Off, where it stands then, until its drive has taken the mode."""
         rest_s = a.holding.rest_s
         if rest_s is None:

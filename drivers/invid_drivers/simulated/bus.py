@@ -213,26 +213,6 @@ class VirtualTimeBus(BusABC):
         """The cell behind the bus, for tests and for showing the truth."""
         return self.wire.cell
 
-    # --- fast path, without can.Message ----------------------------------------------------------
-    def send_raw(self, can_id: int, data: bytes) -> None:
-        """Queue a data frame with an 11-bit identifier."""
-        self.wire.submit(can_id, data, self._number)
-
-    def recv_raw(self, timeout: float | None = None) -> tuple[float, int, bytes] | None:
-        """(time [s], identifier, data), or None when the timeout is over."""
-        inbox = self._inbox
-        if not inbox:
-            wire = self.wire
-            if timeout is None:
-                limit = wire.now_ns + _SILENCE_NS
-            else:  # any timeout above zero passes some time: a loop on what is left must end
-                limit = wire.now_ns + (max(1, round(timeout * _NS)) if timeout > 0.0 else 0)
-            wire.run(limit, inbox)
-            if not inbox:
-                return None
-        time_ns, can_id, data = inbox.popleft()
-        return time_ns / _NS, can_id, data
-
     # --- python-can ------------------------------------------------------------------------------
     def send(self, msg: Message, timeout: float | None = None) -> None:
         """Queue a frame at the present virtual instant.

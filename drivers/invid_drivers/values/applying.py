@@ -176,7 +176,7 @@ def _checked(config: CellConfig) -> Iterator[tuple[Cia402Cell, Journal]]:
         cell.check()
         journal = Journal(_journal_path(config))
         yield cell, journal
-        journal.settle()
+        journal.disk.settle()
     finally:
         cell.close()
 

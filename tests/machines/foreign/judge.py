@@ -66,8 +66,10 @@ def judge_all(d: Draft, runs: Sequence[Run], timeline: Timeline) -> Verdict:
     for n, run in enumerate(runs[1:], start=1):
         after = replace(d, phase=ALWAYS, must_stop=False, healthy=d.healthy and names[n] == "measure")
         verdicts.append(judge(after, run, timeline))
-        if names[n] == "check":
-            verdicts[-1] = replace(verdicts[-1], bad=(*verdicts[-1].bad, *_check(run, len(d.axes))))
+        more = _check(run, len(d.axes)) if names[n] == "check" else []
+        if names[n - 1 : n + 1] == ["check", "measure"]:
+            more += _foretold(runs[n - 1], run)
+        verdicts[-1] = replace(verdicts[-1], bad=(*verdicts[-1].bad, *more))
     called = [f"{n + 1} ({name}): " if n else "" for n, name in enumerate(names)]
     return Verdict(
         tuple(f"{c}{b}" for c, v in zip(called, verdicts, strict=True) for b in v.bad),
@@ -80,12 +82,30 @@ def judge_all(d: Draft, runs: Sequence[Run], timeline: Timeline) -> Verdict:
 
 
 def _check(run: Run, axes: int) -> list[str]:
-    """It enables nothing, and says what is under power, whether or not a measurement can start."""
+    """It enables nothing, says what is under power, and calls nothing ready that is enabled.
+
+    One that its drive holds in quick stop may be ready: the next measurement takes it over, or it is a
+    violation there.
+    """
     bad = [f"check enabled node {e.who}" for e in run.events if " to enabled (" in e.text][:1]
     on = [k for k in range(axes) if len(run.of(k)) and int(run.of(k)["state"][0]) in POWERED]
     said = run.words + json.dumps(run.document.get("reasons", ""))
     bad += [f"A{k + 1} is under power, and not said" for k in on if not _is_said_energised(said, k)]
+    ready = run.document.get("ready")
+    bad += [f"ready, with A{k + 1} enabled" for k in on if ready and run.of(k)["state"][0] == ENABLED]
     return bad
+
+
+def _foretold(check: Run, measure: Run) -> list[str]:
+    """Whether a measurement can start is what the check before said."""
+    enabled = any(" to enabled (" in e.text for e in measure.events)
+    if check.document.get("ready") and not _is_measured(measure):
+        return ["said to be ready, and not measured"]
+    return ["said not to be ready, and enabled"] if enabled and not check.document.get("ready") else []
+
+
+def _is_measured(run: Run) -> bool:
+    return run.status in (0, 3) and run.document.get("outcome") == "completed"
 
 
 def _is_said_energised(said: str, k: int) -> bool:
@@ -126,12 +146,11 @@ def judge(d: Draft, run: Run, timeline: Timeline) -> Verdict:
         on = [k + 1 for k in range(len(d.axes)) if int(run.of(k)["state"][-1]) == ENABLED]
         bad += [f"A{k}: goes on enabled without its master" for k in on]
     bad += sorted({f"to a foreign node: {e.text}" for e in run.events if e.text.startswith("FOREIGN")})[:1]
-    measured = run.status in (0, 3) and run.document.get("outcome") == "completed"
     happened = any(run.when(e["what"]) is not None for e in d.events)
     reached = d.phase == ALWAYS or happened or at < over - 0.02
     stopped = run.when("stop")
     end = None if stopped is None or math.isinf(over) else over - stopped
-    refused, note = d.healthy and not measured, ", ".join(notes)
+    refused, note = d.healthy and not _is_measured(run), ", ".join(notes)
     return Verdict(tuple(bad), refused, reached, note, _stop_time(run, over), end)
 
 

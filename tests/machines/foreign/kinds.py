@@ -669,9 +669,9 @@ def measured_again(d: Draft) -> None:
 
 @kind(("enabling", "rest", "trial", "run"), (0, 1, 2))
 def dies_and_is_checked(d: Draft) -> None:
-    """All of invid is killed, and a person asks what is the matter."""
+    """All of invid is killed, a person asks what is the matter, and then measures."""
     d.events.append({"what": "master dies", "at": d.at})
-    d.later = [("check", [])]
+    d.later = [("check", []), ("measure", [])]
 
 
 @kind(ONCE, LOADED, brakes=True)

@@ -4,44 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from test_sweep import CYCLE, RigidCell, config, run
+from test_sweep import CYCLE, RigidCell, run
 
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
 from invid.sweep import Sample
-from invid.sweep.stuck_encoder import (
-    Unmoved,
-)
-
-
-def trembling(cell: RigidCell, sample: Sample) -> None:
-    """The held axis A2 feels what A1 does, by a count."""
-    sample.position[1] += 1e-6 * (sample.slot // 3 % 2)
-
-
-def test_a_held_axis_that_trembled_with_the_others_and_stops_trembling_is_a_stuck_encoder() -> None:
-    cell = RigidCell()
-
-    def disturb(c: RigidCell, s: Sample) -> None:
-        if s.time < 30.0:
-            trembling(c, s)
-
-    cell.disturb = disturb
-    longer = (
-        "{kind: multisine, period_s: 2.0, periods: 9, settle_periods: 1, band_Hz: [6, 12], experiments: 1}"
-    )
-    _, error, _ = run(cell, config(longer), axes=["A1"])
-    assert isinstance(error, SafetyStop)
-    assert "A2" in str(error)
-    assert "trembled" in str(error)
-    assert 30.0 < cell.clock.time < 30.5
-
-
-def test_a_held_axis_that_never_trembles_is_no_fault() -> None:
-    cell = RigidCell()
-    _, error, _ = run(cell, axes=["A1"])
-    assert error is None
-    assert cell.x[1] == 0
+from invid.sweep.stuck_encoder import Unmoved
 
 
 def dying(when: Callable[[RigidCell, Sample], bool]) -> tuple[RigidCell, dict[str, float]]:

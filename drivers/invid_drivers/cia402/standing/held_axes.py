@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Collection, Mapping, Sequence
 
-from invid.config import CellConfig
 from invid.errors import BusError, SafetyStop
-from invid.numerics.arrays import Bool, Float64
-from invid.sweep.loads import LOAD_SHARE, judge_loads
+from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.ports import Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, DriveReport
@@ -120,16 +118,6 @@ class HeldAxes:
             if not self._settled and h.stays and not h.config.gravity_loaded and not h.seen.loaded
         }
 
-    def weigh_in_quick_stop(
-        self, config: CellConfig, rated: Sequence[float], axes: Collection[int], torque: Float64, fresh: Bool
-    ) -> set[int]:
-        """Which of these axes carry nothing, by the torque (n, M) with which their drives hold them."""
-        loads = judge_loads(config, torque, fresh, [i in axes for i in range(len(self.holdings))], rated)
-        free = {i for i in axes if not loads[i].loaded}
-        for i in free:
-            self.holdings[i].loaded = self.holdings[i].taken_over = False
-        return free
-
     def settle(self, loaded: Sequence[bool], weights: Sequence[int]) -> None:
         """Take over what the torque at rest said; DriveError where nothing will hold a loaded axis."""
         self._settled = True
@@ -153,10 +141,10 @@ class HeldAxes:
 
     def note_begin(self) -> None:
         """Remember, before power, that a run commands these axes: whoever kills it leaves that behind."""
-        self.memory.defer()
+        self.memory.disk.defer()
         for h in self.holdings:
             h.note(self.memory, in_run=True)
-        self.memory.settle()
+        self.memory.disk.settle()
 
     def set_options(self, cycle: Cycle) -> bool:
         """Have 0x605A written where a drive must hold a load and was to switch off; whether any is."""

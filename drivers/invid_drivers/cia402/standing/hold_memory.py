@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from invid.errors import BusError
 from invid_drivers.cia402.disk import Disk
 from invid_drivers.cia402.state_folder import files_of_others, owner_of, read_state, replace_state
 
@@ -47,6 +46,10 @@ class Seen:
         return self.node_id, self.axis_of_node
 
 
+FORGOTTEN = (
+    ", and how a loaded axis is held would be forgotten; make it writable, or set "
+    "XDG_STATE_HOME to a folder that is"
+)
 LOST = "unreadable"
 """Name of what stands for every node that is not listed, where the memory could not be read."""
 
@@ -60,7 +63,7 @@ class HoldMemory:
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self._seen: dict[str, Seen] = {} if path is None else _read(path)
-        self._disk = Disk()
+        self.disk = Disk()
 
     @classmethod
     def beside(cls, journal: Path | None) -> HoldMemory:
@@ -114,31 +117,13 @@ class HoldMemory:
         self._seen = {**others, name: seen}
         if self.path is not None:
             text = json.dumps({k: asdict(v) for k, v in self._seen.items()}, indent=1)
-            self._disk.put(partial(_write, self.path, text))
-
-    def defer(self) -> None:
-        """Wait for the disk no longer from here on: axes are energised."""
-        self._disk.defer()
-
-    def settle(self) -> None:
-        """Wait until what was noted is on disk; BusError where it is not."""
-        self._disk.settle()
+            self.disk.put(partial(replace_state, self.path, text.encode()), str(self.path), FORGOTTEN)
 
 
 def identity(vendor_id: int, product_code: int, serial: int, axis: int = 1) -> str:
     """Name of an axis of a drive in the memory; empty where that has no serial number."""
     further = f".{axis}" * (axis > 1)
     return f"{vendor_id:08X}-{product_code:08X}-{serial}{further}" if serial else ""
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        replace_state(path, text.encode())
-    except OSError as error:
-        raise BusError(
-            f"{path}: cannot be written ({error.strerror}), and how a loaded axis is held would be "
-            "forgotten; make it writable, or set XDG_STATE_HOME to a folder that is"
-        ) from None
 
 
 def _read(path: Path) -> dict[str, Seen]:
