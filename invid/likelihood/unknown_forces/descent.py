@@ -21,8 +21,8 @@ from invid.numerics.arrays import Float64, Int64
 
 LARGEST_STEP = 0.7
 """Largest step of a number in one iteration: of a logarithm a factor of two."""
-GAP = 0.5
-"""Newton's decrement [−2 ln L] below which a fit is finished: an eightieth of the smallest price."""
+GAP = 0.3
+"""Newton's decrement [−2 ln L] below which a fit is finished: a hundredth of the smallest price."""
 TO_THE_END = 100
 """Most iterations of a fit that is to be finished."""
 LEAST_CURVATURE = 1e-3

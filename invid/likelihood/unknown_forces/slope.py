@@ -65,6 +65,7 @@ def slope(problem: Problem, value: Value) -> Slope:
         gradient += columns.reshape(-1, size).T @ rows.ravel()
         left = _Left.of(work, value.coefficients)
         gradient[:plant] += terms.by_parameter(_covariance_slope(problem, value, work, left, seen, factor))
+        gradient[:plant] += terms.by_parameter(_prior_slope(problem, value, k))
         pull += _strength_slope(problem, work, left)
     prior = 1.0 / problem.spread**2
     gradient += (numbers.x - problem.centre) * prior
@@ -214,6 +215,21 @@ class _Left:
         jumps = turned @ (work.whitener @ work.condensed.jumps(work.stack.omega))
         by_ends = work.stack.count * (work.ends.covariance @ jumps.conj().transpose(0, 2, 1))
         return cls(work.stack.count * (turned @ work.whitener) - told - jumps @ by_ends / double, by_ends)
+
+
+def _prior_slope(problem: Problem, value: Value, number: int) -> Float64:
+    """(T,) half the gradient by each term through the prior of the ends, whose root has M and C in it."""
+    work, terms = value.work[number], value.numbers.plant.structure.terms
+    size = work.condensed.receptance.shape[-1]
+    stretch = float(reading_stretch(problem, value.coefficients).mean())
+    fast, far = (2.0 / work.stack.span * stretch * s for s in problem.swing)
+    steep = work.ends.steepness(ends_of(value, number))
+    by_mass = fast * steep[:size, :size] + far * steep[size:, size:]
+    by_damper = far * steep[:size, size:]
+    one, two = terms.factors(np.array([1.0, 2.0]), value.numbers.plant.slope)  # −ω², jω and 1
+    mass, damping = ((terms.vectors * (part @ terms.vectors)).sum(axis=0) for part in (by_mass, by_damper))
+    out: Float64 = mass * (one - two).real / 3.0 + damping * one.imag
+    return out
 
 
 def _strength_slope(problem: Problem, work: StackWork, left: _Left) -> Float64:

@@ -87,8 +87,8 @@ class Problem:
     corner: float
     least: float
     """Least strength [(N·m)²]."""
-    momentum: tuple[float, float]
-    """Deviation that a record's ends α and β_e are expected to have: of momentum and of its integral."""
+    swing: tuple[float, float]
+    """Deviations that velocity and position of any coordinate may have from a record's start to its end."""
     shut: Int64 = field(default_factory=lambda: np.zeros(0, dtype=int))
     """Places whose strength stays as it is."""
 
@@ -105,7 +105,7 @@ class Problem:
             np.concatenate((structure.prior, timing.prior)),
             2 * np.pi * CORNER * top,
             LEAST * float(np.mean([s.torque_noise.mean() for s in stacks])),
-            _largest_momentum(stacks),
+            _largest_swing(stacks),
         )
 
     @cached_property
@@ -121,22 +121,14 @@ class Problem:
 
 
 LARGE = 3.0
-"""Deviation of a record's ends over the motors' own momentum: inner masses swing further than motors."""
+"""Deviation of a coordinate's motion over that of the motor that moves most: loads swing further."""
 
 
-def _largest_momentum(stacks: tuple[Stack, ...]) -> tuple[float, float]:
-    """Momentum, and its integral over time, by each axis' torque over its acceleration."""
-    out = [(0.0, 0.0)]
-    for record in (r for s in stacks for r in s.records):
-        motion = record.motion
-        moved, fast, pushed = (
-            motion.position.std(axis=0),
-            motion.velocity.std(axis=0),
-            motion.acceleration.std(axis=0),
-        )
-        mass = record.torque_wave.std(axis=0) / np.where(pushed > 0.0, pushed, np.inf)
-        out += zip(mass * fast, mass * moved, strict=True)
-    return LARGE * max(p for p, _ in out), LARGE * max(q for _, q in out)
+def _largest_swing(stacks: tuple[Stack, ...]) -> tuple[float, float]:
+    motions = [r.motion for s in stacks for r in s.records]
+    fast = max(float(m.velocity.std(axis=0).max()) for m in motions)
+    far = max(float(m.position.std(axis=0).max()) for m in motions)
+    return LARGE * fast, LARGE * far
 
 
 NEARLY_SINGULAR = 1e-12
@@ -147,20 +139,26 @@ NEARLY_SINGULAR = 1e-12
 class Ends:
     """What the ends of any record of a stack, which nobody knows, take out of its whitened rows.
 
-    With A (2FM, 2n) their rows for deviations of one, A = U·S·Vᵀ, rows keep 1 − U·S²/(1 + S²)·Uᵀ of their
-    square, and the value has ln|1 + AᵀA| beside. Attributes: ``basis`` U, ``sizes`` S, ``turned`` (2n, 2n)
-    the deviations times V: from coordinates to the ends' own numbers.
+    Of jumps of velocity and position with deviations of their own the ends are M·Δq̇ + C·Δq and M·Δq (``root``
+    times numbers of deviation one). With A (2FM, 2n) the rows of those, A = U·S·Vᵀ, rows keep 1 − U·S²/(1 +
+    S²)·Uᵀ of their square, and the value has ln|1 + AᵀA| beside. Attributes: ``basis`` U, ``sizes`` S,
+    ``turned`` (2n, 2n) the root times V, ``steep`` (2n, 2n) half the change of the logarithm by the root.
     """
 
     basis: Float64
     sizes: Float64
+    root: Float64
     turned: Float64
+    steep: Float64
 
     @classmethod
-    def of(cls, columns: Float64, deviation: Float64) -> Ends:
-        """Of rows (2FM, 2n) for ends of one, and their deviation (2n,)."""
-        basis, sizes, turned = np.linalg.svd(columns * deviation, full_matrices=False)
-        return cls(basis, sizes, deviation[:, None] * turned.T)
+    def of(cls, columns: Float64, root: Float64) -> Ends:
+        """Of rows (2FM, 2n) for ends of one, and a root (2n, 2n) of their prior covariance."""
+        basis, triangle = np.linalg.qr(columns @ root)
+        left, sizes, right = np.linalg.svd(triangle)
+        basis = basis @ left
+        steep = columns.T @ basis @ ((sizes / (1.0 + sizes**2))[:, None] * right)
+        return cls(basis, sizes, root, root @ right.T, steep)
 
     def out_of(self, rows: Float64) -> Float64:
         """(…, 2FM, k) rows whose squares are those that are left of ``rows``."""
@@ -172,6 +170,12 @@ class Ends:
         """(…, 2n, k) the ends that rows (…, 2FM, k) of missing torque ask for."""
         shrunk = self.sizes / (1.0 + self.sizes**2)
         out: Float64 = -self.turned @ (shrunk[:, None] * (self.basis.T @ rows))
+        return out
+
+    def steepness(self, ends: Float64) -> Float64:
+        """(2n, 2n) half the change of the value of records with such ends (R, 2n) by the root."""
+        numbers = np.linalg.solve(self.root, ends.T)
+        out: Float64 = ends.shape[0] * self.steep - np.linalg.solve(self.root.T, numbers) @ numbers.T
         return out
 
     @cached_property
@@ -300,9 +304,12 @@ def _work(problem: Problem, numbers: Numbers, number: int, scales: Scales) -> St
     )
     whitener = noise.whitener * np.sqrt(2.0 * stack.weight)[:, None, None]
     columns = real_rows((whitener @ condensed.jumps(omega))[None])[0]
-    # Jumps are for ends over 2/T.
-    deviation = np.repeat(np.array(problem.momentum) * (2.0 / stack.span), columns.shape[1] // 2)
-    ends = Ends.of(columns, deviation)
+    _, damping, inertia = numbers.plant.matrices
+    fast, far = (2.0 / stack.span * s for s in problem.swing)  # jumps are for ends over 2/T
+    # A reading that is stretched stretches what it says of the swing.
+    stretch = float(np.mean(scales[0]))
+    root = stretch * np.block([[fast * inertia, far * damping], [np.zeros_like(inertia), far * inertia]])
+    ends = Ends.of(columns, root)
     acting = numbers.timing.acting(stack)
     missing = (stiffness @ stack.position[..., None])[..., 0] - acting
     both = np.concatenate(

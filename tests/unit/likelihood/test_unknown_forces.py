@@ -85,15 +85,15 @@ def test_the_gradient_is_that_of_the_value():
 def test_ends_are_integrated_out_with_their_prior():
     """As one joint Gaussian of rows and ends has it."""
     rng = np.random.default_rng(3)
-    columns, deviation = rng.normal(size=(30, 4)) * [1.0, 10.0, 1e-3, 0.0], np.array([1.0, 2.0, 0.5, 3.0])
+    columns, root = rng.normal(size=(30, 4)) * [1.0, 10.0, 1e-3, 0.0], np.triu(rng.normal(size=(4, 4)))
     rows = rng.normal(size=(2, 30, 3))
-    ends, spread = Ends.of(columns, deviation), columns * deviation
+    ends, spread = Ends.of(columns, root), columns @ root
     joint = np.eye(30) + spread @ spread.T
     left = ends.out_of(rows)
     wanted = np.einsum("rik,ij,rjk->rk", rows, np.linalg.inv(joint), rows)
     np.testing.assert_allclose((left**2).sum(axis=1), wanted)
     assert ends.log_determinant == pytest.approx(np.linalg.slogdet(joint)[1])
-    known = np.linalg.inv(columns.T @ columns + np.diag(deviation**-2.0))
+    known = np.linalg.inv(columns.T @ columns + np.linalg.inv(root @ root.T))
     np.testing.assert_allclose(ends.covariance, known, atol=1e-12)
     np.testing.assert_allclose(ends.estimate(rows), -known @ columns.T @ rows, atol=1e-12)
 
