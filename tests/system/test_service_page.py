@@ -15,7 +15,6 @@ pytestmark = [pytest.mark.browser, pytest.mark.service]
 
 
 @pytest.mark.campaign
-@pytest.mark.panel
 @pytest.mark.timeout(900)
 @needs_browser
 def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_page(tmp_path: Path) -> None:

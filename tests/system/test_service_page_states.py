@@ -21,7 +21,6 @@ pytestmark = [
     pytest.mark.browser,
     pytest.mark.service,
     pytest.mark.campaign,
-    pytest.mark.panel,
     pytest.mark.timeout(900),
     needs_browser,
 ]
