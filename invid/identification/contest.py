@@ -225,8 +225,7 @@ def bent_axes(now: Supposed) -> Axes:
     """Axes on which most acts in a spring and free play or hardening of that spring takes it up: no other
     chain explains that, and beside it no start is at home."""
     worst = {axis: spot for axis, spot in astray(now).items() if spot.where is Where.SPRING}
-    if worst and not now.motions.smoothed:
-        now = now.smoothed()
+    now = now.with_motion() if worst else now
     before, out = {spot: rms for rms, spot in now.strength}, set()
     for axis, spot in worst.items():
         for law in SPRING_LAWS:

@@ -11,9 +11,6 @@ from invid.sweep.drive_word import DriveWords
 from invid.sweep.ports import Sample
 from invid.sweep.stuck_encoder import UNMOVED_COUNTS, Halting
 
-STATE_MASK, OPERATION_ENABLED, FAULT = 0x6F, 0x27, 0x08
-"""State bits of 0x6041 (CiA 402)."""
-
 STAND_S, STAND_PERIODS = 1.5, 0.25
 """An encoder that stands so long under shaking is dead, and never sooner than after a quarter period of the
 slowest line. A mass under a sinusoidal torque of amplitude A with Coulomb friction F stops where

@@ -611,3 +611,37 @@ def test_frames_of_any_kind_in_the_cycle_never_crash_the_adapter_nor_keep_it_fro
         bus: Any = cell._link.bus
         cell.close()
     assert all(d.state.name in ("SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "FAULT") for d in bus.cell.drives)
+
+
+def loaded(brake: str) -> Cia402Cell:
+    """Two axes that 3 N·m pull down."""
+    cfg = config({"effects": []}, gravity_loaded=True, brake=brake)
+    return Cia402Cell(open_virtual_bus(cfg), cfg)
+
+
+@pytest.mark.parametrize("brake", ["none", "drive"])
+def test_a_gravity_loaded_axis_is_not_dropped_by_a_stop(brake: str) -> None:
+    cell = loaded(brake)
+    plant_cell: Any = cell._link.bus.cell  # type: ignore[attr-defined]
+    plant = plant_cell.plant
+    try:
+        cell.check()
+        cell.energise(held(cell))
+        plant.external[plant.structure.motors] -= 3.0
+        for _ in range(100):
+            cell.exchange(zero(cell))
+        before = plant.positions[plant.structure.motors].copy()
+        cell.stop()
+        states_after = [d.state.name for d in plant_cell.drives]
+        cell._link.wait(1.0)
+        fallen = np.abs(plant.positions[plant.structure.motors] - before)
+    finally:
+        said = cell.close()
+    assert fallen.max() < 1e-3
+    if brake == "none":
+        assert states_after == ["QUICK_STOP_ACTIVE"] * 2
+        assert cell.held_at_end == ("A1", "A2")
+        assert any("A1" in line and "held" in line for line in said)
+    else:
+        assert states_after == ["SWITCH_ON_DISABLED"] * 2
+        assert cell.held_at_end == ()

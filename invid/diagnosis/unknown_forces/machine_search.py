@@ -66,8 +66,7 @@ def search_elastic(begun: Begun) -> ElasticSearch:
         budget.tell("weighing each cause", 0.0)
         found, named = prune(without_loose_springs(with_masses_seen(pursued.end)), deletions_of)
     budget.tell("what is left", 0.85)
-    # Of a structure that was the last to come no motion is known yet.
-    named = (named if named.motions.smoothed else named.smoothed()).kept_settled()
+    named = named.with_motion().kept_settled()  # there was no time for any, where the first cause was cut
     bare = without_causes(named)
     nothing: tuple[PlaceForce, ...] = ()
     forces_named = budget.or_else("what is left at each place", lambda: place_forces(named, bare), nothing)

@@ -42,6 +42,8 @@ SEEN = 4.0
 BLURS = (1.5, 0.75, 0.35, 0.15)
 """Offsets over the deviation of the motion up to which a law is averaged, one after another."""
 OFFSETS = np.linspace(-1.0, 1.0, 7)[1:-1]
+WEIGHTS = np.cos(OFFSETS * np.pi / 2.0) ** 2
+"""Where in such offsets a law is asked for, and how much each counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +69,10 @@ class LawOfMotion:
     def averaged(self, share: float, stride: int) -> LawOfMotion:
         """The laws averaged over offsets of up to a ``share`` of the deviation of the motion."""
         wide = share * float(np.std(np.concatenate([m.position for m in self.smoothed])))
-        weight = np.cos(OFFSETS * np.pi / 2.0) ** 2
 
         def resistance(motion: SpotMotion) -> Float64:
             moved = (replace(motion, position=motion.position + wide * u) for u in OFFSETS)
-            parts = [w * self.resistance(m) for w, m in zip(weight / weight.sum(), moved, strict=True)]
-            return np.asarray(np.sum(parts, axis=0), dtype=np.float64)
+            return np.average([self.resistance(m) for m in moved], axis=0, weights=WEIGHTS)
 
         return replace(self, resistance=resistance, stride=max(self.stride, stride))
 
@@ -85,8 +85,8 @@ def agree(stack: SmoothedStack, place: int, vector: Float64, law: LawOfMotion) -
     if not any(s.any() for s in start.slopes):  # a law of the past of the motion, or of none
         return stack
     found = descend(start)
-    most = found.expected + SEEN * np.sqrt(2.0 * found.expected)
-    apart = np.flatnonzero(found.costs_of_law > most)
+    expected = rows.expected
+    apart = np.flatnonzero(found.costs_of_law > expected + SEEN * np.sqrt(2.0 * expected))
     if not apart.size:
         return rows.moved(found.change)
     other = _from_afar(rows.of_records(apart))
@@ -127,7 +127,8 @@ class _Rows:
     """What a stack says of F, on A lines.
 
     ``missing`` (R, A, M), ``reach`` (A, M), ``jumps`` (A, M, 2n): r, H and E, whitened. ``receptance`` (A,):
-    X. ``by_ends``: motion by each end alone.
+    X. ``by_ends``: motion by each end alone; ``swing``: B, position and velocity at the place by it, (2n,
+    k + 1) each.
     """
 
     stack: SmoothedStack
@@ -140,6 +141,7 @@ class _Rows:
     power: Float64
     receptance: Complex128
     by_ends: SmoothedStack
+    swing: tuple[Float64, Float64]
     force: Complex128
 
     @classmethod
@@ -154,6 +156,7 @@ class _Rows:
         unknown = -stack.force[:, :, place]
         missing = stack.missing + unknown[..., None] * reach
         was = [law.lines(r, m) for r, m in zip(stack.stack.records, law.before, strict=True)]
+        by_ends = stack.motion_by_ends(np.eye(length.size) / length)
         return cls(
             stack,
             place,
@@ -164,7 +167,8 @@ class _Rows:
             jumps / length,
             np.maximum(power, LEAST_POWER * float(stack.stack.torque_noise.mean())),
             stack.condensed.receptance @ vector @ vector,
-            stack.motion_by_ends(np.eye(length.size) / length),
+            by_ends,
+            by_ends.over_time(vector),
             np.array(was) + unknown,
         )
 
@@ -178,10 +182,11 @@ class _Rows:
         """No change."""
         return _Change(np.zeros_like(self.force), np.zeros((self.force.shape[0], self.swing[0].shape[0])))
 
-    @cached_property
-    def swing(self) -> tuple[Float64, Float64]:
-        """Position and velocity at the place by the ends, (2n, k + 1) each: B."""
-        return self.by_ends.over_time(self.vector)
+    @property
+    def expected(self) -> float:
+        """Squares of force less law by Q of one record, on average where what is unknown has the power Q."""
+        told = self.power * (np.abs(self.reach) ** 2).sum(axis=1)
+        return float((told / (1.0 + told)) @ self.stack.weight)
 
     def told(self, change: _Change) -> Complex128:
         """(R, A, M) whitened torque of a change."""
@@ -250,12 +255,6 @@ class _At:
         """(R,) squares of force less law by its power Q."""
         out: Float64 = (np.abs(self.apart) ** 2 / self.rows.power) @ self.rows.stack.weight
         return out
-
-    @property
-    def expected(self) -> float:
-        """What ``costs_of_law`` of one record is on average where what is unknown has the power Q."""
-        told = self.rows.power * (np.abs(self.rows.reach) ** 2).sum(axis=1)
-        return float((told / (1.0 + told)) @ self.rows.stack.weight)
 
     @cached_property
     def costs(self) -> Float64:

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.likelihood.unknown_forces.slope import Slope, slope
+from invid.likelihood.unknown_forces.slope import Slope, slope, solve_scaled
 from invid.likelihood.unknown_forces.value import Numbers, Problem, Value, bounded_minimum, evaluate
 from invid.numerics import budget
 from invid.numerics.arrays import Float64, Int64
@@ -89,9 +89,7 @@ class Fit:
     @cached_property
     def covariance(self) -> Float64:
         """(p, p) covariance of the numbers as they move."""
-        unit = np.sqrt(np.diag(self.slope.curvature))
-        out: Float64 = np.linalg.inv(self.slope.curvature / unit[:, None] / unit) / unit[:, None] / unit
-        return out
+        return solve_scaled(self.slope.curvature, np.eye(self.slope.curvature.shape[0]))
 
 
 def fit(problem: Problem, start: Numbers, iterations: int = TO_THE_END, target: float = np.inf) -> Fit:

@@ -24,6 +24,7 @@ from invid.likelihood.unknown_forces.value import (
     closed_loop,
     reading_stretch,
     real_rows,
+    swings,
     torque_scales,
 )
 from invid.numerics.arrays import Complex128, Float64, Int64
@@ -63,9 +64,9 @@ def slope(problem: Problem, value: Value) -> Slope:
         flat = np.concatenate((columns, work.laws[..., free]), axis=2).reshape(-1, joint.shape[0])
         joint += flat.T @ flat
         gradient += columns.reshape(-1, size).T @ rows.ravel()
-        left = _Left.of(work, value.coefficients)
+        left = _Left.of(work, rows)
         gradient[:plant] += terms.by_parameter(_covariance_slope(problem, value, work, left, seen, factor))
-        gradient[:plant] += terms.by_parameter(_prior_slope(problem, value, k))
+        gradient[:plant] += terms.by_parameter(_prior_slope(problem, value, work, left.by_root))
         pull += _strength_slope(problem, work, left)
     prior = 1.0 / problem.spread**2
     gradient += (numbers.x - problem.centre) * prior
@@ -196,34 +197,34 @@ def _timing_columns(work: StackWork, timing: Timing, scales: Float64) -> Complex
 
 @dataclass(frozen=True, eq=False)
 class _Left:
-    """What is left of a stack's rows: ``balance`` (F, M, M) half the gradient by S, weights included, and
-    ``by_ends`` (F, 2n, M) that by the ends' reach.
+    """What is left of a stack's rows: ``balance`` (F, M, M) half the gradient by S, weights included,
+    ``by_ends`` (F, 2n, M) that by the ends' reach and ``by_root`` (2n, 2n) that by the root of their prior.
 
     With E the covariance that is left of the ends of J, S⁻¹R − Σ S⁻¹r rᴴS⁻¹ − R·S⁻¹J E JᴴS⁻¹, and R·E JᴴS⁻¹.
     """
 
     balance: Complex128
     by_ends: Complex128
+    by_root: Float64
 
     @classmethod
-    def of(cls, work: StackWork, coefficients: Float64) -> _Left:
-        """At the laws' coefficients (J,)."""
-        white = work.left(coefficients)
+    def of(cls, work: StackWork, rows: Float64) -> _Left:
+        """Of missing torque with the laws in it (R, 2FM)."""
+        left = work.left(rows)
         turned, double = work.whitener.conj().transpose(0, 2, 1), (2.0 * work.stack.weight)[:, None, None]
-        pulled = turned @ white.transpose(1, 2, 0)
+        pulled = turned @ work.on_lines(left).transpose(1, 2, 0)
         told = (pulled @ pulled.conj().transpose(0, 2, 1)) / double
         jumps = turned @ (work.whitener @ work.condensed.jumps(work.stack.omega))
         by_ends = work.stack.count * (work.ends.covariance @ jumps.conj().transpose(0, 2, 1))
-        return cls(work.stack.count * (turned @ work.whitener) - told - jumps @ by_ends / double, by_ends)
+        balance = work.stack.count * (turned @ work.whitener) - told - jumps @ by_ends / double
+        return cls(balance, by_ends, work.ends.steepness(rows, left))
 
 
-def _prior_slope(problem: Problem, value: Value, number: int) -> Float64:
-    """(T,) half the gradient by each term through the prior of the ends, whose root has M and C in it."""
-    work, terms = value.work[number], value.numbers.plant.structure.terms
+def _prior_slope(problem: Problem, value: Value, work: StackWork, steep: Float64) -> Float64:
+    """(T,) half the gradient by each term through the root of the ends' prior, which has M and C in it."""
+    terms = value.numbers.plant.structure.terms
     size = work.condensed.receptance.shape[-1]
-    stretch = float(reading_stretch(problem, value.coefficients).mean())
-    fast, far = (2.0 / work.stack.span * stretch * s for s in problem.swing)
-    steep = work.ends.steepness(ends_of(value, number))
+    fast, far = swings(problem, work.stack, reading_stretch(problem, value.coefficients))
     by_mass = fast * steep[:size, :size] + far * steep[size:, size:]
     by_damper = far * steep[:size, size:]
     one, two = terms.factors(np.array([1.0, 2.0]), value.numbers.plant.slope)  # −ω², jω and 1

@@ -23,7 +23,7 @@ from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
 from invid.model.plant import Condensed, Plant
 from invid.numerics.arrays import Complex128, Float64, Int64
-from invid.signals.record import line_weight
+from invid.signals.record import line_weight, parabola
 
 OVERSAMPLING = 4
 """Least instants for each line of a grid on which the slope of a law stands: its product with motion on those
@@ -108,11 +108,10 @@ class SmoothedStack:
         omega, span = self.omega, self.stack.span
         lines: Complex128 = self.lines @ vector
         jump, bend = self.jump @ vector, self.bend @ vector
-        turning = np.where(omega > 0, omega, 1.0)
-        parabola = (2.0 / span) * (1j * jump[:, None] / turning + bend[:, None] / turning**2)
-        parabola[:, 0] = 0.0
+        curve = parabola(omega, span, jump, bend).T
+        curve[:, 0] = 0.0
         clean = np.zeros((lines.shape[0], self.grid // 2 + 1), dtype=complex)
-        clean[:, : omega.size] = lines - parabola
+        clean[:, : omega.size] = lines - curve
         time = np.arange(self.grid + 1) / self.grid
         ramp = jump[:, None] * (time - 0.5) + bend[:, None] * span * (time**2 / 2 - time / 2 + 1 / 12)
         slope = jump[:, None] / span + bend[:, None] * (time - 0.5)

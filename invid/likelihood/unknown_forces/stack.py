@@ -74,6 +74,12 @@ class Stack:
         return replace(self, records=records, position=position, parts=parts, loop=loop)
 
     @cached_property
+    def swing(self) -> Float64:
+        """(2,) deviations of the velocity and of the position of the motors that move most."""
+        parts = [(r.motion.velocity.std(axis=0), r.motion.position.std(axis=0)) for r in self.records]
+        return np.asarray(np.max(parts, axis=(0, 2)), dtype=np.float64)
+
+    @cached_property
     def loss(self) -> Float64:
         """(F, 1) share of its amplitude that a torque loses by being held over the sample."""
         out: Float64 = 1.0 - np.sinc(self.omega * self.step / 2 / np.pi)[:, None]

@@ -214,6 +214,10 @@ class Supposed:
         """The same with inner motion smoothed anew."""
         return self.smoothed(agreed=agreed).refit(iterations=iterations)
 
+    def with_motion(self) -> Supposed:
+        """The same where motion is known at every place: smoothed at its own fit where it never was."""
+        return self if self.motions.smoothed else self.smoothed()
+
     def smoothed(self, *, agreed: bool = False) -> Supposed:
         """The same on inner motion smoothed at its own fit; ``agreed``, or where it was before: that across
         springs agrees with their laws."""

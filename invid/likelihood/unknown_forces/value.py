@@ -14,8 +14,8 @@ the drives' commands free (restricted likelihood: the contrast r of motion and t
 motion is Z + L). Without it lines on which the machine answers an unknown force through plant and hold pull Z
 to zero.
 
-The ends are integrated out, with a prior of the size of the motion's own momentum; the coefficients are
-profiled out, within their bounds, by normal equations over all stacks.
+The ends are integrated out, with a prior of the size of the motion; the coefficients are profiled out, within
+their bounds, by normal equations over all stacks.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ class Problem:
     corner: float
     least: float
     """Least strength [(N·m)²]."""
-    swing: tuple[float, float]
-    """Deviations that velocity and position of any coordinate may have from a record's start to its end."""
+    swing: Float64
+    """(2,) deviations of any coordinate's velocity and position from a record's start to its end."""
     shut: Int64 = field(default_factory=lambda: np.zeros(0, dtype=int))
     """Places whose strength stays as it is."""
 
@@ -105,7 +105,7 @@ class Problem:
             np.concatenate((structure.prior, timing.prior)),
             2 * np.pi * CORNER * top,
             LEAST * float(np.mean([s.torque_noise.mean() for s in stacks])),
-            _largest_swing(stacks),
+            LARGE * np.max([s.swing for s in stacks], axis=0),
         )
 
     @cached_property
@@ -124,11 +124,10 @@ LARGE = 3.0
 """Deviation of a coordinate's motion over that of the motor that moves most: loads swing further."""
 
 
-def _largest_swing(stacks: tuple[Stack, ...]) -> tuple[float, float]:
-    motions = [r.motion for s in stacks for r in s.records]
-    fast = max(float(m.velocity.std(axis=0).max()) for m in motions)
-    far = max(float(m.position.std(axis=0).max()) for m in motions)
-    return LARGE * fast, LARGE * far
+def swings(problem: Problem, stack: Stack, stretch: Float64) -> Float64:
+    """(2,) deviations of velocity and position over a record, over 2/T as its ends are; a reading that is
+    stretched (M,) stretches what it says of them."""
+    return float(stretch.mean()) * 2.0 / stack.span * problem.swing
 
 
 NEARLY_SINGULAR = 1e-12
@@ -141,24 +140,22 @@ class Ends:
 
     Of jumps of velocity and position with deviations of their own the ends are M·Δq̇ + C·Δq and M·Δq (``root``
     times numbers of deviation one). With A (2FM, 2n) the rows of those, A = U·S·Vᵀ, rows keep 1 − U·S²/(1 +
-    S²)·Uᵀ of their square, and the value has ln|1 + AᵀA| beside. Attributes: ``basis`` U, ``sizes`` S,
-    ``turned`` (2n, 2n) the root times V, ``steep`` (2n, 2n) half the change of the logarithm by the root.
+    S²)·Uᵀ of their square, and the value has ln|1 + AᵀA| beside. Attributes: ``columns`` (2FM, 2n) rows for
+    ends of one, ``root`` (2n, 2n), ``basis`` U, ``sizes`` S, ``turned`` V.
     """
 
+    columns: Float64
+    root: Float64
     basis: Float64
     sizes: Float64
-    root: Float64
     turned: Float64
-    steep: Float64
 
     @classmethod
     def of(cls, columns: Float64, root: Float64) -> Ends:
         """Of rows (2FM, 2n) for ends of one, and a root (2n, 2n) of their prior covariance."""
         basis, triangle = np.linalg.qr(columns @ root)
         left, sizes, right = np.linalg.svd(triangle)
-        basis = basis @ left
-        steep = columns.T @ basis @ ((sizes / (1.0 + sizes**2))[:, None] * right)
-        return cls(basis, sizes, root, root @ right.T, steep)
+        return cls(columns, root, basis @ left, sizes, right.T)
 
     def out_of(self, rows: Float64) -> Float64:
         """(…, 2FM, k) rows whose squares are those that are left of ``rows``."""
@@ -168,21 +165,24 @@ class Ends:
 
     def estimate(self, rows: Float64) -> Float64:
         """(…, 2n, k) the ends that rows (…, 2FM, k) of missing torque ask for."""
-        shrunk = self.sizes / (1.0 + self.sizes**2)
-        out: Float64 = -self.turned @ (shrunk[:, None] * (self.basis.T @ rows))
+        shrunk = self.root @ self.turned * (self.sizes / (1.0 + self.sizes**2))
+        out: Float64 = -shrunk @ (self.basis.T @ rows)
         return out
 
-    def steepness(self, ends: Float64) -> Float64:
-        """(2n, 2n) half the change of the value of records with such ends (R, 2n) by the root."""
-        numbers = np.linalg.solve(self.root, ends.T)
-        out: Float64 = ends.shape[0] * self.steep - np.linalg.solve(self.root.T, numbers) @ numbers.T
+    def steepness(self, rows: Float64, left: Float64) -> Float64:
+        """(2n, 2n) half the change of the value by the root, at rows (R, 2FM) of which the ends are out and
+        at what is ``left`` of them, with the ends in it."""
+        whole = 1.0 + self.sizes**2
+        numbers = -(rows @ self.basis) * (self.sizes / np.sqrt(whole)) @ self.turned.T
+        told = self.columns.T @ self.basis * (self.sizes / whole) @ self.turned.T
+        out: Float64 = rows.shape[0] * told + (left @ self.columns).T @ numbers
         return out
 
     @cached_property
     def covariance(self) -> Float64:
         """(2n, 2n) that is left of them."""
-        out: Float64 = (self.turned / (1.0 + self.sizes**2)) @ self.turned.T
-        return out
+        left = self.root @ self.turned / np.sqrt(1.0 + self.sizes**2)
+        return left @ left.T
 
     @cached_property
     def log_determinant(self) -> float:
@@ -216,11 +216,14 @@ class StackWork:
         """(F,) weights of the loop's term: none for the mean, at which a free machine has no stiffness."""
         return np.where(self.stack.omega > 0.0, self.stack.weight, 0.0)
 
-    def left(self, coefficients: Float64) -> Complex128:
-        """(R, F, M) whitened missing torque with laws and ends in it."""
-        count, lines, motors = self.shape
-        rows = self.ends.out_of((self.missing + self.laws @ coefficients)[..., None])[..., 0]
-        return (rows[:, : lines * motors] + 1j * rows[:, lines * motors :]).reshape(count, lines, motors)
+    def left(self, rows: Float64) -> Float64:
+        """(R, 2FM) whitened missing torque with the ends in it, of ``rows`` with the laws."""
+        return self.ends.out_of(rows[..., None])[..., 0]
+
+    def on_lines(self, rows: Float64) -> Complex128:
+        """(R, F, M) of rows (R, 2FM)."""
+        real, imaginary = np.split(rows, 2, axis=1)
+        return (real + 1j * imaginary).reshape(self.shape)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -305,10 +308,8 @@ def _work(problem: Problem, numbers: Numbers, number: int, scales: Scales) -> St
     whitener = noise.whitener * np.sqrt(2.0 * stack.weight)[:, None, None]
     columns = real_rows((whitener @ condensed.jumps(omega))[None])[0]
     _, damping, inertia = numbers.plant.matrices
-    fast, far = (2.0 / stack.span * s for s in problem.swing)  # jumps are for ends over 2/T
-    # A reading that is stretched stretches what it says of the swing.
-    stretch = float(np.mean(scales[0]))
-    root = stretch * np.block([[fast * inertia, far * damping], [np.zeros_like(inertia), far * inertia]])
+    fast, far = swings(problem, stack, scales[0])
+    root = np.block([[fast * inertia, far * damping], [np.zeros_like(inertia), far * inertia]])
     ends = Ends.of(columns, root)
     acting = numbers.timing.acting(stack)
     missing = (stiffness @ stack.position[..., None])[..., 0] - acting
@@ -464,5 +465,5 @@ def closed_loop(problem: Problem, work: StackWork, coefficients: Float64) -> Com
 def missing_torque(value: Value, number: int) -> Complex128:
     """(R, F, M) missing torque with laws and ends in it."""
     work = value.work[number]
-    white = work.left(value.coefficients)
+    white = work.on_lines(work.left(work.missing + work.laws @ value.coefficients))
     return np.asarray((np.linalg.inv(work.whitener) @ white[..., None])[..., 0], dtype=np.complex128)

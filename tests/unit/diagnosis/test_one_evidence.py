@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 import invid
+from invid.diagnosis.unknown_forces.machine_search import search_elastic
+from invid.identification.begun import begin_elastic
 from invid.model.diagnosis_document import Diagnosis, Verdict
-from invid.numerics.budget import Progress, stop
+from invid.numerics.budget import Budget, Progress, stop, use_budget
 from invid.recording.model import Recording
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
@@ -57,3 +59,25 @@ def test_a_spring_between_loads_is_weighed_like_any_cause() -> None:
     assert result.verdict is Verdict.EXPLAINED
     assert spring.confidence > 0.9
     assert spring.parameters["stiffness"].value == pytest.approx(STIFFNESS, rel=0.02)
+
+
+def test_a_search_that_has_no_time_for_its_first_cause_still_says_what_is_left_where() -> None:
+    """Motion behind the motors had never been worked out: it ended in an internal error."""
+    free_play = make("backlash", (0, 1), {"gap": 4e-3}, seed=500902, motors=1, masses=(2,))[0]
+    seconds, each = 0.0, 0.0
+
+    def clock() -> float:
+        nonlocal seconds
+        seconds += each
+        return seconds
+
+    def tell(progress: Progress) -> None:
+        nonlocal seconds, each
+        seconds = 70.0 if progress.stage == "looking for causes" else seconds  # 60 of 100 were its share
+        each = 0.2 if progress.stage == "what is left" else each
+
+    with use_budget(Budget(100.0, clock, tell)):
+        found = search_elastic(begin_elastic(free_play, (2,)))
+    assert found.is_cut_short
+    assert not found.pursued.end.hypothesis.laws
+    assert any(f.is_sure for f in found.forces_named)
