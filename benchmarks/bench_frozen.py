@@ -4,7 +4,7 @@
     python benchmarks/bench_frozen.py compare RESULTS RESULTS
     python benchmarks/bench_frozen.py [--cases 40] [--motors 2]      the working tree against HEAD
 
-Cases: hidden effects of both generators, machines drawn at random, the real records of ../shared/data and the
+Cases: hidden effects, the real records of ../shared/data and the
 demo. Their recordings are made once, into a cache outside the repository (--cache); each revision then
 identifies and diagnoses the same files with its own code, in a process of its own. A run that was broken off
 goes on where it was; a case that fails, hangs (--timeout) or takes its process down is written down as that.

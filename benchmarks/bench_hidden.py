@@ -1,10 +1,10 @@
 """Hidden effects: draws plants, causes, places, sizes, excitation and noise; prints what was found.
 
     python benchmarks/bench_hidden.py [--trials N] [--start SEED] [--jobs 2] [--kind null] [--cause backlash]
-                                      [--db 0 20] [--motors 3] [--json ROWS.jsonl] [--foreign]
+                                      [--db 0 20] [--motors 3] [--json ROWS.jsonl] [--excitation chirp]
 
 Every row of the result can be made again from its seed: `make_case(seed)` in tests/hidden, or
-`make(cause, seed=seed, target_db=…)` where --cause or --db is given, or `make_foreign(seed)` with --foreign.
+`make(cause, seed=seed, target_db=…)` where --cause or --db is given.
 """
 
 from __future__ import annotations
@@ -29,23 +29,19 @@ BINS = ((-99.0, -10.0), (-10.0, 0.0), (0.0, 10.0), (10.0, 99.0))
 
 def trial(job: tuple[int, dict[str, Any]]) -> dict[str, Any]:
     """One case, made and diagnosed."""
-    from hidden.foreign import make_foreign
     from hidden.generator import make, make_case
     from hidden.scoring import bias, parameter_error, score
 
     from invid.diagnosis.diagnose import diagnose
 
     seed, options = job
-    if options.get("foreign"):
-        recording, truth = make_foreign(
-            seed, cause=options["cause"], excitation=options["excitation"], motors=options["motors"]
-        )
-    elif options.get("cause") or options.get("db") is not None:
+    shaken = {"motors": options["motors"], "excitation": options["excitation"]}
+    if options.get("cause") or options.get("db") is not None:
         rng = np.random.default_rng([seed, 11])
         goal = None if options["db"] is None else float(rng.uniform(*options["db"]))
-        recording, truth = make(options["cause"], seed=seed, target_db=goal, motors=options["motors"])
+        recording, truth = make(options["cause"], seed=seed, target_db=goal, **shaken)
     else:
-        recording, truth = make_case(seed, kind=options["kind"], motors=options["motors"])
+        recording, truth = make_case(seed, kind=options["kind"], **shaken)
     row: dict[str, Any] = {
         "seed": seed,
         "kind": truth.kind,
@@ -176,7 +172,7 @@ def report(rows: list[dict[str, Any]]) -> None:
         )
     shaken: dict[str, list[bool]] = defaultdict(list)
     for r in rows:
-        shaken[str(r["settings"].get("drive"))].append(r["outcome"] == "right")
+        shaken[str(r["settings"].get("excitation", r["settings"]["drive"]))].append(r["outcome"] == "right")
     print("  right by drive or excitation: " + ", ".join(f"{k} {sum(v)}/{len(v)}" for k, v in shaken.items()))
     for motors in (1, 2, 3):
         part = [r["seconds"] for r in rows if len(r["masses"]) == motors]
@@ -220,8 +216,7 @@ def main() -> int:
     parser.add_argument("--cause")
     parser.add_argument("--db", type=float, nargs=2)
     parser.add_argument("--motors", type=int)
-    parser.add_argument("--foreign", action="store_true", help="the second generator, hidden/foreign.py")
-    parser.add_argument("--excitation", choices=["odd", "full", "chirp", "noise", "stepped"])
+    parser.add_argument("--excitation", choices=["chirp", "noise", "stepped"])
     parser.add_argument("--json", type=Path, help="rows as JSON lines, written as they come")
     parser.add_argument("--report", type=Path, nargs="+", help="print the tables of rows written before")
     arguments = parser.parse_args()
@@ -233,7 +228,6 @@ def main() -> int:
         "cause": arguments.cause,
         "db": arguments.db,
         "motors": arguments.motors,
-        "foreign": arguments.foreign,
         "excitation": arguments.excitation,
     }
     jobs = [(seed, options) for seed in range(arguments.start, arguments.start + arguments.trials)]

@@ -10,7 +10,7 @@ from invid.model.document import load_model
 from invid.recording import read_recording
 from invid.report.figures import figures
 
-SHOWN = ("cause-1", "forces")
+SHOWN = ("forces",)
 
 
 def main(demo: Path, out: Path) -> None:

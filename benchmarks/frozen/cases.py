@@ -18,8 +18,6 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 START = 870_000
 """First seed of the drawn cases; no campaign of the docs used those from here on."""
-SHARES = (("hidden", 10), ("foreign", 4), ("machine", 3))
-"""Of seventeen drawn cases so many from each generator."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +29,6 @@ class Case:
     seed: int = 0
     motors: int | None = None
     title: str = ""
-
-    @property
-    def arguments(self) -> list[str]:
-        """What `identify` and `diagnose` are told besides the recording."""
-        return ["--masses", "2"] if self.kind == "machine" and self.title == "flexible" else []
 
 
 def cases(number: int, motors: int | None) -> list[Case]:
@@ -49,25 +42,9 @@ def cases(number: int, motors: int | None) -> list[Case]:
 
 
 def _drawn(motors: int | None) -> Iterator[Case]:
-    seeds = {kind: count(START) for kind, _ in SHARES}
-    due = dict.fromkeys(seeds, 0.0)
-    total = sum(share for _, share in SHARES)
-    while True:
-        for kind, share in SHARES:
-            due[kind] += share / total
-        kind = max(due, key=lambda k: due[k])
-        due[kind] -= 1.0
-        seed = next(seeds[kind])
-        drawn = None if motors is None or kind == "machine" else 1 + seed % motors
-        suffix = "" if drawn is None else f"-{drawn}m"
-        family = _family(seed) if kind == "machine" else ""
-        yield Case(f"{kind}{suffix}-{seed}", kind, seed, drawn, family)
-
-
-def _family(seed: int) -> str:
-    from machines.draw import draw
-
-    return draw(seed).family
+    for seed in count(START):
+        drawn = None if motors is None else 1 + seed % motors
+        yield Case(f"hidden{'' if drawn is None else f'-{drawn}m'}-{seed}", "hidden", seed, drawn)
 
 
 def _real_records() -> list[Case]:
@@ -80,8 +57,7 @@ def _real_records() -> list[Case]:
 def make(case: Case, place: Path) -> None:
     """Write the recording of a case to ``place``; there is none where that fails."""
     makers: dict[str, Callable[[Case, Path], None]] = {
-        "hidden": _drawn_recording, "foreign": _drawn_recording, "machine": _machine, "real": _real,
-        "demo": _demo,
+        "hidden": _drawn_recording, "real": _real, "demo": _demo,
     }  # fmt: skip
     with tempfile.TemporaryDirectory(dir=place.parent) as name:
         written = Path(name) / "recording.h5"
@@ -90,21 +66,12 @@ def make(case: Case, place: Path) -> None:
 
 
 def _drawn_recording(case: Case, place: Path) -> None:
-    from hidden.foreign import make_foreign
     from hidden.generator import make_case
 
     from invid.recording import write_recording
 
-    maker = make_foreign if case.kind == "foreign" else make_case
-    recording, _ = maker(case.seed, motors=case.motors)
+    recording, _ = make_case(case.seed, motors=case.motors)
     write_recording(recording, place)
-
-
-def _machine(case: Case, place: Path) -> None:
-    from machines.draw import draw
-    from machines.write import write
-
-    _import(*write(draw(case.seed), place.parent, case.seed), place)
 
 
 def _real(case: Case, place: Path) -> None:

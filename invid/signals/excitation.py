@@ -7,6 +7,7 @@ frequencies in Hz, one row a SYNC cycle.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -37,13 +38,6 @@ class Multisine:
     phases: Float64
     period_samples: int
     sample_rate: float
-
-    @property
-    def frequencies(self) -> Float64:
-        """(L,) excited frequencies [Hz]."""
-        spacing = self.sample_rate / self.period_samples
-        result: Float64 = self.lines.astype(np.float64) * spacing
-        return result
 
     def period(self, rotation: float = 0.0) -> Float64:
         """(period_samples,) one period, every line turned by ``rotation`` [rad]."""
@@ -101,7 +95,6 @@ def multisine(
     *,
     rng: np.random.Generator,
     rotations: npt.ArrayLike = (0.0,),
-    shape: npt.ArrayLike | None = None,
 ) -> Multisine:
     """Random-phase multisine with amplitudes ∝ f^−½ and a low crest factor.
 
@@ -116,23 +109,39 @@ def multisine(
             f"multisine: lines must lie between 1 and {period_samples // 2 - 1} for "
             f"{period_samples} samples a period"
         )
-    amplitude = numbers**-0.5 if shape is None else np.asarray(shape, dtype=float)
-    rotations_by_draw = np.unique(
-        np.mod(np.asarray(rotations, dtype=float), np.pi)
-    )  # half a turn is only a sign
+    turns = np.unique(np.mod(np.asarray(rotations, dtype=float), np.pi))  # half a turn is only a sign
+    starts = rng.uniform(0, 2 * np.pi, size=(DRAWS, numbers.size))
+    phases, smallest = _low_crest(tuple(numbers.tolist()), tuple(turns.tolist()), starts.tobytes())
+    found = Multisine(
+        lines=numbers,
+        amplitudes=frozen_float(numbers**-0.5 / smallest),
+        phases=frozen_float(np.mod(phases, 2 * np.pi)),
+        period_samples=period_samples,
+        sample_rate=sample_rate,
+    )
+    # the peak on the samples that are played, not on the coarser grid of the search
+    peak = max(float(np.abs(found.period(turn)).max()) for turn in turns)
+    return replace(found, amplitudes=frozen_float(found.amplitudes / peak))
+
+
+@lru_cache(maxsize=64)
+def _low_crest(lines: tuple[int, ...], turns: tuple[float, ...], starts: bytes) -> tuple[Float64, float]:
+    """Phases (L,) [rad] of the lowest peak that is found from ``starts`` (``DRAWS``, L), and that peak.
+
+    Kept: until a cell moves it is planned half a dozen times, with the same waves at other amplitudes.
+    """
+    numbers, rotation = np.array(lines), np.array(turns)[:, None]
     # Twice the samples of the highest line resolve the peak of a smooth sum to a few per cent.
     grid = max(256, int(2 ** np.ceil(np.log2(8 * numbers.max()))))
 
     def peaks(phases: Float64) -> tuple[float, Float64]:
-        spectrum = np.zeros((rotations_by_draw.size, grid // 2 + 1), dtype=complex)
-        spectrum[:, numbers] = amplitude * np.exp(1j * (phases + rotations_by_draw[:, None])) * (grid / 2)
+        spectrum = np.zeros((rotation.size, grid // 2 + 1), dtype=complex)
+        spectrum[:, numbers] = numbers**-0.5 * np.exp(1j * (phases + rotation)) * (grid / 2)
         waves: Float64 = np.fft.irfft(spectrum, n=grid, axis=1)
         return float(np.abs(waves).max()), waves
 
-    starts = rng.uniform(0, 2 * np.pi, size=(DRAWS, numbers.size))
-    best = min((peaks(p)[0], i) for i, p in enumerate(starts))[1]
-    phases, smallest = starts[best], np.inf
-    trial = phases
+    trial = min(np.frombuffer(starts).reshape(DRAWS, -1), key=lambda p: peaks(p)[0])
+    phases, smallest = trial, np.inf
     for step in range(ITERATIONS):
         peak, waves = peaks(trial)
         if peak < smallest:
@@ -140,17 +149,8 @@ def multisine(
         level = peak * (0.8 + 0.15 * step / ITERATIONS)
         clipped = np.fft.rfft(np.clip(waves, -level, level), axis=1)[:, numbers]
         # every rotation votes for the phases it would like, turned back to the common ones
-        trial = np.angle(np.sum(clipped * np.exp(-1j * rotations_by_draw[:, None]), axis=0))
-    found = Multisine(
-        lines=numbers,
-        amplitudes=frozen_float(amplitude / smallest),
-        phases=frozen_float(np.mod(phases, 2 * np.pi)),
-        period_samples=period_samples,
-        sample_rate=sample_rate,
-    )
-    # the peak on the samples that are played, not on the coarser grid of the search
-    peak = max(float(np.abs(found.period(rotation)).max()) for rotation in rotations_by_draw)
-    return replace(found, amplitudes=frozen_float(found.amplitudes / peak))
+        trial = np.angle(np.sum(clipped * np.exp(-1j * rotation), axis=0))
+    return frozen_float(phases), smallest
 
 
 def orthogonal_rotation(axis: int, experiment: int, count: int) -> float:

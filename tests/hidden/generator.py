@@ -17,7 +17,7 @@ import numpy as np
 from hidden.causes import BASE, CATALOGUE, OUTSIDE, TWO, Cause, available
 from hidden.measurement import Active, excess_db, record, scales
 from hidden.plants import Plant, paper_plant, random_plant
-from hidden.setup import Setup, draw_setup
+from hidden.setup import Setup, draw_setup, without_periods
 from invid.model.chains import CoupledChains
 from invid.recording.model import Recording
 
@@ -110,13 +110,15 @@ def make(
     paper: bool = False,
     linear: bool = False,
     declared: int = 0,
+    excitation: str | None = None,
     **setup_options: Any,
 ) -> tuple[Recording, Truth]:
     """One case. ``cause`` None: null data. ``place``: (axis, element), from 0 and from 1.
 
     ``size``: parameters in SI; otherwise the size is found so that the effect has ``target_db``
     (drawn between −12 and 40 where None). ``second``: another cause on top. ``declared``: masses
-    declared per axis minus the true number.
+    declared per axis minus the true number. ``excitation``: "chirp", "noise" or "stepped" in place of the
+    multisines (the size is still what those would show).
     """
     rng = np.random.default_rng(seed)
     if motors is None and masses is None and cause is not None:
@@ -144,6 +146,8 @@ def make(
             goal = float(rng.uniform(-12, 40)) if target_db is None else target_db
             active.append(calibrated(rng, setup, chosen, axis, element, other, goal))
     db = excess_db(setup, tuple(active)) if active else -np.inf
+    if excitation is not None:
+        setup = without_periods(rng, setup, excitation)
     true_sizes = [len(m) for m in plant.chains.masses]
     recording, lost_db, gone = record(rng, setup, tuple(active), [n + declared for n in true_sizes])
     db = max(db, lost_db)
@@ -171,7 +175,9 @@ def make(
     return recording, Truth(seed, kind, effects, plant.chains, db, setup.settings)
 
 
-def make_case(seed: int, *, kind: str | None = None, motors: int | None = None) -> tuple[Recording, Truth]:
+def make_case(
+    seed: int, *, kind: str | None = None, motors: int | None = None, excitation: str | None = None
+) -> tuple[Recording, Truth]:
     """A case drawn at random: 70 % one catalogue cause, else null, outside, pair or wrong order."""
     rng = np.random.default_rng([seed, 7])
     kind = kind or str(
@@ -179,7 +185,7 @@ def make_case(seed: int, *, kind: str | None = None, motors: int | None = None) 
     )
     count = int(rng.integers(1, 4)) if motors is None else motors
     linear = bool(rng.uniform() < 0.1)
-    options: dict[str, Any] = {"seed": seed, "motors": count, "linear": linear}
+    options: dict[str, Any] = {"seed": seed, "motors": count, "linear": linear, "excitation": excitation}
     if kind == "null":
         return make(None, **options)
     if kind == "wrong_order":

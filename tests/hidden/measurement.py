@@ -197,7 +197,8 @@ def record(
     for number, run in enumerate(setup.runs):
         position, torque, _, _ = simulate(setup, run, active)
         demand = None
-        if setup.settings["drive"] == "mixed" and run.period:
+        goes = run.reference.any()  # a move, whose reference nobody logs
+        if setup.settings["drive"] == "mixed" and not goes:
             demand = np.tile(run.excitation[:: setup.sub], (run.periods, 1))
         position = position + setup.position_noise * rng.standard_normal(position.shape)
         position = np.round(position / setup.resolution) * setup.resolution
@@ -214,7 +215,7 @@ def record(
             own = _lost_power(setup, run, position - before[0], torque - before[1])
             power, points = power + own[0], points + own[1]
         rows += position.shape[0]
-        inside = setup.settings["inside_drive"] or not run.period
+        inside = setup.settings["inside_drive"] or goes
         experiments.append(
             Experiment(
                 key=f"{number:03d}",

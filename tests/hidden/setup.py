@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -246,3 +246,36 @@ def draw_setup(
             "duration_s": clock,
         },
     )
+
+
+def without_periods(rng: np.random.Generator, setup: Setup, excitation: str) -> Setup:
+    """The same plan shaken from rest by a sweep, noise or stepped sines of each run's band and peaks."""
+    runs = [_without_period(rng, setup, run, excitation) if run.period else run for run in setup.runs]
+    return replace(setup, runs=tuple(runs), settings={**setup.settings, "excitation": excitation})
+
+
+def _without_period(rng: np.random.Generator, setup: Setup, run: Run, excitation: str) -> Run:
+    rows, rate = run.length * setup.sub, setup.rate * setup.sub
+    low, high = run.lines_hz[0], run.lines_hz[-1]
+    share = np.arange(rows) / rows
+    phase = rng.uniform(0, 2 * np.pi, setup.plant.count)
+    if excitation == "noise":
+        hz = rng.uniform(low, high, (60, setup.plant.count))
+        turns = np.outer(share * rows / rate, np.ones(setup.plant.count))
+        wave = sum(f**-0.5 * np.sin(2 * np.pi * f * turns + phase * k) for k, f in enumerate(hz))
+    else:
+        share = np.floor(24 * share) / 23 if excitation == "stepped" else share
+        turns = np.cumsum(low * (high / low) ** share) / rate
+        wave = np.sin(2 * np.pi * turns[:, None] + phase)
+    wave = (
+        wave * np.minimum(1.0, np.minimum(np.arange(rows), rows - np.arange(rows)) / (0.03 * rows))[:, None]
+    )
+    if setup.staircase:
+        wave = np.repeat(wave[:: setup.sub], setup.sub, axis=0)
+    peak = np.abs(run.excitation).max(axis=0)
+    return replace(
+        run,
+        kind=Kind.CHIRP if excitation == "chirp" else Kind.OTHER,
+        excitation=wave / np.abs(wave).max(axis=0) * peak,
+        settle=0, periods=1, period=0, lines_hz=np.zeros(0),
+    )  # fmt: skip

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from invid.cli.app import run
 from invid.comparison.baseline import pool_models
 from invid.comparison.changes import Comparison, Status
 from invid.comparison.compare import compare
@@ -119,27 +118,18 @@ def test_models_of_different_robots_are_refused_with_the_reason() -> None:
         compare(model(), model(), tolerance=-1.0)
 
 
-def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    code = "from invid.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, "compare", *arguments], capture_output=True, text=True, check=False
-    )
-
-
-def test_the_command_prints_one_document_and_the_exit_status_of_the_contract(tmp_path: Path) -> None:
+def test_the_command_prints_one_document_and_the_exit_status_of_the_contract(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     old, new, blind = tmp_path / "old.json", tmp_path / "new.json", tmp_path / "blind.json"
     save_model(model(), old)
     save_model(model([[0.7, 2.0, 3.0], [4.0, 5.0, 7.31]]), new)
     save_model(replace(model(), std=ChainStd.unknown(model().chains)), blind)
-    done = command(str(old), str(new), "--json")
-    assert done.returncode == 0
-    document = json.loads(done.stdout)
+    assert run(["compare", str(old), str(new), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
     assert document["format"] == "invid-comparison"
     assert [p["parameter"] for p in document["parameters"] if p["status"] == "changed"] == ["A2.mass.3"]
-    untold = command(str(old), str(blind), "--json")
-    assert untold.returncode == 3
-    assert json.loads(untold.stdout)["warnings"]
-    assert "Traceback" not in untold.stderr
-    missing = command(str(old), str(tmp_path / "none.json"))
-    assert missing.returncode == 2
-    assert "no such file" in missing.stderr
+    assert run(["compare", str(old), str(blind), "--json"]) == 3
+    assert json.loads(capsys.readouterr().out)["warnings"]
+    assert run(["compare", str(old), str(tmp_path / "none.json")]) == 2
+    assert "no such file" in capsys.readouterr().err

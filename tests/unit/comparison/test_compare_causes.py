@@ -129,9 +129,6 @@ def test_a_cause_at_the_edge_of_what_is_named_does_not_appear_and_vanish_from_ru
     assert wrong / 400 <= 0.02
 
 
-"""Correlation of dry and viscous friction at one motor in what a run of the case study tells of them."""
-
-
 def test_a_cause_that_was_nothing_and_is_large_has_appeared_and_the_other_way_round_gone() -> None:
     came = compare(model(*usual()), model(*usual(), play()))
     assert of(came, "A2.backlash.spring 1").status is CauseStatus.APPEARED

@@ -38,6 +38,7 @@ def stopped_at(stage: str) -> Diagnosis:
     return invid.diagnose(tied(), progress=tell)
 
 
+@pytest.mark.campaign
 def test_identify_says_the_spring_between_loads_that_it_fitted() -> None:
     model = invid.identify(tied())
     (spring,) = [e for e in model.effects if e.cause == "coupling_stiffness"]
@@ -53,6 +54,7 @@ def test_what_is_fitted_and_not_weighed_explains_nothing_and_is_said() -> None:
     assert any("weighed" in w for w in result.warnings)
 
 
+@pytest.mark.campaign
 def test_a_spring_between_loads_is_weighed_like_any_cause() -> None:
     result = invid.diagnose(tied())
     (spring,) = [f for f in result.findings if f.cause == "coupling_stiffness"]

@@ -65,7 +65,7 @@ def machines(count: int) -> list[tuple[np.random.Generator, np.ndarray]]:
 def test_a_scale_that_multiplies_every_mass_is_a_doubt_with_and_without_an_earlier_model(
     factor: float,
 ) -> None:
-    for rng, masses in machines(100):
+    for rng, masses in machines(40):
         run = recording(float(masses.sum()))
         now, before = measured(rng, factor * masses), measured(rng, masses, "before")
         assert doubted(against_stated(now, run))
@@ -77,7 +77,7 @@ def test_a_scale_that_multiplies_every_mass_is_a_doubt_with_and_without_an_earli
 
 @pytest.mark.parametrize("more", [-0.3, 0.3, 1.5])  # of the whole
 def test_a_tool_that_an_earlier_model_did_not_have_is_a_changed_machine_and_no_doubt(more: float) -> None:
-    for rng, masses in machines(100):
+    for rng, masses in machines(40):
         masses[-1] = masses[:-1].sum()
         run = recording(float(masses.sum()))
         changed = masses.copy()

@@ -30,14 +30,6 @@ def bearer(key: str) -> dict[str, str]:
 
 
 # --- loopback and proxies --------------------------------------------------------------------------
-def test_with_keys_configured_loopback_is_asked_for_one_too(tmp_path: Path) -> None:
-    key = add_key(tmp_path / "keys.json", "plc", ["read", "run"])
-    with running(tmp_path, key_file=tmp_path / "keys.json") as (client, director):
-        for headers in ({}, {"X-Forwarded-For": "127.0.0.1"}, {"X-Forwarded-For": "10.0.0.7"}):
-            assert kind(client.get(CELLS, headers=headers)) == "key-missing"
-            assert kind(client.post(START, json={"mode": "full"}, headers=headers)) == "key-missing"
-        assert director.workers == []
-        assert client.get(CELLS, headers=bearer(key)).status_code == 200
 
 
 @pytest.mark.parametrize("header", ["X-Forwarded-For", "Forwarded", "X-Real-IP", "Via", "X-Forwarded-Host"])

@@ -80,6 +80,8 @@ def test_wrong_expired_and_misplaced_keys_are_refused(tmp_path: Path, keys: dict
     for host in ("127.0.0.1", "0.0.0.0"):
         with running(tmp_path, host=host, key_file=tmp_path / "keys.json") as (client, _):
             path = "/api/v1/cells"
+            for headers in ({}, {"X-Forwarded-For": "127.0.0.1"}, {"X-Forwarded-For": "10.0.0.7"}):
+                assert kind(client.get(path, headers=headers)) == "key-missing"
             for token in ("x", "invid_0_0", keys["read"][:-1], keys["read"] + "x", "invid_" + "é" * 10):
                 headers = [(b"authorization", b"Bearer " + token.encode())]
                 assert kind(client.get(path, headers=headers)) == "key-invalid"  # type: ignore[arg-type]

@@ -13,12 +13,11 @@ from typing import Any
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from service_doubles import Director, running, settings_in, wait_for
+from service_doubles import running, settings_in
 
 from invid.errors import ConfigError
 from invid.model.document import model_from_json
 from invid.recording import read_recording
-from invid_drivers.protocol import Stop
 from invid_service.app import create_app
 from invid_service.jobs.states import State
 from invid_service.store.blobs import Blobs
@@ -123,17 +122,6 @@ def test_a_restart_interrupts_what_it_cut_off_and_never_runs_it_again(tmp_path: 
         assert client.get("/api/v1/cells/cell/readiness").json()["can_start"] is True
 
 
-def test_a_result_that_awaits_accept_outlives_a_restart(tmp_path: Path) -> None:
-    with running(tmp_path) as (client, _):
-        answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
-        location = answer.headers["Location"]
-        wait_for(client, location, "awaiting_accept")
-    with running(tmp_path) as (client, _):
-        assert client.get(location).json()["state"] == "awaiting_accept"
-        done = client.post(f"{location}/actions", json={"type": "accept"})
-        assert done.json()["state"] == "succeeded"
-
-
 def test_a_second_service_on_the_same_data_folder_is_refused(tmp_path: Path) -> None:
     lock = DataLock(tmp_path / "data")
     with pytest.raises(ConfigError, match="another invid service"):
@@ -160,15 +148,3 @@ def test_stored_files_are_whole_checksummed_and_inside_the_store(tmp_path: Path)
 def test_a_database_that_cannot_be_opened_is_one_sentence(tmp_path: Path, url: str) -> None:
     with pytest.raises(ConfigError, match=r"database_url|store"):
         create_app(settings_in(tmp_path, database_url=url))
-
-
-def test_a_clean_shutdown_stops_the_motion_and_interrupts_the_run(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
-        answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
-        location = answer.headers["Location"]
-        wait_for(client, location, "running")
-    assert Stop() in director.workers[0].said
-    with running(tmp_path) as (client, _):
-        assert client.get(location).json()["state"] == "interrupted"

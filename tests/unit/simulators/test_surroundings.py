@@ -25,6 +25,7 @@ from invid.simulators.open import open_simulator
 
 STEP, PERIOD = 1e-3, 2048
 COUNT = 1.2e-5
+BY_NIGHT = pytest.mark.campaign
 
 
 def driven(periods: int, gear: float, role: Role) -> Experiment:
@@ -120,7 +121,11 @@ def test_what_surrounds_the_axis_is_locked_or_released_and_said(
 
 
 @pytest.mark.parametrize(
-    "beside", [DOOR, "|" + DOOR.replace("door", "lid").replace('mass="5"', 'mass="1e-6"')]
+    "beside",
+    [
+        DOOR,
+        pytest.param("|" + DOOR.replace("door", "lid").replace('mass="5"', 'mass="1e-6"'), marks=BY_NIGHT),
+    ],
 )
 def test_a_wrong_number_is_told_with_other_joints_beside_and_the_copy_keeps_them(
     bench: Any, tmp_path: Path, beside: str
@@ -181,7 +186,7 @@ def urdf(i1: float, extra: str, izz: str = 'ixx="2" iyy="2" izz="2"') -> str:
 
 @pytest.mark.parametrize(
     ("own", "twins"),
-    [(0.3, "base 0.1 -2"), (0.4, "m 0.1 -2;base 0.1 1")],
+    [pytest.param(0.3, "base 0.1 -2", marks=BY_NIGHT), (0.4, "m 0.1 -2;base 0.1 1")],
     ids=["twice as far, backwards", "carried, and beside"],
 )
 def test_joints_that_mimic_the_motors_count_with_it(
