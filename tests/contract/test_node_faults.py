@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from node_master import Master, cell
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     frames=st.lists(
         st.tuples(

@@ -42,7 +42,7 @@ def status(master: Master) -> int:
     return master.read(1, 0x6041, 0, "H") & 0x6F
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     words=st.lists(
         st.sampled_from([0, 2, 6, 7, 0x0F, 0x0B, 0x1F, 0x10F, 0x86, 0x80, 5, 0x0D]) | st.integers(0, 255),
