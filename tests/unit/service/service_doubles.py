@@ -214,13 +214,12 @@ _refusal_of, _refusals = service._refusal_of, dict[Any, Any]()
 
 
 def _refused_once(config: Any, amplitude: float, axes: Any, in_force: Any) -> Any:
-    """What a plan of this config is refused for, worked out once a process: a second of planning."""
-    if in_force is not None:
-        return _refusal_of(config, amplitude, axes, in_force)
+    """What a plan of this config is refused for, worked out once a process: seconds of planning."""
     # Where the drives' memory lies is another folder in each test, and no part of the plan.
-    key = (re.sub(r'"memory":"[^"]*"', "", config.model_dump_json()), amplitude, axes)
+    text = re.sub(r'"memory":"[^"]*"', "", config.model_dump_json())
+    key = (text, amplitude, axes, in_force and in_force.document)
     if key not in _refusals:
-        _refusals[key] = _refusal_of(config, amplitude, axes, None)
+        _refusals[key] = _refusal_of(config, amplitude, axes, in_force)
     return _refusals[key]
 
 
