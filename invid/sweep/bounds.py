@@ -66,14 +66,9 @@ class Bounds:
         self._history: list[deque[tuple[float, float]]] = [
             deque(maxlen=VELOCITY_CYCLES + 1) for _ in range(count)
         ]
-        self._yielding = Yielding(
-            [a.name for a in limits],
-            [a.torque for a in limits],
-            [a.velocity for a in limits],
-            limits[0].unit,
-        )
         self.estimators = [AxisEstimator(a, cycle_s) for a in limits]
         """Place, speed and standing of each axis."""
+        self._yielding = Yielding(self.estimators)
         self.falls: dict[int, Fall] = {}
         """Axes that were to stand and did not, from the sample on that ended the run."""
         self.blind: set[int] = set()
@@ -134,7 +129,6 @@ class Bounds:
         velocity = min(velocity, self._fastest[axis])
         self.limits[axis] = replace(self.limits[axis], velocity=velocity)
         self.estimators[axis].limits = self.limits[axis]
-        self._yielding.permit(axis, velocity)
         self._speed[axis] = min(self._speed[axis], velocity)  # only what is faster than ever is looked at
 
     @property
