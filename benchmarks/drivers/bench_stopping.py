@@ -25,7 +25,7 @@ from invid.config import CellConfig, parse_config
 from invid.errors import DriveError, SafetyStop
 from invid.planning.stopping_distance import FEEDBACK_FACTOR, SPEED_TOLERANCE, StoppingBudget, budgets_of
 from invid.sweep.bounds import AxisLimits, Bounds
-from invid.sweep.ports import Mode
+from invid.sweep.ports import Mode, Want, Wish
 from invid.sweep.watch import Watch
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.stated.manuals import YES
@@ -157,7 +157,7 @@ class Run:
         """From where the motor passes its speed limit to the furthest point."""
         d, cycle = self.draw, self.config.bus.cycle_s
         master, clock = self.master, self.master.clock
-        master.energise([Mode.TORQUE])
+        master.run(master.energise([Mode.TORQUE]))
         limits = AxisLimits("A1", d.torque, FAR, d.speed, 2 * np.pi / COUNTS, d.torque, "rad", "N·m")
         bounds = Bounds([limits], cycle_s=cycle, missed_tpdos=5, overrun_cycles=OVERRUN)
         watch = Watch(bounds, cycle_s=cycle)
@@ -165,7 +165,7 @@ class Run:
         since, late = None, False
         while True:
             try:
-                sample = master.exchange([FEEDBACK_FACTOR * d.planned - d.load + d.friction])
+                sample = master.tick(Wish([Want.LEAD], [FEEDBACK_FACTOR * d.planned - d.load + d.friction]))
             except (SafetyStop, DriveError):  # a drive may have stopped by itself where the computer was late
                 since = self._motor[0] if since is None else since
                 break

@@ -11,7 +11,8 @@ for a moment too (a brake opens, a loop sags): then its torque grows against the
 shrinks on the way, which 2·a·x/v² tells whenever the motion began: 1 under a constant force, less under a
 spring, up to 2 where the acceleration grows with the way. So an axis
 
-- *falls* where it speeds up away from its place, and the torque against that does not grow or is all of it;
+- *falls* where it speeds up away from its place, and the torque against that does not grow or is all of it:
+  within ``AWAY`` only where it ceases meanwhile, which no loop does but one that begins anew;
 - *is driven* where its torque pushes it away, or its acceleration grows with the torque that seems to brake.
 """
 
@@ -124,8 +125,8 @@ class AxisEstimator:
         self.position = 0.0
         self.speed = 0.0
         """Mean over the last samples [rad/s or m/s]."""
-        self.leapt = False
-        """Its encoder went further between two samples than the axis can."""
+        self.leapt = 0.0
+        """How far its encoder went between two samples where that is further than the axis can."""
         self.fall: Fall | None = None
         """What the last sample told."""
         self.is_to_stand = True
@@ -176,6 +177,7 @@ class AxisEstimator:
     def look_anew(self) -> None:
         """Whether it stands is seen from here on: what held it until now holds it no longer."""
         self._since: tuple[float, float] | None = None
+        self._anew: float | None = None
         self.stands = False
 
     def expect_standing(self, expected: bool) -> None:
@@ -191,7 +193,7 @@ class AxisEstimator:
             if time <= self.time:
                 return
             if has_leapt(position - self.position, time - self.time, self.limits, self.noise):
-                self.leapt = True
+                self.leapt = abs(position - self.position)
             self._fill(round((time - self.time) / self._cycle) - 1, position, torque)
         self.time, self.position = time, position
         keep = self._keep
@@ -237,6 +239,7 @@ class AxisEstimator:
 
     def _see_standing(self, time: float, position: float) -> None:
         since = self._since
+        self._anew = time if self._anew is None else self._anew
         if since is None or abs(position - since[1]) > self.tolerance:
             self._since, self.stands = (time, position), False
         else:
@@ -266,7 +269,10 @@ class AxisEstimator:
         steep = max(curve, self._curve(x, max(2, n // 2), d)) > STEEPER
         if pushes or (grown > self._grows and steep and (quiet or full)):
             return Fall(Kind.DRIVEN, acceleration, -d * late, full)
-        if away > self._away and (grown <= self._grows or full) and (curve == 0.0 or curve > SHALLOWER):
+        settled = self._anew is not None and (self.time or 0.0) - self._anew >= STAND_S
+        ceases = settled and grown < -self._grows and early > self._grows
+        holds_not = ceases or (away > self._away and (grown <= self._grows or full))
+        if holds_not and (curve == 0.0 or curve > SHALLOWER):
             return Fall(Kind.FALLS, acceleration, -d * late, full)
         return None
 

@@ -21,7 +21,6 @@ from invid.sweep.obedience import Obedience
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.shortfall import HeldTorque, Shortfall, is_energised
 from invid.sweep.stuck_encoder import Unmoved, Yielding
-from invid.sweep.torque_sign import TorqueSign
 
 VELOCITY_CYCLES = 4
 """Baseline of the velocity: four cycles halve the noise of two encoder counts twice."""
@@ -67,19 +66,13 @@ class Bounds:
         self._history: list[deque[tuple[float, float]]] = [
             deque(maxlen=VELOCITY_CYCLES + 1) for _ in range(count)
         ]
-        self._yielding = Yielding(
-            [a.name for a in limits],
-            [a.torque for a in limits],
-            [a.velocity for a in limits],
-            limits[0].unit,
-        )
         self.estimators = [AxisEstimator(a, cycle_s) for a in limits]
         """Place, speed and standing of each axis."""
+        self._yielding = Yielding(self.estimators)
         self.falls: dict[int, Fall] = {}
         """Axes that were to stand and did not, from the sample on that ended the run."""
         self.blind: set[int] = set()
         """Axes whose encoders were seen to be dead: no loop that they close holds."""
-        self._signs = TorqueSign([a.name for a in limits], [a.rated_torque for a in limits], cycle_s)
         self._shortfall = Shortfall(
             [a.name for a in limits], [a.rated_torque for a in limits], limits[0].torque_unit, cycle_s
         )
@@ -128,7 +121,6 @@ class Bounds:
         for estimator in self.estimators:
             estimator.begin()
         self._shortfall.forget()
-        self._signs.forget()
         self.unmoved.forget()
         self.obedience.forget()
 
@@ -137,7 +129,6 @@ class Bounds:
         velocity = min(velocity, self._fastest[axis])
         self.limits[axis] = replace(self.limits[axis], velocity=velocity)
         self.estimators[axis].limits = self.limits[axis]
-        self._yielding.permit(axis, velocity)
         self._speed[axis] = min(self._speed[axis], velocity)  # only what is faster than ever is looked at
 
     @property
@@ -173,6 +164,7 @@ class Bounds:
         origin = self.origin
         if origin is None:
             return
+        self._check_leaps(sample)
         for i, limit in enumerate(self.limits):
             if not sample.fresh[i]:
                 if is_energised(sample.status[i]):
@@ -203,6 +195,18 @@ class Bounds:
                         code="computer_late",
                     )
         self._last_slot = slot
+
+    def _check_leaps(self, sample: Sample) -> None:
+        for i, (limit, estimator) in enumerate(zip(self.limits, self.estimators, strict=True)):
+            if estimator.leapt and sample.fresh[i]:
+                raise SafetyStop(
+                    f"axis {limit.name}: its encoder leapt by {estimator.leapt:.3g} {limit.unit} between two "
+                    f"samples, further than the axis goes at {limit.velocity:.3g} {limit.unit}/s",
+                    way_out="look at the encoder, its cable and its shield, and at whether its drive sets "
+                    "0x6064 anew",
+                    code="leapt",
+                    axis=limit.name,
+                )
 
     def _check_standing(self, sample: Sample) -> None:
         standing = self._all - self.led
@@ -238,7 +242,6 @@ class Bounds:
         """What is given and done against what is asked for; who fails is not trusted to hold afterwards."""
         try:
             self._shortfall.check(sample, asked, self.led & self.weights.keys())
-            self._signs.check(sample, asked)
             self.obedience.check(sample, asked)
             self.unmoved.check(sample, asked)
         except SafetyStop as error:

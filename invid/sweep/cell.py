@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from invid.sweep.bounds import Bounds
-from invid.sweep.ports import Clock, Loop, Mode, Sample
+from invid.sweep.ports import Clock, Loop, Mode, Procedure, T
 
 
 class Cell(Protocol):
@@ -30,7 +30,7 @@ class Cell(Protocol):
 
     @property
     def bounds(self) -> Bounds | None:
-        """What no cycle may pass, judged in every ``exchange``; ``None`` before the drives were asked."""
+        """What no cycle may pass, judged in every cycle; ``None`` before the drives were asked."""
 
     @property
     def resolution(self) -> tuple[float, ...]:
@@ -40,31 +40,28 @@ class Cell(Protocol):
     def rated_torque(self) -> tuple[float, ...]:
         """Rated torque of each axis [N·m or N]."""
 
-    def energise(self, modes: Sequence[Mode]) -> None:
+    def run(self, procedure: Procedure[T]) -> T:
+        """What a procedure returns, with a cycle for each of its wishes. SafetyStop, DriveError or BusError
+        where the motion must stop."""
+
+    def energise(self, modes: Sequence[Mode]) -> Procedure[None]:
         """Enable every axis in its mode, at rest where it stands."""
 
-    def secure(self, loaded: Sequence[bool]) -> bool:
+    def secure(self, loaded: Sequence[bool]) -> Procedure[bool]:
         """Take over which axes carry a load, and see, at rest, that each of those stays held after a stop.
 
         Whether axes were let go or stopped for it: they are held again, perhaps in another place. SafetyStop
         where an axis would fall; what holds it then is the cell's to say.
         """
 
-    def set_modes(self, modes: Sequence[Mode]) -> None:
-        """Ask for other modes while energised; they may come about in later cycles (``changing``)."""
-
     def set_loops(self, loops: Sequence[Loop | None]) -> None:
         """Loops by which led axes are brought to rest when the run ends."""
 
     @property
     def changing(self) -> bool:
-        """Return whether an axis has not taken the mode that was asked for; ``exchange`` must go on,
-        with torque for it, whichever mode it is in.
+        """Return whether an axis has not taken the mode that was wished for; until then it is wished on, with
+        torque for it, whichever mode it is in.
         """
-
-    def exchange(self, torque: Sequence[float]) -> Sample:
-        """Make one cycle: targets out, SYNC at its slot, samples in. SafetyStop, DriveError or BusError where
-        the motion must stop."""
 
     def stop(self) -> None:
         """Quick stop, disable voltage, NMT stop. From any state, any number of times; never raises."""

@@ -20,7 +20,7 @@ from invid.recording.model import Kind
 from invid.sweep.bounds import Statistics
 from invid.sweep.cell import Cell
 from invid.sweep.motion import Motion, RowSink
-from invid.sweep.ports import Sink
+from invid.sweep.ports import Procedure, Sink
 from invid.sweep.rehearsal import Rehearsal
 
 WORTH_SAYING = 0.9
@@ -111,31 +111,7 @@ class Sweep:
         for axis in self.config.axes:
             master_hold(axis, self.plan.cycle_s)  # refuses an unstable hold before anything is enabled
         try:
-            for phase in self.plan.phases:
-                match phase.step:
-                    case Step.SETTLE:
-                        self._motion.start()
-                        self.warnings += [load.said for load in self._motion.loads if load.said]
-                    case Step.SIGNS:
-                        self._rehearsal.try_signs(phase.number)
-                    case Step.TRIAL:
-                        self._lower_torque()
-                        self._rehearsal.try_amplitude(self.plan.trials[phase.number])
-                        self._motion.forecast = self._rehearsal.forecast()
-                        recorded = self.plan.trials[phase.number].recorded_share > 0
-                        if recorded and self._enough(-1 - phase.number):
-                            self._total_s = self._motion.done_s
-                            break
-                    case Step.EXPERIMENT:
-                        self._lower_torque()
-                        self._experiment(phase)
-                        more = phase.number + 1 < len(self.plan.experiments)
-                        if more and self._enough(phase.number):
-                            self._total_s = self._motion.done_s
-                            break
-                    case Step.RETURN:
-                        self._motion.phase, self._motion.experiment = phase.name, None
-                        self._motion.rest(set(self._motion.led))
+            self.cell.run(self._procedure())
         except InvidError as error:
             error.moment = self._motion.moment
             raise
@@ -154,12 +130,39 @@ class Sweep:
             measured_s=measured_s,
         )
 
+    def _procedure(self) -> Procedure[None]:
+        for phase in self.plan.phases:
+            match phase.step:
+                case Step.SETTLE:
+                    yield from self._motion.start()
+                    self.warnings += [load.said for load in self._motion.loads if load.said]
+                case Step.SIGNS:
+                    yield from self._rehearsal.try_signs(phase.number)
+                case Step.TRIAL:
+                    self._lower_torque()
+                    yield from self._rehearsal.try_amplitude(self.plan.trials[phase.number])
+                    self._motion.forecast = self._rehearsal.forecast()
+                    recorded = self.plan.trials[phase.number].recorded_share > 0
+                    if recorded and (yield from self._enough(-1 - phase.number)):
+                        self._total_s = self._motion.done_s
+                        break
+                case Step.EXPERIMENT:
+                    self._lower_torque()
+                    yield from self._experiment(phase)
+                    more = phase.number + 1 < len(self.plan.experiments)
+                    if more and (yield from self._enough(phase.number)):
+                        self._total_s = self._motion.done_s
+                        break
+                case Step.RETURN:
+                    self._motion.phase, self._motion.experiment = phase.name, None
+                    yield from self._motion.rest(set(self._motion.led))
+
     @property
     def statistics(self) -> Statistics:
         """What was seen so far."""
         return self._motion.statistics
 
-    def _enough(self, number: int) -> bool:
+    def _enough(self, number: int) -> Procedure[bool]:
         """Return whether the measurement may end after this experiment; every axis is held until that
         is known.
         """
@@ -170,7 +173,7 @@ class Sweep:
             answer = self.go_on(number)
             if answer is not None:
                 return not answer
-            self._motion.play(None, max(1, round(DECIDE_POLL_S / self.plan.cycle_s)))
+            yield from self._motion.play(None, max(1, round(DECIDE_POLL_S / self.plan.cycle_s)))
         self.warnings.append(
             f"nobody said within {DECIDE_S:g} s whether to go on after experiment {number + 1}: ended there"
         )
@@ -220,22 +223,22 @@ class Sweep:
                     f"{now:.3g} {unit} are permitted, not {before:.3g}, so that it comes to rest in time"
                 )
 
-    def _experiment(self, phase: PhasePlan) -> None:
+    def _experiment(self, phase: PhasePlan) -> Procedure[None]:
         experiment, scale = self.plan.experiments[phase.number], float(self._rehearsal.scales[phase.number])
         self._motion.phase = phase.name
         self._motion.experiment = experiment
         self._limit_velocity(scale)
         path = experiment.kind is Kind.CONSTANT_VELOCITY
         excited = set(experiment.excited)
-        self._motion.rest(excited)
-        self._motion.centre(excited, lowest=lowest_frequency([experiment]), path=path)
+        yield from self._motion.rest(excited)
+        yield from self._motion.centre(excited, lowest=lowest_frequency([experiment]), path=path)
         self.sink.begin(experiment, self._motion.stated_holds(), scale)
         # a path is followed with what torque that takes; a share that friction may hide moves nobody surely
         played = scale * np.abs(experiment.torque).max(axis=0, initial=0.0)
         moved = set() if path else excited & self._rehearsal.moved_by(played)
         self._motion.watching.expect_motion(moved, lowest_frequency([experiment]))
         try:
-            self._motion.play(
+            yield from self._motion.play(
                 experiment.torque,
                 experiment.cycles,
                 reference=experiment.reference,

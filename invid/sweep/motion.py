@@ -28,7 +28,7 @@ from invid.sweep.bounds import Statistics
 from invid.sweep.cell import Cell
 from invid.sweep.loads import CONFIRM_S, STEADY_S, Load, differing, judge_loads
 from invid.sweep.moment import TRACE_S, Moment
-from invid.sweep.ports import Loop, Mode, Sample, Sink
+from invid.sweep.ports import Loop, Mode, Procedure, Sample, Sink, Want, Wish
 from invid.sweep.watch import Watch
 
 FADE_S = 0.1
@@ -180,7 +180,7 @@ class Motion:
         """Return the mode of each axis at rest: held by its drive where it can."""
         return [Mode.HOLD if can else Mode.TORQUE for can in self.cell.can_hold]
 
-    def start(self) -> None:
+    def start(self) -> Procedure[None]:
         """Enable, watch, settle where every axis stands, and see that what carries a load stays held."""
         cell = self.cell
         # A drive that can hold starts holding; the others start at zero torque.
@@ -193,18 +193,21 @@ class Motion:
         self._modes, self._bounds = self.resting_modes(), cell.bounds
         for i, axis in enumerate(self.config.axes):
             self._bounds.permit(i, axis.limits.velocity)
-        cell.energise(self._modes)
-        self._begin()
-        self._settle(first=True)
-        while cell.secure([load.loaded for load in self.loads]):
-            self._begin()
-            self._settle()
+        yield from cell.energise(self._modes)
+        yield from self._begin()
+        yield from self._settle(first=True)
+        while (yield from cell.secure([load.loaded for load in self.loads])):
+            yield from self._begin()
+            yield from self._settle()
 
-    def _begin(self) -> None:
+    def _wish(self, torque: Sequence[float]) -> Wish:
+        return Wish([Want.HOLD if mode is Mode.HOLD else Want.LEAD for mode in self._modes], torque)
+
+    def _begin(self) -> Procedure[None]:
         """Watch every axis; its feedback is around where it stands now."""
         bounds = self._bounds
         self._watch = Watch(bounds, cycle_s=self.plan.cycle_s)
-        sample = self.cell.exchange(self._zero)
+        sample = yield self._wish(self._zero)
         self.origin = list(sample.position)
         self._last, self._last_time = list(sample.position), [sample.time] * self.count
         if bounds.origin is None:
@@ -212,7 +215,7 @@ class Motion:
         bounds.count_anew()
         self.watching.held = set(range(self.count))
 
-    def _settle(self, *, first: bool = False) -> None:
+    def _settle(self, *, first: bool = False) -> Procedure[None]:
         """Measure the torque that each axis needs at rest, and so which are loaded.
 
         ``first``: nothing has moved yet, no stop test has let an axis swing.
@@ -222,7 +225,7 @@ class Motion:
         rated = self.cell.rated_torque
         self.watching.bounds.resting = {i for i in range(self.count) if first and held[i]}
         self.watching.bounds.near = self.announced({i for i in range(self.count) if not first and held[i]})
-        rows = self.play(None, round(SETTLE_S / self.plan.cycle_s))
+        rows = yield from self.play(None, round(SETTLE_S / self.plan.cycle_s))
         self.watching.words.learn_rest()
         half = len(rows.torque) // 2
         self.loads = judge_loads(self.config, rows.torque[half:], rows.fresh[half:], held, rated)
@@ -230,9 +233,9 @@ class Motion:
         braked = any(a.brake == "drive" and a.gravity_loaded is not False for a in self.config.axes)
         if braked or any(load.loaded for load in self.loads):  # one must be sure of it, and of its torque
             done = self.done_s
-            self.loads = self._weigh(held, rated)
+            self.loads = yield from self._weigh(held, rated)
             if any(load.said for load in self.loads):  # a person who leans on it is no load
-                self.loads = self._weigh(held, rated)
+                self.loads = yield from self._weigh(held, rated)
             self.done_s = done  # no part of the plan
         self.watching.bounds.resting, self.watching.bounds.near = set(), {}
         weights = {i: load.torque for i, load in enumerate(self.loads) if load.loaded and held[i]}
@@ -244,11 +247,11 @@ class Motion:
             known = held[i] and load.loaded and np.isfinite(load.torque) and not self.by_offset(i)
             self.bias[i] = load.torque if known else 0.0
 
-    def _weigh(self, held: Sequence[bool], rated: Sequence[float]) -> tuple[Load, ...]:
+    def _weigh(self, held: Sequence[bool], rated: Sequence[float]) -> Procedure[tuple[Load, ...]]:
         """Loads by the later of two stretches that agree; SafetyStop where none do for ``STEADY_S``."""
         before = None
         for _ in range(1 + round(STEADY_S / CONFIRM_S)):
-            rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s))
+            rows = yield from self.play(None, round(CONFIRM_S / self.plan.cycle_s))
             now = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
             if before is not None and not differing(before, now, rated):
                 return now
@@ -278,13 +281,13 @@ class Motion:
         reference: Float64 | None = None,
         scale: float = 1.0,
         recording: RowSink | None = None,
-    ) -> Log:
+    ) -> Procedure[Log]:
         """Run ``cycles`` cycles around the feedback; the log has rows where they are not recorded alone.
 
         ``torque`` and ``reference`` are (n, M); their last row stands for every later one. Rows become
         lists one at a time: half an hour at once would stall the cycle and take gigabytes.
         """
-        cell, watch, stop, recent = self.cell, self.watching, self.stop, self._recent
+        watch, stop, recent = self.watching, self.stop, self._recent
         cycle = self.plan.cycle_s
         feedback, origin, velocity = self.feedback, self.origin, self._velocity
         demand = self._demand
@@ -315,7 +318,7 @@ class Motion:
                     speed -= (path[i] - before[i]) / cycle
                 value = f.bias + gain * excitation[i] - f.gains.stiffness * away - f.gains.damping * speed
                 demand[i] = f.limit if value > f.limit else -f.limit if value < -f.limit else value
-            sample = cell.exchange(demand)
+            sample = yield self._wish(demand)
             if start is None:
                 start = sample.slot
             k = sample.slot - start
@@ -364,7 +367,7 @@ class Motion:
                 velocity[i] = (position[i] - last[i]) / dt
                 last[i], before[i] = position[i], sample.time
 
-    def change(self, modes: Sequence[Mode], feedback: list[Feedback]) -> None:
+    def change(self, modes: Sequence[Mode], feedback: list[Feedback]) -> Procedure[None]:
         """Change modes and feedback, while the cycle goes on. Torque starts at the bias, as the hold left it.
 
         Until every drive is in its mode, an axis that its drive shall hold keeps the feedback it had, and one
@@ -378,12 +381,12 @@ class Motion:
             coming = {f.axis for f in feedback}
             self.feedback = [*feedback, *(f for f in self.feedback if f.axis not in coming)]
             self.watching.words.pause()
-            self.cell.set_modes(modes)
             self._modes = list(modes)
             done = self.done_s
             self.watching.bounds.unmoved.begin({})  # a drive that is not in its mode yet holds its axis
+            yield from self.play(None, 1)
             while self.cell.changing:
-                self.play(None, 1)
+                yield from self.play(None, 1)
             self.done_s = done  # no part of the plan
             self.watching.halting.pause()
             self.watching.words.resume()
@@ -396,7 +399,7 @@ class Motion:
         self.watching.bounds.unmoved.begin({i: m for i, m in masses.items() if not self.by_offset(i)})
         self.watching.settle()
 
-    def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:
+    def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> Procedure[None]:
         """Put excited axes in torque mode around their place, hold the others as configured."""
         cycle = self.plan.cycle_s
         modes: list[Mode] = []
@@ -416,22 +419,22 @@ class Motion:
             modes.append(Mode.HOLD if held is None else Mode.TORQUE)
             if held is not None:
                 feedback.append(Feedback(i, held, self.bias[i], limit))
-        self.change(modes, feedback)
+        yield from self.change(modes, feedback)
         self.watching.bounds.obedience.shake(excited)
         self.led = set(excited)
         self.watching.held = set(range(self.count)) - excited
 
-    def rest(self, excited: set[int]) -> Log:
+    def rest(self, excited: set[int]) -> Procedure[Log]:
         """Bring excited axes back to their places and to rest, hold the others as configured.
 
         Those that were excited before come to rest first: a stiff hold that takes over an axis on its way
         stops it with all its torque. Axes that rest already need no time for it.
         """
         if self._rested == excited:
-            return self.play(None, 0)
+            return (yield from self.play(None, 0))
         if self.led and self.led != excited:
-            self.rest(set(self.led))
-        self.centre(excited, lowest=CATCH_HZ)
+            yield from self.rest(set(self.led))
+        yield from self.centre(excited, lowest=CATCH_HZ)
         cycle = self.plan.cycle_s
         for f in self.feedback:
             i = f.axis
@@ -447,22 +450,22 @@ class Motion:
                 lowest /= 2
                 inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0
                 f.gains = centring(inertia, lowest, cycle, CATCHING_RATIO)
-        log = self.until_still(excited, self.plan.rest_s)
+        log = yield from self.until_still(excited, self.plan.rest_s)
         self._rested = set(excited)
         return log
 
-    def until_still(self, axes: set[int], longest_s: float) -> Log:
+    def until_still(self, axes: set[int], longest_s: float) -> Procedure[Log]:
         """Go on with the feedback, with axes of a model until they rest at their places, at most so long.
 
         What swings behind a motor that stands is known to be slow or not by a model only.
         """
         cycle = self.plan.cycle_s
         if any(self.plan.doublets[i] is None for i in axes):
-            return self.play(None, round(longest_s / cycle))
+            return (yield from self.play(None, round(longest_s / cycle)))
         left, part = round(longest_s / cycle), max(1, round(STILL_S / 2 / cycle))
         logs: list[Log] = []
         while left > 0:
-            logs.append(self.play(None, min(part, left)))
+            logs.append((yield from self.play(None, min(part, left))))
             left -= part
             if len(logs) > 1 and self._is_still(axes, joined(logs[-2:])):
                 break

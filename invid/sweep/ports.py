@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import Protocol
+from enum import Enum, StrEnum, auto
+from typing import Protocol, TypeVar
 
 from invid.planning.model import PlannedExperiment
 
@@ -17,6 +17,29 @@ class Mode(StrEnum):
     """Follows the master's torque every cycle (cyclic synchronous torque)."""
     HOLD = "hold"
     """Holds its place by itself (cyclic synchronous position); survives the loss of the master."""
+
+
+class Want(Enum):
+    """What a procedure wishes of an axis."""
+
+    STAY = auto()
+    HOLD = auto()
+    """Held by its drive."""
+    LEAD = auto()
+    """In torque mode."""
+    PARK = auto()
+    """Quick stop."""
+    BRAKE = auto()
+    END = auto()
+    """To rest, to what holds it, and off where nothing needs to."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is wished of every axis in the coming cycle; torque of those that are led, empty: as before."""
+
+    wants: Sequence[Want]
+    torque: Sequence[float] = ()
 
 
 class Severity(StrEnum):
@@ -57,6 +80,11 @@ class Sample:
     """Slots before this one that passed without SYNC on purpose: nobody was late."""
     late: list[bool] = field(default_factory=list)
     """True where answers of earlier SYNCs came since the last fresh one: late, not lost."""
+
+
+T = TypeVar("T")
+Procedure = Generator[Wish, Sample, T]
+"""Yields a wish once a cycle and sees the sample that answers it."""
 
 
 @dataclass(frozen=True)

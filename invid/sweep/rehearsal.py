@@ -21,7 +21,7 @@ from invid.planning.model import AxisForecast, PlannedExperiment, Trial
 from invid.planning.phases import excerpt, highest_frequency, lowest_frequency, trial_shares
 from invid.recording.model import Kind
 from invid.sweep.motion import Log, Motion, RowSink, joined
-from invid.sweep.ports import Sink
+from invid.sweep.ports import Procedure, Sink
 from invid.sweep.sign_trial import SignTrial
 
 GENTLE, LEAST_SHARE = 1.0 / 3.0, 0.01
@@ -85,12 +85,12 @@ class Rehearsal:
         self.bounds: Float64 = np.zeros((3, motion.count))
         """(3, M) travel, velocity and torque of the experiments, by the trials."""
 
-    def try_signs(self, axis: int) -> None:
+    def try_signs(self, axis: int) -> Procedure[None]:
         """Play doublets of a tenth of the amplitude: signs, motion, and scales against the stated inertia."""
-        if SignTrial(self._motion, axis, self._stated[axis], self.warnings).run():
+        if (yield from SignTrial(self._motion, axis, self._stated[axis], self.warnings).run()):
             self._as_foretold.add(axis)
 
-    def try_amplitude(self, trial: Trial) -> None:
+    def try_amplitude(self, trial: Trial) -> Procedure[None]:
         """Play a tenth, then a third of the shaking: does full amplitude stay within what was announced?
 
         What is measured there, times what the experiments may do beyond it, bounds them; every torque of the
@@ -98,31 +98,31 @@ class Rehearsal:
         """
         experiment, config = trial.experiment, self._motion.config
         self._motion.phase, self._motion.experiment = "trying the amplitude", experiment
-        self._motion.rest(set(experiment.excited))
+        yield from self._motion.rest(set(experiment.excited))
         sure, second = trial_shares(config, experiment)
         # the speed that is permitted to all of the second step's torque is permitted to less
         allowed = self._allowed(experiment, second)
 
-        def tried(step: int, share: float) -> Seen:
+        def tried(step: int, share: float) -> Procedure[Seen]:
             for i, velocity in enumerate(self._permitted(share).tolist()):
                 self._motion.permit(i, velocity)
             # Less than what friction surely lets through says nothing of an encoder that stands.
-            return self._try_share(trial, step, share, moves=share >= sure)
+            return (yield from self._try_share(trial, step, share, moves=share >= sure))
 
         if trial.is_foretold and set(experiment.excited) <= self._as_foretold:
             # at a third, an axis that moves ``AGREES`` times as foretold hardly leaves what is announced
-            share, again = second, tried(1, second)
+            share, again = second, (yield from tried(1, second))
             linear = again.stacked / second
         else:
             first = min(sure, self._gentle(experiment, allowed[0]))
-            seen = tried(0, first)
+            seen = yield from tried(0, first)
             share = min(second, first * min(self._room(seen, allowed), CLIMB))
-            again = tried(1, share)
+            again = yield from tried(1, share)
             linear = self._extrapolated(seen, again)
         while share < second and self._room(again, allowed) > SHORT:
             # Friction hid so much of the motion that the second step was still a small one.
             share = min(second, share * min(self._room(again, allowed), CLIMB))
-            seen, again = again, tried(0, share)
+            seen, again = again, (yield from tried(0, share))
             linear = np.maximum(linear, self._extrapolated(seen, again))
         path = experiment.reference
         led = 0.0 if path is None else np.abs(path).max(axis=0)
@@ -246,7 +246,7 @@ class Rehearsal:
             ]
         )
 
-    def _try_share(self, trial: Trial, step: int, share: float, *, moves: bool) -> Seen:
+    def _try_share(self, trial: Trial, step: int, share: float, *, moves: bool) -> Procedure[Seen]:
         """Play an excerpt at a share of its amplitude and return what it did; ``moves``: whether it
         must move its axes. A climb is recorded where the trial says so.
         """
@@ -256,19 +256,19 @@ class Rehearsal:
         excited, cycle = set(experiment.excited), motion.plan.cycle_s
         cycles, path = experiment.cycles, experiment.reference
         fade = min(round(0.5 / cycle), cycles // 4)
-        motion.centre(excited, lowest=lowest_frequency([experiment]))
+        yield from motion.centre(excited, lowest=lowest_frequency([experiment]))
         before = np.array(motion.place)
         motion.watching.words.begin()
         if recorded:
             self._sink.begin(experiment, motion.stated_holds(), share)
         taken = RowSink(self._sink, 0, cycles, is_logged=True) if recorded else None
         motion.watching.expect_motion(excited if moves else (), lowest_frequency([experiment]))
-        body = motion.play(experiment.torque * share, cycles, reference=path, recording=taken)
+        body = yield from motion.play(experiment.torque * share, cycles, reference=path, recording=taken)
         motion.watching.expect_motion(())
         motion.watching.words.require_no_limit(range(motion.count), f"{share:.0%} of the planned amplitude")
         if recorded:
             self._sink.end()
-        rest = motion.rest(excited)
+        rest = yield from motion.rest(excited)
         kept = joined([body, rest])
         if experiment.kind is not Kind.CHIRP or experiment.cycles == trial.experiment.cycles:
             motion.learn(experiment, kept)  # the half of a sweep tells nothing of its other lines

@@ -1,9 +1,10 @@
-"""Whether a drive gives less torque than it is asked for, by what it shows itself.
+"""Whether a drive gives less torque than it is asked for, or the opposite, by what it shows itself.
 
-Of the torque asked for over the last ``LAGS`` cycles the least counts, in the direction of its mean:
-whatever 0x6077 lags, it shows at least that, less a share for its scale and its noise. What is missing is
-summed up over time (CUSUM): an impulse, the speed that a load has gained by it. A healthy drive is on the
-other side of the allowance in every cycle, six deviations of its noise away, so its sum stays zero.
+Of the torque asked for over the last ``LAGS`` cycles the least counts, in its direction: whatever 0x6077
+lags, it shows at least that, less a share for its scale and its noise. What is missing is summed up over time
+(CUSUM): an impulse, the speed that a load has gained by it. A healthy drive is on the other side of the
+allowance in every cycle, six deviations of its noise away, so its sum stays zero. An axis without a load may
+be given less, but no torque of the other sign once it has shown what it was asked for.
 """
 
 from __future__ import annotations
@@ -13,14 +14,17 @@ from collections.abc import Collection, Mapping, Sequence
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
-from invid.sweep.torque_sign import LAGS
 
+LAGS = 12
+"""Cycles by which 0x6077 may follow."""
 SCALE, LEARNT = 0.25, 0.08
 """Share of the asked torque that may be missing: what the trial of the signs lets pass, and once its scale
 was seen."""
 NOISE = 0.03
 """Of rated torque: six deviations of the 0.5 % that drives' current sensing has."""
-MEAN_S, LEARN_S = 0.3, 1.0
+LEARN_S = 1.0
+TURNED = -0.5
+"""Shown over asked torque: 1 of a drive that obeys, -1 where a sign has turned."""
 IMPULSE_S = 0.0015
 """Sum at which a run ends, over rated torque: a load of rated torque that gets nothing has gained that in 2
 ms."""
@@ -43,7 +47,7 @@ def is_energised(status: int) -> bool:
 class _Axis:
     def __init__(self) -> None:
         self.asked: deque[float] = deque(maxlen=LAGS)
-        self.mean = self.due = self.shown = self.seconds = self.missing = 0.0
+        self.due = self.shown = self.seconds = self.missing = 0.0
 
     def forget(self) -> None:
         self.asked.clear()
@@ -62,7 +66,6 @@ class Shortfall:
             torque_unit,
             cycle_s,
         )
-        self._keep = 1.0 - min(1.0, cycle_s / MEAN_S)
         self._axes = [_Axis() for _ in names]
         self._slot: int | None = None
 
@@ -72,42 +75,48 @@ class Shortfall:
         for axis in self._axes:
             axis.forget()
 
-    def check(self, sample: Sample, asked: Sequence[float], led: Collection[int]) -> None:
-        """Raise SafetyStop where a drive gives less than it is asked for."""
+    def check(self, sample: Sample, asked: Sequence[float], loaded: Collection[int]) -> None:
+        """Raise SafetyStop where a drive gives less than it is asked for, or the opposite; 0: nothing is
+        asked."""
         if self._slot is not None and sample.slot != self._slot + 1:
             self.forget()
         self._slot = sample.slot
         for i, axis in enumerate(self._axes):
-            if i not in led or asked[i] == 0.0:
+            if asked[i] == 0.0:
                 axis.forget()
                 continue
             axis.asked.append(asked[i])
             if sample.fresh[i] and len(axis.asked) == LAGS:
-                self._judge(i, axis, sample.torque[i])
-            axis.mean = asked[i] + self._keep * (axis.mean - asked[i])
+                self._judge(i, axis, sample.torque[i], i in loaded)
 
-    def _judge(self, i: int, axis: _Axis, torque: float) -> None:
-        sign = 1.0 if axis.mean > 0 else -1.0
+    def _judge(self, i: int, axis: _Axis, torque: float, is_loaded: bool) -> None:
+        sign = 1.0 if axis.asked[-1] > 0 else -1.0
         due, shown, rated = min(sign * a for a in axis.asked), sign * torque, self._rated[i]
         if due <= NOISE * rated:
             axis.missing = 0.0
             return
         learnt = axis.seconds >= LEARN_S
         scale = min(1.0, axis.shown / axis.due) if learnt else 1.0
-        short = due * scale * (1.0 - (LEARNT if learnt else SCALE)) - NOISE * rated - shown
-        axis.missing = max(0.0, axis.missing + short * self._cycle)
-        if axis.missing == 0.0 and axis.seconds < LEARN_S:
+        least = due * scale * (1.0 - (LEARNT if learnt else SCALE)) if is_loaded else 0.0
+        axis.missing = max(0.0, axis.missing + (least - NOISE * rated - shown) * self._cycle)
+        if not learnt and not is_loaded and axis.missing > 0.0:
+            axis.due = axis.shown = axis.seconds = axis.missing = 0.0  # a display that lags shows no sign
+        elif axis.missing == 0.0 and not learnt:
             axis.due, axis.shown = axis.due + due, axis.shown + min(shown, due)
             axis.seconds += self._cycle
-        if axis.missing > IMPULSE_S * rated:
-            raise SafetyStop(
-                f"axis {self._names[i]}: its drive shows {shown:.3g} {self._unit} and is asked for "
-                f"{due:.3g} at least",
-                way_out="it limits its torque by itself (I²t, temperature, 0x60E0, 0x60E1, supply): read its "
-                "error memory; a load is not held by that",
-                code="no_torque",
-                axis=self._names[i],
-            )
+        if axis.missing <= IMPULSE_S * rated:
+            return
+        has_turned = shown < TURNED * due
+        raise SafetyStop(
+            f"axis {self._names[i]}: its drive shows {shown:.3g} {self._unit} and is asked for {due:.3g} at "
+            "least" + (": the torque (0x6077) that followed is now opposed to it" if has_turned else ""),
+            way_out="the drive or its wiring has changed: find out before anything moves again"
+            if has_turned
+            else "it limits its torque by itself (I²t, temperature, 0x60E0, 0x60E1, supply): read its "
+            "error memory; a load is not held by that",
+            code="torque_turned" if has_turned else "no_torque",
+            axis=self._names[i],
+        )
 
 
 class HeldTorque:

@@ -30,7 +30,7 @@ from invid.sweep import trials
 from invid.sweep.inertia import AGREES, ELASTIC, ELASTIC_S, Branch, compare, rigid_branch
 from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.motion import Feedback, Log, Motion
-from invid.sweep.ports import Mode
+from invid.sweep.ports import Mode, Procedure
 
 TRIAL_CLIMB, TRIAL_AGAIN_S = 2.0, 0.08
 """Where the longest doublet does not move an axis, its torque is doubled, up to what is planned, and it
@@ -109,16 +109,16 @@ class SignTrial:
         self._home = 0.0
         self._calm: Float64 | None = None
 
-    def run(self) -> bool:
+    def run(self) -> Procedure[bool]:
         """Try one axis, and return whether it moves as a model foretells; SafetyStop where signs or scales
         are wrong, or nothing moves."""
         motion, axis = self._motion, self._axis
         motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
         self._home = motion.place[axis]
         motion.watching.bounds.near = motion.announced({axis})
-        motion.change(self._modes, self._others)
+        yield from motion.change(self._modes, self._others)
         motion.watching.held = set(range(motion.count)) - {axis}
-        amplitude, length, last = self._grow()
+        amplitude, length, last = yield from self._grow()
         self._require_torque(last.response, amplitude)
         self._require_motion(last.response, amplitude, length)
         self._require_signs(last.response, amplitude)
@@ -126,7 +126,10 @@ class SignTrial:
             name, rated, unit = self._settings.name, self._rated, self._torque_unit
             trials.judge_scale(name, self._seen, rated=rated, torque_unit=unit)
         shown = self._shown_over_foretold(last.response, length)
-        branch = self._branch(last.log) if shown is not None else self._weigh(last, amplitude, length)
+        if shown is not None:
+            branch = self._branch(last.log)
+        else:
+            branch = yield from self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         # what swings behind it moves an axis as well: no axis is lighter than its first mass
         known = max(last.response.inertia, last.response.first_mass)
@@ -136,14 +139,14 @@ class SignTrial:
         if branch is not None:  # as the fit shows it, but no less than a drive's friction at rest may be
             friction = min(amplitude, max(FIT_MOST * branch.friction, LOAD_SHARE * self._rated))
         motion.watching.bounds.unmoved.moved_by(axis, friction, self._ways(last.log))
-        self._catch(branch.inertia if branch is not None and branch.rigid else known)
+        yield from self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
-            motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
+            yield from motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
         motion.watching.bounds.near = {}
         return shown is not None
 
     # --- doublets ------------------------------------------------------------------------------
-    def _play(self, amplitude: float, length: float) -> Trial:
+    def _play(self, amplitude: float, length: float) -> Procedure[Trial]:
         """Play one doublet with quiet before and after it."""
         motion, axis, cycle = self._motion, self._axis, self._motion.plan.cycle_s
         wave = amplitude * doublet(round(length / cycle))
@@ -151,7 +154,7 @@ class SignTrial:
         rows = np.zeros((wave.size + 2 * quiet, motion.count))
         rows[quiet:-quiet, axis] = wave
         motion.watching.words.begin()
-        kept = motion.play(rows, len(rows))
+        kept = yield from motion.play(rows, len(rows))
         motion.watching.words.require_no_limit([axis], f"{amplitude:.3g} {self._torque_unit}")
         if self._calm is None:
             self._calm = _swing(kept.torque[:quiet], kept.fresh[:quiet])
@@ -198,32 +201,33 @@ class SignTrial:
         demand: Float64 = kept.demand[:, self._axis] - self._motion.bias[self._axis]
         return demand
 
-    def _spoil(self, found: trials.Response) -> None:
+    def _spoil(self, found: trials.Response) -> Procedure[None]:
         """Drop a doublet of which nothing can be said. A pause in it leaves the axis drifting: catch it."""
         self._spoilt.append(found)
         if len(self._spoilt) > LATE_TRIALS:
             raise trials.too_late(self._settings.name, [*self._seen, *self._spoilt])
-        self._catch(self._stated[0] if self._stated else found.inertia)
-        self._motion.change(self._modes, self._others)
+        yield from self._catch(self._stated[0] if self._stated else found.inertia)
+        yield from self._motion.change(self._modes, self._others)
 
-    def _catch(self, inertia: float) -> None:
+    def _catch(self, inertia: float) -> Procedure[None]:
         """Bring the axis gently back to where it stood."""
         self._motion.inertia[self._axis] = inertia
-        self._motion.centre({self._axis}, lowest=CATCH_HZ)
-        self._motion.until_still({self._axis}, SIGN_CATCH_S)
+        yield from self._motion.centre({self._axis}, lowest=CATCH_HZ)
+        yield from self._motion.until_still({self._axis}, SIGN_CATCH_S)
 
-    def _hold_again(self) -> None:
+    def _hold_again(self) -> Procedure[None]:
         """Let an axis of which nobody knows how heavy it is be held for a while: what swung behind it when it
         was let go moves it.
         """
         motion, done = self._motion, self._motion.done_s
         if motion.cell.can_hold[self._axis]:
-            motion.change(motion.resting_modes(), [f for f in self._others if f.axis != self._axis])
-            motion.play(None, round(SIGN_CATCH_S / motion.plan.cycle_s))
-            motion.change(self._modes, self._others)
+            others = [f for f in self._others if f.axis != self._axis]
+            yield from motion.change(motion.resting_modes(), others)
+            yield from motion.play(None, round(SIGN_CATCH_S / motion.plan.cycle_s))
+            yield from motion.change(self._modes, self._others)
         motion.done_s = done  # no part of the plan
 
-    def _grow(self) -> tuple[float, float, Trial]:
+    def _grow(self) -> Procedure[tuple[float, float, Trial]]:
         """Play stronger, then longer, then again stronger doublets until the axis has moved; return the
         last amplitude, length and trial.
         """
@@ -239,15 +243,15 @@ class SignTrial:
         doubted = asleep = answered = False
         drifts = 0
         while True:
-            trial = self._play(amplitude, length)
+            trial = yield from self._play(amplitude, length)
             found = trial.response
             if found.late:
-                self._spoil(found)
+                yield from self._spoil(found)
                 continue
             drifting = self._stated is None and trial.drifted >= LEAST_COUNTS * self._count
             if drifting and length == SIGN_FIRST_S and found.displacement > far and drifts < DRIFTS:
                 drifts += 1
-                self._hold_again()
+                yield from self._hold_again()
                 continue
             if shares and found.displacement <= far:
                 amplitude = shares.pop(0) * self._amplitude
@@ -340,11 +344,11 @@ class SignTrial:
             axis=self._settings.name,
         )
 
-    def _require_repeat(self, amplitude: float, length: float) -> None:
+    def _require_repeat(self, amplitude: float, length: float) -> Procedure[None]:
         """Require that what moved an axis moves it again: friction may hold it under less torque."""
-        while (again := self._play(amplitude, length).response).late:
-            self._spoil(again)
-        self._require_motion(again, amplitude, length)
+        while (again := (yield from self._play(amplitude, length))).response.late:
+            yield from self._spoil(again.response)
+        self._require_motion(again.response, amplitude, length)
 
     def _ignored(self) -> str:
         """Return what the drive says of a target that did nothing."""
@@ -365,7 +369,7 @@ class SignTrial:
         trials.judge(name, found, sign, amplitude=amplitude, unit=self._unit, torque_unit=self._torque_unit)
 
     # --- inertia -------------------------------------------------------------------------------
-    def _weigh(self, last: Trial, amplitude: float, length: float) -> Branch | None:
+    def _weigh(self, last: Trial, amplitude: float, length: float) -> Procedure[Branch | None]:
         """Weigh the whole branch as a rigid mass by slower doublets; ``None`` where it does not move so.
 
         Where nobody has stated an inertia there is nothing to compare with; where the drive's own loop stays
@@ -386,21 +390,21 @@ class SignTrial:
             if not next_length > LEAST_GROWTH * length:
                 break
             if self._strayed(last):
-                self._catch(self._stated[0])
-                self._motion.change(self._modes, self._others)
-            trial = self._play(slow, next_length)
+                yield from self._catch(self._stated[0])
+                yield from self._motion.change(self._modes, self._others)
+            trial = yield from self._play(slow, next_length)
             if trial.response.late:
-                self._spoil(trial.response)
+                yield from self._spoil(trial.response)
                 continue
             if trial.response.displacement < LEAST_COUNTS * self._count:
-                self._require_repeat(amplitude, moved)
+                yield from self._require_repeat(amplitude, moved)
                 break
             last, length = trial, next_length
             branch = self._branch(last.log)
         seen = branch.inertia if branch is not None else last.response.inertia
         if length < ELASTIC_S and seen < self._stated[0] / ELASTIC:
             done = self._motion.done_s
-            branch = self._probe() or branch
+            branch = (yield from self._probe()) or branch
             self._motion.done_s = done  # no part of the plan
         return branch
 
@@ -423,7 +427,7 @@ class SignTrial:
         away = last.log.position[-1, self._axis] - self._home
         return bool(abs(away) > SIGN_FAR * self._settings.limits.position)
 
-    def _probe(self) -> Branch | None:
+    def _probe(self) -> Procedure[Branch | None]:
         """Play a doublet slow enough for the whole branch of an axis that moved too easily for one so far.
 
         Its torque is by the stated inertia: it moves an axis as light as ``ELASTIC`` permits by the way of
@@ -436,9 +440,9 @@ class SignTrial:
         torque = max(16 * stated / ELASTIC * way / length**2, LEAST_STEPS / 1000 * self._rated)
         played = 0
         while played < PROBES and torque <= self._amplitude:
-            trial = self._play(torque, length)
+            trial = yield from self._play(torque, length)
             if trial.response.late:
-                self._spoil(trial.response)
+                yield from self._spoil(trial.response)
                 continue
             played += 1
             found = self._branch(trial.log)

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 
 from invid.errors import SafetyStop
+from invid.sweep.axis_estimator import AxisEstimator
 from invid.sweep.ports import Sample
 
 HALT_CYCLES, HALT_S = 5, 0.01
@@ -227,48 +228,30 @@ its torque slows down. A spring may pull as hard for a moment, but it does not h
 class Yielding:
     """Watch over the speed of each axis since its torque came to the limit against its motion."""
 
-    def __init__(
-        self,
-        names: list[str],
-        torque: list[float],
-        velocity: list[float],
-        unit: str,
-    ) -> None:
-        """``torque``, ``velocity``: limits of each axis."""
-        self._names, self._torque, self._velocity, self._unit = names, torque, velocity, unit
-        count = len(names)
-        self._last: list[tuple[float, float] | None] = [None] * count
-        self._since: list[tuple[float, float] | None] = [None] * count
-
-    def permit(self, axis: int, velocity: float) -> None:
-        """Set another speed limit of one axis."""
-        self._velocity[axis] = velocity
+    def __init__(self, estimators: Sequence[AxisEstimator]) -> None:
+        self._estimators = estimators
+        self._since: list[tuple[float, float] | None] = [None] * len(estimators)
 
     def check(self, sample: Sample, led: Collection[int]) -> None:
         """Raise SafetyStop where an axis yields whose loop the master closes (``led``)."""
-        for i, fresh in enumerate(sample.fresh):
-            if not fresh:
+        for i, estimator in enumerate(self._estimators):
+            if not sample.fresh[i]:
                 continue
-            last, position = self._last[i], sample.position[i]
-            self._last[i] = sample.time, position
-            if last is None or sample.time <= last[0]:
-                continue
-            speed = (position - last[1]) / (sample.time - last[0])
-            torque = sample.torque[i]
-            if abs(torque) < AT_LIMIT * self._torque[i] or torque * speed >= 0.0 or i not in led:
+            limits, speed, torque = estimator.limits, estimator.speed, sample.torque[i]
+            if abs(torque) < AT_LIMIT * limits.torque or torque * speed >= 0.0 or i not in led:
                 self._since[i] = None
                 continue
             since = self._since[i]
             if since is None:
                 self._since[i] = sample.time, abs(speed)
                 continue
-            fast = FASTER * since[1] + SPEED_SHARE * self._velocity[i]
+            fast = FASTER * since[1] + SPEED_SHARE * limits.velocity
             if sample.time - since[0] >= YIELD_S and abs(speed) > fast:
                 raise SafetyStop(
-                    f"axis {self._names[i]}: gets faster against the torque limit: {abs(speed):.3g} "
-                    f"{self._unit}/s, {since[1]:.3g} {1e3 * (sample.time - since[0]):.0f} ms before",
+                    f"axis {limits.name}: gets faster against the torque limit: {abs(speed):.3g} "
+                    f"{limits.unit}/s, {since[1]:.3g} {1e3 * (sample.time - since[0]):.0f} ms before",
                     way_out="somebody pushes it, a sign is wrong in the drive, or its load is beyond the "
                     "limit: compare 0x6076 with the motor's plate, or raise the limit",
                     code="yields",
-                    axis=self._names[i],
+                    axis=limits.name,
                 )

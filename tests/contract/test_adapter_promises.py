@@ -13,6 +13,7 @@ import pytest
 from foreign_bus import ForeignBus
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stepping import energise, exchange, set_modes
 
 from invid.config import CellConfig, load_config
 from invid.errors import BusError, DriveError, InvidError
@@ -98,16 +99,16 @@ def zero(cell: Cell) -> list[float]:
 
 class TestPromisesOfEveryAdapter:
     def test_energised_axes_are_fresh_and_enabled(self, cell: Cell) -> None:
-        cell.energise(held(cell))
-        sample = cell.exchange(zero(cell))
+        energise(cell, held(cell))
+        sample = exchange(cell, zero(cell))
         assert all(sample.fresh)
         assert [s & 0x6F for s in sample.status] == [OPERATION_ENABLED] * len(cell.axes)
 
     def test_slots_count_up_and_their_instants_are_a_cycle_apart(self, cell: Cell) -> None:
-        cell.energise(held(cell))
+        energise(cell, held(cell))
         slots, times = [], []
         for _ in range(100):
-            sample = cell.exchange(zero(cell))
+            sample = exchange(cell, zero(cell))
             slots.append(sample.slot)
             times.append(sample.time)
         assert np.all(np.diff(slots) == 1)
@@ -116,14 +117,14 @@ class TestPromisesOfEveryAdapter:
     def test_stop_works_from_any_state_any_number_of_times(self, cell: Cell) -> None:
         cell.stop()
         cell.stop()
-        cell.energise(held(cell))
+        energise(cell, held(cell))
         cell.stop()
         cell.stop()
 
     def test_a_cell_that_was_stopped_can_be_energised_again(self, cell: Cell) -> None:
         for _ in range(2):
-            cell.energise(held(cell))
-            assert cell.exchange(zero(cell)).status[0] & 0x6F == OPERATION_ENABLED
+            energise(cell, held(cell))
+            assert exchange(cell, zero(cell)).status[0] & 0x6F == OPERATION_ENABLED
             cell.stop()
 
 
@@ -137,25 +138,25 @@ def drives(request: pytest.FixtureRequest) -> Iterator[Cia402Cell]:
 
 class TestPromisesOfEveryDrive:
     def test_positive_torque_moves_an_axis_forward_and_a_held_axis_stays(self, drives: Cia402Cell) -> None:
-        drives.energise([Mode.HOLD, Mode.HOLD])
-        drives.set_modes([Mode.TORQUE, Mode.HOLD])
-        first = list(drives.exchange([0.0, 0.0]).position)
+        energise(drives, [Mode.HOLD, Mode.HOLD])
+        set_modes(drives, [Mode.TORQUE, Mode.HOLD])
+        first = list(exchange(drives, [0.0, 0.0]).position)
         for _ in range(200):
-            sample = drives.exchange([1.0, 1.0])
+            sample = exchange(drives, [1.0, 1.0])
         # ½·a·t² with 1 N·m on 1 kg·m² for 0.4 s, a few cycles of delay
         assert sample.position[0] - first[0] == pytest.approx(0.5 * 0.4**2, rel=0.05)
         assert abs(sample.position[1] - first[1]) < 1e-4
 
     def test_measured_torque_follows_the_demand(self, drives: Cia402Cell) -> None:
-        drives.energise([Mode.TORQUE, Mode.TORQUE])
+        energise(drives, [Mode.TORQUE, Mode.TORQUE])
         for _ in range(20):
-            sample = drives.exchange([0.5, -0.25])
+            sample = exchange(drives, [0.5, -0.25])
         assert sample.torque == pytest.approx([0.5, -0.25], abs=0.02)
 
     def test_after_stop_no_drive_is_energised(self, drives: Cia402Cell) -> None:
-        drives.energise([Mode.TORQUE, Mode.TORQUE])
+        energise(drives, [Mode.TORQUE, Mode.TORQUE])
         for _ in range(50):
-            drives.exchange([1.0, 1.0])
+            exchange(drives, [1.0, 1.0])
         drives.stop()
         assert drives.not_off == ()
 
@@ -176,7 +177,7 @@ class TestPromisesOfEveryDrive:
             return [bytes(link.sdo(1).upload(i, s)) for i, s in addresses]
 
         before = values()
-        drives.energise([Mode.HOLD, Mode.HOLD])
+        energise(drives, [Mode.HOLD, Mode.HOLD])
         assert values() != before
         drives.stop()
         drives._restore([])
@@ -184,7 +185,7 @@ class TestPromisesOfEveryDrive:
         assert drives.journal.entries == ()
 
     def test_protection_stands_in_the_drive_before_it_is_enabled(self, drives: Cia402Cell) -> None:
-        drives.energise([Mode.HOLD, Mode.HOLD])
+        energise(drives, [Mode.HOLD, Mode.HOLD])
         link = drives._link
 
         def value(index: int, sub: int = 0) -> int:
@@ -202,7 +203,7 @@ class TestPromisesOfEveryDrive:
     def test_objects_left_by_a_power_cut_are_restored_before_anything_else(self, drives: Cia402Cell) -> None:
         link = drives._link
         before = bytes(link.sdo(1).upload(0x6072, 0))
-        drives.energise([Mode.HOLD, Mode.HOLD])
+        energise(drives, [Mode.HOLD, Mode.HOLD])
         assert bytes(link.sdo(1).upload(0x6072, 0)) != before
         left_behind = Journal(None)
         for entry in drives.journal.entries:
@@ -228,7 +229,7 @@ def test_the_drives_own_windows_stand_around_where_the_axis_is_a_quarter_wider_t
     bus.axes[0].plant.q = 3.0  # an absolute encoder: the window is of 1 rad
     cell = Cia402Cell(bus, config())
     cell.check()
-    cell.energise([Mode.HOLD, Mode.HOLD])
+    energise(cell, [Mode.HOLD, Mode.HOLD])
     number, counts = bus.nodes[0].number, (1 << 16) / (2 * np.pi)
     found = [number(at) for at in (0x607D01, 0x607D02, 0x606500, 0x607F00)]
     assert found == pytest.approx([1.75 * counts, 4.25 * counts, 1.25 * counts, 12.5 * counts], abs=2)
@@ -239,10 +240,10 @@ def test_an_axis_whose_direction_is_turned_moves_forward_under_positive_torque_a
     bus = foreign_bus()
     cell = Cia402Cell(bus, config(direction=-1))
     cell.check()
-    cell.energise([Mode.TORQUE, Mode.HOLD])
-    first = cell.exchange([1.0, 0.0]).position[0]
+    energise(cell, [Mode.TORQUE, Mode.HOLD])
+    first = exchange(cell, [1.0, 0.0]).position[0]
     for _ in range(200):
-        sample = cell.exchange([1.0, 0.0])
+        sample = exchange(cell, [1.0, 0.0])
     assert sample.position[0] - first == pytest.approx(0.5 * 0.4**2, rel=0.05)
     assert sample.torque[0] == pytest.approx(1.0)
     assert bus.axes[0].plant.q < 0
@@ -312,8 +313,8 @@ def test_a_gap_with_a_way_out_is_listed_and_the_drive_runs(
     report = cell.check()[0]
     if listed is not None:
         assert any(listed in line for line in report.lacks)
-    cell.energise([Mode.HOLD, Mode.HOLD])
-    assert all(cell.exchange([0.0, 0.0]).fresh)
+    energise(cell, [Mode.HOLD, Mode.HOLD])
+    assert all(exchange(cell, [0.0, 0.0]).fresh)
     assert cell.close() == []
     assert cell.not_off == ()
 
@@ -322,9 +323,9 @@ def test_a_cable_pulled_in_the_cycle_leaves_the_way_out_open() -> None:
     bus = foreign_bus()
     cell = Cia402Cell(bus, config())
     cell.check()
-    cell.energise([Mode.HOLD, Mode.HOLD])
+    energise(cell, [Mode.HOLD, Mode.HOLD])
     bus.nodes[1].is_mute, bus.nodes[1].hear = True, lambda *_: None  # type: ignore[method-assign]
-    sample = cell.exchange([0.0, 0.0])
+    sample = exchange(cell, [0.0, 0.0])
     assert sample.fresh == [True, False]
     cell.stop()
     assert cell.not_off == ("A2",)
@@ -339,10 +340,10 @@ def test_a_bus_that_dies_is_an_error_of_the_bus_and_stop_still_returns() -> None
     bus = foreign_bus()
     cell = Cia402Cell(bus, config())
     cell.check()
-    cell.energise([Mode.HOLD, Mode.HOLD])
+    energise(cell, [Mode.HOLD, Mode.HOLD])
     bus.send = dead  # type: ignore[method-assign]
     with pytest.raises(BusError, match="Network is down"):
-        cell.exchange([0.0, 0.0])
+        exchange(cell, [0.0, 0.0])
     cell.stop()
     cell.close()
     assert set(cell.not_off) == {"A1", "A2"}
@@ -383,9 +384,9 @@ def test_a_computer_that_wakes_late_skips_slots_and_never_sends_two_syncs_close_
 
     try:
         cell.check()
-        cell.energise(held(cell))
+        energise(cell, held(cell))
         link.put, link.clock.sleep_until = noted, oversleep  # type: ignore[method-assign]
-        slots = [cell.exchange(zero(cell)).slot for _ in range(200)]
+        slots = [exchange(cell, zero(cell)).slot for _ in range(200)]
         link.put, link.clock.sleep_until = put, sleep_until  # type: ignore[method-assign]
     finally:
         cell.close()
@@ -453,16 +454,16 @@ def positions_of_a_moving_axis(
 
 def _moving(cell: Cia402Cell, cycles: int, meddle: Any) -> tuple[list[float], list[bool], list[int]]:
     cell.check()
-    cell.energise(held(cell))
-    cell.set_modes([Mode.TORQUE, Mode.HOLD])
+    energise(cell, held(cell))
+    set_modes(cell, [Mode.TORQUE, Mode.HOLD])
     assert cell.bounds is not None
     cell.bounds._most_missed = 1000  # what is believed is looked at, not what ends a run
     for _ in range(50):
-        first = cell.exchange([1.0, 0.0]).slot + 1
+        first = exchange(cell, [1.0, 0.0]).slot + 1
     cell._link.get = meddle(cell._link.get)  # type: ignore[method-assign]
     seen, fresh, slots = [], [], []
     for _ in range(cycles):
-        sample = cell.exchange([1.0, 0.0])
+        sample = exchange(cell, [1.0, 0.0])
         seen.append(sample.position[0])
         fresh.append(sample.fresh[0])
         slots.append(sample.slot - first)
@@ -599,10 +600,10 @@ def test_frames_of_any_kind_in_the_cycle_never_crash_the_adapter_nor_keep_it_fro
 
     try:
         cell.check()
-        cell.energise(held(cell))
+        energise(cell, held(cell))
         cell._link.get = polluted  # type: ignore[method-assign]
         for _ in range(30):
-            cell.exchange(zero(cell))
+            exchange(cell, zero(cell))
         cell.stop()
     except InvidError:
         cell.stop()
@@ -626,10 +627,10 @@ def test_a_gravity_loaded_axis_is_not_dropped_by_a_stop(brake: str) -> None:
     plant = plant_cell.plant
     try:
         cell.check()
-        cell.energise(held(cell))
+        energise(cell, held(cell))
         plant.external[plant.structure.motors] -= 3.0
         for _ in range(100):
-            cell.exchange(zero(cell))
+            exchange(cell, zero(cell))
         before = plant.positions[plant.structure.motors].copy()
         cell.stop()
         states_after = [d.state.name for d in plant_cell.drives]

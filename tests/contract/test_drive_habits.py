@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from stepping import energise, exchange, set_modes
 from test_adapter_promises import config, held, zero
 
 from invid.sweep import Mode
@@ -31,14 +32,14 @@ def test_a_drive_with_a_habit_is_enabled_held_shaken_and_left_as_it_was(habit: s
     drive = bus.cell.drives[0]
     before = {(e.index, e.sub): e.value for e in drive.node.od if e.access == "rw" and e.index != 0x1003}
     cell.check()
-    cell.energise(held(cell))
+    energise(cell, held(cell))
     assert drive.mode == 8
-    cell.set_modes([Mode.TORQUE, Mode.HOLD])
+    set_modes(cell, [Mode.TORQUE, Mode.HOLD])
     while cell.changing:
-        cell.exchange(zero(cell))
+        exchange(cell, zero(cell))
     assert drive.mode == 10
     for _ in range(20):
-        cell.exchange([1.0, 0.0])
+        exchange(cell, [1.0, 0.0])
     bus.cell.plant.advance_to(bus.cell.now_ns)
     assert bus.cell.plant.velocities[0] > 0.0
     assert cell.close() == []

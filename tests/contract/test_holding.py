@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from stepping import energise, exchange, secure, set_modes
 from test_adapter_promises import config, held, zero
 
 from invid.errors import DriveError, SafetyStop
@@ -65,16 +66,16 @@ class Bench:
 def enabled(bench: Bench) -> Cia402Cell:
     master = bench.connect()
     master.check()
-    master.energise(held(master))
+    energise(master, held(master))
     for _ in range(50):
-        master.exchange(zero(master))
+        exchange(master, zero(master))
     return master
 
 
 def left_held(bench: Bench) -> None:
     """A first run, whose stop test is passed, ends with A1 held by its drive."""
     master = enabled(bench)
-    assert master.secure([True, False])
+    assert secure(master, [True, False])
     master.close()
 
 
@@ -89,10 +90,10 @@ def test_a_drive_is_seen_to_hold_its_load_once_and_remembered_by_its_serial_numb
     assert to_support(bench.config, bench.memory) == ("A1",)
     master = enabled(bench)
     before = bench.place
-    assert master.secure([True, False])
+    assert secure(master, [True, False])
     assert abs(bench.place - before) < 0.001
     assert State.QUICK_STOP_ACTIVE in bench.states
-    assert not master.secure([True, False])
+    assert not secure(master, [True, False])
     said = master.close()
     assert any("A1 is energised" in line and "support" in line for line in said)
     seen = bench.memory.of_axis(1)
@@ -110,7 +111,7 @@ def test_a_soft_loop_that_has_sagged_goes_on_from_where_it_is_after_a_gentle_qui
     bench = Bench(tmp_path, drive)
     master = enabled(bench)
     before = bench.place
-    assert master.secure([True, False])
+    assert secure(master, [True, False])
     assert abs(bench.place - before) < 6 * 1.0 / (2 * 3.1416 * 5.0) ** 2  # a sag for each of five holds
     master.close()
 
@@ -147,8 +148,8 @@ def test_the_next_run_takes_a_held_axis_over_without_a_gap_in_its_torque(tmp_pat
     bench.states.clear()
     master = enabled(bench)
     assert bench.drive.state is State.OPERATION_ENABLED
-    assert master.secure([True, False])  # what was seen once is seen again
-    assert not master.secure([True, False])
+    assert secure(master, [True, False])  # what was seen once is seen again
+    assert not secure(master, [True, False])
     master.close()
     assert set(bench.states) <= ENERGISED
     bench.cell.plant.advance_to(bench.cell.now_ns)
@@ -166,13 +167,13 @@ def test_a_drive_without_transition_16_is_remembered_and_not_taken_over(tmp_path
     bench.drive._enter = no_way_back
     master = enabled(bench)
     with pytest.raises(SafetyStop, match="transition 16"):
-        master.secure([True, False])
+        secure(master, [True, False])
     master.close()
     assert bench.drive.state is State.QUICK_STOP_ACTIVE
     again = bench.connect()
     again.check()
     with pytest.raises(DriveError, match=r"A1 .*cannot be taken over without letting go.*load supported"):
-        again.energise(held(again))
+        energise(again, held(again))
     again.close()
     assert bench.drive.state is State.QUICK_STOP_ACTIVE
     assert abs(bench.place) < FALLS
@@ -200,7 +201,7 @@ def test_an_axis_stated_to_carry_nothing_needs_no_quick_stop_option(tmp_path: Pa
         tmp_path, {"objects": {"lacks": ["0x605A"]}, "load": {"torque_Nm": 0.0}}, gravity_loaded=False
     )
     master = enabled(bench)
-    master.secure([False, False])
+    secure(master, [False, False])
     assert master.close() == []
     assert bench.drive.state not in ENERGISED
 
@@ -209,7 +210,7 @@ def test_a_drive_that_does_not_notice_that_its_master_is_gone_fails_the_stop_tes
     bench = Bench(tmp_path, {"objects": {"lacks": ["0x6007"]}})
     master = enabled(bench)
     with pytest.raises(SafetyStop, match=r"A1.*without its master.*operation enabled"):
-        master.secure([True, False])
+        secure(master, [True, False])
     master.close()
     assert bench.drive.state is State.QUICK_STOP_ACTIVE
     assert abs(bench.place) < FALLS
@@ -224,7 +225,7 @@ def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
 ) -> None:
     bench = Bench(tmp_path, {"brake": True, "brake_delay_s": delay}, brake="drive")
     master = enabled(bench)
-    assert master.secure([True, False])
+    assert secure(master, [True, False])
     assert master.holdings[0].held_by == by
     before = bench.place
     master.close()
@@ -244,7 +245,7 @@ def test_an_axis_of_unknown_gravity_that_carries_nothing_may_switch_off_again(tm
     master = enabled(bench)
     od = bench.drive.node.od
     assert od.number(0x605A) == 6  # until it is known
-    master.secure([False, False])
+    secure(master, [False, False])
     assert master.close() == []
     assert od.number(0x605A) == 2
     assert bench.drive.state not in ENERGISED
@@ -263,7 +264,7 @@ def test_a_stop_before_the_load_is_known_leaves_an_axis_of_unknown_gravity_held(
 def test_a_load_that_the_config_denies_is_held_after_the_stop(tmp_path: Path) -> None:
     bench = Bench(tmp_path, gravity_loaded=False)
     master = enabled(bench)
-    assert master.secure([True, False])
+    assert secure(master, [True, False])
     master.close()
     assert bench.drive.state is State.QUICK_STOP_ACTIVE
     assert abs(bench.place) < FALLS
@@ -272,7 +273,7 @@ def test_a_load_that_the_config_denies_is_held_after_the_stop(tmp_path: Path) ->
 def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     master = enabled(bench)
-    master.secure([True, False])
+    secure(master, [True, False])
     master.stop()
     master.suspect(SafetyStop("axis A1: position left its window", axis="A1"))
     master.close()
@@ -281,12 +282,12 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     assert {r.code for r in again.not_ready} == {"axis_suspect", "axis_energised"}
     assert not any("A2" in r.text for r in again.not_ready)
     with pytest.raises(DriveError, match="--cleared A1"):
-        again.energise(held(again))
+        energise(again, held(again))
     again.close()
     cleared = bench.connect()
     cleared.clear(["A1"])
     cleared.check()
-    cleared.energise([Mode.HOLD, Mode.HOLD])
+    energise(cleared, [Mode.HOLD, Mode.HOLD])
     assert bench.drive.state is State.OPERATION_ENABLED
     cleared.close()
     assert abs(bench.place) < FALLS
@@ -306,13 +307,13 @@ def test_a_load_beyond_the_torque_limit_ends_the_run_in_time_and_nothing_raises_
     master = bench.connect()
     master.check()
     seen: list[int] = []
-    exchange = master.exchange
+    tick = master.tick
 
-    def watched(torque: Any) -> Any:
+    def watched(wish: Any) -> Any:
         seen.append(int(bench.drive.node.od.number(0x6072)))
-        return exchange(torque)
+        return tick(wish)
 
-    master.exchange = watched  # type: ignore[method-assign]
+    master.tick = watched  # type: ignore[method-assign]
     with pytest.raises(SafetyStop, match=r"A1.*all that its limit permits") as caught:
         enabled_and_settled(master)
     assert "raise its torque limit" in str(caught.value)
@@ -327,9 +328,9 @@ def test_a_load_beyond_the_torque_limit_ends_the_run_in_time_and_nothing_raises_
 
 def enabled_and_settled(master: Cia402Cell) -> None:
     """As the sweep does it: every cycle is watched."""
-    master.energise(held(master))
+    energise(master, held(master))
     while master.clock.now() < 10.0:
-        master.exchange(zero(master))
+        exchange(master, zero(master))
 
 
 def test_a_load_that_was_held_within_the_lowered_limit_gets_no_more_torque_when_a_sign_turns(
@@ -344,7 +345,7 @@ def test_a_load_that_was_held_within_the_lowered_limit_gets_no_more_torque_when_
 
     def go_on() -> None:
         for _ in range(150):
-            master.exchange(zero(master))
+            exchange(master, zero(master))
             assert bench.drive.node.od.number(0x6072) <= lowered
 
     with pytest.raises(SafetyStop, match=r"A1: is to stand and gets faster"):
@@ -364,9 +365,9 @@ def test_no_brake_and_no_drive_is_judged_by_an_axis_that_moved_before_the_test(t
         FaultConfig(kind="push", axis="A1", at_s=master.clock.now(), torque_Nm=8.0, duration_s=10.0)
     )
     for _ in range(10):
-        master.exchange(zero(master))
+        exchange(master, zero(master))
     with pytest.raises((SafetyStop, DriveError)):  # by its motion, or its drive by its following error
-        master.secure([True, False])
+        secure(master, [True, False])
     assert all(seen.brake_drop is None for seen in bench.memory.seen.values())
     master.close()
 
@@ -383,12 +384,12 @@ def test_an_axis_of_unknown_gravity_is_weighed_after_a_stop_that_came_before_tha
 def test_the_master_stays_until_an_axis_that_its_drive_holds_stands(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     master = enabled(bench)
-    assert master.secure([True, False])
-    master.set_modes([Mode.TORQUE, Mode.HOLD])
+    assert secure(master, [True, False])
+    set_modes(master, [Mode.TORQUE, Mode.HOLD])
     while master.changing:
-        master.exchange([1.0, 0.0])
+        exchange(master, [1.0, 0.0])
     for _ in range(100):
-        master.exchange([4.0, 0.0])  # 3 N·m beyond the load
+        exchange(master, [4.0, 0.0])  # 3 N·m beyond the load
     bench.cell.plant.advance_to(bench.cell.now_ns)
     assert bench.cell.plant.velocities[0] > 0.3
     master.stop()

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from foreign_bus import LOADED, ForeignCell
+from stepping import energise, exchange, secure, set_modes
 
 from invid.errors import BusError, DriveError, RecordingError, SafetyStop, left_by
 from invid.recording import Outcome
@@ -33,7 +34,7 @@ def energised(cell: ForeignCell) -> Cia402Cell:
     """A master that holds every axis."""
     master = cell.connect()
     master.check()
-    master.energise([Mode.HOLD] * len(cell.bus.axes))
+    energise(master, [Mode.HOLD] * len(cell.bus.axes))
     return master
 
 
@@ -113,7 +114,7 @@ def test_a_stop_is_heard_at_once_in_the_silence_of_the_stop_test(tmp_path: Path)
 
     master.cancelled = cancelled
     with pytest.raises(SafetyStop, match="on request"):
-        master.secure([True])
+        secure(master, [True])
     assert bus.now() - asked[0] < HEARD_S + 0.01
     master.stop()
     back = min(t for t, cob, _ in bus.sent if cob == 0x201 and t > asked[0])
@@ -132,7 +133,7 @@ def test_a_stop_is_heard_while_a_drive_that_answers_slowly_is_prepared(cell: For
     asked = cell.bus.now() + 0.5
     master.cancelled = lambda: cell.bus.now() > asked
     with pytest.raises(SafetyStop, match="on request"):
-        master.energise([Mode.HOLD] * 2)
+        energise(master, [Mode.HOLD] * 2)
     assert cell.bus.now() - asked < HEARD_S + 0.01
     for node in cell.bus.nodes:
         node.answers_sdo = True
@@ -205,9 +206,9 @@ def test_the_way_out_ends_in_its_stated_time_whatever_drives_do(tmp_path: Path, 
     cell = ForeignCell(tmp_path, [ramp] * 6, [False] * 6)
     master, bus = cell.connect(), cell.bus
     master.check()
-    master.energise([Mode.TORQUE] * 6)
+    energise(master, [Mode.TORQUE] * 6)
     for _ in range(10):
-        master.exchange([0.0] * 6)
+        exchange(master, [0.0] * 6)
     for node, axis in zip(bus.nodes, bus.axes, strict=True):
         if slow == "ramp":
             axis.plant.v = 1.0
@@ -231,7 +232,7 @@ def test_a_run_that_is_killed_leaves_that_its_axes_may_be_energised(cell: Foreig
         ("A1", "axis_energised", True), ("A2", "axis_energised", True),
     ]  # fmt: skip
     assert all("may be energised" in r.text and r.at is not None for r in found())
-    master.secure([True, False])
+    secure(master, [True, False])
     master.close()
     assert ["its drive holds it" in r.text for r in found()] == [True]
     cell.bus.axes[0].enter("off", "by hand")
@@ -256,12 +257,12 @@ def test_an_axis_that_its_drive_does_not_carry_is_left_to_its_brake_for_as_long_
 
     def go_on(cycles: int) -> None:
         for _ in range(cycles):
-            master.exchange([load])
+            exchange(master, [load])
 
     go_on(250)
-    assert master.secure([True])
+    assert secure(master, [True])
     if led:
-        master.set_modes([Mode.TORQUE])
+        set_modes(master, [Mode.TORQUE])
         go_on(20)
         master.set_loops([Loop(load, 20.0)])
     rested = axis.plant.q

@@ -9,6 +9,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from stepping import energise, exchange, set_modes
 from test_adapter_promises import config, held, zero
 from test_way_out import exchanged
 
@@ -109,15 +110,15 @@ def test_while_one_drive_takes_its_time_every_axis_in_torque_mode_follows_its_ow
     plant = bus.cell.plant
     try:
         cell.check()
-        cell.energise(held(cell))
-        cell.set_modes([Mode.TORQUE, Mode.HOLD])
+        energise(cell, held(cell))
+        set_modes(cell, [Mode.TORQUE, Mode.HOLD])
         while cell.changing:
-            cell.exchange(zero(cell))
-        cell.set_modes([Mode.TORQUE, Mode.TORQUE])
+            exchange(cell, zero(cell))
+        set_modes(cell, [Mode.TORQUE, Mode.TORQUE])
         began, sent = bus.clock.now(), 0
         motors = plant.structure.motors
         while cell.changing:
-            sample = cell.exchange([-20.0 * (cell._cycle.sample.position[0] - 0.05), 0.3])
+            sample = exchange(cell, [-20.0 * (cell._cycle.sample.position[0] - 0.05), 0.3])
             sent += 1
         took = bus.clock.now() - began
         assert took > 0.3
@@ -128,17 +129,17 @@ def test_while_one_drive_takes_its_time_every_axis_in_torque_mode_follows_its_ow
         # it is in torque mode when it says so, and moves by what was sent
         assert plant.positions[motors[1]] > 0
         assert sample.fresh == [True, True]
-        cell.set_modes(held(cell))
+        set_modes(cell, held(cell))
         x = list(sample.position)
         began = bus.clock.now()
         while cell.changing:  # axis 1 under the damping of its own loop, axis 2 too, until each is held
             speed = [(now - last) / CYCLE for now, last in zip(cell._cycle.sample.position, x, strict=True)]
             x = list(cell._cycle.sample.position)
-            cell.exchange([-10.0 * v for v in speed])
+            exchange(cell, [-10.0 * v for v in speed])
         assert bus.clock.now() - began > 0.3
         before = plant.positions[motors].copy()
         for _ in range(200):
-            cell.exchange([0.0, 0.0])
+            exchange(cell, [0.0, 0.0])
         assert np.abs(plant.velocities[motors]).max() < 1e-3
         assert np.abs(plant.positions[motors] - before).max() < 0.02
         assert wire.longest_gap <= 3
@@ -156,13 +157,13 @@ def test_a_drive_that_does_not_change_its_mode_ends_the_measurement_by_name_and_
     wire = Wire(bus)
     try:
         cell.check()
-        cell.energise(held(cell))
+        energise(cell, held(cell))
         drive = bus.cell.drives[1]
         if silent:
             drive.node._sdo.answer = lambda request: None  # type: ignore[method-assign]
         else:
             drive.mode_lie = 8
-        cell.set_modes([Mode.HOLD, Mode.TORQUE])
+        set_modes(cell, [Mode.HOLD, Mode.TORQUE])
         with pytest.raises(DriveError, match=f"axis A2.*{'does not answer' if silent else 'shows mode 8'}"):
             exchanged(cell, 3000)
         assert wire.longest_gap <= 3
@@ -186,9 +187,9 @@ def test_a_mode_that_the_drive_refuses_is_named() -> None:
     cell = Cia402Cell(bus, cfg)
     try:
         cell.check()
-        cell.energise(held(cell))
+        energise(cell, held(cell))
         bus.cell.drives[0].node.od.put(0x6502, 0, 1 << 7)
-        cell.set_modes([Mode.TORQUE, Mode.HOLD])
+        set_modes(cell, [Mode.TORQUE, Mode.HOLD])
         with pytest.raises(DriveError, match=r"axis A1.*0x6060 mode of operation was refused"):
             exchanged(cell, 100)
     finally:

@@ -7,6 +7,7 @@ from typing import Any
 
 import can
 import pytest
+from stepping import energise, exchange, set_modes
 from test_adapter_promises import config, held, zero
 from test_mode_change import small
 
@@ -106,10 +107,10 @@ def test_another_slave_is_left_alone_and_noted() -> None:
         repeat(bus, cob, data, begin_s=0.2, every_s=0.1)
     cell = Cia402Cell(bus, cfg)
     cell.check()
-    cell.energise(held(cell))
-    cell.set_modes([Mode.TORQUE, Mode.HOLD])
+    energise(cell, held(cell))
+    set_modes(cell, [Mode.TORQUE, Mode.HOLD])
     for _ in range(300):
-        assert not [e for e in cell.exchange(zero(cell)).events if e.severity is not Severity.NOTE]
+        assert not [e for e in exchange(cell, zero(cell)).events if e.severity is not Severity.NOTE]
     assert cell.notes == ("node 10 is on the bus too, is not in the config, and is left alone",)
     assert cell.close() == []
     commands = {d[1] for _, i, d in sent.frames if i == 0}
@@ -143,14 +144,14 @@ def test_check_beside_another_master_leaves_its_drives_as_they_are() -> None:
     bus = open_virtual_bus(cfg)
     first = Cia402Cell(bus, cfg)
     first.check()
-    first.energise(held(first))
+    energise(first, held(first))
     second = Cia402Cell(can.Bus(interface="invid-virtual", channel="promises"), cfg)
     wait: Any = second._link.wait
 
     def side_by_side(seconds: float) -> None:
         """The first master's cycles while the second one listens."""
         for _ in range(round(seconds / 0.002)):
-            first.exchange(zero(first))
+            exchange(first, zero(first))
         wait(0.0)
         while (message := second._link.get(0)) is not None:
             second._link.sort(message)
@@ -159,6 +160,6 @@ def test_check_beside_another_master_leaves_its_drives_as_they_are() -> None:
     with pytest.raises(BusError, match="SYNC"):
         second.check()
     assert second.close() == []
-    assert not [e.text for e in first.exchange(zero(first)).events]
+    assert not [e.text for e in exchange(first, zero(first)).events]
     assert [d.state.name for d in bus.cell.drives] == ["OPERATION_ENABLED"] * 2
     first.close()

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from stepping import energise
 
 from benchmarks.drivers.bench_stopping import TIMER, Run, cell_config, draw
 from invid.config import CellConfig, parse_config
@@ -78,7 +79,7 @@ def test_a_config_that_states_a_steeper_ramp_has_it_written_where_its_unit_is_kn
     (report,) = master.check()
     assert report.stopping.deceleration == pytest.approx(8.0)
     before = od_of(master).number(0x6085)
-    master.energise([Mode.HOLD])
+    energise(master, [Mode.HOLD])
     assert od_of(master).number(0x6085) == pytest.approx(8 * 60 / (2 * np.pi), abs=1)
     od = od_of(master)
     assert master.close() == []
@@ -91,7 +92,7 @@ def test_a_ramp_beyond_the_torque_limit_is_given_what_the_limit_can_do_and_resto
     (report,) = master.check()
     assert report.stopping.deceleration == pytest.approx(0.8 * 25 / 2.0)
     od, before = od_of(master), od_of(master).number(0x6085)
-    master.energise([Mode.HOLD])
+    energise(master, [Mode.HOLD])
     assert od.number(0x6085) == pytest.approx(10.0 * RAD, rel=1e-4)
     assert master.close() == []
     assert od.number(0x6085) == before
@@ -100,7 +101,7 @@ def test_a_ramp_beyond_the_torque_limit_is_given_what_the_limit_can_do_and_resto
 def test_the_event_timer_of_the_rpdo_is_written_longer_than_what_is_forgiven_and_restored() -> None:
     master = connect(cell())
     od = od_of(master)
-    master.energise([Mode.HOLD])
+    energise(master, [Mode.HOLD])
     assert od.number(0x1400, 5) == 23  # 20 cycles that a late computer may skip, and three
     assert master.close() == []
     assert od.number(0x1400, 5) == 0
@@ -111,7 +112,7 @@ def test_an_event_timer_is_only_ever_tightened(found: int) -> None:
     master = connect(cell())
     od = od_of(master)
     od.put(0x1400, 5, found)
-    master.energise([Mode.HOLD])
+    energise(master, [Mode.HOLD])
     assert od.number(0x1400, 5) == min(found, 23)
     master.close()
     assert od.number(0x1400, 5) == found

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from stepping import energise, exchange, set_modes
 
 from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError, DriveError, SafetyStop
@@ -80,14 +81,14 @@ def test_the_offset_takes_the_place_of_the_target_and_its_drive_goes_on_holding(
     (first, second) = master.check()
     assert first.by_offset
     assert second.by_offset
-    master.energise([Mode.HOLD, Mode.HOLD])
+    energise(master, [Mode.HOLD, Mode.HOLD])
     drive = bus.cell.drives[0]
     assert drive.node.od.number(0x1600, 2) == 0x60B20010
     assert drive.mode == 8
-    master.set_modes([Mode.TORQUE, Mode.HOLD])
+    set_modes(master, [Mode.TORQUE, Mode.HOLD])
     assert not master.changing
     for _ in range(300):
-        sample = master.exchange([5.0, 5.0])
+        sample = exchange(master, [5.0, 5.0])
     # 5 N·m against a loop of 8 Hz on the motor's 1 kg·m²; the held axis is sent nothing
     assert sample.position[0] == pytest.approx(5.0 / (2 * np.pi * 8) ** 2, rel=0.2)
     assert abs(sample.position[1]) < 1e-4

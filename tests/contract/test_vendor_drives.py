@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
+from stepping import energise, exchange, set_modes
 
 from invid.config import CellConfig, load_config, parse_config
 from invid.errors import ConfigError, DriveError
@@ -117,10 +118,10 @@ def test_a_drive_whose_gaps_are_bridged_by_the_config_runs_and_is_left_as_it_was
         assert any(what in line for line in report.lacks), what
     assert not any("EDS" in w for w in report.warnings)
     entries = {(e.index, e.sub): e.value for e in simulated(cell)}
-    cell.energise([Mode.HOLD])
-    cell.set_modes([Mode.TORQUE])
+    energise(cell, [Mode.HOLD])
+    set_modes(cell, [Mode.TORQUE])
     for _ in range(20):
-        sample = cell.exchange([1.0])
+        sample = exchange(cell, [1.0])
     assert sample.fresh == [True]
     assert sample.torque[0] == pytest.approx(1.0, abs=0.2)
     cell.stop()
@@ -172,7 +173,7 @@ def changed(name: str, tmp_path: Path, key: str = "DefaultValue", **values: int)
 def test_the_speed_limit_reaches_every_drive_in_its_own_unit(name: str, speed: float) -> None:
     axis = {"allow_missing_heartbeat": True, "overrides": {"0x6072": "0 as shipped"}, **SCALES}
     cell = connect(config(file(name), file(name), name, **axis))
-    cell.energise([Mode.HOLD])
+    energise(cell, [Mode.HOLD])
     assert simulated(cell).number(0x607F) == pytest.approx(speed, abs=1)
     assert cell.close() == []
 
@@ -180,7 +181,7 @@ def test_the_speed_limit_reaches_every_drive_in_its_own_unit(name: str, speed: f
 def test_a_drive_without_a_torque_limit_has_its_current_limited_to_the_same_share(tmp_path: Path) -> None:
     node = changed("epos4", tmp_path, o3001sub1=3000)  # mA at the rated 100 N·m
     cell = connect(config(node, node, "epos4", **SCALES))
-    cell.energise([Mode.HOLD])
+    energise(cell, [Mode.HOLD])
     assert simulated(cell).number(0x3001, 2) == 150  # 5 N·m
     assert cell.close() == []
 
@@ -190,7 +191,7 @@ def test_a_torque_limit_above_what_the_eds_allows_is_the_highest_that_it_allows(
     cell = connect(config(file("generic"), named, rated_torque_Nm=100))
     (report,) = cell.check()
     assert 5 / report.scaling.rated_torque > 0.040
-    cell.energise([Mode.HOLD])
+    energise(cell, [Mode.HOLD])
     assert simulated(cell).number(0x6072) == 40
     assert cell.close() == []
 
@@ -251,8 +252,8 @@ def test_an_eds_that_does_not_parse_is_a_warning_that_names_it_and_the_drive_is_
     cell = connect(config(file("generic"), file("does_not_parse")))
     (report,) = cell.check()
     assert any("does_not_parse.eds does not parse" in w and "DataType" in w for w in report.warnings)
-    cell.energise([Mode.HOLD])
-    assert all(cell.exchange([0.0]).fresh)
+    energise(cell, [Mode.HOLD])
+    assert all(exchange(cell, [0.0]).fresh)
     assert cell.close() == []
 
 
@@ -310,7 +311,7 @@ def test_whatever_object_a_drive_lacks_it_runs_or_is_refused_in_a_sentence() -> 
             cell.check()
             if index in (0x1400, 0x1600, 0x1800, 0x1A00, 0x6040):  # found when it is mapped
                 with pytest.raises(DriveError, match="cannot be mapped"):
-                    cell.energise([Mode.HOLD] * 3)
+                    energise(cell, [Mode.HOLD] * 3)
         except DriveError as error:
             refused[index] = str(error)
         finally:

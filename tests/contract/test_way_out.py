@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from stepping import energise, exchange, set_modes
 from test_adapter_promises import config, held, simulated, zero
 
 from invid.errors import DriveError, SafetyStop
@@ -38,15 +39,15 @@ def without(cell: Cia402Cell, lost: Callable[[int], bool]) -> Callable[[float], 
 
 def running(cell: Cia402Cell) -> None:
     cell.check()
-    cell.energise(held(cell))
-    cell.set_modes([Mode.TORQUE, Mode.HOLD])
+    energise(cell, held(cell))
+    set_modes(cell, [Mode.TORQUE, Mode.HOLD])
     for _ in range(20):
-        cell.exchange(zero(cell))
+        exchange(cell, zero(cell))
 
 
 def exchanged(cell: Cia402Cell, cycles: int) -> None:
     for _ in range(cycles):
-        cell.exchange(zero(cell))
+        exchange(cell, zero(cell))
 
 
 def test_a_drive_whose_samples_are_lost_but_that_answers_is_switched_off_and_known_to_be() -> None:
@@ -106,7 +107,7 @@ def test_a_stop_while_the_brakes_open_does_not_wait_for_them() -> None:
         cell.check()
         began = clock.now()
         with pytest.raises(SafetyStop, match="nothing was recorded"):
-            cell.energise(held(cell))
+            energise(cell, held(cell))
         assert "OPERATION_ENABLED" not in shown
         cell.stop()
         assert clock.now() - began < 1.0
@@ -124,13 +125,13 @@ def test_neither_a_second_ctrl_c_nor_a_fault_in_the_quick_stop_leaves_a_drive_on
     drives = drives_of(cell)
     running(cell)
     for _ in range(100):
-        cell.exchange([4.0, 0.0])  # to 0.8 rad/s: a quick stop takes its time
-    exchange, errors = cell._cycle.exchange, [error]
+        exchange(cell, [4.0, 0.0])  # to 0.8 rad/s: a quick stop takes its time
+    cycle, errors = cell._cycle.exchange, [error]
 
     def interrupted(torque: Any) -> Any:
         if errors:
             raise errors.pop()
-        return exchange(torque)
+        return cycle(torque)
 
     cell._cycle.exchange = interrupted  # type: ignore[method-assign]
     with contextlib.suppress(KeyboardInterrupt):
@@ -180,7 +181,7 @@ def test_a_drive_whose_heartbeat_stays_away_is_reported_though_its_samples_come(
     try:
         running(cell)
         for _ in range(100):  # 0.2 s: two periods
-            assert cell.exchange(zero(cell)).events == []
+            assert exchange(cell, zero(cell)).events == []
         cell._link.get = without(cell, lambda cob: cob == 0x701)  # type: ignore[method-assign]
         with pytest.raises(DriveError, match=r"axis A1.*no heartbeat"):
             exchanged(cell, 300)

@@ -11,6 +11,9 @@ from pydantic import BaseModel
 
 from invid.recording import import_map, read_recording
 from invid.recording.attributes import ExperimentAttributes, RootAttributes
+from invid_drivers.cia402.axis_state import longest_way_out
+from invid_drivers.cia402.bus import STOPPED_S
+from invid_drivers.relay import STOP_S
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "recording.md").read_text(encoding="utf-8")
 WORDS = set(re.findall(r"\w+", PAGE))
@@ -43,3 +46,10 @@ def test_the_example_with_h5py_writes_a_recording_that_is_read(
     recording = read_recording(tmp_path / "cell.h5")
     assert recording.axes == ("A1", "A2")
     assert recording.experiments[0].periods == 5
+
+
+def test_the_bounds_of_a_stop_on_the_safety_page_are_those_of_the_table_of_states() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "explanations" / "safety.md").read_text(encoding="utf-8")
+    assert f"({longest_way_out():.0f} s at most)" in page
+    assert f"| {STOPPED_S:.0f} s (`longest_stop_s` of `check`) |" in page
+    assert f"| command or service for the cycle process | {STOP_S:.0f}," in page

@@ -20,6 +20,7 @@ from invid.planning import AxisForecast, Plan, make_plan
 from invid.planning.belief import Belief
 from invid.planning.model import PlannedExperiment, Step
 from invid.sweep import Sample, Sweep
+from invid.sweep.ports import Wish
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.simulated import kernel, open_virtual_bus
 from invid_drivers.simulated.cell import SimulatedCell
@@ -220,10 +221,10 @@ def run(drawn: Drawn, until: str = "") -> Truth:
     plant = cells[0].plant
     motors = plant.structure.motors
     limits = np.array([a.limits.torque for a in config.axes])
-    exchange, origin = cell.exchange, plant.positions[motors].copy()
+    tick, origin = cell.tick, plant.positions[motors].copy()
 
-    def watched(torque: Sequence[float]) -> Sample:
-        sample = exchange(torque)
+    def watched(wish: Wish) -> Sample:
+        sample = tick(wish)
         seen = np.abs(
             [
                 plant.positions[motors] - origin,
@@ -233,10 +234,11 @@ def run(drawn: Drawn, until: str = "") -> Truth:
         )
         phase = sweep._motion.phase
         truth.peaks[phase] = np.maximum(truth.peaks.get(phase, 0.0), seen)
-        truth.clipped += int((np.abs(torque) >= limits * (1 - 1e-9)).sum())
+        if wish.torque:
+            truth.clipped += int((np.abs(wish.torque) >= limits * (1 - 1e-9)).sum())
         return sample
 
-    cell.exchange = watched  # type: ignore[method-assign]
+    cell.tick = watched  # type: ignore[method-assign]
     sink = _Sink()
     truth.shares = sink.shares
     sweep = Sweep(plan, config, cell, sink)

@@ -153,16 +153,16 @@ def measure(config: CellConfig) -> Measured:
 
 def _observe(found: Measured, cell: Any, simulated: SimulatedCell) -> None:
     """Keep the largest true motion and torque of every cycle."""
-    plant, exchange = simulated.plant, cell.exchange
+    plant, tick = simulated.plant, cell.tick
     motors = plant.structure.motors
     origin = plant.positions[motors].copy()
 
-    def watched(torque: Any) -> Any:
-        sample = exchange(torque)
+    def watched(wish: Any) -> Any:
+        sample = tick(wish)
         seen = np.abs(
             [plant.positions[motors] - origin, plant.velocities[motors], plant.motor_state[:, kernel.ACTING]]
         )
         np.maximum(found.peaks, seen, out=found.peaks)
         return sample
 
-    cell.exchange = watched
+    cell.tick = watched

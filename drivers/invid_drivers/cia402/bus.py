@@ -16,7 +16,7 @@ from invid.config import CellConfig
 from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
 from invid.sweep.bounds import Bounds, bounds_of
 from invid.sweep.motion import FADE_S
-from invid.sweep.ports import Clock, Loop, Mode, Sample
+from invid.sweep.ports import Clock, Loop, Mode, Procedure, Sample, T, Want, Wish
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import procedures
 from invid_drivers.cia402.axis import Drive, DriveReport, ModeSet
@@ -33,7 +33,7 @@ from invid_drivers.cia402.standing.holding import AxisHolding, Reason
 from invid_drivers.cia402.standing.takeover import find_powered, require_mapped, require_mode, require_ours
 from invid_drivers.cia402.states import OperationMode, is_energised
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
-from invid_drivers.cia402.supervisor import STOPPING, Procedure, Supervisor, Want
+from invid_drivers.cia402.supervisor import STOPPING, Supervisor
 
 ENABLING = "stopped on request while the drives were being enabled"
 RAMP_MARGIN = 1.25
@@ -78,7 +78,6 @@ class Cia402Cell:
         """Whether the drives were prepared to be enabled."""
         self._late_share: tuple[float, float] | None = None
         self._supervisor: Supervisor | None = None
-        self._wants: list[Want] = []
         self._stopped = True
         self.bounds: Bounds | None = None
         """What no cycle may pass, from before the first axis is enabled to the last one off."""
@@ -203,7 +202,7 @@ class Cia402Cell:
             *holds,
         )
 
-    def energise(self, modes: Sequence[Mode]) -> None:
+    def energise(self, modes: Sequence[Mode]) -> Procedure[None]:
         """Protect, map, start and enable every drive at rest where it stands."""
         if not self.reports:
             self.check()
@@ -246,9 +245,8 @@ class Cia402Cell:
         self._cycle.restart_slots()
         self.held.memory.disk.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
-        self._look_first()
-        self._wants = [Want.HOLD if mode is Mode.HOLD else Want.LEAD for mode in modes]
-        self._run(procedures.enable(self._stage), ENABLING)
+        yield from self._look_first()
+        yield from self._unless_asked(procedures.enable(self._stage), ENABLING)
         self._watch.resting = set()
 
     def _supervise(self) -> Supervisor:
@@ -293,13 +291,12 @@ class Cia402Cell:
             supervisor.note,
         )
 
-    def _run(self, procedure: Procedure, asked: str) -> None:
-        def stopped() -> InvidError | None:
-            if not self.cancelled():
-                return None
-            return SafetyStop(f"{asked}; nothing was recorded yet", code="asked")
-
-        self._supervised.run(procedure, stopped)
+    def _unless_asked(self, procedure: Procedure[None], asked: str) -> Procedure[None]:
+        """The same, ended by a request to stop, which is heard in every cycle."""
+        for wish in procedure:
+            yield wish
+            if self.cancelled():
+                raise SafetyStop(f"{asked}; nothing was recorded yet", code="asked")
 
     @property
     def _supervised(self) -> Supervisor:
@@ -307,7 +304,7 @@ class Cia402Cell:
             raise DriveError("the cell was not energised: no axis is supervised")
         return self._supervisor
 
-    def _look_first(self) -> None:
+    def _look_first(self) -> Procedure[None]:
         """See every axis at rest before the first is enabled; a mode that is shown has begun to act by
         then."""
         cycle = self._config.bus.cycle_s
@@ -316,10 +313,7 @@ class Cia402Cell:
         answers = procedures.Answers([0] * len(self._drives))
         self._cycle.apart = asked
         try:
-            self._run(
-                procedures.look(self._stage, seconds, answers),
-                ENABLING,
-            )
+            yield from self._unless_asked(procedures.look(self._stage, seconds, answers), ENABLING)
         finally:
             self._cycle.apart = False  # on the way out no SYNC waits
         sample = self._cycle.sample
@@ -363,7 +357,7 @@ class Cia402Cell:
                     axis=peer.name,
                 )
 
-    def secure(self, loaded: Sequence[bool]) -> bool:
+    def secure(self, loaded: Sequence[bool]) -> Procedure[bool]:
         """Take over what carries a load, and see how each axis is held when nobody commands it.
 
         Whether axes were let go or stopped for it: they are held again, perhaps in another place.
@@ -374,27 +368,26 @@ class Cia402Cell:
         self.held.settle(loaded, self._cycle.permille)
         off = {a.index: a.torque_off for a in supervisor.axes if a.torque_off is not None}
         self.held.refuse_dead_displays(self._cycle.sample, off, self.reports)
-        self._wants = [Want.HOLD] * len(self._drives)
-        self._set_options(CHANGE_S)
+        yield from self._set_options(CHANGE_S)
         permitted = [limit.velocity for limit in self._watch.limits]
         for i in range(len(self._drives)):
             self._watch.permit(i, math.inf)  # a fall in the tests is none of what was planned
         before = [len(a.story) for a in supervisor.axes]
         try:
             test = procedures.test_stops(self._stage, 3 * self._config.safety.heartbeat_s)
-            self._run(test, "stopped on request in the stop test")
+            yield from self._unless_asked(test, "stopped on request in the stop test")
         finally:
             for i, velocity in enumerate(permitted):
                 self._watch.permit(i, velocity)
         return before != [len(a.story) for a in supervisor.axes]
 
-    def _set_options(self, longest_s: float) -> None:
+    def _set_options(self, longest_s: float) -> Procedure[None]:
         """Write 0x605A of drives that turned out to have to hold a load, between two SYNCs."""
         if not self.held.set_options(self._cycle):
             return
         end = self.clock.now() + longest_s
         while self._cycle.is_changing and self.clock.now() < end:
-            self._supervised.tick([Want.STAY] * len(self._drives))
+            yield self._stage.everyone(Want.STAY)
 
     @property
     def _watch(self) -> Bounds:
@@ -402,31 +395,31 @@ class Cia402Cell:
             raise DriveError("the cell was not checked: nothing is known of its drives")
         return self.bounds
 
-    def set_modes(self, modes: Sequence[Mode]) -> None:
-        """Ask for other modes while energised; the change goes on in the cycles to come (``changing``).
-
-        Torque for every axis that changes is taken from ``exchange`` meanwhile.
-        """
-        self._wants = [Want.HOLD if mode is Mode.HOLD else Want.LEAD for mode in modes]
-        for axis, want in zip(self._supervised.axes, self._wants, strict=True):
-            self._supervised.grant(axis, want)
-
     def set_loops(self, loops: Sequence[Loop | None]) -> None:
         """Loops by which led axes are brought to rest when the run ends."""
         self._supervised.loops = list(loops)
 
     @property
     def changing(self) -> bool:
-        """Whether a drive does not show yet the mode that it was asked for."""
+        """Whether a drive does not show yet the mode that was wished for; its torque acts meanwhile."""
         return self._supervisor is not None and self._supervisor.is_changing
 
     # --- the cycle -----------------------------------------------------------------------------
-    def exchange(self, torque: Sequence[float]) -> Sample:
-        """One cycle of the supervisor; ``torque`` (M,) for the axes that are led."""
-        supervisor = self._supervised
-        for axis, value in zip(supervisor.axes, torque, strict=True):
-            axis.torque = value
-        return supervisor.tick(self._wants)
+    def run(self, procedure: Procedure[T]) -> T:
+        """What a procedure returns: the one loop, a cycle for each of its wishes. What must stop the motion
+        ends the procedure, too."""
+        with contextlib.closing(procedure):
+            try:
+                wish = next(procedure)
+                while True:
+                    wish = procedure.send(self.tick(wish))
+            except StopIteration as end:
+                result: T = end.value
+                return result
+
+    def tick(self, wish: Wish) -> Sample:
+        """One cycle of the supervisor."""
+        return self._supervised.tick(wish)
 
     # --- the way out ---------------------------------------------------------------------------
     def stop(self) -> None:
@@ -456,11 +449,11 @@ class Cia402Cell:
         self._link.until = math.inf
         self._stopped = True
 
-    def _leave_by(self, procedure: Procedure) -> None:
+    def _leave_by(self, procedure: Procedure[None]) -> None:
         """Run a part of the way out, whatever fails in a cycle of it."""
-        for wants in procedure:
+        for wish in procedure:
             try:
-                self._supervised.tick(wants)
+                self.tick(wish)
             except (
                 Exception
             ):  # a queue that is full has room again; a fault of this program ends nothing here
@@ -477,7 +470,7 @@ class Cia402Cell:
         falls = {} if self.bounds is None else self.bounds.falls
         with contextlib.suppress(Exception):
             self.held.weigh_at_once(self._cycle.sample, self.rated_torque, held, falls)
-            self._set_options(LEAVING_S)
+            self._leave_by(self._set_options(LEAVING_S))
 
     def _note_ends(self, supervisor: Supervisor) -> None:
         """What is said at the end is read from the states."""
@@ -530,7 +523,7 @@ class Cia402Cell:
             return complaints
         try:
             if self.held_at_end:
-                self._link.attend = lambda: self._supervised.tick([Want.END] * len(self._drives))
+                self._link.attend = lambda: self.tick(self._stage.everyone(Want.END))
             for disk in (self.journal.disk, self.held.memory.disk):
                 try:
                     disk.settle()

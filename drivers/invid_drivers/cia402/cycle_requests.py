@@ -108,7 +108,10 @@ class Change:
         if self._refused is not None:
             why = self._refused
             if self.without_power:
-                why += ": it takes one without power only, and the axis was not seen to stand without"
+                why += (
+                    ": it takes one without power only, and the axis was not seen to stand without. Give it "
+                    "a brake that its drive closes (brake: drive), or unload it"
+                )
         elif now < self._began + (CHANGE_S if self._shown is None or self._shown > 0 else BUSY_S):
             return None
         elif self._shown is None:

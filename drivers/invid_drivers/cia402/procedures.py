@@ -14,10 +14,11 @@ import numpy as np
 
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.sweep.loads import CONFIRM_S, LOAD_SHARE
+from invid.sweep.ports import Procedure, Want, Wish
 from invid_drivers.cia402.axis_state import BRAKE_S, ENABLE_S, AxisState
 from invid_drivers.cia402.states import DriveState
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
-from invid_drivers.cia402.supervisor import MOVES, Procedure, Want
+from invid_drivers.cia402.supervisor import MOVES
 
 LOOK_S = 0.35
 """At rest, before power: longer than the longest window in which a fall is seen (0.32 s), and than a drive
@@ -63,29 +64,29 @@ class Stage:
     note: Callable[..., None]
     """Remembers what was seen of an axis."""
 
-    def everyone(self, want: Want) -> list[Want]:
-        """The same wish for every axis."""
-        return [want] * len(self.axes)
+    def everyone(self, want: Want) -> Wish:
+        """The same for every axis."""
+        return Wish([want] * len(self.axes))
 
-    def only(self, axes: Collection[SupervisedAxis], want: Want, others: Want = Want.STAY) -> list[Want]:
-        """One wish for some axes, another for the rest."""
+    def only(self, axes: Collection[SupervisedAxis], want: Want) -> Wish:
+        """For some axes; the others stay."""
         chosen = {a.index for a in axes}
-        return [want if a.index in chosen else others for a in self.axes]
+        return Wish([want if a.index in chosen else Want.STAY for a in self.axes])
 
-    def wait(self, seconds: float, wants: list[Want]) -> Procedure:
+    def wait(self, seconds: float, wish: Wish) -> Procedure[None]:
         """Go on wishing the same for a while."""
         end = self.now() + seconds
         while self.now() < end:
-            yield wants
+            yield wish
 
     def until(
-        self, axes: Sequence[SupervisedAxis], states: Collection[AxisState], wants: list[Want], longest: float
-    ) -> Procedure:
+        self, axes: Sequence[SupervisedAxis], states: Collection[AxisState], wish: Wish, longest: float
+    ) -> Procedure[None]:
         """Wish the same until these axes are in one of the states, or ``longest`` has passed: every state has
         a deadline of its own, but two could follow each other for ever."""
         end = self.now() + longest
         while self.now() < end and not all(a.state in states for a in axes):
-            yield wants
+            yield wish
 
 
 def names_of(axes: Sequence[SupervisedAxis]) -> list[str]:
@@ -96,7 +97,7 @@ def names_of(axes: Sequence[SupervisedAxis]) -> list[str]:
 # --- enabling --------------------------------------------------------------------------------------
 
 
-def enable(stage: Stage) -> Procedure:
+def enable(stage: Stage) -> Procedure[None]:
     """Bring every axis to operation enabled, held where it stands, or at zero torque where it cannot be."""
     there, longest = (AxisState.HELD, AxisState.LED), 2 * ENABLE_S
     yield from stage.until(stage.axes, there, stage.everyone(Want.HOLD), longest)
@@ -118,7 +119,7 @@ class Answers:
     cycles: int = 0
 
 
-def look(stage: Stage, seconds: float, answers: Answers) -> Procedure:
+def look(stage: Stage, seconds: float, answers: Answers) -> Procedure[None]:
     """See every axis at rest before the first is enabled; what its encoder shows then is its noise."""
     end = stage.now() + seconds
     while stage.now() < end:
@@ -135,7 +136,7 @@ def look(stage: Stage, seconds: float, answers: Answers) -> Procedure:
 # --- stop test ---------------------------------------------------------------------------------------
 
 
-def test_stops(stage: Stage, silence_s: float) -> Procedure:
+def test_stops(stage: Stage, silence_s: float) -> Procedure[None]:
     """Try what is to hold each axis, and what drives do when their master has died; all are held afterwards.
 
     Parameters
@@ -163,7 +164,7 @@ def test_stops(stage: Stage, silence_s: float) -> Procedure:
         stage.note(a, holds=True, resumes=True)
 
 
-def _await_rest(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
+def _await_rest(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     """Wait until axes rest: one that moved before the test says nothing of its brake or drive."""
     for a in axes:
         a.estimator.look_anew()
@@ -180,7 +181,7 @@ def _await_rest(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
         yield stage.everyone(Want.STAY)
 
 
-def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
+def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     """Hand axes to their brakes and measure when and how far each moved last."""
     yield from _await_rest(stage, axes)
     began, drops = stage.now(), {}
@@ -220,7 +221,7 @@ def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
     yield from _resume(stage, axes)
 
 
-def _try_quick_stop(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
+def _try_quick_stop(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     yield from _await_rest(stage, axes)
     for a in axes:
         a.on_trial = True
@@ -233,7 +234,7 @@ def _try_quick_stop(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
     yield from _resume(stage, axes)
 
 
-def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -> Procedure:
+def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -> Procedure[None]:
     """Say nothing for as long as the drives' heartbeat watch is, and more; then look."""
     yield from _await_rest(stage, axes)
     for a in axes:
@@ -279,7 +280,7 @@ def _refuse_moved(axes: Sequence[SupervisedAxis]) -> None:
         )
 
 
-def _keep_silent(stage: Stage, axes: Sequence[SupervisedAxis], seconds: float) -> Procedure:
+def _keep_silent(stage: Stage, axes: Sequence[SupervisedAxis], seconds: float) -> Procedure[None]:
     """Say nothing for so long, and until every drive has said what it did then; a catch ends it."""
     end = stage.now() + seconds
     answers = dict.fromkeys(names_of(axes), 0)
@@ -321,7 +322,7 @@ def _lets_go(a: SupervisedAxis, what: str) -> SafetyStop:
     )
 
 
-def _resume(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
+def _resume(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     """Every axis held again, from quick stop by transition 16, from its brake, or from off."""
     there = (AxisState.HELD, AxisState.LED)
     yield from stage.until(stage.axes, there, stage.everyone(Want.HOLD), ENABLE_S)
@@ -349,7 +350,7 @@ def _resume(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
 # --- the way out -------------------------------------------------------------------------------------
 
 
-def leave(stage: Stage, longest_s: float, doubted: Collection[int]) -> Procedure:
+def leave(stage: Stage, longest_s: float, doubted: Collection[int]) -> Procedure[None]:
     """Every axis to rest, each at its own pace, and off where nothing needs to hold it; then looked at.
 
     ``doubted`` axes stay held only because nobody knows whether they are loaded: their torque tells.
@@ -364,7 +365,7 @@ def leave(stage: Stage, longest_s: float, doubted: Collection[int]) -> Procedure
         yield from _until_final(stage, end)
 
 
-def _until_final(stage: Stage, end: float) -> Procedure:
+def _until_final(stage: Stage, end: float) -> Procedure[None]:
     while stage.now() < end:
         yield stage.everyone(Want.END)
         if all(_is_seen_final(a) for a in stage.axes):
@@ -376,7 +377,7 @@ def _is_seen_final(a: SupervisedAxis) -> bool:
     return a.is_final and (a.seconds >= SEEN_OFF_S or not without_torque)
 
 
-def _weigh(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
+def _weigh(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     """Axes that carry nothing, by the torque that holds them, need not stay under power because a stop came
     before that was known."""
     shown: dict[int, list[float]] = {a.index: [] for a in axes}
@@ -391,7 +392,7 @@ def _weigh(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure:
             a.holding.loaded = a.holding.taken_over = False
 
 
-def look_after(stage: Stage) -> Procedure:
+def look_after(stage: Stage) -> Procedure[None]:
     """See that what is left held stays held without its master."""
     if any(a.state is AxisState.STANDS for a in stage.axes):
         end = stage.now() + AFTER_S

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Generator, Sequence
-from enum import Enum, auto
+from collections.abc import Callable, Sequence
 
 from invid.errors import DriveError, InvidError, SafetyStop
 from invid.sweep.bounds import Bounds
-from invid.sweep.ports import Event, Loop, Mode, Sample, Severity
+from invid.sweep.ports import Event, Loop, Mode, Sample, Severity, Want, Wish
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import ModeSet
@@ -45,25 +44,6 @@ STAND_BY_S = 0.3
 """A drive that is still enabled so long after *switch on* knows no way back to it: the voltage goes."""
 
 
-class Want(Enum):
-    """What a procedure wishes of an axis."""
-
-    STAY = auto()
-    HOLD = auto()
-    """Held by its drive."""
-    LEAD = auto()
-    """In torque mode."""
-    PARK = auto()
-    """Quick stop."""
-    BRAKE = auto()
-    END = auto()
-    """To rest, to what holds it, and off where nothing needs to."""
-
-
-Procedure = Generator[Sequence[Want], None, None]
-"""Yields a wish for every axis, once a cycle."""
-
-
 class Supervisor:
     """All axes of a cell, from before power until they are off or held."""
 
@@ -86,20 +66,14 @@ class Supervisor:
         self._told: set[str] = set()
 
     # --- the loop ---------------------------------------------------------------------------------
-    def run(self, procedure: Procedure, cancelled: Callable[[], InvidError | None]) -> None:
-        """Run a procedure to its end; ``cancelled`` is asked in every cycle."""
-        with contextlib.closing(procedure):
-            for wants in procedure:
-                self.tick(wants)
-                error = cancelled()
-                if error is not None:
-                    raise error
-
-    def tick(self, wants: Sequence[Want]) -> Sample:
+    def tick(self, wish: Wish) -> Sample:
         """One cycle: grant, command, see, judge, move on."""
         self._notice_pause()
-        for axis, want in zip(self.axes, wants, strict=True):
+        for axis, want in zip(self.axes, wish.wants, strict=True):
             self.grant(axis, want)
+        if wish.torque:
+            for axis, torque in zip(self.axes, wish.torque, strict=True):
+                axis.torque = torque
         sample, error = self._exchange()
         error = error or self._judge_bounds(sample)
         for axis in self.axes:

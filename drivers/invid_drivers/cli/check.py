@@ -12,6 +12,7 @@ import typer
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
 from invid.errors import DriveError, InputError
+from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.cia402.stated.scales import MUCH_OF_RATED
 from invid_drivers.cli.measure import budget_lines, plan_text
 from invid_drivers.connect import is_virtual
@@ -70,6 +71,7 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared
             for a, r, b in zip(tighter.axes, reports, within.budgets, strict=True)
         ],
         "budgets": [b.to_json() for b in within.budgets],
+        "longest_stop_s": STOPPED_S,
         "plan": plan.to_json(),
         "warnings": warnings,
     }
@@ -111,6 +113,7 @@ def _text(config: CellConfig, within: Prepared, document: dict[str, Any]) -> str
         for r in document["reasons"]
     ]
     lines += budget_lines(within.budgets, linear=config.linear)
+    lines.append(f"  a stop ends, whatever drives do, within {document['longest_stop_s']:.0f} s")
     lines.append(plan_text(plan, "plan"))
     lines += [f"  note: {w}" for w in document["warnings"] if w not in plan.warnings]
     return "\n".join(lines)

@@ -112,6 +112,11 @@ _ACTIONS: dict[str, Callable[[Run], dict[str, str]]] = {
         f"See whether {run.axis or 'the axis'} has hit something, its brake has closed or its encoder hangs.",
         "machine",
     ),
+    "leapt": lambda run: _action(
+        "check_encoder",
+        f"Look at the encoder of {run.axis or 'the axis'}, its cable and its shield.",
+        "machine",
+    ),
     "hold_unstable": lambda run: _action(
         "hold", "Set the hold of the held axes to “drive” in the cell's config.", run.key("hold.mode")
     ),

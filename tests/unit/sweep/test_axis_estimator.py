@@ -7,7 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from invid.errors import SafetyStop
 from invid.sweep.axis_estimator import AxisEstimator, AxisLimits, Fall, Kind, has_leapt
+from invid.sweep.bounds import Bounds
+from invid.sweep.ports import Sample
 
 CYCLE, COUNT, RATED, WINDOW = 0.002, 2 * math.pi / 2**16, 10.0, 0.5
 
@@ -63,6 +66,16 @@ def test_a_fall_is_seen_within_three_milliradians_and_not_taken_for_a_wrong_sign
     assert found[first].kind is Kind.FALLS
 
 
+@pytest.mark.parametrize("left", [0.0, 5.0])
+def test_a_load_whose_torque_ceases_is_seen_before_one_that_never_had_any(left: float) -> None:
+    t = CYCLE * np.arange(1000) - 1.0
+    x = -0.5 * 3.0 * np.maximum(t, 0.0) ** 2
+    rng = np.random.default_rng(3)
+    found = looked_at(x, np.where(t > 0, left, 8.0) + 0.05 * rng.normal(size=t.size))
+    assert min(found) - 1.0 < 0.03
+    assert min(found) < min(looked_at(x, np.full(1000, left))) - 0.01
+
+
 def test_a_loop_that_drives_its_axis_away_is_told_from_a_load() -> None:
     t = CYCLE * np.arange(700) - 1.0
     w = 20.0
@@ -113,3 +126,16 @@ def test_an_encoder_leaps_beyond_what_its_axis_goes_in_the_time_and_tells_its_sp
         axis.take(k * CYCLE, 0.5 * k * CYCLE, 0.0)
     assert axis.speed == pytest.approx(0.5)
     assert not axis.leapt
+
+
+def test_an_encoder_that_leaps_is_named_and_not_the_speed_that_nobody_had() -> None:
+    limits = AxisLimits("A1", 2 * RATED, WINDOW, 1.0, COUNT, RATED, "rad", "N·m")
+    bounds = Bounds([limits], cycle_s=CYCLE, missed_tpdos=5, overrun_cycles=5)
+    bounds.led = {0}
+    bounds.start([0.0])
+    for k in range(20):
+        bounds.check(Sample(k, k * CYCLE, [0.0005 * k], [1.0], [0x37], [True]))
+    with pytest.raises(SafetyStop, match=r"encoder leapt by 0.03.*cable") as said:
+        bounds.check(Sample(20, 20 * CYCLE, [0.04], [1.0], [0x37], [True]))
+    assert said.value.code == "leapt"
+    assert bounds.blind == {0}

@@ -9,6 +9,8 @@ from test_sweep import CYCLE, RigidCell, run
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
 from invid.sweep import Sample
+from invid.sweep.axis_estimator import AxisLimits
+from invid.sweep.bounds import Bounds
 from invid.sweep.stuck_encoder import Unmoved
 
 
@@ -104,3 +106,27 @@ def test_an_encoder_that_dies_under_shaking_is_told_by_torque_that_must_have_mov
     assert told is not None
     assert 0.0 < told[0] - dies < 0.5  # a period of the slowest line
     assert told[1] < 0.05  # what it drifts at the speed at which it died
+
+
+@pytest.mark.parametrize(("acceleration", "yields"), [(2.0, True), (-2.0, False)])
+def test_a_led_axis_that_gets_faster_against_all_its_torque_ends_the_run_and_one_that_brakes_does_not(
+    acceleration: float, yields: bool
+) -> None:
+    bounds = Bounds(
+        [AxisLimits("A1", 5.0, 9.0, 5.0, 1e-4, 10.0, "rad", "N·m")],
+        cycle_s=0.002,
+        missed_tpdos=5,
+        overrun_cycles=5,
+    )
+    bounds.led = {0}
+    bounds.start([0.0])
+    ended = False
+    for k in range(200):
+        t = 0.002 * k
+        try:
+            bounds.check(Sample(k, t, [t + acceleration / 2 * t**2], [-5.0], [0x37], [True]))
+        except SafetyStop as error:
+            ended = error.code == "yields"
+            break
+    assert ended is yields
+    assert not yields or t < 0.25
