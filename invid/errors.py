@@ -18,6 +18,7 @@ matching builtin, so that library users may catch what they know::
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -62,6 +63,12 @@ class InvidError(Exception):
         self.axes = tuple(axes) if axis is None else (axis,)
         self.left: tuple[str, ...] = ()
         self.moment: Any = None
+
+    @property
+    def word(self) -> str:
+        """What a program branches on: ``code``, else the kind (``recording``, ``not_identifiable``)."""
+        kind = type(self).__name__.removesuffix("Error")
+        return self.code or re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind).lower()
 
     @property
     def axis(self) -> str | None:

@@ -14,9 +14,9 @@ from pathlib import Path
 import typer
 
 from invid import __version__
-from invid.cli.output import EXIT_NOT_TRUSTWORTHY, emit, note
+from invid.cli.output import emit, note
 from invid.disk import is_full, not_written
-from invid.errors import DiskFullError, InputError, InvidError, SafetyStop
+from invid.errors import DiskFullError, InvidError, SafetyStop
 
 GROUP = "invid.commands"
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h: not one of the contract's, because it is our fault
@@ -96,20 +96,13 @@ def run(arguments: list[str]) -> int:
         return 0
     except InvidError as error:
         note(f"invid: {error}")
-        if error.exit_code == EXIT_NOT_TRUSTWORTHY and "--json" in arguments:
-            # Done, with no result to speak of: the reason still is a document's warnings.
-            emit({"result": None, "warnings": [str(error)]}, "", as_json=True)
-        elif isinstance(error, SafetyStop) and "--json" in arguments:
-            # Stopped: what was recorded so far is in the file that the command named.
-            emit({"result": None, "outcome": "aborted", "warnings": [str(error)]}, "", as_json=True)
-        elif "--json" in arguments and isinstance(error, InputError) and (error.code or named == "import"):
-            # Refused: a program branches on the code, and has what was measured.
-            refused = {"code": error.code or "input", "reason": error.reason, "way_out": error.way_out}
-            emit(
-                {"result": None, "refused": refused | {"values": error.values}, "warnings": [str(error)]},
-                "",
-                as_json=True,
-            )
+        if "--json" in arguments:
+            # Refused: a program branches on the code, and has what was measured. Stopped: what was recorded
+            # so far is in the file that the command named.
+            refused = {"code": error.word, "reason": error.reason, "way_out": error.way_out}
+            how = {"outcome": "aborted"} if isinstance(error, SafetyStop) else {}
+            document = {"result": None, "refused": refused | {"values": error.values}, **how}
+            emit(document | {"warnings": [str(error)]}, "", as_json=True)
         return error.exit_code
     except UsageError as error:
         error.show(file=sys.stderr)  # type: ignore[attr-defined]

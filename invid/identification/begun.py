@@ -134,7 +134,9 @@ def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, star
                 first = start(bench, Structure(declared), beside, known)
     except np.linalg.LinAlgError as error:
         raise NotIdentifiableError(
-            f"{recording.source}: {error}; check signs, units and the number of masses"
+            f"{recording.source}: {error}",
+            way_out="check signs, units and the number of masses",
+            code="nothing_fits",
         ) from None
     return Begun(recording, first, declared, split.warnings, alike, stopgap=split.stopgap)
 

@@ -62,7 +62,9 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
         except np.linalg.LinAlgError as error:
             raise NotIdentifiableError(
                 f"{recording.source}: no chain of masses and springs fits these records to any finite error "
-                f"({error}); check the signs and units of position and torque, and the number of masses"
+                f"({error})",
+                way_out="check the signs and units of position and torque, and the number of masses",
+                code="nothing_fits",
             ) from None
     budget_warning = budget.warning()
     warnings = warnings if budget_warning is None else [*warnings, budget_warning]

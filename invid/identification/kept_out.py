@@ -58,7 +58,10 @@ def records_of(recording: Recording, *, by_period: bool = False) -> Split:
     if lines < LEAST_LINES * recording.axis_count:
         raise NotIdentifiableError(
             f"{recording.source}: the records hold {lines} lines to {parts.band:.3g} Hz, and the unknowns of "
-            f"a machine take {LEAST_LINES} an axis: record for longer, lengthen the period, or widen the band"
+            f"a machine take {LEAST_LINES} an axis",
+            way_out="record for longer, lengthen the period, or widen the band",
+            code="too_few_lines",
+            values={"lines": lines, "least_an_axis": LEAST_LINES, "band_hz": float(parts.band)},
         )
     known = _with_holds([*fitted, *kept], parts)  # of one machine: what one record shows holds for all
     fitted, kept = known[: len(fitted)], known[len(fitted) :]

@@ -42,6 +42,8 @@ from invid.signals.motion_record import Band, motions_of
 NEARLY_ALL = 0.1
 """Share of what is missing beyond noise that a delay may leave: in closed loop anything else that is missing
 shows in the torque as well, a little later (empirical)."""
+LEAST_ROWS = 12
+"""Rows of motion from which on anything is fitted (three to a number of the plainest model: statistical)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +71,14 @@ def analyse(recording: Recording) -> Analysis:
         Where nothing moves enough for any row.
     """
     motions = motions_of(recording)
-    if sum(int(m.keep.sum()) for m in motions) < 12:
+    count = sum(int(m.keep.sum()) for m in motions)
+    if count < LEAST_ROWS:
         raise NotIdentifiableError(
-            f"{recording.source}: the axes move in too little of the record (fewer than 12 rows); record "
-            f"longer moves"
+            f"{recording.source}: the axes move in too little of the record ({count} rows, fewer than "
+            f"{LEAST_ROWS})",
+            way_out="record longer moves",
+            code="too_little_motion",
+            values={"rows": count, "least": LEAST_ROWS},
         )
     motions = [m for m in motions if m.keep.any()]
     rows, reach = Rows(motions), extent(motions, not recording.linear)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
@@ -12,7 +12,7 @@ from invid.effects.large_motion.load_dependent_friction import LoadFrictionLaw
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.value import bounded_minimum
 from invid.numerics.arrays import Bool, Float64, Int64
-from invid.rigid_motion.rows import Rows
+from invid.rigid_motion.rows import ENOUGH, Rows
 from invid.rigid_motion.terms import GRAVITY, LOADS, Base, Term, load_on, torque_of
 
 FALSE_ALARM = 0.01
@@ -28,6 +28,9 @@ LEAST_PIECES = 3
 """Pieces from which on one may be left out (statistical)."""
 DRAWS = 4000
 """Draws of signs in a test (numerical: a chance of 0.1 is told to 0.005)."""
+FIRST_PRECISION, PRECISION_ROUNDS, LEAST_TOLD = 1e-3, 5, 1e-3
+"""Of carried weights: where their precision begins, how often it is told anew, and the least of numbers that
+the data tell of them (numerical)."""
 RIDGE = 1e-11
 """Of columns of unit length (numerical)."""
 LEAST_VARIATION = 0.1
@@ -101,6 +104,7 @@ def fit_terms(rows: Rows, terms: list[Term]) -> Fit:
         size = np.maximum(np.linalg.norm(a[train], axis=0), 1e-300)
         a = a / size
         normal, right = a[train].T @ a[train], a[train].T @ b[train]
+        normal = normal + np.diag(_precisions(rows, terms, normal, right))
         scaled, free = bounded_minimum(normal, -right, (low * size, np.full(low.size, np.inf)))
         residual = torque - matrix @ (scaled / size)
     ridged = (normal + RIDGE * np.eye(low.size))[np.ix_(free, free)]
@@ -127,6 +131,32 @@ def fit_terms(rows: Rows, terms: list[Term]) -> Fit:
         _total(rows, train, residual),
         _total(rows, rows.judged, held_out),
     )
+
+
+def _precisions(rows: Rows, terms: list[Term], normal: Float64, right: Float64) -> Float64:
+    """(k,) that coefficients of carried weights have before the data, of columns of unit length; 0 of others.
+
+    All that one axis carries has one, the most likely (MacKay, Neural Computation 4(3), 1992): many shapes of
+    which few data tell are else anything.
+    """
+    counts = np.bincount(rows.axis[rows.train], minlength=rows.axes)
+    precision, start = np.zeros(len(normal)), 0
+    spans = []
+    for term in terms:
+        if term.law is Base.CARRIED:
+            spans.append(
+                (slice(start, start + len(term.low)), counts[term.axis] / rows.independent[term.axis])
+            )
+        start += len(term.low)
+    for part, _ in spans:
+        precision[part] = FIRST_PRECISION
+    for _ in range(PRECISION_ROUNDS if spans else 0):
+        inverse = scipy.linalg.pinvh(normal + np.diag(precision + RIDGE))
+        value = inverse @ right
+        for part, alike in spans:
+            told = len(value[part]) - precision[part][0] * np.trace(inverse[part, part])
+            precision[part] = max(told, LEAST_TOLD) * alike / np.sum(value[part] ** 2)
+    return precision
 
 
 def _total(rows: Rows, asked: Bool, left: Float64) -> float:
@@ -160,9 +190,12 @@ def missing_torque(rows: Rows, result: Fit) -> Float64:
     least, most = [], []
     for m in rows.motions:
         speed = np.maximum(np.abs(m.velocity), 2.0 * m.rest)
+        # What leaps from stand to stand (values that repeat) moves, and shows nothing but stands.
+        leaps = (m.still.mean(axis=0) >= ENOUGH) & (np.abs(m.velocity).mean(axis=0) > m.rest)
+        stands = m.still & ~leaps
         told, *ends = (
             torque_of(result.parts, replace(m, velocity=v))
-            for v in (m.velocity, *(np.where(m.still, way * speed, m.velocity) for way in (-1.0, 1.0)))
+            for v in (m.velocity, *(np.where(stands, way * speed, m.velocity) for way in (-1.0, 1.0)))
         )
         least.append(m.whole().rows(np.min(ends, axis=0) - told))
         most.append(m.whole().rows(np.max(ends, axis=0) - told))
@@ -179,15 +212,27 @@ def chance_of_gain(rows: Rows, left: tuple[Float64, Float64], axis: int) -> floa
     """Chance that pieces of every row kept out gain as much on an axis without any cause: that gains of these
     sizes and of either sign sum up to as much (randomisation test, which one large gain does not decide).
 
-    ``left`` (every row,): what is missing before and after; whitened, since slow parts of an unknown force
-    else drown a gain; 1 where it is no less as it stands.
+    ``left`` (every row,): what is missing before and after. Whitened, since slow parts of an unknown force
+    else drown a gain, or as it stands, where whitening leaves of slow friction its edges alone: then in no
+    more pieces than rows are independent. 1 where it is no less as it stands.
     """
     mine = rows.every.judged & (rows.every.axis == axis)
-    before, after = (rows.colour.whitened(rows.every, x)[mine] for x in left)
-    gains = np.bincount(np.unique(rows.every.group[mine], return_inverse=True)[1], before**2 - after**2)
-    signs = np.random.default_rng(0).choice((-1.0, 1.0), (DRAWS, gains.size))
-    is_lower = bool(np.sum(left[1][mine] ** 2) < np.sum(left[0][mine] ** 2))
-    return float(np.mean(signs @ np.abs(gains) >= gains.sum() * (1.0 - 1e-9))) if is_lower else 1.0
+    plain, white = (
+        [f(x)[mine] for x in left] for f in (np.asarray, partial(rows.colour.whitened, rows.every))
+    )
+    piece = np.unique(rows.every.group[mine], return_inverse=True)[1]
+    count = int(piece.max()) + 1
+    fewer = piece * max(min(int(rows.independent[axis]), count), 1) // count
+    gains = [
+        np.bincount(own, before**2 - after**2) for own, (before, after) in ((piece, white), (fewer, plain))
+    ]
+    if gains[1].sum() <= 0:
+        return 1.0
+    draw = np.random.default_rng(0)
+    signs = (draw.choice((-1.0, 1.0), (DRAWS, g.size)) for g in gains)
+    return min(
+        float(np.mean(s @ np.abs(g) >= g.sum() * (1.0 - 1e-9))) for s, g in zip(signs, gains, strict=True)
+    )
 
 
 def axis_powers(rows: Rows, asked: Bool, x: Float64) -> Float64:

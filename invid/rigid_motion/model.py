@@ -126,7 +126,10 @@ def _hidden_inertia_std(a: Analysis, axis: int) -> float:
     _, std = fit_terms(a.rows, [*rest, own]).of(own)
     if not std[0] > 0:
         raise NotIdentifiableError(
-            f"{a.recording.source}: {a.recording.axes[axis]} does not accelerate; record faster moves"
+            f"{a.recording.source}: {a.recording.axes[axis]} does not accelerate",
+            way_out="record faster moves",
+            code="no_acceleration",
+            axis=a.recording.axes[axis],
         )
     return float(std[0])
 

@@ -148,7 +148,7 @@ class Colour:
         out = np.empty(x.shape if x.ndim == 2 else (x.size, 1))
         for i in range(rows.axes):
             mine = rows.axis == i
-            flat = np.ascontiguousarray(x[mine].reshape(int(mine.sum()), -1))
+            flat = np.ascontiguousarray(x[mine].reshape(int(mine.sum()), out.shape[1]))
             out[mine] = innovations(flat, np.exp(-rows.gap[mine] / self.time[i]), float(self.white[i]))[0]
         return out.reshape(x.shape)
 

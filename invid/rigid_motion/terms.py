@@ -67,6 +67,8 @@ class Term:
     ----------
     other
         The second axis of a coupling; of gravity the axis that carries this one.
+    others
+        Of carried weights the axes that turn what this one carries.
     load
         Terms with their coefficients that make up the load of friction that depends on it.
     """
@@ -75,6 +77,7 @@ class Term:
     axis: int
     shape: Shape = ()
     other: int | None = None
+    others: tuple[int, ...] = ()
     load: tuple[tuple[Term, tuple[float, ...]], ...] = ()
 
     @property
@@ -90,7 +93,7 @@ class Term:
         if isinstance(self.law, SupposedLaw):
             return self.law.low
         if self.law in (Base.CONFIGURATION, Base.CARRIED):
-            return (-np.inf,) * (2 if self.law is Base.CONFIGURATION else 4)
+            return (-np.inf,) * (2 if self.law is Base.CONFIGURATION else 4 * len(self.others))
         return (0.0 if self.law in (Base.INERTIA, Part.DRY, Part.VISCOUS) else -np.inf,)
 
     @property
@@ -101,7 +104,7 @@ class Term:
     @property
     def axes(self) -> list[int]:
         """The axes whose torque it is part of."""
-        return [self.axis] if self.other is None or self.law is Base.CARRIED else [self.axis, self.other]
+        return [self.axis] if self.other is None else [self.axis, self.other]
 
     @property
     def label(self) -> tuple[object, int, int | None]:
@@ -127,8 +130,10 @@ def columns(term: Term, motion: Motion) -> Float64:
         case Base.CONFIGURATION:
             _fill_configuration(out, motion, i, j)
         case Base.CARRIED:
-            both = [motion.position[:, i] + sign * motion.position[:, j] for sign in (1.0, -1.0)]
-            out[:, i] = np.stack([f(angle) for angle in both for f in (np.sin, np.cos)], axis=1)
+            turned = [f(motion.position) for f in (np.sin, np.cos)]
+            out[:, i] = np.stack(
+                [a[:, i] * b[:, k] for k in term.others for a in turned for b in turned], axis=1
+            )
         case Base.GROUND_SPRING:
             out[:, i, 0] = motion.position[:, i]
         case Base():
@@ -267,9 +272,9 @@ def candidate_terms(reach: Extent, springs: set[int], motions: Sequence[Motion])
         laws = [law for law in laws if any(p.kind == "mass" for p in law.places(ONE_MASS))]
         found += [Term(law, i, shape) for law in laws for shape in law.shapes(spots)]
     if reach.travel.size > 2:
-        # Without the arm's geometry: of two joints a weight knows but what they turn by together.
-        falling = [i for i in range(reach.travel.size) if reach.falls(i, springs)]
-        found += [Term(Base.CARRIED, i, other=j) for i in falling for j in falling if i != j]
+        # Without the arm's geometry: a weight's torque is linear in sine and cosine of each joint between.
+        falling = {i for i in range(reach.travel.size) if reach.falls(i, springs)}
+        found += [Term(Base.CARRIED, i, others=(*falling - {i},)) for i in falling if falling - {i}]
     if reach.travel.size == 2 and reach.falls(0, set()) and reach.falls(1, set()):
         found += [Term(GRAVITY, 1, other=0), Term(Base.CONFIGURATION, 0, other=1)]
     return found

@@ -61,13 +61,18 @@ def check_shaken(recording: Recording) -> None:
             # Named as excited, so the recording is no bad input: the excitation drowned in the noise.
             raise NotIdentifiableError(
                 f"{recording.source}: the excitation of axis {axis} is too weak: neither its torque nor its "
-                f"position rises above the noise in experiments {[r.key for r in driving]}; "
-                "raise the amplitude or measure longer"
+                f"position rises above the noise in experiments {[r.key for r in driving]}",
+                way_out="raise the amplitude or measure longer",
+                code="excitation_too_weak",
+                axis=axis,
+                values={"experiments": [r.key for r in driving]},
             )
         _check_channels(recording, i, [e for e, r in zip(shaken, records, strict=True) if r.driven[i]])
         _check_sign(recording, i, records)
     if not any(r.carrying.size for r in records):
-        raise NotIdentifiableError(f"{recording.source}: no excited line found in any experiment")
+        raise NotIdentifiableError(
+            f"{recording.source}: no excited line found in any experiment", code="no_excited_line"
+        )
 
 
 def _has_signal(r: Record, axis: int) -> bool:

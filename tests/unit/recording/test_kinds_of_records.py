@@ -482,6 +482,8 @@ SWING = 0.4 * np.sin(9 * TIME)
     ("position", "torque", "codes"),
     [
         (ANGLE, TORQUE, set()),
+        (ANGLE, -TORQUE, {"torque_sign"}),
+        (-ANGLE, TORQUE, {"torque_sign"}),
         (ANGLE + 7 * TIME, TORQUE, {"no_reversal"}),
         (np.cumsum(1.5 + np.sin(5 * TIME)) / RATE, TORQUE, {"no_reversal"}),
         (SWING, TORQUE, {"one_amplitude"}),
@@ -496,7 +498,8 @@ SWING = 0.4 * np.sin(9 * TIME)
         (0.0 * ANGLE, TORQUE, set()),
         (0.5 * np.arcsin(np.sin(7 * TIME)), 2 * np.sign(np.cos(7 * TIME)) + 1e-3 * TORQUE, {"one_amplitude"}),
     ],
-    ids=["several lines", "one way", "one way, slower and faster", "a sine", "to and fro", "cut off",
+    ids=["several lines", "torque turned round", "position turned round", "one way",
+         "one way, slower and faster", "a sine", "to and fro", "cut off",
          "cut off and noisy", "near one pose", "near another", "without a sign", "rectified",
          "signed read as unsigned", "stands",
          "friction at one speed"],
