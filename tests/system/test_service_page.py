@@ -52,7 +52,8 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         driver.find_element("css selector", "[data-view=work]").click()
         driver.find_element("css selector", "[data-view=history]").click()
         page.wait_text("accepted", "Compare with now")
-        driver.find_element("css selector", "#accepted .actions button").click()
+        driver.execute_script("performance.clearResourceTimings()")  # it keeps 250 and then no more: polls
+        page.press(driver.find_element("css selector", "#accepted .actions button"))
         page.wait_text("history-changes", "Nothing changed")
         asked = driver.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
         assert any("/changes?" in a and a.endswith("&averaged=true") for a in asked)
