@@ -81,7 +81,6 @@ class Looking(Page):
         time.sleep(1.0)
 
 
-@pytest.mark.panel
 @pytest.mark.parametrize("language", ["de", "en"])
 def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
     tmp_path: Path, language: str
