@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -39,8 +39,6 @@ def ran(where) -> list[Ran]:
 @pytest.fixture(scope="module")
 def folder(ran, where) -> Path:
     """The folder in which all commands were run."""
-    # 3: done, with warnings, which the tutorial shows and explains.
-    assert all(status in (0, 3) for one in ran for status in one.statuses)
     return where
 
 
@@ -49,23 +47,18 @@ def model(folder) -> Model:
     return load_model(folder / "model.json")
 
 
-def test_the_tutorial_shows_the_four_steps_and_then_the_commanded_current():
+def test_the_tutorial_shows_its_four_steps():
     words = [[command[1] for command in step.commands] for step in steps(TUTORIAL)]
-    assert words == [["import"], ["identify"], ["simulate"], ["diagnose"], ["import", "diagnose"]]
+    assert words == [["import"], ["identify"], ["simulate"], ["diagnose"]]
 
 
-@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("number", range(4))
 def test_what_the_page_shows_is_what_the_commands_print(ran, number):
     assert_shows(ran[number])
 
 
-def test_the_commanded_current_acts_late_by_what_was_measured_independently(folder):
-    found = json.loads((folder / "commanded.json").read_text(encoding="utf-8"))["findings"]
-    assert {f["cause"] for f in found} == {"torque_delay", "viscous_friction", "empirical_law"}
-    delay = next(f for f in found if f["cause"] == "torque_delay")
-    measured = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))["model"]["fit"]
-    late = sum(float(o["value"]) for o in measured["time_offset_s"].values())
-    assert delay["parameters"]["delay"]["value"] - late == pytest.approx(0.477e-3, abs=0.06e-3)
+def test_the_last_command_says_that_its_result_is_not_to_be_trusted(ran):
+    assert [one.statuses for one in ran] == [(0,), (0,), (0,), (3,)]
 
 
 def test_the_recording_never_saw_the_load_encoder(folder):
@@ -119,8 +112,9 @@ def load_frf_error(model: Model, *, friction: bool = True) -> float:
 
 def test_the_load_moves_as_the_model_says_it_does(model):
     error = load_frf_error(model)
-    print(f"held-out load FRF error below 150 Hz: {100 * error:.2f} %")
-    assert error < 0.08
+    shown = re.findall(r"differs from it by ([\d.]+) %", TUTORIAL.read_text(encoding="utf-8"))
+    assert 100 * error == pytest.approx(float(shown[0]), rel=0.05)
+    assert error < 0.1
 
 
 def test_the_load_check_can_tell_a_wrong_model(model):

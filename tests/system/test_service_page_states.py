@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from page_browser import Page, browser, needs_browser
-from service_process import SMALL_CELL, Serving, serving
+from service_process import SMALL_CELL, STIFF_CELL, Serving, serving
 
 from invid_drivers.cia402.journal import journal_path
 from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
@@ -24,10 +24,10 @@ pytestmark = [
     pytest.mark.timeout(900),
     needs_browser,
 ]
-SIZES = ((1280, 800), (390, 844))
-STIFF = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 0.3}}}\n"
-# Nothing is kept for validation, which is said before arming and with the result.
-SHORT = re.sub(r"  - \{kind: multisine, role: validate.*\n", "", STIFF)
+SIZES = ((1280, 800), (768, 1024), (390, 844))
+# Nothing is kept for validation, which is said before arming and with the result; without friction nothing
+# has to be searched for.
+SHORT = re.sub(r"  - \{kind: multisine, role: validate.*\n", "", SMALL_CELL)
 LONG = SHORT.replace("periods: 3}", "periods: 120}").replace("small", "long")
 TWO_PERIODS = 2 / 120
 ABSENT = SHORT.replace("small", "absent").replace("invid-virtual", "socketcan")
@@ -122,6 +122,8 @@ def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
         service.wait(location, "stopped", timeout=20)
         page.shown("stopped-do")
         page.action("stopped", "stopped-do", "retry")
+        said = {"de": "Auf Wunsch angehalten", "en": "Stopped on request"}[language]
+        assert page.text("run-error").count(said) == 1
         page.reads("stopped")
         page.press(page.shown("retry"))
         page.press(page.shown("prepare"))
@@ -166,6 +168,21 @@ def test_the_one_action_of_every_state_lies_in_view_and_is_said_in_one_language(
             page.reads(view)
         assert page.english == set()
         assert page.mistakes() == []
+
+
+def test_what_was_found_is_said_in_german_alone(finished: str, tmp_path: Path) -> None:
+    with (
+        serving(tmp_path, cell=STIFF_CELL) as service,
+        browser(tmp_path / "profile", language="de") as driver,
+    ):
+        page = Looking(driver, tmp_path, "de")
+        driver.get(service.url + "/")
+        page.drawing()
+        page.action("found", "accept", "reject")
+        page.shown("numbers")
+        page.reads("found")
+        assert "Reibung" in page.text("sentence")
+        assert page.english == set()
 
 
 def _choose(page: Looking, cell: str) -> None:

@@ -448,7 +448,6 @@ class JobManager:
             await self.decide(run, AUTO)
 
     async def _finish_early(self, run: LiveRun) -> None:
-        now = self._clock()
         state = {"stop": State.STOPPED, "cancel": State.CANCELLED, "shutdown": State.INTERRUPTED}[
             run.wish or "cancel"
         ]
@@ -459,9 +458,8 @@ class JobManager:
         }
         code, text, fix = defaults[state]
         error = run.record.facts.get("error") or {"code": code, "text": text, "fix": fix}
-        async with run.lock:
-            if not run.ended:
-                await self._persist(run, run.set(state, now, {"error": error}))
+        if not run.ended:
+            await self._move(run, state, {"error": error})
 
     async def _fail(self, run: LiveRun, code: str, text: str, fix: str, **more: Any) -> None:
         if not run.ended:

@@ -77,6 +77,12 @@ def _inertia(run: Run) -> str:
     return "mass_kg" if run.linear else "inertia_kgm2"
 
 
+_SIGN_TURNED = _action(
+    "sign_turned",
+    "Find out what has turned in motor, encoder or drive before anything moves again.",
+    "drive",
+)
+"""Where torque and motion agreed and no longer do."""
 _ACTIONS: dict[str, Callable[[Run], dict[str, str]]] = {
     "position_window": _less,
     "velocity": _less,
@@ -99,6 +105,14 @@ _ACTIONS: dict[str, Callable[[Run], dict[str, str]]] = {
         "drive.",
         "drive",
     ),
+    "torque_scale": lambda run: _action(
+        "torque_scale",
+        "Compare the drive's rated torque (0x6076) and rated current (0x6075) with the motor's plate: one of "
+        "them is wrong.",
+        "drive",
+    ),
+    "disobeys": lambda run: _SIGN_TURNED,
+    "torque_turned": lambda run: _SIGN_TURNED,
     "torque_hidden": lambda run: _action(
         "torque_hidden",
         "Let the drive show its torque in 0x6077: without it nothing can be identified.",

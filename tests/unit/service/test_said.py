@@ -20,6 +20,11 @@ WARNERS = [
     "invid/diagnosis", "invid/comparison/compare.py", "drivers/invid_drivers/measurement.py",
 ]  # fmt: skip
 """Whose warnings the page shows of a cell that it measures."""
+REFUSERS = [
+    "drivers/invid_drivers/adapters.py", "drivers/invid_drivers/round_trip.py",
+    "drivers/invid_drivers/cia402",
+]  # fmt: skip
+REFUSALS = ("DriveError", "BusError", "SafetyStop")
 GAP = "§"
 
 
@@ -41,7 +46,7 @@ def patterns(language: str) -> dict[str, re.Pattern[str]]:
 
 def is_said(text: str, language: str) -> bool:
     def known(part: str) -> bool:
-        return any(p.fullmatch(part) for p in patterns(language).values())
+        return not part.strip(GAP) or any(p.fullmatch(part) for p in patterns(language).values())
 
     return known(text) or all(map(known, text.split("; ")))
 
@@ -107,6 +112,24 @@ def test_every_warning_of_a_measurement_and_its_analysis_has_its_words(language:
     assert is_said(UNKNOWN, language)
     missing = [f"{place}: {text}" for place, text in warned() if not is_said(text, language)]
     assert missing == []
+
+
+def refused() -> Iterator[tuple[str, str]]:
+    """Texts with which drives, bus and adapter refuse or end a motion, with their files."""
+    for path in files(*REFUSERS):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or ast.unparse(node.func) not in REFUSALS:
+                continue
+            said = [*node.args, *(k.value for k in node.keywords if k.arg == "way_out")]
+            texts = [t for argument in said for t in templates(argument)]
+            yield from ((str(path.relative_to(ROOT)), t) for t in texts if t.count(" ") > 2)
+
+
+@pytest.mark.parametrize("language", LANGUAGES[1:])
+def test_every_refusal_of_drives_and_bus_has_its_words(language: str) -> None:
+    texts = list(refused())
+    assert len(texts) > 50
+    assert [f"{place}: {text}" for place, text in texts if not is_said(text, language)] == []
 
 
 @pytest.mark.parametrize("language", LANGUAGES[1:])

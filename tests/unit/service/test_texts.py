@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from pathlib import Path
 from typing import get_args
@@ -24,8 +25,10 @@ from invid_service.problems import CATALOGUE as PROBLEMS
 from invid_service.web import texts
 from invid_service.web.texts import LANGUAGES, catalogue, preferred
 
+ROOT = Path(__file__).parents[3]
 WEB = Path(texts.__file__).parent
 ENGLISH = catalogue("en")
+ENDS = ("SafetyStop", "DriveError", "BusError")
 FAMILIES = {key.split(".")[0] for key in ENGLISH}
 
 
@@ -72,7 +75,7 @@ def test_no_text_is_kept_that_nothing_shows() -> None:
 
 
 def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
-    reference = (Path(__file__).parents[3] / "docs" / "reference" / "causes.md").read_text(encoding="utf-8")
+    reference = (ROOT / "docs" / "reference" / "causes.md").read_text(encoding="utf-8")
     measures = re.findall(r"^\|[^|]+\| `(\w+)`", reference, re.M)
     assert "gravity_fraction_of_rated" in measures
     for language in LANGUAGES:
@@ -95,14 +98,29 @@ def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
         assert wanted - known.keys() == set()
 
 
+def test_whatever_may_stop_a_motion_has_its_action_and_its_words() -> None:
+    raised = set[str]()
+    for path in [*(ROOT / "invid" / "sweep").rglob("*.py"), *(ROOT / "drivers").rglob("cia402/*.py")]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in (
+                "SafetyStop",
+                "DriveError",
+                "BusError",
+            ):
+                codes = [k.value for k in node.keywords if k.arg == "code"]
+                raised |= {c.value for code in codes for c in ast.walk(code) if isinstance(c, ast.Constant)}
+    assert {"stands", "asked", "bus"} <= raised
+    assert raised - set(STOPS) == set()
+
+
 def test_every_phase_of_a_sweep_and_of_an_analysis_has_its_words() -> None:
-    config = load_config(Path(__file__).parents[3] / "configs" / "case-study.yaml")
+    config = load_config(ROOT / "configs" / "case-study.yaml")
     patterns = [
         re.compile(re.sub(r"\\\{\d\\\}", ".+", re.escape(k.removeprefix("phase."))))
         for k in ENGLISH
         if k.startswith("phase.")
     ]
-    core = Path(__file__).parents[3] / "invid"
+    core = ROOT / "invid"
     told = {
         stage
         for path in core.rglob("*.py")

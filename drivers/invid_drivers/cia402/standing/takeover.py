@@ -67,7 +67,7 @@ def require_ours(drive: Drive, holding: AxisHolding) -> None:
     if state is not DriveState.QUICK_STOP_ACTIVE:
         raise DriveError(
             f"{drive.who}: it is energised, in {state.words}, and not by this program: end the program that "
-            f"drives it. Or: {way_out[0].lower()}{way_out[1:]}",
+            f"drives it. Or: {way_out}",
             axis=drive.name,
         )
     if holding.seen.resumes is False:

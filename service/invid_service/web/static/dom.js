@@ -45,6 +45,11 @@ export function fmt(value, digits = 4) {
   if (size !== 0 && (size >= 1e6 || size < 1e-3)) return pointed(value.toExponential(Math.max(digits - 1, 0)));
   return pointed(String(Number(value.toPrecision(digits))));
 }
+// A travel or a speed as the plan has it: in degrees or millimetres.
+export function moved(value, unit, digits = 3) {
+  const [shown, factor] = MOTION[unit] ?? [unit, 1];
+  return `${fmt(value * factor, digits)}${shown === "°" ? "" : " "}${shown}`;
+}
 // A value to the digit that its standard deviation leaves.
 export function estimate(value, std) {
   if (value == null) return "–";

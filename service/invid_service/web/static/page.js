@@ -14,7 +14,7 @@ import { ended, reasonItem, refused, whyNot } from "./spoken.js";
 import { stop } from "./stop.js";
 import { showStopped } from "./stopped.js";
 import { blind, busy, find, known, look, onState, troubled } from "./store.js";
-import { $, $$, clock, el, fill, fmt, row, sentence, time } from "./dom.js";
+import { $, $$, clock, el, fill, fmt, moved, row, sentence, time } from "./dom.js";
 import { choose, named, t } from "./texts.js";
 import { who } from "./who.js";
 
@@ -134,7 +134,7 @@ const details = (id, of) => alone(`cell ${id}`, async () => {
     ...cell.drives.map((d, i) => {
       const l = cell.limits[i];
       return row("td", [d.axis, d.node_id, d.rated_torque ? `${fmt(d.rated_torque)} ${l.torque_unit}` : t("drive.from_drive"), `${fmt(l.torque)} ${l.torque_unit}`,
-        `±${fmt(l.position)} ${l.position_unit}`, `${fmt(l.velocity)} ${l.position_unit}/s`, named("hold", d.hold)]);
+        `±${moved(l.position, l.position_unit)}`, `${moved(l.velocity, l.position_unit)}/s`, named("hold", d.hold)]);
     })])]);
 });
 

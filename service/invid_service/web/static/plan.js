@@ -1,5 +1,5 @@
 // What will move and how far, before anybody arms.
-import { $, el, fill, fmt, seconds, table, MOTION } from "./dom.js";
+import { $, el, fill, fmt, moved, seconds, table } from "./dom.js";
 import { spoken, supporting } from "./spoken.js";
 import { t } from "./texts.js";
 
@@ -7,11 +7,10 @@ import { t } from "./texts.js";
  * @param {Cell | null} cell */
 export function showPlan(run, cell) {
   const plan = run.plan;
-  const rotary = (f) => MOTION[f.unit === "N" ? "m" : "rad"];
   // What cannot be foretold is bounded all the same: the sweep stops every axis at its limits.
   const limits = new Map((cell?.limits ?? []).map((l) => [l.axis, l]));
   table($("plan-table"), [t("plan.axis"), t("plan.torque"), t("plan.travel"), t("plan.speed")], (plan.forecast ?? []).map((f) => {
-    const [unit, factor] = rotary(f), l = limits.get(f.axis), shown = (v) => `${fmt(v * factor, 2)}${unit === "°" ? "" : " "}${unit}`;
+    const l = limits.get(f.axis), shown = (v) => moved(v, f.unit === "N" ? "m" : "rad", 2);
     const most = (v, limit, sign, per) => (v != null && !(v > limit) ? `${sign}${shown(v)}${per}`
       : limit == null ? t("plan.unforeseen") : `${v == null ? `${t("plan.unforeseen")}; ` : ""}${t("plan.stopped_at", { value: `${sign}${shown(limit)}${per}` })}`);
     const travel = most(f.travel, l?.position, "±", ""), speed = most(f.velocity, l?.velocity, "", "/s");

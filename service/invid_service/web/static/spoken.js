@@ -42,12 +42,14 @@ export function ended(run) {
   const stop = run.stopped, { code, text, fix } = run.error, reason = stop?.reason ?? text;
   const key = stop ? `halt.${stop.code}` : `error.${code}`;
   if (!ours(key)) return [`${sentence(said(reason).text)}.${stop ? "" : ` ${t("ready.todo", { fix })}`}`];
-  return [stop ? t(key) : `${t(key)} ${t("ready.todo", { fix: t(`${key}.fix`) })}`, ...(whole(reason, key) ? [] : [detail(reason)])];
+  return [stop ? t(key) : `${t(key)} ${t("ready.todo", { fix: t(`${key}.fix`) })}`, ...rest(reason, t(key).replace(/\.$/, ""))];
 }
 
-// What the page says already is not said again.
-function whole(reason, key) {
-  return sentence(said(reason).text) === t(key).replace(/\.$/, "");
+// The service's own words, without those at their beginning that the page says already.
+function rest(reason, known) {
+  const { text, lang } = said(reason), whole = sentence(text);
+  const left = whole.startsWith(known) ? whole.slice(known.length).replace(/^[;.] */, "") : whole;
+  return left ? [el("small", { lang }, sentence(left))] : [];
 }
 
 // Before arming: loads that must not be able to fall far.
