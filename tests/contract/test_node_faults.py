@@ -8,7 +8,30 @@ from hypothesis import strategies as st
 from node_master import Master, cell
 
 
-@settings(max_examples=25, deadline=None)
+def test_a_node_whose_cable_is_pulled_stops_by_its_own_heartbeat_watch() -> None:
+    master = Master(
+        cell(
+            {
+                "faults": [
+                    {"kind": "node_silent", "axis": "A1", "at_state": "operation_enabled", "after_s": 0.05}
+                ]
+            }
+        )
+    )
+    assert master.write(1, 0x1016, 1, "I", 127 << 16 | 30) == 0
+    master.prepare()
+    master.put(0x77F, b"\x05")
+    master.enable()
+    for _ in range(400):
+        answers = master.cycle([100], 0x0F)
+        master.put(0x77F, b"\x05")
+    assert not answers
+    assert master.bus.cell.drives[0].state.name == "FAULT"
+    assert abs(float(master.bus.cell.plant.velocities[0])) < 1e-9
+    master.close()
+
+
+@settings(max_examples=60, deadline=None)
 @given(
     frames=st.lists(
         st.tuples(

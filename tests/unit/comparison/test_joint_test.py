@@ -89,6 +89,22 @@ def test_one_parameter_changed_by_three_deviations_of_repetition_is_found_throug
     assert wrong <= 6
 
 
+def test_a_tool_change_reads_as_one() -> None:
+    rng = np.random.default_rng(14)
+    matrix = covariance(rng, relative=5e-3)
+    truth = VALUES.copy()
+    truth[NAMES.index("A2.mass.3")] += 1.31
+    result = compare(drawn(rng, matrix), drawn(rng, matrix, truth))
+    assert [p.name for p in result.parameters if p.status is Status.CHANGED] == ["A2.mass.3"]
+    change = next(p for p in result.parameters if p.status is Status.CHANGED)
+    assert change.difference is not None
+    assert change.std is not None
+    assert abs(change.difference - 1.31) < 4 * change.std
+    assert result.sentences[0].startswith("New load on A2: +")
+    assert result.sentences[0].endswith("; looks like a tool change.")
+    assert result.sentences[1].startswith("Nothing else changed")
+
+
 def test_unchanged_says_within_what_and_a_loose_one_is_cannot_tell() -> None:
     rng = np.random.default_rng(16)
     matrix = covariance(rng, relative=1e-3)

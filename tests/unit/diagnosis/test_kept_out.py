@@ -30,6 +30,13 @@ def _rows(e: Experiment, rows: slice) -> Experiment:
     return replace(e, torque_demand=None, status=None, **cut)
 
 
+def test_validation_records_are_kept_out_without_a_word(recording: Recording) -> None:
+    split = records_of(recording)
+    roles = [{e.key for e in recording.with_role(role)} for role in (Role.IDENTIFY, Role.VALIDATE)]
+    assert [{r.key for r in part} for part in (split.fitted, split.kept)] == roles
+    assert not (*split.warnings, *split.stopgap)
+
+
 def test_of_one_record_its_last_period_is_kept_out(recording: Recording) -> None:
     one = recording.with_role(Role.IDENTIFY)[0]
     split = records_of(replace(recording, experiments=(one,)))

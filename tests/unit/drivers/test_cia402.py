@@ -37,6 +37,11 @@ def test_the_masters_steps_lead_to_operation_enabled_by_the_standards_transition
     assert state is S.OPERATION_ENABLED
 
 
+@pytest.mark.parametrize("state", [S.FAULT, S.FAULT_REACTION_ACTIVE])
+def test_a_fault_is_never_reset_by_the_master(state: DriveState) -> None:
+    assert not towards_enabled(state) & 0x80
+
+
 def test_a_count_comes_from_the_encoder_resolution_or_the_feed_constant_and_one_and_one_say_nothing() -> None:
     tau = 6.283185307179586
     assert position_per_count(4096, 1) == pytest.approx(tau / 4096)

@@ -22,6 +22,28 @@ def message(can_id: int, data: bytes = b"") -> can.Message:
     return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
 
 
+READ_TYPE = bytes.fromhex("4000100000000000")
+
+
+def test_bus_off_of_the_master_is_seen_in_send_recv_and_state() -> None:
+    fault = {"kind": "bus_off", "at_s": 0.05, "duration_s": 0.05}
+    with open_virtual_bus(config(faults=[fault])) as bus:
+        bus.clock.sleep_until(0.0499)
+        for _ in range(5):
+            bus.send(message(0x601, READ_TYPE))
+        bus.clock.sleep_until(0.06)
+        assert bus.cell.frames_in < 5  # what was waiting is gone
+        while (frame := bus.recv(0.0)) is not None and not frame.is_error_frame:
+            pass
+        assert frame is not None
+        assert bus.state is can.BusState.ERROR
+        with pytest.raises(can.CanOperationError, match="bus-off"):
+            bus.send(message(0x80))
+        bus.clock.sleep_until(0.11)
+        assert bus.state is can.BusState.ACTIVE
+        bus.send(message(0x80))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

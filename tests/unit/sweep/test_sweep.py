@@ -377,3 +377,34 @@ def test_each_limit_stops_just_beyond_what_its_sensor_may_be_wrong_by() -> None:
         watched(0.0, -11.7, 0.0)
     with pytest.raises(SafetyStop, match="velocity"):  # SYNC is known to a fifth of four cycles: 1.05
         watched(0.0, 0.0, 1.06)
+
+
+def test_an_axis_whose_encoder_runs_backwards_is_found_at_a_tenth_of_the_amplitude() -> None:
+    cell = RigidCell()
+    cell.sign[1] = -1
+    rows, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert "A2" in str(error)
+    assert "backwards" in str(error)
+    assert np.abs(cell.demands).max() <= 0.1 * 0.7 * 10.0 * 1.6
+    assert rows.kept == []
+    assert not cell.energised
+
+
+def test_an_axis_that_does_not_move_is_found_before_the_full_amplitude() -> None:
+    cell = RigidCell((1e9, 1.0))
+    rows, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert "brake" in str(error)
+    assert rows.kept == []
+
+
+def test_a_person_who_pushes_the_arm_is_noticed_by_the_window() -> None:
+    cell = RigidCell()
+    cell.disturb = after(26.0, lambda c, s: c.push.__setitem__(0, 30.0))
+    rows, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert len(rows.kept) == 1
+    assert 0 < len(rows.kept[0][2]) < 2000
+    # what the window allows, and two cycles at a speed below 6 rad/s
+    assert abs(cell.x[0]) < 0.5 + 2 * 6 * CYCLE
