@@ -247,7 +247,8 @@ def pursue(
         if renewed.total < now.total + NEAR_END or not now.motions.smoothed:
             now = still = renewed
         else:
-            still = smoothed_with_shapes(now)
+            # A cause has to do better than the lowest fit without it, wherever its own motion came to rest.
+            still = min(now, smoothed_with_shapes(now), key=lambda f: f.total)
         looked = candidates(now, laws)
         falls = score(now, looked)
         trials: list[Trial] = []

@@ -6,9 +6,11 @@ grows from one smoothing to the next. Here both agree. With resistance F = φ(d)
 missing torque r = r₀ + H·F + E·a of covariance S (a the records' ends), d = d₀ − X·F + B·a, a step of F and a
 minimises
 
-    |r + H·δF + E·δa|² by S  +  |F + δF − φ(d) + φ'·(X·δF − B·δa)|² by Q,
+    |r + H·δF + E·δa|² by S  +  |F + δF − φ(d) + φ'·(X·δF − B·δa)|² by Q  +  |a + δa|²/2,
 
-φ' a factor in time, all else on lines.
+φ' a factor in time, which is a Toeplitz and a Hankel matrix on lines, a in deviations. Of the lines those are
+unknown on which a force moves the place; on those beyond, F is what the law says. A step is damped (Levenberg
+1944, Marquardt 1963), for a contact that is elsewhere makes another slope.
 
 Where a load hangs free in a gap most of the time many motions are such minima: which contact is when? The
 motion is followed from a law that is averaged over wide offsets of d, which has one, to the law itself
@@ -20,55 +22,66 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from invid.effects.supposed.law import SpotMotion
 from invid.likelihood.unknown_forces.smoother import SmoothedStack
-from invid.numerics.arrays import Complex128, Float64, Int64
-from invid.numerics.newton_descent import descend, solve_normal
+from invid.numerics.arrays import Complex128, Float64
 from invid.signals.record import Record
 
 LEAST_POWER = 0.1
 """Least Q over the torque's noise: no law is the machine's to more than a third of what a line shows."""
-TIED = 1e-6
-"""Diagonal beside ends that a record cannot tell apart."""
 DIFFERENCE = 1e-4
 """Step of motion over its deviation for a law's derivative."""
-SEEN = 4.0
-"""Deviations of χ² by which force and law of a record part further than Q lets expect (statistical)."""
 BLURS = (1.5, 0.75, 0.35, 0.15)
 """Offsets over the deviation of the motion up to which a law is averaged, one after another."""
 OFFSETS = np.linspace(-1.0, 1.0, 7)[1:-1]
 WEIGHTS = np.cos(OFFSETS * np.pi / 2.0) ** 2
 """Where in such offsets a law is asked for, and how much each counts."""
+FOLLOWING, MOST_LINES = 0.1, 600
+"""Share of its motion by which a place's own spring moves it, below which on higher lines the force follows
+the law; and most lines on which it does not (numerical: the work grows with their cube)."""
+STEPS, STEPS_ON_THE_WAY = 8, 3
+"""Most steps with the laws, and with each that is averaged."""
+DAMPING, EASED = 1e-2, 0.1
+"""First damping of a step over its diagonal, and what a step that lowers the squares leaves of it."""
+ARRIVED = 1e-3
+"""Relative fall of the sum of squares below which the steps end: its own scatter is of that size."""
+
+Law = Callable[[SpotMotion], Float64]
+"""Resistance over time (k,) of a motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class LawOfMotion:
-    """The laws of a place together, as a resistance over time (k,) of its motion, the motion of each record
-    of a stack as it is smoothed, and that on which the smoother took the laws; ``stride``: instants from one
-    to the next on which the resistance is asked for."""
+    """The laws of a place together, as a resistance of its motion.
 
-    resistance: Callable[[SpotMotion], Float64]
+    ``smoothed``: the motion of each record of a stack as it is smoothed; ``before``: that on which the
+    smoother took the laws, in ``agreed`` where it agreed with them. ``stride``: instants from one to the next
+    on which the resistance is asked for. ``is_smooth``: nothing comes into contact.
+    """
+
+    resistance: Law
     smoothed: Sequence[SpotMotion]
     before: Sequence[SpotMotion]
+    agreed: SmoothedStack | None
     stride: int
+    is_smooth: bool
 
     def lines(self, record: Record, motion: SpotMotion) -> Complex128:
         """(A,) resistance of a record's motion on its lines."""
         return record.wide_lines(self.resistance(motion.every(self.stride)))
 
-    def of_records(self, which: Int64) -> LawOfMotion:
-        """The same of some of the records."""
-        smoothed, before = ([m[k] for k in which] for m in (self.smoothed, self.before))
-        return replace(self, smoothed=smoothed, before=before)
+    @cached_property
+    def deviation(self) -> float:
+        """Deviation of the smoothed motion in all records."""
+        return float(np.std(np.concatenate([m.position for m in self.smoothed])))
 
     def averaged(self, share: float, stride: int) -> LawOfMotion:
         """The laws averaged over offsets of up to a ``share`` of the deviation of the motion."""
-        wide = share * float(np.std(np.concatenate([m.position for m in self.smoothed])))
+        wide = share * self.deviation
 
         def resistance(motion: SpotMotion) -> Float64:
             moved = (replace(motion, position=motion.position + wide * u) for u in OFFSETS)
@@ -80,55 +93,59 @@ class LawOfMotion:
 def agree(stack: SmoothedStack, place: int, vector: Float64, law: LawOfMotion) -> SmoothedStack:
     """A stack's motion with that at a place, along ``vector`` (n,), as its laws and the records together have
     it."""
-    rows = _Rows.of(stack, place, vector, law)
-    start = _At.of(rows, rows.nothing)
-    if not any(s.any() for s in start.slopes):  # a law of the past of the motion, or of none
+    at = _Place.of(stack, place, vector, law)
+    nothing = np.zeros_like(stack.force[..., place]), np.zeros_like(stack.ends)
+    smoothed = at.changed(law, *nothing)
+    if not any(s.any() for start in smoothed for s in start.slopes):  # of the past of the motion, or of none
         return stack
-    found = descend(start)
-    expected = rows.expected
-    apart = np.flatnonzero(found.costs_of_law > expected + SEEN * np.sqrt(2.0 * expected))
-    if not apart.size:
-        return rows.moved(found.change)
-    other = _from_afar(rows.of_records(apart))
-    better = apart[other.costs < found.costs[apart]]
-    change = found.change.with_records(better, other.change, np.searchsorted(apart, better))
-    return rows.moved(change)
+    starts, was = smoothed, law.agreed
+    if was is not None:
+        before = at.changed(law, stack.force[..., place] - was.force[..., place], was.ends - stack.ends)
+        starts = [min(pair, key=lambda start: start.cost) for pair in zip(smoothed, before, strict=True)]
+    found = [_descend(start, STEPS) for start in starts]
+    if not law.is_smooth and was is None:
+        pairs = zip(found, map(_from_afar, smoothed), strict=True)
+        found = [min(pair, key=lambda end: end.cost) for pair in pairs]
+    return at.moved(found)
 
 
-def _from_afar(rows: _Rows) -> _At:
+def _from_afar(start: _At) -> _At:
     """The motion that is followed from laws averaged over wide offsets to the laws themselves."""
-    change = rows.nothing
+    law, now = start.law, start
     for share in BLURS:
-        change = descend(
-            _At.of(replace(rows, law=rows.law.averaged(share, rows.stack.stride)), change)
-        ).change
-    return descend(_At.of(rows, change))
+        now = _descend(now.by(law.averaged(share, start.at.stack.stride)), STEPS_ON_THE_WAY)
+    return _descend(now.by(law), STEPS)
+
+
+def _descend(now: _At, steps: int) -> _At:
+    """Where no damped step lowers the sum of squares by much."""
+    damping = DAMPING
+    for _ in range(steps):
+        found = now.stepped(damping)
+        if found.cost >= now.cost:
+            damping /= EASED
+            continue
+        gained, now, damping = now.cost - found.cost, found, damping * EASED
+        if gained < ARRIVED * now.cost:
+            break
+    return now
 
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """Change of F on lines (R, A), and of the ends (R, 2n) in units of their rows."""
+    """Change of F on lines (A,), and of the ends (2n,) in deviations."""
 
     force: Complex128
     ends: Float64
 
-    def plus(self, other: _Change) -> _Change:
-        return _Change(self.force + other.force, self.ends + other.ends)
-
-    def with_records(self, which: Int64, other: _Change, theirs: Int64) -> _Change:
-        """With some records as ``theirs`` of another change."""
-        force, ends = self.force.copy(), self.ends.copy()
-        force[which], ends[which] = other.force[theirs], other.ends[theirs]
-        return _Change(force, ends)
-
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
-    """What a stack says of F, on A lines.
+class _Place:
+    """What a stack says of F at a place.
 
     ``missing`` (R, A, M), ``reach`` (A, M), ``jumps`` (A, M, 2n): r, H and E, whitened. ``receptance`` (A,):
-    X. ``by_ends``: motion by each end alone; ``swing``: B, position and velocity at the place by it, (2n,
-    k + 1) each.
+    X. ``by_ends``: motion by each end alone; ``ends``, ``ends_rate`` (2n, k + 1): B, position and velocity by
+    it. ``force`` (R, A): F. ``unknown``: lines on which F does not follow the law.
     """
 
     stack: SmoothedStack
@@ -141,22 +158,24 @@ class _Rows:
     power: Float64
     receptance: Complex128
     by_ends: SmoothedStack
-    swing: tuple[Float64, Float64]
+    ends: Float64
+    ends_rate: Float64
     force: Complex128
+    unknown: int
 
     @classmethod
-    def of(cls, stack: SmoothedStack, place: int, vector: Float64, law: LawOfMotion) -> _Rows:
+    def of(cls, stack: SmoothedStack, place: int, vector: Float64, law: LawOfMotion) -> _Place:
         noise, omega = stack.noise, stack.omega
         reach, power = noise.reach[:, :, place], noise.power[:, place]
         others = noise.power.copy()
         others[:, place] = 0.0
         whitener = stack.noise_of(others, stack.stack.position_noise).whitener
-        jumps = whitener @ stack.condensed.jumps(omega)
-        length = np.sqrt(((np.abs(jumps) ** 2).sum(axis=1) * stack.weight[:, None]).sum(axis=0)) + 1e-300
         unknown = -stack.force[:, :, place]
         missing = stack.missing + unknown[..., None] * reach
         was = [law.lines(r, m) for r, m in zip(stack.stack.records, law.before, strict=True)]
-        by_ends = stack.motion_by_ends(np.eye(length.size) / length)
+        by_ends = stack.motion_by_ends()
+        receptance = stack.condensed.receptance @ vector @ vector
+        moving = np.flatnonzero(np.abs(receptance) * (law.smoothed[0].own or 0.0) > FOLLOWING)
         return cls(
             stack,
             place,
@@ -164,178 +183,153 @@ class _Rows:
             law,
             (whitener @ missing[..., None])[..., 0],
             (whitener @ reach[..., None])[..., 0],
-            jumps / length,
+            whitener @ stack.condensed.jumps(omega) @ stack.root,
             np.maximum(power, LEAST_POWER * float(stack.stack.torque_noise.mean())),
-            stack.condensed.receptance @ vector @ vector,
+            receptance,
             by_ends,
-            by_ends.over_time(vector),
+            *by_ends.over_time(vector),
             np.array(was) + unknown,
+            min(MOST_LINES, int(moving.max(initial=0)) + 1),
         )
 
-    def of_records(self, which: Int64) -> _Rows:
-        """The same of some of the records."""
-        stack, law = self.stack.of_records(which), self.law.of_records(which)
-        return replace(self, stack=stack, law=law, missing=self.missing[which], force=self.force[which])
+    @cached_property
+    def told(self) -> Float64:
+        """(2L + 2n, 2L + 2n) squares of whitened torque and of the ends, by real and imaginary F on the
+        unknown lines and by the ends."""
+        some, weight = slice(self.unknown), self.stack.weight
+        reach = self.reach.conj() * weight[:, None]
+        own = np.tile((reach[some] * self.reach[some]).real.sum(axis=1), 2)
+        cross = (reach[some, :, None] * self.jumps[some]).sum(axis=1)
+        rows = (self.jumps * np.sqrt(weight)[:, None, None]).reshape(-1, self.jumps.shape[2])
+        cross = np.concatenate((cross.real, cross.imag))
+        ends = (rows.conj().T @ rows).real + 0.5 * np.eye(rows.shape[1])
+        return np.block([[np.diag(own), cross], [cross.T, ends]])
 
-    @property
-    def nothing(self) -> _Change:
-        """No change."""
-        return _Change(np.zeros_like(self.force), np.zeros((self.force.shape[0], self.swing[0].shape[0])))
+    def changed(self, law: LawOfMotion, force: Complex128, ends: Float64) -> list[_At]:
+        """Where all records are after changes of force (R, A) and ends (R, 2n)."""
+        pairs = enumerate(zip(force, ends, strict=True))
+        return [_At.of(self, k, law, _Change(*pair)) for k, pair in pairs]
 
-    @property
-    def expected(self) -> float:
-        """Squares of force less law by Q of one record, on average where what is unknown has the power Q."""
-        told = self.power * (np.abs(self.reach) ** 2).sum(axis=1)
-        return float((told / (1.0 + told)) @ self.stack.weight)
-
-    def told(self, change: _Change) -> Complex128:
-        """(R, A, M) whitened torque of a change."""
-        ends = np.tensordot(change.ends.astype(complex), self.jumps, (1, 2))
-        return change.force[..., None] * self.reach + ends
-
-    def told_back(self, rows: Complex128) -> _Change:
-        """The adjoint of ``told``."""
-        ends = np.tensordot(rows * self.stack.weight[:, None], self.jumps.conj(), ((1, 2), (0, 1)))
-        return _Change((rows * self.reach.conj()).sum(axis=2), ends.real)
-
-    def moved(self, change: _Change) -> SmoothedStack:
-        """The stack's motion after a change."""
-        stack, swing, ends = self.stack, self.by_ends, change.ends
+    def moved(self, found: Sequence[_At]) -> SmoothedStack:
+        """The stack's motion where all its records are found."""
+        stack, swing = self.stack, self.by_ends
+        pushed, ends = (np.array([getattr(f.change, name) for f in found]) for name in ("force", "ends"))
         force = stack.force.copy()
-        force[:, :, self.place] -= change.force
+        force[:, :, self.place] = [-f.apart for f in found]
         answer = stack.condensed.receptance @ self.vector
-        lines = stack.lines - change.force[..., None] * answer + np.tensordot(ends, swing.lines, 1)
+        lines = stack.lines - pushed[..., None] * answer + np.tensordot(ends, swing.lines, 1)
         jump, bend = stack.jump + ends @ swing.jump, stack.bend + ends @ swing.bend
-        return replace(stack, lines=lines, jump=jump, bend=bend, force=force)
+        return replace(stack, lines=lines, jump=jump, bend=bend, ends=stack.ends + ends, force=force)
 
 
 @dataclass(frozen=True, eq=False)
 class _At:
-    """The motion of each record after a change, and the laws of it on lines (R, A)."""
+    """The motion of a record after a change, and the ``said`` force (A,) of its laws."""
 
-    rows: _Rows
+    at: _Place
+    record: int
+    law: LawOfMotion
     change: _Change
-    motion: tuple[SpotMotion, ...]
-    law: Complex128
+    motion: SpotMotion
+    said: Complex128
 
     @classmethod
-    def of(cls, rows: _Rows, change: _Change) -> _At:
-        stack, law = rows.stack, rows.law
-        pushed = -rows.receptance * change.force
-        by_force = (stack.wave(pushed), stack.wave(1j * stack.omega * pushed))
-        position, velocity = (w + change.ends @ s for w, s in zip(by_force, rows.swing, strict=True))
-        motion = tuple(
-            replace(was, position=was.position + p, velocity=was.velocity + v)
-            for was, p, v in zip(law.smoothed, position, velocity, strict=True)
-        )
-        lines = [law.lines(r, m) for r, m in zip(stack.stack.records, motion, strict=True)]
-        return cls(rows, change, motion, np.array(lines))
+    def of(cls, at: _Place, record: int, law: LawOfMotion, change: _Change) -> _At:
+        pushed = -at.receptance * change.force
+        position = at.stack.wave(pushed) + change.ends @ at.ends
+        velocity = at.stack.wave(1j * at.stack.omega * pushed) + change.ends @ at.ends_rate
+        was = at.law.smoothed[record]
+        motion = replace(was, position=was.position + position, velocity=was.velocity + velocity)
+        said = law.lines(at.stack.stack.records[record], motion)
+        return cls(at, record, law, change, motion, said)
+
+    def by(self, law: LawOfMotion) -> _At:
+        """The same motion with other laws."""
+        return _At.of(self.at, self.record, law, self.change)
 
     @cached_property
     def slopes(self) -> tuple[Float64, Float64]:
-        """(R, k) derivatives of the laws by position and by velocity on the coarse grid."""
-        every, resistance = self.rows.stack.stride, self.rows.law.resistance
-        by_position, by_velocity = zip(
-            *(_slopes(resistance, m.every(every)) for m in self.motion), strict=True
-        )
-        return np.array(by_position), np.array(by_velocity)
+        """(k,) derivatives of the laws by position and by velocity on the coarse grid."""
+        return _slopes(self.law.resistance, self.motion.every(self.at.stack.stride))
 
     @cached_property
     def missing(self) -> Complex128:
-        """(R, A, M) whitened missing torque."""
-        return self.rows.missing + self.rows.told(self.change)
-
-    @cached_property
-    def apart(self) -> Complex128:
-        """(R, A) force less what the laws say."""
-        return self.rows.force + self.change.force - self.law
-
-    @cached_property
-    def costs_of_law(self) -> Float64:
-        """(R,) squares of force less law by its power Q."""
-        out: Float64 = (np.abs(self.apart) ** 2 / self.rows.power) @ self.rows.stack.weight
+        """(A, M) whitened missing torque."""
+        at, change = self.at, self.change
+        out: Complex128 = at.missing[self.record] + change.force[:, None] * at.reach + at.jumps @ change.ends
         return out
 
     @cached_property
-    def costs(self) -> Float64:
-        """(R,) the sum of squares of each record."""
-        told: Float64 = (np.abs(self.missing) ** 2).sum(axis=2) @ self.rows.stack.weight
-        return told + self.costs_of_law
+    def apart(self) -> Complex128:
+        """(A,) force less what the laws say."""
+        return np.asarray(self.at.force[self.record] + self.change.force - self.said)
+
+    @cached_property
+    def swung(self) -> Float64:
+        """(2n,) the ends in deviations."""
+        return np.asarray(self.at.stack.ends[self.record] + self.change.ends)
+
+    @cached_property
+    def cost(self) -> float:
+        """The sum of squares."""
+        lines = (np.abs(self.missing) ** 2).sum(axis=1) + np.abs(self.apart) ** 2 / self.at.power
+        return float(lines @ self.at.stack.weight) + 0.5 * float(self.swung @ self.swung)
+
+    def stepped(self, damping: float) -> _At:
+        """The motion after a damped step on the unknown lines, beyond them as the law there has it."""
+        at, lines = self.at, self.at.unknown
+        matrix, pull = self._normal
+        unit = np.sqrt(np.diag(matrix)) + 1e-300
+        scaled = matrix / unit[:, None] / unit
+        scaled[np.diag_indices_from(scaled)] += damping
+        step = -cho_solve(cho_factor(scaled, check_finite=False), pull / unit) / unit
+        force = self.change.force.copy()
+        force[:lines] += step[:lines] + 1j * step[lines : 2 * lines]
+        found = _At.of(at, self.record, self.law, _Change(force, self.change.ends + step[2 * lines :]))
+        followed = np.concatenate((force[:lines], force[lines:] - found.apart[lines:]))
+        return _At.of(at, self.record, self.law, replace(found.change, force=followed))
+
+    @cached_property
+    def _normal(self) -> tuple[Float64, Float64]:
+        """The matrix of a step without damping, and half the gradient."""
+        at, some, weight = self.at, slice(self.at.unknown), self.at.stack.weight
+        share = np.sqrt(weight / at.power)[some]
+        by_law = self._drift * np.tile(share, 2)[:, None]
+        away = self.apart[some] * share
+        back = (self.missing * at.reach.conj()).sum(axis=1)[some] * weight[some]
+        ends = np.tensordot(self.missing * weight[:, None], at.jumps.conj(), 2).real + 0.5 * self.swung
+        told = np.concatenate((back.real, back.imag, ends))
+        return by_law.T @ by_law + at.told, by_law.T @ np.concatenate((away.real, away.imag)) + told
 
     @property
-    def cost(self) -> float:
-        return float(self.costs.sum())
-
-    def moved(self, step: Float64) -> _At:
-        return _At.of(self.rows, self.change.plus(self._unpack(step)))
-
-    def step(self) -> Float64:
-        rows = self.rows
-
-        def normal(values: Float64) -> Float64:
-            u = self._unpack(values)
-            return self._pack(
-                rows.told_back(rows.told(u)).plus(self._drift_back(self._drift(u) / rows.power))
-            )
-
-        pull = rows.told_back(self.missing).plus(self._drift_back(self.apart / rows.power))
-        return solve_normal(normal, -self._pack(pull))
-
-    @cached_property
-    def _answers(self) -> tuple[Complex128, Complex128]:
-        omega, receptance = self.rows.stack.omega, self.rows.receptance
-        return receptance, 1j * omega * receptance
-
-    @cached_property
-    def _swing(self) -> tuple[Float64, Float64]:
-        """By the ends on the grid of the slopes."""
-        position, velocity = (s[:, : -1 : self.rows.stack.stride] for s in self.rows.swing)
-        return position, velocity
-
-    def _drift(self, u: _Change) -> Complex128:
-        """How far force and laws part by a change."""
-        stack, parts = self.rows.stack, zip(self.slopes, self._answers, self._swing, strict=True)
-        felt = [f * (stack.coarse_wave(a * u.force) - u.ends @ b) for f, a, b in parts]
-        return u.force + stack.coarse_lines(_sum(felt))
-
-    def _drift_back(self, w: Complex128) -> _Change:
-        stack = self.rows.stack
-        felt = [f * stack.coarse_wave(w) for f in self.slopes]
-        force = [a.conj() * stack.coarse_lines(f) for f, a in zip(felt, self._answers, strict=True)]
-        ends = _sum([f @ b.T for f, b in zip(felt, self._swing, strict=True)])
-        return _Change(w + _sum(force), np.asarray(ends * (-2.0 / felt[0].shape[1]), dtype=np.float64))
-
-    @cached_property
-    def _scales(self) -> tuple[Float64, Float64]:
-        """Roots of the diagonal that the laws' mean slope makes: of forces (R, A), of the ends (2n, 2n)
-        inverted."""
-        rows, stack = self.rows, self.rows.stack
-        mean = _sum([f.mean(axis=1)[:, None] * a for f, a in zip(self.slopes, self._answers, strict=True)])
-        own = (np.abs(rows.reach) ** 2).sum(axis=1) + np.abs(1.0 + mean) ** 2 / rows.power
-        flat = (rows.jumps * np.sqrt(stack.weight)[:, None, None]).reshape(-1, rows.swing[0].shape[0])
-        swung = stack.coarse_lines(
-            _sum([f.mean() * b for f, b in zip(self.slopes, self._swing, strict=True)])
-        )
-        swung = swung * np.sqrt(stack.weight / rows.power)
-        block = (flat.conj().T @ flat).real + (swung @ swung.conj().T).real + TIED * np.eye(flat.shape[1])
-        return np.sqrt(own), np.asarray(np.linalg.inv(np.linalg.cholesky(block)), dtype=np.float64)
-
-    def _pack(self, pull: _Change) -> Float64:
-        own, ends = self._scales
-        force = pull.force * np.sqrt(self.rows.stack.weight) / own
-        return np.concatenate((force.real.ravel(), force.imag.ravel(), (pull.ends @ ends.T).ravel()))
-
-    def _unpack(self, values: Float64) -> _Change:
-        own, ends = self._scales
-        half = own.size
-        force: Complex128 = (values[:half] + 1j * values[half : 2 * half]).reshape(own.shape)
-        return _Change(
-            np.asarray(force / own / np.sqrt(self.rows.stack.weight), dtype=np.complex128),
-            values[2 * half :].reshape(own.shape[0], -1) @ ends,
-        )
+    def _drift(self) -> Float64:
+        """(2L, 2L + 2n) how far force and laws part on the unknown lines by real and imaginary force on them,
+        and by the ends."""
+        at, stack, lines = self.at, self.at.stack, self.at.unknown
+        answers = at.receptance[:lines], 1j * stack.omega[:lines] * at.receptance[:lines]
+        straight, turned = np.eye(lines, dtype=complex), np.zeros((lines, lines), dtype=complex)
+        swung = np.zeros((lines, at.ends.shape[0]), dtype=complex)
+        halved = np.where(np.arange(lines) == 0, 0.5, 1.0)  # a wave's mean is half its line
+        for factor, answer, ends in zip(self.slopes, answers, (at.ends, at.ends_rate), strict=True):
+            toeplitz, hankel = _product(factor, lines)
+            straight += toeplitz * answer * halved
+            turned += hankel * answer.conj() * halved
+            swung -= stack.coarse_lines(factor * ends[:, : -1 : stack.stride])[:, :lines].T
+        real, imaginary = straight + turned, straight - turned
+        return np.block([[real.real, -imaginary.imag, swung.real], [real.imag, imaginary.real, swung.imag]])
 
 
-def _slopes(resistance: Callable[[SpotMotion], Float64], at: SpotMotion) -> tuple[Float64, Float64]:
+def _product(factor: Float64, lines: int) -> tuple[Complex128, Complex128]:
+    """(L, L) T and K with which a wave of lines u, times a factor (k,) in time, has lines T·u + K·u*."""
+    found = np.fft.rfft(factor) / factor.size
+    found = np.pad(found, (0, max(0, 2 * lines - found.size)))
+    line = np.arange(lines)
+    apart = line[:, None] - line
+    toeplitz = np.where(apart >= 0, found[np.abs(apart)], found[np.abs(apart)].conj())
+    return toeplitz, found[line[:, None] + line]
+
+
+def _slopes(resistance: Law, at: SpotMotion) -> tuple[Float64, Float64]:
     """(k,) derivatives by position and by velocity, without the last instant, which is the first."""
 
     def slope(low: SpotMotion, high: SpotMotion, step: float) -> Float64:
@@ -347,7 +341,3 @@ def _slopes(resistance: Callable[[SpotMotion], Float64], at: SpotMotion) -> tupl
         slope(replace(at, position=at.position - p), replace(at, position=at.position + p), p),
         slope(replace(at, velocity=at.velocity - v), replace(at, velocity=at.velocity + v), v),
     )
-
-
-def _sum(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    return np.asarray(np.sum(parts, axis=0))

@@ -71,7 +71,7 @@ class Motions:
         ]
         for spot in dict.fromkeys(p.spot for p, _ in sized):
             number = problem.spots.number[spot]
-            out = out._agreed((spot, number), [(p, c) for p, c in sized if p.spot == spot], self.of(spot))
+            out = out._agreed((spot, number), [(p, c) for p, c in sized if p.spot == spot], self)
         for placed in laws:
             if placed.law.reads:
                 own = [names.index((*placed.key, i)) for i in range(len(placed.law.low))]
@@ -91,7 +91,7 @@ class Motions:
         return out
 
     def _agreed(
-        self, at: tuple[Spot, int], laws: Sequence[tuple[PlacedLaw, Float64]], was: list[list[SpotMotion]]
+        self, at: tuple[Spot, int], laws: Sequence[tuple[PlacedLaw, Float64]], was: Motions
     ) -> Motions:
         """The same where the motion at a place agrees with its laws of such coefficients, which a fit took on
         the motion that it ``was``."""
@@ -101,10 +101,12 @@ class Motions:
             return np.asarray(np.sum(waves, axis=0), dtype=np.float64)
 
         (spot, number), vector, smoothed = at, vector_of(self.structure, at[0]), []
-        for k, (stack, before) in enumerate(zip(self.smoothed, was, strict=True)):
+        is_smooth = all(p.law.is_smooth for p, _ in laws)
+        for k, (stack, before) in enumerate(zip(self.smoothed, was.of(spot), strict=True)):
             now, record = self._of_stack(spot, k), stack.stack.records[0]
             most = min(p.law.stride(now[0], p.shape) if p.law.is_smooth else 1 for p, _ in laws)
-            law = LawOfMotion(resistance, now, before, record.stride(most))
+            agreed = was.smoothed[k] if was.is_agreed and was.smoothed else None
+            law = LawOfMotion(resistance, now, before, agreed, record.stride(most), is_smooth)
             smoothed.append(agree(stack, number, vector, law))
         return Motions(self.stacks, self.structure, smoothed, is_agreed=True)
 

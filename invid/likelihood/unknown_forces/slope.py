@@ -148,11 +148,15 @@ def _profiled(joint: Float64, size: int) -> Float64:
     return out
 
 
+def ends_numbers(value: Value, number: int) -> Float64:
+    """(R, 2n) the ends of each record of a stack, in deviations."""
+    out: Float64 = value.work[number].law_ends @ np.append(value.coefficients, 1.0)
+    return out
+
+
 def ends_of(value: Value, number: int) -> Float64:
     """(R, 2n) the ends α, then β_e, of each record of a stack, over 2/T."""
-    work = value.work[number]
-    out: Float64 = work.law_ends @ np.append(value.coefficients, 1.0)
-    return out
+    return np.asarray(ends_numbers(value, number) @ value.work[number].ends.root.T)
 
 
 def named_force(problem: Problem, value: Value, number: int) -> Complex128:

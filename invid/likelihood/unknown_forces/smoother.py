@@ -18,11 +18,11 @@ from functools import cached_property
 import numpy as np
 
 from invid.likelihood.unknown_forces.forces import MissingNoise, colours, missing_noise
-from invid.likelihood.unknown_forces.slope import ends_of
+from invid.likelihood.unknown_forces.slope import ends_numbers
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
 from invid.model.plant import Condensed, Plant
-from invid.numerics.arrays import Complex128, Float64, Int64
+from invid.numerics.arrays import Complex128, Float64
 from invid.signals.record import line_weight, parabola
 
 OVERSAMPLING = 4
@@ -35,26 +35,24 @@ class SmoothedStack:
     """Motion in the records of one stack.
 
     ``lines`` (R, A, n) of every coordinate; ``jump`` (R, n) and ``bend`` (R, n) of its position and
-    velocity from a record's start to its end; ``force`` (R, A, P) unknown forces; ``plant`` that of the
-    fit. ``missing`` (R, A, M) is the motors' missing torque on all lines, ``sensors`` (A, M) the power that
-    the sensors alone make of it. ``condensed`` and ``noise``: plant and covariance on the same lines.
+    velocity from a record's start to its end; ``ends`` (R, 2n) numbers of deviation one that make them, of
+    which ``root`` (2n, 2n) makes M·Δq̇ + C·Δq and M·Δq over 2/T; ``force`` (R, A, P) unknown forces; ``plant``
+    that of the fit. ``missing`` (R, A, M) is the motors' missing torque on all lines, ``sensors`` (A, M) the
+    power that the sensors alone make of it. ``condensed`` and ``noise``: plant and covariance there.
     """
 
     stack: Stack
     lines: Complex128
     jump: Float64
     bend: Float64
+    ends: Float64
+    root: Float64
     force: Complex128
     plant: Plant
     missing: Complex128
     sensors: Float64
     condensed: Condensed
     noise: MissingNoise
-
-    def of_records(self, which: Int64) -> SmoothedStack:
-        """The same of some of the records."""
-        parts = {n: getattr(self, n)[which] for n in ("lines", "jump", "bend", "force", "missing")}
-        return replace(self, stack=self.stack.of_records(which), **parts)
 
     @cached_property
     def grid(self) -> int:
@@ -92,9 +90,9 @@ class SmoothedStack:
         sensors = (position_noise, self.stack.torque_noise)
         return missing_noise(self.condensed.stiffness, self.noise.reach, power, sensors)
 
-    def motion_by_ends(self, ends: Float64) -> SmoothedStack:
-        """Motion by the ends (k, 2n) alone, over 2/T, as one record for each."""
-        n = ends.shape[1] // 2
+    def motion_by_ends(self) -> SmoothedStack:
+        """Motion by each of the ``ends`` alone, as one record for each."""
+        ends, n = self.root.T, len(self.root) // 2
         pushed = ends[:, None, :n] + 1j * self.omega[:, None] * ends[:, None, n:]
         lines = -(pushed[..., None, :] @ self.condensed.receptance.transpose(0, 2, 1))[..., 0, :]
         jump, bend = _jumps(self.plant, ends * self.stack.span / 2.0)
@@ -146,7 +144,8 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
     reach = along(motion, problem.spots.vectors)
     power = colours(omega, problem.corner) @ numbers.strength.T
     noise = missing_noise(stiffness, reach, power, (position_noise, torque_noise))
-    ends = ends_of(value, number)
+    root, deviations = work.ends.root, ends_numbers(value, number)
+    ends = deviations @ root.T
     n = motion.shape[2]
     named = ends[:, None, :n] + 1j * omega[:, None] * ends[:, None, n:]
     stands = wide.position
@@ -169,7 +168,20 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
     ]
     jump, bend = _jumps(numbers.plant, ends * stack.span / 2.0)
     sensors = (np.abs(stiffness) ** 2 * position_noise).sum(axis=2) + stack.torque_noise
-    return SmoothedStack(stack, lines, jump, bend, force, numbers.plant, missing, sensors, condensed, noise)
+    return SmoothedStack(
+        stack,
+        lines,
+        jump,
+        bend,
+        deviations,
+        root,
+        force,
+        numbers.plant,
+        missing,
+        sensors,
+        condensed,
+        noise,
+    )
 
 
 def _jumps(plant: Plant, ends: Float64) -> tuple[Float64, Float64]:

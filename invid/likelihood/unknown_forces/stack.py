@@ -12,12 +12,12 @@ that holding takes away. Delays count from the middle of the sample where a part
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from invid.numerics.arrays import Bool, Complex128, Float64, Int64
+from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.signals.record import Record
 
 
@@ -66,12 +66,6 @@ class Stack:
     def count(self) -> int:
         """R."""
         return len(self.records)
-
-    def of_records(self, which: Int64) -> Stack:
-        """Some of the records."""
-        records = tuple(self.records[k] for k in which)
-        position, parts, loop = self.position[which], self.parts[:, which], self.loop[which]
-        return replace(self, records=records, position=position, parts=parts, loop=loop)
 
     @cached_property
     def swing(self) -> Float64:

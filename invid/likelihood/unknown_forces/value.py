@@ -163,9 +163,9 @@ class Ends:
         out: Float64 = rows - self.basis @ ((1.0 - kept)[:, None] * (self.basis.T @ rows))
         return out
 
-    def estimate(self, rows: Float64) -> Float64:
-        """(…, 2n, k) the ends that rows (…, 2FM, k) of missing torque ask for."""
-        shrunk = self.root @ self.turned * (self.sizes / (1.0 + self.sizes**2))
+    def numbers(self, rows: Float64) -> Float64:
+        """(…, 2n, k) the ends that rows (…, 2FM, k) of missing torque ask for, in deviations."""
+        shrunk = self.turned * (self.sizes / (1.0 + self.sizes**2))
         out: Float64 = -shrunk @ (self.basis.T @ rows)
         return out
 
@@ -330,7 +330,7 @@ def _work(problem: Problem, numbers: Numbers, number: int, scales: Scales) -> St
         ends,
         law_rows,
         missing_rows,
-        ends.estimate(whole),
+        ends.numbers(whole),
     )
 
 
