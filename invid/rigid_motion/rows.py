@@ -145,10 +145,11 @@ class Colour:
 
     def whitened(self, rows: Rows, x: Float64) -> Float64:
         """(rows, …) without correlation (innovations of a Kalman filter)."""
-        out = np.empty(x.shape if x.ndim == 2 else (x.size, 1))
+        columns = x.reshape(x.shape[0], -1)
+        out = np.empty_like(columns)
         for i in range(rows.axes):
             mine = rows.axis == i
-            flat = np.ascontiguousarray(x[mine].reshape(int(mine.sum()), out.shape[1]))
+            flat = np.ascontiguousarray(columns[mine])
             out[mine] = innovations(flat, np.exp(-rows.gap[mine] / self.time[i]), float(self.white[i]))[0]
         return out.reshape(x.shape)
 
