@@ -145,7 +145,7 @@ class Colour:
 
     def whitened(self, rows: Rows, x: Float64) -> Float64:
         """(rows, …) without correlation (innovations of a Kalman filter)."""
-        columns = x.reshape(x.shape[0], -1)
+        columns = x.reshape(x.shape[0], int(np.prod(x.shape[1:])))  # of no rows too
         out = np.empty_like(columns)
         for i in range(rows.axes):
             mine = rows.axis == i

@@ -27,6 +27,9 @@ MOST_RESIDUAL = 2.0
 pure noise exceed it once in two thousand."""
 LEAST_LINES = 16
 """Lines needed at least."""
+MOST_GAIN = 1e3
+"""Gain of a hold over the largest torque by position: command and hold would be each other but for a
+thousandth, which no torque signal tells (physical)."""
 DAMPING_STARTS = (0.03, 0.3, 3.0)
 """Dampings P/(ωD) at the middle of the band from which the search starts."""
 
@@ -126,8 +129,8 @@ def find_smooth_hold(records: Sequence[Record], axis: int) -> tuple[float, float
             if roughness @ roughness < best @ best:
                 best, law = roughness, found
     before, after = float(without @ without), float(best @ best)
-    if not np.all(law >= 0) or law[0] <= 0:
-        return None
+    if not np.all(law >= 0) or not 0 < law[0] < MOST_GAIN * stiffness.max():
+        return None  # with a gain without end whatever moves smoothly by itself has a smooth command
     if after > MOST_ROUGHNESS**2 * count:
         return None
     if before < ROUGHNESS_RATIO * after or (before - after) / 2.0 < f_isf(CHANCE, 2, count) * after / count:
