@@ -20,6 +20,9 @@ from invid.signals.record import Record, make_record
 
 FIFTH = 5
 """Every so many lines one is kept out."""
+AS_WEAK = 4.0
+"""Energy of the torque over the least up to which an experiment tells no more than the weakest (empirical:
+realisations of one plan differ by amplitudes of up to two)."""
 LEAST_LINES = 12
 """Lines an axis from which anything is fitted: two masses with friction and timing have ten numbers."""
 
@@ -126,8 +129,11 @@ class _Parts:
 
     @cached_property
     def spare(self) -> Experiment:
-        """The last that drives all axes, or the last of all."""
-        return ([e for e in self.shaken if _drives_all(e)] or self.shaken)[-1]
+        """Of those that drive all axes, or of all, the last that tells no more than the weakest: the climb
+        before a block is spared, not the block."""
+        able = [e for e in self.shaken if _drives_all(e)] or self.shaken
+        energy = [float((e.torque**2).sum()) for e in able]
+        return [e for e, own in zip(able, energy, strict=True) if own <= AS_WEAK * min(energy)][-1]
 
     @cached_property
     def top(self) -> float | None:

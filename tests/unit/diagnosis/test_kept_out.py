@@ -37,6 +37,15 @@ def test_validation_records_are_kept_out_without_a_word(recording: Recording) ->
     assert not (*split.warnings, *split.stopgap)
 
 
+def test_of_a_climb_and_its_block_the_climb_is_kept_out(recording: Recording) -> None:
+    """The block was, and a short check of an unchanged axis with much friction could not tell."""
+    block = recording.with_role(Role.IDENTIFY)[0]
+    weak = {"position": 0.1 * block.position, "torque": 0.1 * block.torque}
+    climb = replace(block, key="climb", torque_demand=None, **weak)
+    split = records_of(replace(recording, experiments=(climb, block)))
+    assert [r.key for r in split.kept] == ["climb"]
+
+
 def test_of_one_record_its_last_period_is_kept_out(recording: Recording) -> None:
     one = recording.with_role(Role.IDENTIFY)[0]
     split = records_of(replace(recording, experiments=(one,)))
