@@ -10,7 +10,7 @@ import pytest
 import scipy.io
 from pages import DATA, ROOT, Ran, assert_shows, run_page, steps
 
-from invid.model.diagnosis_document import load_model
+from invid.model.diagnosis_document import load_diagnosis, load_model
 from invid.model.document import Model
 from invid.model.matrices import natural_frequencies
 from invid.recording import read_recording
@@ -57,8 +57,17 @@ def test_what_the_page_shows_is_what_the_commands_print(ran, number):
     assert_shows(ran[number])
 
 
-def test_the_last_command_says_that_its_result_is_not_to_be_trusted(ran):
-    assert [one.statuses for one in ran] == [(0,), (0,), (0,), (3,)]
+def test_every_command_does_what_it_is_to(ran):
+    assert [one.statuses for one in ran] == [(0,)] * 4
+
+
+def test_a_minute_names_the_friction_at_the_load_and_is_not_sure(folder):
+    """Weighed at 3,358 and dropped, since the search that was cut had explained less than half."""
+    found = load_diagnosis(folder / "diagnosis.json")
+    first = found.findings[0]
+    assert (first.cause, first.element) == ("viscous_friction", "mass 2")
+    assert first.confidence <= 0.5
+    assert any("budget" in w for w in found.warnings)
 
 
 def test_the_recording_never_saw_the_load_encoder(folder):
@@ -115,6 +124,13 @@ def test_the_load_moves_as_the_model_says_it_does(model):
     shown = re.findall(r"differs from it by ([\d.]+) %", TUTORIAL.read_text(encoding="utf-8"))
     assert 100 * error == pytest.approx(float(shown[0]), rel=0.05)
     assert error < 0.1
+
+
+def test_what_the_minute_named_foretells_the_load_that_was_never_recorded(folder, model):
+    error = load_frf_error(load_diagnosis(folder / "diagnosis.json").model)
+    shown = re.findall(r"it differs by ([\d.]+) %", TUTORIAL.read_text(encoding="utf-8"))
+    assert 100 * error == pytest.approx(float(shown[0]), rel=0.1)
+    assert error < 0.6 * load_frf_error(model)
 
 
 def test_the_load_check_can_tell_a_wrong_model(model):

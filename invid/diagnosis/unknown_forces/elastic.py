@@ -215,7 +215,7 @@ def named_causes(
     """Every cause that stays, with its share of what is ``explained`` and how sure it is.
 
     Where that is less than half of what was missing, a cause at whose very place something without a name
-    acts is none: it is a part of that.
+    acts is none: it is a part of that. Of a search that was cut what was found is said.
     """
     axes = found.recording.axes
     contested = contests(found.end, found.worths, found.pursued, found.recording)
@@ -227,7 +227,7 @@ def named_causes(
         contest = contested.get(term.key, SURE)
         is_part = is_part_of_more(term.key, found.forces)
         of_shapes = any(w.key == term.key and is_of_shapes(w, found.end, found.bare) for w in found.worths)
-        if is_part and explained < MOST:
+        if is_part and explained < MOST and not found.is_cut_short:
             continue
         is_weighed = term.key not in waiting
         is_begun = found.end.fit.ended is Ended.CUT  # sizes of a fit that was cut say nothing
