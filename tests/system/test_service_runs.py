@@ -211,3 +211,21 @@ def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_pat
         assert service.client.get("/api/v1/cells").status_code == 401
         answer = service.client.get("/api/v1/cells", headers={"Authorization": f"Bearer {token}"})
         assert answer.status_code == 200
+
+
+def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(tmp_path: Path) -> None:
+    import subprocess
+    import sys
+
+    (tmp_path / "small.yaml").write_text(SMALL_CELL)
+    command = [sys.executable, "-c", "from invid.cli import main; main()", "serve", "small.yaml"]
+    refused = subprocess.run(
+        [*command, "--host", "0.0.0.0", "--port", "0"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert refused.returncode == 2
+    assert "no key" in refused.stderr
+    assert "Traceback" not in refused.stderr
