@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -192,19 +194,15 @@ def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_
         assert service.client.get("/health/ready").status_code == 200
 
 
-def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_path: Path) -> None:
-    import subprocess
-    import sys
+def serve(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """`invid serve` in a folder, of which an end is expected."""
+    command = [sys.executable, "-c", "from invid.cli import main; main()", "serve", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False)
 
-    command = [sys.executable, "-c", "from invid.cli import main; main()", "serve"]
-    made = subprocess.run(
-        [*command, "--key-file", "keys.json", "--add-key", "plc:read,run"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
-    )
+
+def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_path: Path) -> None:
+    made = serve(tmp_path, "--key-file", "keys.json", "--add-key", "plc:read,run")
+    assert made.returncode == 0, made.stderr
     token = made.stdout.strip()
     assert token not in (tmp_path / "keys.json").read_text()
     with serving(tmp_path, "--host", "0.0.0.0", "--key-file", "keys.json") as service:
@@ -214,18 +212,8 @@ def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_pat
 
 
 def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(tmp_path: Path) -> None:
-    import subprocess
-    import sys
-
     (tmp_path / "small.yaml").write_text(SMALL_CELL)
-    command = [sys.executable, "-c", "from invid.cli import main; main()", "serve", "small.yaml"]
-    refused = subprocess.run(
-        [*command, "--host", "0.0.0.0", "--port", "0"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    refused = serve(tmp_path, "small.yaml", "--host", "0.0.0.0", "--port", "0")
     assert refused.returncode == 2
     assert "no key" in refused.stderr
     assert "Traceback" not in refused.stderr

@@ -29,6 +29,7 @@ from scipy.linalg import cho_factor, cho_solve
 from invid.effects.supposed.law import SpotMotion
 from invid.likelihood.unknown_forces.smoother import SmoothedStack
 from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.newton_descent import ARRIVED
 from invid.signals.record import Record
 
 LEAST_POWER = 0.1
@@ -47,8 +48,6 @@ STEPS, STEPS_ON_THE_WAY = 8, 3
 """Most steps with the laws, and with each that is averaged."""
 DAMPING, EASED = 1e-2, 0.1
 """First damping of a step over its diagonal, and what a step that lowers the squares leaves of it."""
-ARRIVED = 1e-3
-"""Relative fall of the sum of squares below which the steps end: its own scatter is of that size."""
 
 Law = Callable[[SpotMotion], Float64]
 """Resistance over time (k,) of a motion."""
