@@ -53,8 +53,9 @@ STILL_COUNTS, STILL_SHARE, STILL_DEVIATIONS = 8, 0.002, 8
 """What is no motion of a standing axis: counts, a share of its window, deviations of the noise (of the
 difference of two samples the largest of 150 is five)."""
 LEAP, LEAP_COUNTS, LEAP_DEVIATIONS = 4.0, 8, 12
-"""Times the permitted speed from one sample to the next, so many counts and deviations: a mass does not get
-there in a cycle, an encoder has leapt."""
+"""Times the speed that it has lately had (``PLACE_S``) from one sample to the next, or the permitted speed
+for so many cycles, so many counts and deviations: a mass does not get there meanwhile, an encoder has leapt.
+Drives that bring 0x6064 up to date every few cycles show leaps of that many (empirical)."""
 SPEED_SAMPLES = 8
 """Samples of a speed: means of both halves."""
 MOST_MISSING = 8
@@ -106,12 +107,6 @@ def window_of(noise: float, cycle_s: float) -> tuple[int, float]:
     return count, sigma
 
 
-def has_leapt(way: float, seconds: float, limits: AxisLimits, noise: float = 0.0) -> bool:
-    """Whether an encoder went further between two samples than its axis can at its permitted speed."""
-    least = max(LEAP_COUNTS * abs(limits.resolution), LEAP_DEVIATIONS * noise)
-    return abs(way) > max(LEAP * limits.velocity * seconds, least)
-
-
 class AxisEstimator:
     """One axis, sample by sample."""
 
@@ -125,6 +120,7 @@ class AxisEstimator:
         self.position = 0.0
         self.speed = 0.0
         """Mean over the last samples [rad/s or m/s]."""
+        self._lately = 0.0
         self.leapt = 0.0
         """How far its encoder went between two samples where that is further than the axis can."""
         self.fall: Fall | None = None
@@ -192,8 +188,7 @@ class AxisEstimator:
         if self.time is not None:
             if time <= self.time:
                 return
-            if has_leapt(position - self.position, time - self.time, self.limits, self.noise):
-                self.leapt = abs(position - self.position)
+            self._see_leap(abs(position - self.position), time - self.time)
             self._fill(round((time - self.time) / self._cycle) - 1, position, torque)
         self.time, self.position = time, position
         keep = self._keep
@@ -206,6 +201,7 @@ class AxisEstimator:
         self._track.append((time, position))
         if len(self._track) == SPEED_SAMPLES:
             self.speed = self._slope()
+        self._lately = max(abs(self.speed), keep * self._lately)
         if not self.is_to_stand or len(self._x) < self.count or self._due < self._stride:
             return
         self._due = 0
@@ -213,6 +209,13 @@ class AxisEstimator:
             self._rest = position
             return
         self.fall = self._judge(quiet)
+
+    def _see_leap(self, way: float, seconds: float) -> None:
+        """Whether its encoder went further between two samples than the axis can."""
+        least = max(LEAP_COUNTS * abs(self.limits.resolution), LEAP_DEVIATIONS * self.noise)
+        at_most = max(LEAP * self._lately * seconds, self.limits.velocity * max(LEAP * self._cycle, seconds))
+        if way > max(at_most, least):
+            self.leapt = way
 
     def _fill(self, missing: int, position: float, torque: float) -> None:
         """Quarters stay of one length: what did not come lies between what did. While the master is silent a

@@ -147,6 +147,15 @@ class SignTrial:
 
     # --- doublets ------------------------------------------------------------------------------
     def _play(self, amplitude: float, length: float) -> Procedure[Trial]:
+        """Play a doublet until one is punctual. A pause in it leaves the axis drifting: catch it."""
+        while (trial := (yield from self._play_once(amplitude, length))).response.late:
+            self._spoilt.append(trial.response)
+            if len(self._spoilt) > LATE_TRIALS:
+                raise trials.too_late(self._settings.name, [*self._seen, *self._spoilt])
+            yield from self._catch_again(self._stated[0] if self._stated else trial.response.inertia)
+        return trial
+
+    def _play_once(self, amplitude: float, length: float) -> Procedure[Trial]:
         """Play one doublet with quiet before and after it."""
         motion, axis, cycle = self._motion, self._axis, self._motion.plan.cycle_s
         wave = amplitude * doublet(round(length / cycle))
@@ -201,12 +210,9 @@ class SignTrial:
         demand: Float64 = kept.demand[:, self._axis] - self._motion.bias[self._axis]
         return demand
 
-    def _spoil(self, found: trials.Response) -> Procedure[None]:
-        """Drop a doublet of which nothing can be said. A pause in it leaves the axis drifting: catch it."""
-        self._spoilt.append(found)
-        if len(self._spoilt) > LATE_TRIALS:
-            raise trials.too_late(self._settings.name, [*self._seen, *self._spoilt])
-        yield from self._catch(self._stated[0] if self._stated else found.inertia)
+    def _catch_again(self, inertia: float) -> Procedure[None]:
+        """Bring the axis back, and let it go for the next doublet."""
+        yield from self._catch(inertia)
         yield from self._motion.change(self._modes, self._others)
 
     def _catch(self, inertia: float) -> Procedure[None]:
@@ -245,9 +251,6 @@ class SignTrial:
         while True:
             trial = yield from self._play(amplitude, length)
             found = trial.response
-            if found.late:
-                yield from self._spoil(found)
-                continue
             drifting = self._stated is None and trial.drifted >= LEAST_COUNTS * self._count
             if drifting and length == SIGN_FIRST_S and found.displacement > far and drifts < DRIFTS:
                 drifts += 1
@@ -344,12 +347,6 @@ class SignTrial:
             axis=self._settings.name,
         )
 
-    def _require_repeat(self, amplitude: float, length: float) -> Procedure[None]:
-        """Require that what moved an axis moves it again: friction may hold it under less torque."""
-        while (again := (yield from self._play(amplitude, length))).response.late:
-            yield from self._spoil(again.response)
-        self._require_motion(again.response, amplitude, length)
-
     def _ignored(self) -> str:
         """Return what the drive says of a target that did nothing."""
         if not self._motion.watching.words.ignores(self._axis):
@@ -389,22 +386,18 @@ class SignTrial:
             next_length = min(SIGN_LAST_S, float(np.sqrt(16 * inertia * SLOW_WINDOW * window / slow)))
             if not next_length > LEAST_GROWTH * length:
                 break
-            if self._strayed(last):
-                yield from self._catch(self._stated[0])
-                yield from self._motion.change(self._modes, self._others)
-            trial = yield from self._play(slow, next_length)
-            if trial.response.late:
-                yield from self._spoil(trial.response)
-                continue
+            trial = yield from self._play_near(last, slow, next_length)
             if trial.response.displacement < LEAST_COUNTS * self._count:
-                yield from self._require_repeat(amplitude, moved)
+                # friction may hold it under less torque: what moved it moves it again
+                again = yield from self._play(amplitude, moved)
+                self._require_motion(again.response, amplitude, moved)
                 break
             last, length = trial, next_length
             branch = self._branch(last.log)
         seen = branch.inertia if branch is not None else last.response.inertia
         if length < ELASTIC_S and seen < self._stated[0] / ELASTIC:
             done = self._motion.done_s
-            branch = (yield from self._probe()) or branch
+            branch = (yield from self._probe(last)) or branch
             self._motion.done_s = done  # no part of the plan
         return branch
 
@@ -419,15 +412,17 @@ class SignTrial:
         ratio = found.inertia / told.inertia
         return ratio if 1.0 / AGREES <= ratio <= AGREES else None
 
-    def _strayed(self, last: Trial) -> bool:
-        """Return whether the axis is further from where it stood than a doublet may take it.
+    def _play_near(self, last: Trial, amplitude: float, length: float) -> Procedure[Trial]:
+        """Play a doublet, from where the axis stood where the last one left it further than one may take it.
 
         Masses that swung behind the motor while it was held leave the whole branch drifting when it lets go.
         """
         away = last.log.position[-1, self._axis] - self._home
-        return bool(abs(away) > SIGN_FAR * self._settings.limits.position)
+        if self._stated is not None and abs(away) > SIGN_FAR * self._settings.limits.position:
+            yield from self._catch_again(self._stated[0])
+        return (yield from self._play(amplitude, length))
 
-    def _probe(self) -> Procedure[Branch | None]:
+    def _probe(self, last: Trial) -> Procedure[Branch | None]:
         """Play a doublet slow enough for the whole branch of an axis that moved too easily for one so far.
 
         Its torque is by the stated inertia: it moves an axis as light as ``ELASTIC`` permits by the way of
@@ -438,13 +433,10 @@ class SignTrial:
         length = round(PROBE_S / cycle) * cycle
         way = SLOW_WINDOW * self._settings.limits.position
         torque = max(16 * stated / ELASTIC * way / length**2, LEAST_STEPS / 1000 * self._rated)
-        played = 0
-        while played < PROBES and torque <= self._amplitude:
-            trial = yield from self._play(torque, length)
-            if trial.response.late:
-                yield from self._spoil(trial.response)
-                continue
-            played += 1
+        for _ in range(PROBES):
+            if torque > self._amplitude:
+                break
+            last = trial = yield from self._play_near(last, torque, length)
             found = self._branch(trial.log)
             if found is not None:
                 return found if found.inertia < stated / ELASTIC else None  # a spring may hold it back

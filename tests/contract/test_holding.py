@@ -6,6 +6,7 @@ until its drive holds it first.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from stepping import energise, exchange, secure, set_modes
 from test_adapter_promises import config, held, zero
 
-from invid.errors import DriveError, SafetyStop
+from invid.errors import DriveError, InvidError, SafetyStop
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Journal
@@ -219,6 +220,34 @@ def test_a_drive_that_does_not_notice_that_its_master_is_gone_fails_the_stop_tes
     assert seen.holds is False
 
 
+@pytest.mark.parametrize("boot_s", [0.15, 60.0])
+def test_what_held_a_load_and_starts_anew_is_not_said_to_hold_it_and_is_not_enabled_again(
+    tmp_path: Path, boot_s: float
+) -> None:
+    """Its supply fails in the stop test; nothing is heard of it before it has started."""
+    bench = Bench(tmp_path)
+    node = bench.drive.node
+    node._boot_ns = round(1e9 * boot_s)
+    master = enabled(bench)
+    tick, stood = master.tick, []
+
+    def failing(wish: Any) -> Any:
+        stood.append(bench.drive.state is State.QUICK_STOP_ACTIVE)
+        if sum(stood) == 500:
+            bench.states.clear()
+            node.power_on(bench.cell.now_ns)
+        return tick(wish)
+
+    master.tick = failing  # type: ignore[method-assign]
+    with pytest.raises(InvidError, match="A1"):
+        secure(master, [True, False])
+    said = " ".join(master.close())
+    assert State.OPERATION_ENABLED not in bench.states
+    assert master.not_held == ("A1",)
+    assert "is held by its drive" not in said
+    assert "Support it before anybody goes near" in said
+
+
 @pytest.mark.parametrize(("delay", "by"), [(0.02, "brake"), (0.4, "drive")])
 def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     tmp_path: Path, delay: float, by: str
@@ -236,6 +265,12 @@ def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     assert seen is not None
     assert seen.brake_s is not None
     assert (seen.brake_drop > master.holdings[0].most_drop) == (by == "drive")
+    if by == "drive":  # 1 N·m on 1 kg·m²; it could not be seen before it closed
+        assert seen.falls == pytest.approx(1.0, rel=0.3)
+        said = master.holdings[0].said("axis A1")
+        found = re.search(r"falls until that brake has closed: .*, ([\d.]+) at most in 0.3 s", said)
+        assert found is not None
+        assert float(found[1]) > 0.5 * (0.074 + 0.3) ** 2  # seen after 74 ms
     if by == "brake":
         assert seen.brake_s == pytest.approx(delay, abs=0.02)
 

@@ -3,6 +3,7 @@ frames on the wire, and on the plant."""
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,12 @@ from invid.config import CellConfig
 from invid.errors import DriveError
 from invid.planning import make_plan
 from invid.sweep import Mode
+from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.cycle_requests import NOT_NOW, Change
 from invid_drivers.cia402.cycle_time import interpolation_time
+from invid_drivers.cia402.stated.node_axis import NodeAxis
+from invid_drivers.cia402.states import OperationMode
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 
@@ -194,3 +199,11 @@ def test_a_mode_that_the_drive_refuses_is_named() -> None:
             exchanged(cell, 100)
     finally:
         cell.close()
+
+
+def test_a_load_whose_drive_takes_a_mode_without_power_only_is_refused_with_every_way_out() -> None:
+    change = Change(NodeAxis(1), [od.MODE, od.MODE_DISPLAY], int(OperationMode.CYCLIC_TORQUE), 0.0)
+    change.answered(struct.pack("<BHBI", 0x80, 0x6060, 0, NOT_NOW), 0.01)
+    said = change.failure(0.02)
+    assert said is not None
+    assert all(w in said for w in ("brake: drive", "unload", "in_closed_loop: true", "0x60B2"))

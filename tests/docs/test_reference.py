@@ -50,6 +50,6 @@ def test_the_example_with_h5py_writes_a_recording_that_is_read(
 
 def test_the_bounds_of_a_stop_on_the_safety_page_are_those_of_the_table_of_states() -> None:
     page = (Path(__file__).parents[2] / "docs" / "explanations" / "safety.md").read_text(encoding="utf-8")
-    assert f"({longest_way_out():.0f} s at most)" in page
+    assert f"({longest_way_out():g} s at most)" in page
     assert f"| {STOPPED_S:.0f} s (`longest_stop_s` of `check`) |" in page
     assert f"| command or service for the cycle process | {STOP_S:.0f}," in page

@@ -165,10 +165,12 @@ def _identified(
 
 @dataclass
 class Truth:
-    """What the plant did: peaks (3, M) of travel, velocity and torque by phase."""
+    """What the plant did: peaks (3, M) of travel, velocity and torque by phase; ``left`` by the limits of the
+    config on the way out, where drives stop by themselves."""
 
     plan: Plan
     peaks: dict[str, Float64] = field(default_factory=dict)
+    left: Float64 = field(default_factory=lambda: np.zeros(0))
     clipped: int = 0
     seconds: float = 0.0
     error: str | None = None
@@ -221,6 +223,7 @@ def run(drawn: Drawn, until: str = "") -> Truth:
     plant = cells[0].plant
     motors = plant.structure.motors
     limits = np.array([a.limits.torque for a in config.axes])
+    bounds = np.array([[a.limits.position, a.limits.velocity, a.limits.torque] for a in config.axes]).T
     tick, origin = cell.tick, plant.positions[motors].copy()
 
     def watched(wish: Wish) -> Sample:
@@ -232,6 +235,9 @@ def run(drawn: Drawn, until: str = "") -> Truth:
                 plant.motor_state[:, kernel.ACTING],
             ]
         )
+        if cell._supervised.is_leaving:
+            truth.left = np.maximum(truth.left, seen / bounds) if truth.left.size else seen / bounds
+            return sample
         phase = sweep._motion.phase
         truth.peaks[phase] = np.maximum(truth.peaks.get(phase, 0.0), seen)
         if wish.torque:

@@ -44,6 +44,7 @@ def test_no_axis_does_more_than_was_announced_in_any_phase_and_the_run_lasts_as_
     assert truth.error is None
     assert truth.clipped == 0
     assert truth.ratios().max() <= 1.0
+    assert truth.left.max() <= 1.0  # drives that stop by themselves keep the limits
     assert truth.seconds == pytest.approx(truth.plan.duration_s, rel=0.05)
     assert {f.basis for f in truth.after} == ({"trial"} if drawn.model is None else {"model"})
     assert np.median(truth.generosity()[2]) < 3.0
@@ -66,6 +67,7 @@ def test_what_swings_drifts_or_is_led_stays_within_what_was_announced(seed: int,
     assert truth.error is None
     assert until in truth.peaks
     assert truth.ratios().max() <= 1.0
+    assert truth.left.max() <= 1.0  # drives that stop by themselves keep the limits
 
 
 @BY_NIGHT
@@ -74,6 +76,7 @@ def test_an_axis_that_friction_holds_at_a_share_of_the_tried_torque_is_not_calle
     truth = run(draw(9094))
     assert truth.error is None
     assert truth.ratios().max() <= 1.0
+    assert truth.left.max() <= 1.0  # drives that stop by themselves keep the limits
 
 
 @BY_NIGHT
@@ -92,6 +95,7 @@ def test_the_default_plan_measures_what_swings_and_what_hardly_moves_within_the_
     truth = run(by_default(draw(seed)))
     assert truth.error is None
     assert truth.ratios().max() <= 1.0
+    assert truth.left.max() <= 1.0  # drives that stop by themselves keep the limits
 
 
 @pytest.mark.parametrize("seed", [401, 420, *(pytest.param(s, marks=BY_NIGHT) for s in (413, 415, 418, 423))])

@@ -95,6 +95,9 @@ OFF_S = 2.0
 """From voltage off to standing still."""
 TELL_S = 5.0
 """A drive that does not obey is told, and asked, by SDO so long."""
+UNHEARD_S = 1.0
+"""What its drive holds is final while that is heard of; after so long without an answer it counts as lost.
+A drive that starts anew says so sooner."""
 
 RULES: dict[AxisState, Rule] = {
     S.OFF: Rule(Command.DISABLE, falls=S.CATCHING, is_final=True),
@@ -128,4 +131,4 @@ def longest_way_out() -> float:
     stop, caught, held until it is supported, stopped again and weighed.
     """
     ways = (S.STOPPING, S.PARKING, S.BRAKING, S.CATCHING, S.CAUGHT, S.PARKING, S.LETTING_GO, S.UNHEARD)
-    return sum(RULES[s].within_s for s in ways) + CHANGING_S
+    return sum(RULES[s].within_s for s in ways) + CHANGING_S + UNHEARD_S

@@ -110,7 +110,8 @@ class Change:
             if self.without_power:
                 why += (
                     ": it takes one without power only, and the axis was not seen to stand without. Give it "
-                    "a brake that its drive closes (brake: drive), or unload it"
+                    "a brake that its drive closes (brake: drive), unload it, or shake it in the mode that "
+                    "holds it (in_closed_loop: true, by 0x60B2)"
                 )
         elif now < self._began + (CHANGE_S if self._shown is None or self._shown > 0 else BUSY_S):
             return None

@@ -184,17 +184,18 @@ def _await_rest(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
 def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     """Hand axes to their brakes and measure when and how far each moved last."""
     yield from _await_rest(stage, axes)
-    began, drops = stage.now(), {}
+    began = stage.now()
+    seen: dict[int, tuple[float, float, float]] = {}  # way, when it moved last, speeding up
     for a in axes:
         a.on_trial = True
     closed = (AxisState.BRAKED, *CAUGHT)
     end = stage.now() + 2 * BRAKE_S
-    seconds: dict[int, float] = {}
     while stage.now() < end and not all(a.state in closed for a in axes):
         yield stage.only(axes, Want.BRAKE)
         for a in axes:
             if a.state is AxisState.BRAKING:
-                drops[a.index], seconds[a.index] = a.drop, max(0.0, a.moved_at - began)
+                falls = a.estimator.speed**2 / (2 * max(a.drop, a.estimator.tolerance))
+                seen[a.index] = a.drop, max(0.0, a.moved_at - began), falls
     silent = [a for a in axes if a.state not in closed]
     if silent:
         names = names_of(silent)
@@ -204,11 +205,13 @@ def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
     yield from stage.wait(SEEN_OFF_S, stage.everyone(Want.STAY))
     for a in axes:
         a.holding.brake_tried = True
-        drop = max(drops.get(a.index, 0.0), a.drop if a.state is AxisState.BRAKED else 0.0)
+        drop, seconds, falls = seen.get(a.index, (0.0, 0.0, 0.0))
+        drop = max(drop, a.drop if a.state is AxisState.BRAKED else 0.0)
         stage.note(
             a,
-            brake_s=seconds.get(a.index, 0.0),
+            brake_s=seconds,
             brake_drop=max(drop, 2 * a.most_drop if a.brake_failed else 0.0),
+            falls=falls if a.brake_failed else None,
         )
         a.brake_failed = False  # what was measured is remembered
         if a.holding.stays and not a.holding.can_stay:
@@ -250,7 +253,15 @@ def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -
     yield from _keep_silent(stage, axes, 1.5 * watch_s + SILENCE_S)
     loaded = [a for a in axes if a.carries]
     yield from stage.until(loaded, (AxisState.STANDS, *CAUGHT), stage.everyone(Want.STAY), SETTLE_S)
-    _refuse_moved([a for a in axes if a.verdict == MOVES])
+    moved = [a for a in axes if a.verdict == MOVES]
+    if moved:
+        raise SafetyStop(
+            f"axis {', '.join(names_of(moved))}: it was given no torque and moved by "
+            f"{moved[0].most_drop / 2:.2g} at least, faster and faster (stop test at rest): it carries a "
+            "load that 0x6077 does not show, or its drive gives torque that nobody asked for. Set gravity_loaded: "
+            "true, and support it",
+            axes=names_of(moved),
+        )
     deaf = [a for a in axes if a.state in (AxisState.LED, AxisState.HELD) and not a.verdict]
     if deaf:
         a = next((x for x in deaf if x.carries), deaf[0])
@@ -267,17 +278,6 @@ def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -
     for a in axes:
         a.verdict, a.silence_was_tried = "", True
     yield from _resume(stage, axes)
-
-
-def _refuse_moved(axes: Sequence[SupervisedAxis]) -> None:
-    if axes:
-        raise SafetyStop(
-            f"axis {', '.join(names_of(axes))}: it was given no torque and moved by "
-            f"{axes[0].most_drop / 2:.2g} at least, faster and faster (stop test at rest): it carries a load "
-            "that 0x6077 does not show, or its drive gives torque that nobody asked for. Set gravity_loaded: "
-            "true, and support it",
-            axes=names_of(axes),
-        )
 
 
 def _keep_silent(stage: Stage, axes: Sequence[SupervisedAxis], seconds: float) -> Procedure[None]:

@@ -46,6 +46,7 @@ class Trouble(Enum):
     """What is wrong with an axis."""
 
     FAULT = "its drive reports a fault"
+    RESTARTED = "its drive has started anew"
     LEFT = "its drive left operation by itself"
     LET_GO = "its drive let it go"
     FALLS = "it does not stand"
@@ -166,7 +167,7 @@ class SupervisedAxis:
     def is_final(self) -> bool:
         """Whether the way out may end here."""
         late = self.state is AxisState.UNHEARD and self.seconds > RULES[AxisState.UNHEARD].within_s
-        rests = self.state is not AxisState.STANDS or self.carries
+        rests = self.state is not AxisState.STANDS or (self.carries and not self.is_unseen())
         return (RULES[self.state].is_final and rests) or late
 
     @property
@@ -316,9 +317,8 @@ class SupervisedAxis:
         if state is AxisState.CATCHING:  # what is caught falls, and its torque grows
             return Trouble.FALLS if self.drop > estimator.limits.position else None
         if state in (AxisState.BRAKING, AxisState.BRAKED):
-            if self.blind or self.is_cut or self.brake_is_last:
-                return None  # nothing better is left
-            return Trouble.FALLS if self._has_dropped() else None
+            # where the brake is the last means nothing better is left
+            return Trouble.FALLS if not self.brake_is_last and self._has_dropped() else None
         if state in (AxisState.OFF, AxisState.LETTING_GO):
             far = self.drop > self.most_drop and estimator.fall is not None
             return Trouble.FALLS if far and not self.is_energised and len(self.story) > 1 else None

@@ -17,7 +17,7 @@ from invid.sweep.ports import Event, Loop, Mode, Sample, Severity, Want, Wish
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import ModeSet
-from invid_drivers.cia402.axis_state import CHANGING_S, NEXT, RULES, AxisState, Command, Fact
+from invid_drivers.cia402.axis_state import CHANGING_S, NEXT, RULES, UNHEARD_S, AxisState, Command, Fact
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_requests import Change
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link
@@ -239,11 +239,17 @@ class Supervisor:
         """See what is wrong with an axis and move it on."""
         a.blind |= a.index in self.bounds.blind
         self._tell_by_nmt(a)
-        trouble = self._given_away(a) or a.trouble()
+        trouble = self._restarted(a) or self._given_away(a) or a.trouble()
         if trouble is not None:
             self._react(a, trouble)
         self._see_cut(a)
         self._advance(a)
+
+    def _restarted(self, a: SupervisedAxis) -> Trouble | None:
+        """A drive that has started anew gives no torque, whatever it showed before."""
+        powered = RULES[a.state].command in (Command.ENABLE, Command.QUICK_STOP)
+        booted = self._link.peers[a.holding.config.node_id].booted
+        return Trouble.RESTARTED if powered and booted else None
 
     def _given_away(self, a: SupervisedAxis) -> Trouble | None:
         """What the bounds found of an axis that is led: a torque that turned, or that is missing."""
@@ -256,7 +262,7 @@ class Supervisor:
         """The next state by the table; SafetyStop or DriveError where that ends the run."""
         before, rule = a.state, RULES[a.state]
         match trouble:
-            case Trouble.FAULT:
+            case Trouble.FAULT | Trouble.RESTARTED:
                 self.enter(a, AxisState.FAULT)
             case Trouble.LEFT:
                 self._react_to_left(a)
@@ -406,6 +412,8 @@ class Supervisor:
         elif a.state is AxisState.LETTING_GO and a.is_cut and a.shows(Fact.UNPOWERED):
             if a.seconds > CUT_LOOK_S:
                 self.enter(a, AxisState.FAULT)
+        elif a.state is AxisState.STANDS and self.is_leaving and a.now - a.heard > UNHEARD_S:
+            self.enter(a, AxisState.LOST)
         elif rule.done and all(a.shows(f) for f in rule.done) and rule.then is not None:
             self._finish(a, rule.then)
         elif a.seconds > self._within(a, rule.within_s):

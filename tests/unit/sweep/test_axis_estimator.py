@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from invid.errors import SafetyStop
-from invid.sweep.axis_estimator import AxisEstimator, AxisLimits, Fall, Kind, has_leapt
+from invid.sweep.axis_estimator import AxisEstimator, AxisLimits, Fall, Kind
 from invid.sweep.bounds import Bounds
 from invid.sweep.ports import Sample
 
@@ -116,16 +116,28 @@ def test_what_falls_while_its_drive_is_only_asked_every_few_cycles_is_seen(
     assert not falls or seen[0] < 0.006
 
 
-def test_an_encoder_leaps_beyond_what_its_axis_goes_in_the_time_and_tells_its_speed() -> None:
-    limits = AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m")
-    assert has_leapt(0.05, 0.002, limits)
-    assert not has_leapt(0.03, 0.002, limits)
-    assert not has_leapt(0.05, 0.004, limits)
-    axis = AxisEstimator(limits, CYCLE)
+@pytest.mark.parametrize(
+    ("speed", "way", "seconds", "leaps"),
+    [
+        (5.0, 0.05, 0.002, True),
+        (5.0, 0.03, 0.002, False),
+        (5.0, 0.05, 0.004, False),
+        # one that stood, and is asked by SDO: its drive answers every few cycles
+        (0.0, 0.05, 0.0055, True),
+        (0.0, 0.03, 0.0055, False),
+        (0.0, 0.03, 0.02, False),
+    ],
+)
+def test_an_encoder_leaps_beyond_what_its_axis_goes_in_the_time(
+    speed: float, way: float, seconds: float, leaps: bool
+) -> None:
+    axis = AxisEstimator(AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m"), CYCLE)
     for k in range(100):
-        axis.take(k * CYCLE, 0.5 * k * CYCLE, 0.0)
-    assert axis.speed == pytest.approx(0.5)
+        axis.take(k * CYCLE, speed * k * CYCLE, 0.0)
+    assert axis.speed == pytest.approx(speed)
     assert not axis.leapt
+    axis.take(99 * CYCLE + seconds, axis.position + way, 0.0)
+    assert bool(axis.leapt) is leaps
 
 
 def test_an_encoder_that_leaps_is_named_and_not_the_speed_that_nobody_had() -> None:

@@ -29,6 +29,8 @@ class Seen:
     """From voltage off to the last motion [s]."""
     brake_drop: float | None = None
     """How far it moved meanwhile [rad or m]."""
+    falls: float | None = None
+    """How its load sped up until a brake that was late was given up [rad/s² or m/s²]."""
     weight: int | None = None
     """Thousandths of rated torque that held its load at rest."""
     left_held: bool = False

@@ -24,6 +24,11 @@ BRAKE_MARGIN = 2.0
 """On the time that a brake was seen to take."""
 DROP_SHARE = 0.02
 """Of the window: a brake that lets an axis fall further is too late to hold it."""
+SEEN_S = 0.1
+"""A fall is seen by then, of 1, 3 and 10 rad/s² after 74, 42 and 26 ms (16 bits, 2 ms), with what the speed
+that was measured lags."""
+CLOSES_S = (0.1, 0.3)
+"""Brakes that close late take so long."""
 
 
 @dataclass
@@ -132,6 +137,18 @@ class AxisHolding:
         return "drive" if self.stays and self.seen.holds else "not known"
 
     @property
+    def _falls(self) -> str:
+        """What a drive that cannot hold it any more leaves: from a·t²/2, sped up for as long as nobody saw
+        it."""
+        if self.brake_in_time is not False or not self.seen.falls:
+            return "After a fault of the drive itself nothing holds it"
+        ways = [0.5 * self.seen.falls * (SEEN_S + seconds) ** 2 for seconds in CLOSES_S]
+        return (
+            "Where the drive fails, or gives less than its load weighs, it falls until that brake has "
+            "closed: " + ", ".join(f"{w:.2g} at most in {s:g} s" for w, s in zip(ways, CLOSES_S, strict=True))
+        )
+
+    @property
     def is_left_alone(self) -> bool:
         """Whether nothing is sent to it: it is under power, or what it shows may not be believed."""
         return is_energised(self.state) or bool(self.seen.suspect)
@@ -152,7 +169,7 @@ class AxisHolding:
         if self.seen.holds:
             return (
                 f"{carries}; its drive holds it after a quick stop and without its master (seen){late}. "
-                "After a fault of the drive itself nothing holds it"
+                f"{self._falls}"
             )
         what = "brake" if self.config.brake == "drive" and not late else "quick stop"
         return (
