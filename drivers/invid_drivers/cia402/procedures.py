@@ -258,8 +258,8 @@ def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -
         raise SafetyStop(
             f"axis {', '.join(names_of(moved))}: it was given no torque and moved by "
             f"{moved[0].most_drop / 2:.2g} at least, faster and faster (stop test at rest): it carries a "
-            "load that 0x6077 does not show, or its drive gives torque that nobody asked for. Set gravity_loaded: "
-            "true, and support it",
+            "load that 0x6077 does not show, or its drive gives torque that nobody asked for. Set "
+            "gravity_loaded: true, and support it",
             axes=names_of(moved),
         )
     deaf = [a for a in axes if a.state in (AxisState.LED, AxisState.HELD) and not a.verdict]

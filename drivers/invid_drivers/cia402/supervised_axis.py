@@ -226,7 +226,12 @@ class SupervisedAxis:
     def catching_torque(self) -> float:
         """Torque that carries its load and brakes its fall [N·m or N]."""
         limit = self.estimator.limits.torque
-        return max(-limit, min(limit, self.support - self.damping * self.estimator.speed))
+        return max(-limit, min(limit, self.support - self.damping * self.speed))
+
+    @property
+    def speed(self) -> float:
+        """What its motion is damped by: nothing where nobody sees it, or its torque would stand."""
+        return 0.0 if self.is_unseen() else self.estimator.speed
 
     @property
     def seconds(self) -> float:

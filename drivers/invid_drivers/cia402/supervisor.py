@@ -193,8 +193,10 @@ class Supervisor:
 
     def _grant_end(self, a: SupervisedAxis) -> None:
         match a.state:
-            case AxisState.LED if a.carries and a.holding.has_position_mode:
+            case AxisState.LED if a.carries and a.holding.has_position_mode and not a.is_unseen():
                 self.enter(a, AxisState.STOPPING)
+            case AxisState.STOPPING if a.is_unseen():  # no loop of this master's closes, its drive's may
+                self.enter(a, AxisState.PARKING)
             case AxisState.LED | AxisState.ENABLING | AxisState.SWITCHING if a.is_energised or not a.fresh:
                 self.enter(a, AxisState.PARKING)
             case AxisState.ENABLING | AxisState.SWITCHING:
@@ -594,7 +596,7 @@ class Supervisor:
         if loop is None:
             return a.support
         limit = a.estimator.limits.torque
-        return max(-limit, min(limit, loop.torque - loop.damping * a.estimator.speed))
+        return max(-limit, min(limit, loop.torque - loop.damping * a.speed))
 
     def _tell_by_sdo(self, a: SupervisedAxis) -> None:
         if a.is_energised and self._cycle.is_free_for_sdo(a.index):
