@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from pydantic import BaseModel
 
 from invid.recording import import_map, read_recording
 from invid.recording.attributes import ExperimentAttributes, RootAttributes
-from invid_drivers.cia402.axis_state import longest_way_out
+from invid_drivers.cia402.axis_state import RULES, AxisState, Command, longest_way_out
 from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.relay import STOP_S
 
@@ -53,3 +54,26 @@ def test_the_bounds_of_a_stop_on_the_safety_page_are_those_of_the_table_of_state
     assert f"({longest_way_out():g} s at most)" in page
     assert f"| {STOPPED_S:.0f} s (`longest_stop_s` of `check`) |" in page
     assert f"| command or service for the cycle process | {STOP_S:.0f}," in page
+
+
+S = AxisState
+STATES = {
+    "being enabled": (S.ENABLING,), "held, led": (S.HELD, S.LED),
+    "without power for another mode": (S.SWITCHING,), "brought to rest": (S.STOPPING,),
+    "in a quick stop": (S.PARKING,), "held in quick stop active": (S.STANDS,),
+    "handed to its brake": (S.BRAKING,), "held by its brake": (S.BRAKED,),
+    "let go, and caught": (S.CATCHING,),
+    "held again until it is supported": (S.CAUGHT,), "being switched off": (S.LETTING_GO, S.OFF),
+}  # fmt: skip
+SENT = {Command.DISABLE: "0", Command.STAND_BY: "7", Command.QUICK_STOP: "2", Command.ENABLE: "15"}
+
+
+@pytest.mark.parametrize("row", STATES)
+def test_what_each_state_sends_and_its_deadline_on_the_safety_page_are_those_of_the_table(row: str) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "explanations" / "safety.md").read_text(encoding="utf-8")
+    (line,) = (x for x in page.splitlines() if x.startswith(f"| {row} |"))
+    _, _, word, _, deadline, _, _ = line.split("|")
+    for rule in (RULES[s] for s in STATES[row]):
+        assert re.search(r"\d+", word)[0] == SENT[rule.command]  # type: ignore[index]
+        if math.isfinite(rule.within_s):
+            assert f"{rule.within_s:g}" in re.findall(r"[\d.]+", deadline)

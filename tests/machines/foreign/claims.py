@@ -31,7 +31,8 @@ PHRASES = (
 """A sentence claims what the first of these that fits says, of the axes that it names or that the one before
 named."""
 CONDITIONAL = re.compile(
-    r"to have it off|after a fault of|where it carries|was not seen yet|so that it cannot fall|will move:",
+    r"to have it off|after a fault of|where it carries|was not seen yet|it is not known that|"
+    r"so that it cannot fall|will move:",
     re.I,
 )
 """What would be, or what to do: claims nothing of how an axis is left."""

@@ -286,7 +286,9 @@ class EnableInput(Habit):
             self.at, self.until = math.inf, now + self.seconds
             axis.locked_out = True
             axis.node.world.mark("torque off")
-            if axis.state != "off" or self.seconds >= LONG_S:  # else nobody can see it
+            if axis.state == "off" and self.seconds < LONG_S:
+                axis.node.world.mark("nobody can see it")
+            else:
                 axis.node.world.note(axis.name, f"{axis.state}, input opened (safe torque off)")
             if axis.state != "off":
                 axis.enter(self.into, "safe torque off")

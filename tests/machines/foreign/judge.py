@@ -139,7 +139,7 @@ def judge(d: Draft, run: Run, timeline: Timeline) -> Verdict:
         for k, axis in enumerate(d.axes)
         if axis.told and not re.search(axis.told, run.words)
     ]
-    bad += _enabled_again(d, run)
+    bad += [] if _is_unseen(run) else _enabled_again(d, run)
     if run.when("master dies") is None:
         bad += _words(d, run, over)
     else:
@@ -166,9 +166,16 @@ def _ending(d: Draft, run: Run) -> list[str]:
     elif run.status not in STATUSES or "Traceback (most" in run.words:
         bad.append(f"exit {run.status}: {run.words[-200:]}")
     happened = run.when("torque off") is not None or (run.when("over") or 0.0) > d.at
+    happened = happened and not _is_unseen(run)
     if d.must_stop and run.status == 0 and happened and d.phase != "leaving":
         bad.append("lost its torque, exit 0")
     return bad
+
+
+def _is_unseen(run: Run) -> bool:
+    """Whether torque was taken from axes that were off by themselves, and given back before anybody asked."""
+    seen = any("(safe torque off)" in e.text for e in run.events)
+    return run.when("nobody can see it") is not None and not seen
 
 
 def _torque(name: str, axis: DraftAxis, rows: Any) -> list[str]:

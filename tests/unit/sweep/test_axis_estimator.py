@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from invid.errors import SafetyStop
-from invid.sweep.axis_estimator import AxisEstimator, AxisLimits, Fall, Kind
+from invid.sweep.axis_estimator import (
+    LEARN_SAMPLES,
+    STAND_S,
+    AxisEstimator,
+    AxisLimits,
+    Fall,
+    Kind,
+    window_of,
+)
 from invid.sweep.bounds import Bounds
 from invid.sweep.ports import Sample
 
@@ -64,6 +72,10 @@ def test_a_fall_is_seen_within_three_milliradians_and_not_taken_for_a_wrong_sign
     first = min(found)
     assert 0.5 * acceleration * (first - 1.0) ** 2 < 0.004
     assert found[first].kind is Kind.FALLS
+    assert found[first].torque == pytest.approx(shown, abs=1e-9)
+    assert not found[first].at_limit
+    steady = [f.acceleration for at, f in found.items() if at > first + 0.1]
+    assert np.mean(steady) == pytest.approx(acceleration, rel=0.02)
 
 
 @pytest.mark.parametrize("left", [0.0, 5.0])
@@ -107,13 +119,57 @@ def test_what_falls_while_its_drive_is_only_asked_every_few_cycles_is_seen(
     acceleration: float, falls: bool
 ) -> None:
     axis = AxisEstimator(AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m"), CYCLE)
-    seen = []
+    seen, fast = [], []
     for k in [0, *np.cumsum([2, 3, 2, 4] * 120).tolist()]:
         way = 0.5 * acceleration * max(0.0, k * CYCLE - 1.0) ** 2
         axis.take(k * CYCLE, -round(way / COUNT) * COUNT, 0.0)
-        seen += [way] * (axis.fall is not None)
+        if axis.fall is not None:
+            seen.append(way)
+            fast.append(axis.fall.acceleration)
     assert bool(seen) is falls
     assert not falls or seen[0] < 0.006
+    assert not falls or np.mean(fast[8:]) == pytest.approx(acceleration, rel=0.02)
+    assert not falls or np.std(fast[8:]) < 1.7 * axis.sigma  # half as much again as if every sample came
+
+
+def test_nobody_knows_what_an_axis_did_in_a_long_gap() -> None:
+    limits = AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m")
+    axis = AxisEstimator(limits, CYCLE)
+    for k in (*range(300), *range(312, 340)):  # it was moved, and stands
+        axis.take(k * CYCLE, 0.0 if k < 300 else 0.05, 0.0)
+        assert axis.fall is None
+    assert not axis.leapt
+
+
+@pytest.mark.parametrize(("noise", "count"), [(1e-5, 20), (1e-4, 40), (1e-3, 80), (5e-3, 160), (1.0, 160)])
+def test_the_window_is_the_shortest_in_which_noise_leaves_a_fall_to_be_told(noise: float, count: int) -> None:
+    found, sigma = window_of(noise, CYCLE)
+    assert found == count
+    quarters = noise * np.random.default_rng(1).normal(size=(20_000, 4, count // 4)).mean(axis=2)
+    bends = quarters @ [1, -1, -1, 1] / (2 * (count / 4 * CYCLE) ** 2)
+    assert sigma == pytest.approx(np.std(bends), rel=0.03)
+
+
+@pytest.mark.parametrize(("step", "stands"), [(0.0, True), (0.9, True), (1.1, False)])
+def test_an_axis_stands_that_stays_within_its_tolerance_for_so_long(step: float, stands: bool) -> None:
+    axis = AxisEstimator(AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m"), CYCLE)
+    assert axis.tolerance == pytest.approx(max(8 * COUNT, 0.002 * WINDOW))
+    for k in range(round(STAND_S / CYCLE) + 2):
+        axis.take(k * CYCLE, step * axis.tolerance * (k == 100), 0.0)
+        assert not axis.stands or k * CYCLE >= STAND_S - 1e-9
+    assert axis.stands is stands
+    axis.look_anew()
+    assert not axis.stands
+
+
+def test_few_samples_at_rest_teach_no_noise_and_a_slow_motion_is_none() -> None:
+    limits = AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m")
+    axis = AxisEstimator(limits, CYCLE)
+    for n in (LEARN_SAMPLES - 1, 500):
+        for k in range(n):
+            axis.learn_noise(0.01 * k if n == 500 else 0.01 * (k % 2))
+        axis.use_noise()
+        assert axis.noise == pytest.approx(COUNT / math.sqrt(12))
 
 
 @pytest.mark.parametrize(
