@@ -17,6 +17,7 @@ from invid.errors import DriveError
 from invid.sweep.axis_estimator import AxisLimits
 from invid.sweep.bounds import Bounds
 from invid.sweep.ports import Loop, Sample, Want, Wish
+from invid_drivers.cia402.axis import ModeSet
 from invid_drivers.cia402.axis_state import RULES, SUPPORT_S, AxisState, Command, Fact
 from invid_drivers.cia402.standing.hold_memory import Seen
 from invid_drivers.cia402.standing.holding import AxisHolding
@@ -90,6 +91,7 @@ class Rig:
         self.control, self.waits_for_power_off = [0] * count, [False] * count
         self.operation: list[OperationMode | None] = [OperationMode.CYCLIC_POSITION] * count
         self.silent, self.deaf, self.told = [False] * count, False, list[tuple[int, int]]()
+        self.changes_s, self.pending = 0.0, dict[int, tuple[OperationMode, float]]()
         self.time, self.torques = 1.0, list[Sequence[float]]()
         self.sample = Sample(0, 1.0, [0.0] * count, [0.0] * count, [OFF] * count, [True] * count)
         self.clock, self.heartbeat_s, self.beating = self, 0.05, True
@@ -129,6 +131,10 @@ class Rig:
 
     def _pass(self, words: Sequence[int | None]) -> Sample:
         self.time += CYCLE
+        for k, (operation, due) in list(self.pending.items()):
+            if self.time >= due:
+                self.operation[k] = operation
+                del self.pending[k]
         sample = self.sample
         sample.slot, sample.time, sample.events = sample.slot + 1, self.time, []
         for k, (drive, word) in enumerate(zip(self.drives, words, strict=True)):
@@ -142,12 +148,17 @@ class Rig:
         return sample
 
     def change(self, axis: int, operation: OperationMode, *, taken: bool = False) -> None:
-        self.operation[axis] = operation
+        if self.changes_s and not taken:
+            self.pending[axis] = (operation, self.time + self.changes_s)
+        else:
+            self.operation[axis] = operation
 
-    def change_of(self, axis: int) -> None:
-        return None
+    def change_of(self, axis: int) -> Any:
+        change = self.pending.get(axis)
+        return None if change is None else SimpleNamespace(operation=change[0], without_power=False)
 
-    def drop_change(self, axis: int) -> None: ...
+    def drop_change(self, axis: int) -> None:
+        self.pending.pop(axis, None)
 
     def restart_slots(self) -> None: ...
 
@@ -155,13 +166,13 @@ class Rig:
         self.told.append((axis, value))
 
     def is_in(self, axis: int, operation: OperationMode) -> bool:
-        return self.operation[axis] is operation
+        return self.operation[axis] is operation and axis not in self.pending
 
     def is_free_for_sdo(self, axis: int) -> bool:
         return True
 
     def has_taken(self, axis: int) -> bool:
-        return True
+        return axis not in self.pending
 
     def nmt(self, command: int, node: int) -> None:
         self.told.append((node, command))
@@ -294,6 +305,8 @@ def test_whatever_lets_go_in_quick_stop_is_caught_at_once_and_held_until_it_is_s
     rig.leave(5.0)
     assert rig.states == [S.CAUGHT] * loads
     assert all(d.position > -0.02 for d in rig.drives)
+    sent = [t[0] for t in rig.torques]  # its weight, and what brakes its fall
+    assert WEIGHT + 1.0 < max(sent) <= 20.0
     assert said[-1] == f"support the load of {', '.join(a.name for a in rig.axes)}: it is not seen to stand"
     for drive in rig.drives:
         drive.supported = True
@@ -469,6 +482,46 @@ def test_a_led_load_that_is_not_seen_any_more_is_left_to_its_drives_own_stop(sil
     assert rig.torques[-1] == [WEIGHT]
 
 
+def test_a_drive_that_says_that_it_is_changing_its_mode_has_ten_seconds_more() -> None:
+    rig = Rig()
+    rig.bring(S.HELD)
+    assert not rig.supervisor.is_changing
+    rig.changes_s = 0.5
+    rig.run(0.4, W.LEAD)
+    assert rig.states == [S.LED]
+    assert rig.supervisor.is_changing
+    rig.run(0.2)
+    assert not rig.supervisor.is_changing
+    rig.changes_s = 8.0
+    rig.run(7.9, W.HOLD)
+    assert rig.states == [S.STOPPING]
+    assert rig.supervisor.is_changing
+    rig.run(0.5)
+    assert rig.states == [S.HELD]
+    rig.run(9.0, W.LEAD)
+    rig.changes_s = 60.0
+    with pytest.raises(DriveError, match=r"A1.*without its mode"):
+        rig.run(14.0, W.HOLD)
+    assert rig.states == [S.PARKING]
+
+
+@pytest.mark.parametrize(
+    ("takes", "waits_in"), [(ModeSet.SHOWN, OFF), (ModeSet.LATER, ON), (ModeSet.TAKEN, ENABLED)]
+)
+def test_a_drive_goes_no_further_than_where_it_takes_the_mode_that_is_to_hold_it(
+    takes: ModeSet, waits_in: int
+) -> None:
+    rig = Rig()
+    rig.operation, rig.changes_s = [OperationMode.CYCLIC_TORQUE], 1.0
+    rig.axes[0].takes_mode = takes
+    rig.run(0.9, W.HOLD)
+    assert rig.states == [S.HELD if takes is ModeSet.TAKEN else S.ENABLING]
+    assert rig.drives[0].status == waits_in
+    rig.run(0.3, W.HOLD)
+    assert rig.states == [S.HELD]
+    assert rig.operation == [OperationMode.CYCLIC_POSITION]
+
+
 FACTS = {
     S.ENABLING: ({F.ENABLED, F.MODE}, S.HELD), S.SWITCHING: ({F.MODE}, S.ENABLING),
     S.STOPPING: ({F.ENABLED, F.MODE, F.STANDING}, S.HELD), S.PARKING: ({F.STOPPED, F.STANDING}, S.STANDS),
@@ -544,3 +597,12 @@ def test_what_falls_goes_to_the_best_means_that_was_not_tried(
     assert axis.state is after.get(state, state)
     assert axis.brake_failed is (state in (S.BRAKING, S.BRAKED))
     assert axis.weak is (state is S.LED)
+
+
+@pytest.mark.parametrize("load", [True, False])
+def test_the_way_out_ends_where_every_axis_stands_or_nothing_can_be_done_for_it(load: bool) -> None:
+    axis = Rig([load]).axes[0]
+    ends = []
+    for axis.state in S:
+        ends += [axis.state] * axis.is_final
+    assert ends == [S.OFF, *[S.STANDS] * load, S.BRAKED, S.FAULT, S.LOST]

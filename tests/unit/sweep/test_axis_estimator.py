@@ -207,3 +207,10 @@ def test_an_encoder_that_leaps_is_named_and_not_the_speed_that_nobody_had() -> N
         bounds.check(Sample(20, 20 * CYCLE, [0.04], [1.0], [0x37], [True]))
     assert said.value.code == "leapt"
     assert bounds.blind == {0}
+
+
+def test_what_holds_an_axis_is_the_mean_over_half_of_the_time_in_which_it_stands() -> None:
+    axis = AxisEstimator(AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m"), CYCLE)
+    for k in range(400):
+        axis.take(k * CYCLE, 0.0, 20.0 if k < 325 else 8.0 + (-1.0) ** k)
+    assert axis.torque == pytest.approx(8.0, abs=0.02)
