@@ -248,6 +248,26 @@ def test_what_held_a_load_and_starts_anew_is_not_said_to_hold_it_and_is_not_enab
     assert "Support it before anybody goes near" in said
 
 
+def test_of_a_load_whose_drive_falls_silent_nothing_is_said_that_nobody_has_seen(tmp_path: Path) -> None:
+    """It is switched on and silent from then on, and enabled by what is on its way to it."""
+    bench = Bench(tmp_path)
+    master = bench.connect()
+    master.check()
+    get, silent = master._link.get, []
+
+    def heard(timeout: float) -> Any:
+        message = get(timeout)
+        silent.append(bench.drive.state is State.SWITCHED_ON or any(silent[-1:]))
+        return None if message is not None and silent[-1] and message.arbitration_id & 0x7F == 1 else message
+
+    master._link.get = heard  # type: ignore[method-assign]
+    with pytest.raises(InvidError, match="A1"):
+        energise(master, held(master))
+    said = " ".join(master.close())
+    assert "A1 carries a load and says nothing any more" in said
+    assert "is without torque" not in said
+
+
 @pytest.mark.parametrize(("delay", "by"), [(0.02, "brake"), (0.4, "drive")])
 def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     tmp_path: Path, delay: float, by: str

@@ -164,7 +164,9 @@ class Cia402Cell:
     @property
     def endings(self) -> tuple[str, ...]:
         """Axes energised after the stop, by what, and what to do; and loaded ones without torque."""
-        return self.held.endings(self.held_at_end, self.not_off, self.not_held, self._cycle.sample)
+        axes = () if self._supervisor is None else self._supervisor.axes
+        unseen = [a.name for a in axes if a.is_unseen()]
+        return self.held.endings(self.held_at_end, unseen, self.not_held, self._cycle.sample)
 
     def clear(self, names: Sequence[str]) -> None:
         """A person has found the cause: these axes may be enabled again. Before ``check``."""

@@ -171,10 +171,10 @@ class HeldAxes:
                 h.state, h.taken_over = DriveState.QUICK_STOP_ACTIVE, True
 
     def endings(
-        self, held: Sequence[str], not_off: Sequence[str], not_held: Sequence[str], sample: Sample
+        self, held: Sequence[str], unseen: Sequence[str], not_held: Sequence[str], sample: Sample
     ) -> tuple[str, ...]:
         """Axes energised after the stop, by what, and what to do; and loaded ones that were not seen to
-        stand."""
+        stand, or of which nothing came in the end."""
         said = [
             f"axis {name} is energised: it is held by its drive in quick stop active, with its limits and "
             "its heartbeat watch, which are restored when it is off. To have it off, support its load or set "
@@ -192,6 +192,12 @@ class HeldAxes:
             if name in held and self._brake_failed(name):
                 said.append(
                     f"axis {name}: its brake was seen not to hold it after the stop; see to the brake"
+                )
+            elif name in unseen:
+                said.append(
+                    f"axis {name} {carries} and says nothing any more ({state.words} was the last): nothing "
+                    "was seen to hold it. Support it before anybody goes near, then take the drive's enable "
+                    "or supply away"
                 )
             elif name in held or is_energised(state):
                 said.append(
