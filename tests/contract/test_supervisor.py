@@ -440,7 +440,7 @@ def test_a_silence_on_purpose_ends_at_the_first_load_that_lets_go_and_everyone_i
     rig.run(1.0)
     assert rig.states == [S.CAUGHT, S.STANDS]
     assert -rig.drives[0].position < 0.02
-    assert rig.axes[0].verdict == "its drive left operation by itself"
+    assert [a.verdict for a in rig.axes] == ["its drive left operation by itself", ""]
 
 
 @pytest.mark.parametrize(("torque", "asked"), [(3.0, 3.0), (300.0, 20.0)])
@@ -571,6 +571,47 @@ def test_a_deadline_that_passes_leads_on(
         axis.since = rig.time - (deadline if math.isfinite(deadline) else 900.0) - seconds
         rig.run(CYCLE)
         assert axis.state is (after if seconds > 0 else state)
+        assert axis.brake_failed is (seconds > 0 and state is S.BRAKING)
+
+
+@pytest.mark.parametrize(
+    ("state", "load", "brake_s", "after"),
+    [
+        (S.HELD, True, 0.03, S.BRAKING), (S.HELD, True, None, S.PARKING), (S.HELD, False, None, S.LETTING_GO),
+        (S.LED, False, None, S.PARKING), (S.LED, True, 0.03, S.BRAKING), (S.STANDS, True, None, S.STANDS),
+    ],
+)  # fmt: skip
+def test_no_loop_that_a_dead_encoder_closes_is_believed(
+    state: AxisState, load: bool, brake_s: float | None, after: AxisState
+) -> None:
+    rig = Rig([load], brake_s=brake_s)
+    rig.bring(state)
+    rig.supervisor.bounds.blind = {0}
+    rig.run(CYCLE)
+    assert rig.states == [after]
+
+
+def test_a_load_that_falls_though_its_drive_is_still_on_is_left_to_its_brake_without_voltage() -> None:
+    rig = Rig(brake_s=0.03)
+    rig.bring(S.HELD)
+    drive = rig.drives[0]
+    drive.obeys_not = drive.holds_not = True
+    rig.leave(0.1)
+    assert rig.axes[0].power_is_useless
+    assert [s for _, s in rig.axes[0].story].count(S.BRAKING) == 2
+    assert drive.heard[-1] == 0
+
+
+def test_a_drive_of_which_nothing_is_heard_is_told_by_nmt_once() -> None:
+    rig = Rig([False])
+    rig.bring(S.LED)
+    assert rig.waits_for_power_off == [True]  # it stands without torque, should a mode be taken then only
+    rig.silent = [True]
+    rig.leave(3.0)
+    assert rig.told.count((1, 2)) == 1
+    held = Rig()
+    held.bring(S.LED)
+    assert held.waits_for_power_off == [False]
 
 
 @pytest.mark.parametrize("state", S)
