@@ -264,7 +264,7 @@ def test_of_a_load_whose_drive_falls_silent_nothing_is_said_that_nobody_has_seen
     with pytest.raises(InvidError, match="A1"):
         energise(master, held(master))
     said = " ".join(master.close())
-    assert "A1 carries a load and says nothing any more" in said
+    assert re.search(r"A1 carries a load, says nothing any more .* may be energised: nothing was seen", said)
     assert "is without torque" not in said
 
 

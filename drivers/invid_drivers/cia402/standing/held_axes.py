@@ -195,9 +195,9 @@ class HeldAxes:
                 )
             elif name in unseen:
                 said.append(
-                    f"axis {name} {carries} and says nothing any more ({state.words} was the last): nothing "
-                    "was seen to hold it. Support it before anybody goes near, then take the drive's enable "
-                    "or supply away"
+                    f"axis {name} {carries}, says nothing any more ({state.words} was the last) and may be "
+                    "energised: nothing was seen to hold it. Support it before anybody goes near, then take "
+                    "the drive's enable or supply away"
                 )
             elif name in held or is_energised(state):
                 said.append(
