@@ -19,7 +19,7 @@ from invid.planning.separating_experiments import to_separate
 from invid.recording import Recording, read_recording
 from invid.report import render_report
 from invid.simulators.open import masses_of
-from invid.tuning.document import prediction_from_json
+from invid.tuning.axis_loop import prediction_from_json
 from invid.tuning.verification import Verdict, verify
 from invid.tuning.verification_document import verification_picture, verification_to_json
 from invid.wording.statement import ENGLISH

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Body, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from invid.errors import InputError, InvidError
-from invid.tuning.document import loops_from_json
+from invid.tuning.axis_loop import loops_from_json
 from invid.tuning.motor_scale import MotorScale
 from invid_drivers.values.applying import Proposal, apply, propose, undo, written_entries
 from invid_service.auth import Accepter, Reader, Runner

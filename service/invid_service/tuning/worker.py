@@ -12,8 +12,8 @@ from invid.config import CellConfig
 from invid.errors import InvidError
 from invid.model.diagnosis_document import load_document
 from invid.model.document import dump_json, load_json, save_text
+from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.forms import write_tuning
-from invid.tuning.simulated_loops import AxisLoop
 from invid.wording.statement import Statement
 from invid_drivers.protocol import Done, Failed, line_of_process
 from invid_drivers.values.present import known_loops, present_values
