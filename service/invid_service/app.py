@@ -12,7 +12,7 @@ from invid_service import health, problems
 from invid_service.cells.router import router as cells
 from invid_service.cells.series import router as series
 from invid_service.cells.state import router as state
-from invid_service.jobs.drawing import router as drawing
+from invid_service.jobs.files import router as files
 from invid_service.jobs.launcher import Launcher, launch_process
 from invid_service.jobs.router import router as identifications
 from invid_service.links import API
@@ -64,7 +64,7 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
     )
     app.state.service = service
     problems.install(app, service.is_simulated)
-    for router in (cells, state, series, identifications, drawing, tuning, recordings, health.router):
+    for router in (cells, state, series, identifications, files, tuning, recordings, health.router):
         app.include_router(router, prefix=API)
     # The usual addresses of supervision, beside those under the version.
     app.include_router(health.router, include_in_schema=False)

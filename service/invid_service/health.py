@@ -11,8 +11,7 @@ from pydantic import BaseModel
 from sqlalchemy.exc import SQLAlchemyError
 
 from invid import __version__
-from invid_service.auth import Admin, Reader
-from invid_service.context import Context
+from invid_service.dependencies import Admin, Context, Reader
 from invid_service.metrics import CellFacts
 from invid_service.problems import EVERYWHERE, ROOM, Problem, problem_responses
 from invid_service.service import Service

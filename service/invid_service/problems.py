@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
@@ -152,12 +153,17 @@ _HEADERS: dict[int, dict[str, Any]] = {
 ROOM = "make room on the disk of the service's data (delete old files there, or shorten retention_days)"
 
 
-def not_stored(what: str, path: Path, error: OSError) -> Problem:
-    """Return the problem of a file that could not be written: its name, the reason, the room, the way out."""
-    text = f"{what} ({path.name}) cannot be written: {error.strerror or error}"
-    if not disk.is_full(error):
-        return Problem("store-unavailable", f"{text}; see who may write in the service's data folder")
-    return Problem("disk-full", f"{text}, {disk.free(path.parent)}; {ROOM}, then try again")
+@contextlib.contextmanager
+def storing(what: str, path: Path) -> Iterator[None]:
+    """Problem where this file cannot be written within: its name, the reason, the room, the way out."""
+    try:
+        yield
+    except OSError as error:
+        text = f"{what} ({path.name}) cannot be written: {error.strerror or error}"
+        if not disk.is_full(error):
+            why = f"{text}; see who may write in the service's data folder"
+            raise Problem("store-unavailable", why) from None
+        raise Problem("disk-full", f"{text}, {disk.free(path.parent)}; {ROOM}, then try again") from None
 
 
 def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:

@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -33,16 +34,15 @@ from invid_service.cells.readiness import (
     readiness,
 )
 from invid_service.cells.registry import Cell, load_cells
-from invid_service.jobs.last_words import LastWords, interruption
+from invid_service.jobs.folder import LastWords, interruption, settle
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager
-from invid_service.jobs.orphans import settle
 from invid_service.jobs.results import Results, load
 from invid_service.jobs.run_log import tell_ended
 from invid_service.jobs.states import State
 from invid_service.keys import Keys
-from invid_service.links import API, set_root
+from invid_service.links import API, address, set_root
 from invid_service.metrics import Metrics
 from invid_service.problems import Problem
 from invid_service.settings import Settings
@@ -230,17 +230,16 @@ class Service:
             return Answer(record.ended or record.created, error["text"], error["fix"])
         return known if record.started is None else Answer(record.started)
 
-    def require_free_bus(self, cell: Cell) -> None:
+    def require_free_bus(self, cell: Cell, why: str = "", **members: Any) -> None:
         """Problem 409 where a run has the bus of a cell; whoever calls it holds the cell's start lock."""
         busy = self.jobs.occupying(cell.id)
-        if busy is not None:
-            raise Problem(
-                "run-in-progress",
-                f"identification {busy.record.id} is {busy.record.state}: it has the bus",
-                {"Retry-After": "5"},
-                identification=busy.record.id,
-                simulated=cell.simulated,
-            )
+        if busy is None:
+            return
+        run, state = busy.record.id, str(busy.record.state)
+        members |= {"simulated": cell.simulated, "identification": run, "state": state}
+        members["location"] = address("identifications", run)
+        why = why or f"identification {run} is {state}: it has the bus"
+        raise Problem("run-in-progress", why, {"Retry-After": "5"}, **members)
 
     async def check(self, cell: Cell) -> Checked:
         """Ask the drives of a cell in which nothing runs; Problem 409 where something does.

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel
 
@@ -19,6 +19,7 @@ from invid_drivers.cia402.standing.holding import Reason as CellReason
 from invid_drivers.cia402.stated.scales import MUCH_OF_RATED, limit_over_rated
 from invid_drivers.connect import is_virtual
 from invid_service.jobs.live import LiveRun
+from invid_service.problems import Problem
 
 _KEPT_S = 4.0
 """An answer is asked for again after so long."""
@@ -68,6 +69,12 @@ class Readiness(BaseModel):
     reasons: list[Reason]
     notes: list[Note] = []
     simulated: bool = False
+
+    def problem(self) -> Problem:
+        """Return why no run can start, as a refusal."""
+        members: dict[str, Any] = {"reasons": [r.model_dump(mode="json") for r in self.reasons]}
+        detail = "; ".join(r.text for r in self.reasons)
+        return Problem("not-ready", detail, simulated=self.simulated, **members)
 
     @property
     def is_asked(self) -> bool:

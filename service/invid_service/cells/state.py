@@ -15,9 +15,8 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
 
 from invid_drivers.protocol import Known
-from invid_service.auth import Reader
 from invid_service.cells.registry import Cell
-from invid_service.context import Context
+from invid_service.dependencies import CellInPath, Context, Reader
 from invid_service.jobs.schema import FoundCause, polling_headers
 from invid_service.jobs.states import IDLE, OCCUPYING, State
 from invid_service.problems import EVERYWHERE, RETRY_AFTER
@@ -84,14 +83,13 @@ class CellStates(BaseModel):
     response_model=CellNow,
     responses={200: {"description": "As it is now", "headers": RETRY_AFTER}},
 )
-async def get_cell_state(cell: str, service: Context, _caller: Reader) -> Response:
+async def get_cell_state(service: Context, _caller: Reader, cell: CellInPath) -> Response:
     """Return the state of the cell's last measurement: which run, how far, since when. Less than 1 kB, made
     for a PLC that asks every second.
     """
-    found = service.cell(cell)
-    run = service.jobs.latest(found.id)
+    run = service.jobs.latest(cell.id)
     headers = {} if run is None else polling_headers(run.record)
-    body = CellNow(**_now(service, found)).model_dump_json()
+    body = CellNow(**_now(service, cell)).model_dump_json()
     return Response(body, media_type="application/json", headers=headers)
 
 

@@ -24,8 +24,8 @@ from invid.tuning.verification import Verdict, verify
 from invid.tuning.verification_document import verification_picture, verification_to_json
 from invid.wording.statement import ENGLISH
 from invid_drivers.protocol import Line, Read
-from invid_service.jobs.analysis_progress import AnalysisProgress
 from invid_service.jobs.plots import plot_data
+from invid_service.jobs.progress import AnalysisProgress
 from invid_service.jobs.protocol import Job
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS

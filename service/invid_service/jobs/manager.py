@@ -31,7 +31,7 @@ from invid_drivers.protocol import (
     Stop,
 )
 from invid_drivers.readiness import known_after_death
-from invid_service.jobs.last_words import UNKNOWN, unknown_axes
+from invid_service.jobs.folder import UNKNOWN, unknown_axes
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Wish, WrongStateError
 from invid_service.jobs.protocol import DISK_FULL_FIX, End, Job, Told
@@ -137,21 +137,21 @@ class JobManager:
             self._latest[record.cell or ""] = run
 
     # --- taking jobs ---------------------------------------------------------------------------
-    def reserve(self, record: RunRecord) -> LiveRun:
-        """Occupy the cell in memory, before the store is asked."""
+    async def begin(self, record: RunRecord, job: Job, *, key: str | None = None, digest: str = "") -> None:
+        """Take a run and run its job in the background; nothing is left where the store does not take it.
+
+        CellBusyError where another service runs the cell on the same database.
+        """
         run = LiveRun(record)
-        self._live[record.id] = run
-        return run
-
-    def release(self, run: LiveRun) -> None:
-        """Free the cell again: the store did not take the run."""
-        self._live.pop(run.record.id, None)
-
-    def start(self, run: LiveRun, job: Job) -> None:
-        """Run the job in the background."""
-        if run.record.cell is not None and run.record.mode != UPLOAD:
-            self._latest[run.record.cell] = run
-        tell_began(run.record)
+        self._live[record.id] = run  # the cell is occupied before the store is asked
+        try:
+            await asyncio.to_thread(self._store.add_run, record, idempotency_key=key, body_sha256=digest)
+        except BaseException:
+            del self._live[record.id]
+            raise
+        if record.cell is not None and record.mode != UPLOAD:
+            self._latest[record.cell] = run
+        tell_began(record)
         self._spawn(self._run(run, job))
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:

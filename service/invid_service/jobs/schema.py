@@ -259,6 +259,11 @@ def _news(summary: dict[str, Any]) -> dict[str, Any]:
     return {**summary, "changes": {**changes, **lists}}
 
 
+def following(*parts: str) -> dict[str, str]:
+    """Return the headers of an answer to what goes on by itself: where to follow it, and when."""
+    return {"Location": address("identifications", *parts), "Retry-After": str(RETRY_AFTER_S)}
+
+
 def polling_headers(record: RunRecord) -> dict[str, str]:
     """Return the header ``Retry-After`` while there is something to wait for."""
     return {} if record.state in ENDED else {"Retry-After": str(RETRY_AFTER_S)}

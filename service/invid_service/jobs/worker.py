@@ -18,8 +18,7 @@ from typing import Any
 from invid.disk import is_full, not_written
 from invid.errors import DiskFullError, InvidError, SafetyStop
 from invid_drivers.protocol import Done, EndedEarly, ErrorInfo, Line, Stopped, line_of_process
-from invid_service.jobs.last_words import LastWords
-from invid_service.jobs.orphans import hold
+from invid_service.jobs.folder import LastWords, hold
 from invid_service.jobs.protocol import DISK_FULL_FIX, Job, plain
 from invid_service.jobs.stops import Run, stopped_by
 from invid_service.precedence import as_everyone

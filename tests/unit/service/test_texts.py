@@ -17,7 +17,7 @@ from invid.numerics.compiled import COMPILING
 from invid.planning import make_plan
 from invid_drivers.cia402.supervisor import STOPPING, UNSEEN
 from invid_service.cells.readiness import Note, Reason
-from invid_service.jobs.analysis_progress import STAGES
+from invid_service.jobs.progress import STAGES
 from invid_service.jobs.states import State
 from invid_service.jobs.stops import STOPS, Run, action_for
 from invid_service.jobs.worker import FIXES, error_info
