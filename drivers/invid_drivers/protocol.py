@@ -198,6 +198,14 @@ class Read:
     simulated: bool
 
 
+class AxisSeen(BaseModel):
+    """What an axis was last seen to be, and when [s since 1970]; ``null``: it was not seen under power."""
+
+    axis: str
+    state: str | None
+    at: float | None
+
+
 class ErrorInfo(BaseModel):
     """Why a run ended early: a stable code, a sentence, a way out."""
 
@@ -205,6 +213,12 @@ class ErrorInfo(BaseModel):
     code: str
     text: str
     fix: str
+    values: dict[str, str] | None = None
+    """What stands in the text, where the service itself says it by the code."""
+    axes: list[AxisSeen] | None = None
+    """Of a run whose axes nobody saw at rest: what each was seen to be last."""
+    known: list[str] | None = None
+    """What else is known of them."""
 
 
 @dataclass(frozen=True)

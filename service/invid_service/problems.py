@@ -19,46 +19,48 @@ from starlette.exceptions import HTTPException
 from invid import disk
 from invid.errors import InputError
 from invid_service.store.database import is_full
+from invid_service.web.texts import said
 
 MEDIA_TYPE = "application/problem+json"
 URN = "urn:invid:problem:"
 
-CATALOGUE: dict[str, tuple[int, str]] = {
-    "bad-request": (400, "The request cannot be read"),
-    "key-missing": (401, "A key is needed"),
-    "key-invalid": (401, "The key is not valid"),
-    "scope-missing": (403, "The key does not allow this"),
-    "foreign-origin": (403, "Requests from other web sites are refused"),
-    "not-found": (404, "There is no such thing"),
-    "cell-not-found": (404, "There is no such cell"),
-    "identification-not-found": (404, "There is no such identification"),
-    "model-not-found": (404, "There is no such model"),
-    "parameter-not-found": (404, "There is no such parameter or cause"),
-    "artefact-not-found": (404, "This result does not exist (yet)"),
-    "method-not-allowed": (405, "This address does not take this method"),
-    "run-in-progress": (409, "Another identification is in progress on this cell"),
-    "not-ready": (409, "The cell cannot start"),
-    "wrong-state": (409, "Not possible in this state"),
-    "override-needed": (409, "This result is not to be trusted"),
-    "nothing-to-separate": (409, "There is nothing to separate"),
-    "not-simulated": (409, "The cell has hardware behind it"),
-    "not-applied": (409, "Nothing was written to the drives"),
-    "not-tunable": (409, "No values for the drives can be given"),
-    "no-comparison": (409, "There are not two models to compare"),
-    "artefact-expired": (410, "This file was deleted after its time of retention"),
-    "length-required": (411, "The size must be given"),
-    "too-large": (413, "The body is too large"),
-    "unsupported-media-type": (415, "This kind of body is not taken"),
-    "invalid-request": (422, "The request holds a value that cannot be used"),
-    "invalid-recording": (422, "The upload is not a recording"),
-    "invalid-simulator": (422, "The simulator is not taken"),
-    "idempotency-key-reused": (422, "The Idempotency-Key was used with another body"),
-    "upload-stalled": (408, "The upload stalled"),
-    "internal-error": (500, "An error of the service"),
-    "store-unavailable": (503, "The store does not answer"),
-    "disk-full": (507, "There is no room to store this"),
+STATUSES: dict[str, int] = {
+    "bad-request": 400,
+    "key-missing": 401,
+    "key-invalid": 401,
+    "scope-missing": 403,
+    "foreign-origin": 403,
+    "not-found": 404,
+    "cell-not-found": 404,
+    "identification-not-found": 404,
+    "model-not-found": 404,
+    "parameter-not-found": 404,
+    "artefact-not-found": 404,
+    "method-not-allowed": 405,
+    "run-in-progress": 409,
+    "not-ready": 409,
+    "wrong-state": 409,
+    "override-needed": 409,
+    "nothing-to-separate": 409,
+    "not-simulated": 409,
+    "not-applied": 409,
+    "not-tunable": 409,
+    "no-comparison": 409,
+    "artefact-expired": 410,
+    "length-required": 411,
+    "too-large": 413,
+    "unsupported-media-type": 415,
+    "invalid-request": 422,
+    "invalid-recording": 422,
+    "invalid-simulator": 422,
+    "idempotency-key-reused": 422,
+    "upload-stalled": 408,
+    "internal-error": 500,
+    "store-unavailable": 503,
+    "disk-full": 507,
 }
-"""id -> (status, title). Ids are stable: never renamed, never given another meaning."""
+"""id -> status; its title is `problem.<id>` of the catalogue. Ids are stable: never renamed, never given
+another meaning."""
 
 _BY_STATUS = {
     400: "bad-request",
@@ -95,7 +97,7 @@ class ProblemDocument(BaseModel):
     """Problem document of RFC 9457 with further members by type; each is left out where it says nothing."""
 
     model_config = ConfigDict(extra="allow")
-    type: str = Field(description=f"`{URN}` and one of: {', '.join(CATALOGUE)}; more may come")
+    type: str = Field(description=f"`{URN}` and one of: {', '.join(STATUSES)}; more may come")
     title: str
     status: int
     detail: str = Field(description="What, where, the value found, the way out")
@@ -120,20 +122,18 @@ class Problem(Exception):
     @property
     def status(self) -> int:
         """Return the HTTP status of this kind."""
-        return CATALOGUE[self.kind][0]
+        return STATUSES[self.kind]
 
     def response(self, instance: str) -> JSONResponse:
         """Return the document, ready to send."""
-        status, title = CATALOGUE[self.kind]
-        document = {
-            "type": URN + self.kind,
-            "title": title,
-            "status": status,
-            "detail": self.detail,
-            "instance": instance,
-            **self.members,
-        }
-        return JSONResponse(document, status_code=status, media_type=MEDIA_TYPE, headers=self.headers)
+        document = {**document_of(self.kind, self.detail), "instance": instance, **self.members}
+        return JSONResponse(document, self.status, self.headers, MEDIA_TYPE)
+
+
+def document_of(kind: str, detail: str) -> dict[str, Any]:
+    """Return the members that every problem document has."""
+    title = said(f"problem.{kind}")
+    return {"type": URN + kind, "title": title, "status": STATUSES[kind], "detail": detail}
 
 
 RETRY_AFTER: dict[str, Any] = {
@@ -179,7 +179,7 @@ def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def _kinds(status: int) -> list[str]:
-    return [kind for kind, (code, _) in CATALOGUE.items() if code == status]
+    return [kind for kind, code in STATUSES.items() if code == status]
 
 
 EVERYWHERE = problem_responses(400, 401, 403, 404, 405, 413, 415, 422, 500, 503)

@@ -51,6 +51,7 @@ from invid_service.store.database import open_engine, upgrade
 from invid_service.store.lock import DataLock
 from invid_service.store.store import RunRecord, Store, StoredModel
 from invid_service.tuning.tunings import Tunings
+from invid_service.web.texts import said
 
 log = logging.getLogger(__name__)
 Clock = Callable[[], datetime]
@@ -345,8 +346,7 @@ def _answer_of(asked: Asked, now: datetime) -> Answer:
     error = asked.refusal
     if error is None:
         return Answer(now)
-    fix = error.way_out or "mend what it says, then ask the drives again (`invid check` does, too)"
-    return Answer(now, error.reason or str(error), fix)
+    return Answer(now, error.reason or str(error), error.way_out or said("reason.check_refused.fix"))
 
 
 def utc_now() -> datetime:

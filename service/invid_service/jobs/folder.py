@@ -21,11 +21,10 @@ from invid_drivers.protocol import AxisStates, LastSeen
 from invid_service.jobs.states import State
 from invid_service.store.blobs import KINDS
 from invid_service.store.store import RunRecord
+from invid_service.web.texts import error_of, said
 
 log = logging.getLogger(__name__)
 _LOCK, _WORDS = "runner.pid", "last-words.json"
-UNKNOWN = "nobody saw its axes at rest: unknown, look"
-LOOK = "look at the robot: make sure that every axis stands, and is off or held; then start again"
 
 
 def hold(folder: Path) -> IO[str]:
@@ -96,26 +95,25 @@ class LastWords:
             return cls()
 
 
-def unknown_axes(
-    what: str, states: AxisStates, names: Sequence[str], known: Sequence[str] = ()
+def unseen(
+    error: dict[str, Any], states: AxisStates, names: Sequence[str], known: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Text, way out and axes of the error of a run whose axes nobody has seen at rest."""
-    text = ". ".join((f"{what}; {UNKNOWN}", *states.of(names), *known))
-    return {"text": text, "fix": LOOK, "axes": states.to_json(names)}
+    """Return the error of a run whose axes nobody has seen at rest, with what is known of them."""
+    more = (f"{sentence}." for sentence in (*states.of(names), *known))
+    text = " ".join((error["text"], said("error.unseen"), *more))
+    look = {"text": text, "fix": said("error.unseen.fix")}
+    return {**error, **look, "axes": states.to_json(names), "known": list(known)}
 
 
 def interruption(run: RunRecord, words: LastWords) -> dict[str, Any]:
-    """The error of a run that the end of its service cut off, by what its runner left."""
-    what = f"the service ended while this run was {run.state}; it was not run again"
-    moved = run.state in (State.RUNNING, State.ANALYSING)
-    kept = "; what was measured until then is kept as this run's recording" if moved else ""
-    told = {"text": what, "fix": f"look at the robot, then start a new identification{kept}"}
+    """Return the error of a run that the end of its service cut off, by what its runner left."""
+    error = error_of("interrupted", state=str(run.state))
     if run.state is State.RUNNING and words.end:
-        told["text"] = f"{what}. Its motion was ended: {words.end}"
-    elif run.state is State.RUNNING and not run.simulated:
-        unknown = unknown_axes(what, words.axes, run.axes)
-        return {"code": "interrupted", **unknown, "fix": f"{LOOK}{kept}"}
-    return {"code": "interrupted", **told}
+        end = f"Its motion was ended: {words.end}"
+        return {**error, "text": f"{error['text']} {end}", "known": [end]}
+    if run.state is State.RUNNING and not run.simulated:
+        return unseen(error, words.axes, run.axes)
+    return error
 
 
 def complete_recording(folder: Path) -> None:

@@ -73,15 +73,11 @@ class LiveRun:
             ended=now if state in ENDED else self.record.ended,
             facts={**self.record.facts, **(facts or {})},
         )
-        if state in ENDED or state is State.AWAITING_ACCEPT:
-            done = state in (State.AWAITING_ACCEPT, State.SUCCEEDED)
-            self.progress = RunProgress(fraction=1.0 if done else self.progress.fraction, phase=str(state))
-        else:
-            # What belongs to the last state alone does not outlive it.
-            self.progress = RunProgress(fraction=self.progress.fraction, phase=str(state))
+        done = state in (State.AWAITING_ACCEPT, State.SUCCEEDED)
+        # What belongs to the last state alone does not outlive it.
+        self.progress = RunProgress(fraction=1.0 if done else self.progress.fraction, phase=str(state))
         if state in ENDED:
-            facts = {**self.record.facts, "progress": self.progress.fraction}
-            self.record = replace(self.record, facts=facts)
+            self.note(progress=self.progress.fraction)
         data = {
             "state": str(state),
             "simulated": self.record.simulated,
@@ -94,6 +90,10 @@ class LiveRun:
         if state in ENDED:
             self.events.close()
         return event
+
+    def note(self, **facts: Any) -> None:
+        """Keep facts of the run; stored with its next state."""
+        self.record = replace(self.record, facts={**self.record.facts, **facts})
 
     def advance(self, progress: RunProgress) -> None:
         """Take over progress; it never runs backwards."""

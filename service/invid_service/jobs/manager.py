@@ -31,10 +31,10 @@ from invid_drivers.protocol import (
     Stop,
 )
 from invid_drivers.readiness import known_after_death
-from invid_service.jobs.folder import UNKNOWN, unknown_axes
+from invid_service.jobs.folder import unseen
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Wish, WrongStateError
-from invid_service.jobs.protocol import DISK_FULL_FIX, End, Job, Told
+from invid_service.jobs.protocol import End, Job, Told
 from invid_service.jobs.results import Results
 from invid_service.jobs.run_log import tell_began, tell_ended
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
@@ -42,6 +42,7 @@ from invid_service.jobs.stops import without_trace
 from invid_service.settings import Settings
 from invid_service.store.database import is_full
 from invid_service.store.store import RunRecord, Store, StoredEvent
+from invid_service.web.texts import error_of, said
 
 log = logging.getLogger(__name__)
 _RETRY_S = 1.0
@@ -121,7 +122,7 @@ class JobManager:
     def is_lost(self, cell: str) -> bool:
         """Whether the last measurement of a cell ended and nobody saw its axes at rest."""
         run = self._latest.get(cell)
-        return run is not None and "axes" in (run.record.facts.get("error") or {})
+        return run is not None and (run.record.facts.get("error") or {}).get("axes") is not None
 
     def remember(self, record: RunRecord) -> None:
         """Take up what was the last measurement of its cell before a restart, or until it ended."""
@@ -248,10 +249,9 @@ class JobManager:
         except Exception as error:
             log.exception("run %s", run.record.id)
             if isinstance(error, OSError) and disk.is_full(error):
-                text = f"the disk of the service is full: {disk.free(job.folder)}"
-                await self._fail(run, "disk-full", text, DISK_FULL_FIX)
+                await self._fail(run, error_of("disk-full", free=disk.free(job.folder)))
             else:
-                await self._fail(run, "internal-error", "an error of the service", "the log says where")
+                await self._fail(run, error_of("internal-error"))
         finally:
             run.motion_ended.set()
             if kept:
@@ -312,7 +312,7 @@ class JobManager:
     async def _hear(self, run: LiveRun, message: Told) -> None:
         match message:
             case Planned(plan=plan, arm=arm):
-                run.record = replace(run.record, facts={**run.record.facts, "plan": plan})
+                run.note(plan=plan)
                 run.events.append("plan", plan)
                 if not arm and run.wish is None:
                     await self._move(run, State.AWAITING_ARM)
@@ -348,13 +348,7 @@ class JobManager:
                         await run.changed.wait()
             except TimeoutError:
                 if run.wish is None:
-                    what = "was not armed" if state is State.AWAITING_ARM else f"hung while {state}"
-                    error = {
-                        "code": "timeout",
-                        "text": f"the run {what} for {bound:.0f} s and was ended",
-                        "fix": "start again" if state is State.AWAITING_ARM else "see the log of the service",
-                    }
-                    run.record = replace(run.record, facts={**run.record.facts, "error": error})
+                    run.note(error=error_of("timeout", state=str(state), seconds=f"{bound:.0f}"))
                     run.wish = "cancel"
                 if moves:
                     await self._stop_worker(run)
@@ -372,24 +366,15 @@ class JobManager:
         elif run.wish is not None:
             await self._finish_early(run)
         elif verdict is None:
-            await self._fail(
-                run,
-                "runner-died",
-                f"the runner process ended without a result (exit status {status})",
-                "start again; the log of the service says more",
-            )
+            await self._fail(run, error_of("runner-died", status=str(status)))
         elif isinstance(verdict, EndedEarly):
             early = State.STOPPED if verdict.type == "stopped" else State.FAILED
-            await self._move(run, early, {"error": verdict.error.model_dump()})
+            await self._move(run, early, {"error": verdict.error.model_dump(exclude_none=True)})
         elif isinstance(kept, Exception):
             await self._not_kept(run, job, kept)
         elif not _results_of(job) <= kept:
-            await self._fail(
-                run,
-                "internal-error",
-                "the runner ended without all of its results",
-                "please report it, with the log of the service",
-            )
+            log.error("run %s: the runner ended without all of its results", run.record.id)
+            await self._fail(run, error_of("internal-error"))
         else:
             await self._succeed(run, job, verdict.result)
 
@@ -399,33 +384,25 @@ class JobManager:
         if job.config is not None:
             config = CellConfig.model_validate(job.config)
             known = await asyncio.to_thread(known_after_death, config, self._settings.stop_grace_s)
-        what = (
-            f"the runner process did not stop within {self._settings.stop_grace_s:.0f} s and was killed"
-            if run.killed
-            else f"the runner process ended without a result (exit status {status})"
-        )
-        told = unknown_axes(what, run.axes, run.record.axes, known)
-        await self._fail(run, "not-stopped" if run.killed else "runner-died", **told)
+        grace = f"{self._settings.stop_grace_s:.0f}"
+        died, deaf = error_of("runner-died", status=str(status)), error_of("not-stopped", seconds=grace)
+        await self._fail(run, unseen(deaf if run.killed else died, run.axes, run.record.axes, known))
 
     @staticmethod
     def _note_stop(run: LiveRun, verdict: End | None) -> None:
         """Note where a motion that ended early stood: what the runner told, or what was seen of it last."""
         stopped = verdict.stopped if isinstance(verdict, EndedEarly) else None
         if verdict is None and run.record.state is State.RUNNING:
-            reason = f"the process that moved it was lost; {UNKNOWN}"
+            reason = f"the process that moved it was lost. {said('error.unseen')}"
             stopped = without_trace(run.progress.phase, run.progress.axis, reason)
         if stopped is not None:
-            run.record = replace(run.record, facts={**run.record.facts, "stopped": stopped})
+            run.note(stopped=stopped)
 
     async def _not_kept(self, run: LiveRun, job: Job, error: Exception) -> None:
         """Fail a run whose results wait in its folder for a store that takes them."""
-        kept = "what was measured is kept, and stored as soon as there is"
-        if is_full(error) or (isinstance(error, OSError) and disk.is_full(error)):
-            text = f"the results could not be stored, the disk is full: {disk.free(job.folder)}"
-            await self._fail(run, "disk-full", text, f"make room on it: {kept} room")
-        else:
-            text = "the results could not be stored; the log of the service says why"
-            await self._fail(run, "store-unavailable", text, f"look at store and disk: {kept} an answer")
+        full = is_full(error) or (isinstance(error, OSError) and disk.is_full(error))
+        told = error_of("disk-full", free=disk.free(job.folder)) if full else error_of("store-unavailable")
+        await self._fail(run, told)
 
     async def _keep_results(self, run: LiveRun) -> set[str] | Exception:
         """Store the files of a run; return their kinds, or why the store did not take them."""
@@ -451,19 +428,13 @@ class JobManager:
         state = {"stop": State.STOPPED, "cancel": State.CANCELLED, "shutdown": State.INTERRUPTED}[
             run.wish or "cancel"
         ]
-        defaults = {
-            State.STOPPED: ("stopped", "stopped on request", "start again when the cell is clear"),
-            State.CANCELLED: ("cancelled", "cancelled on request", "start again at any time"),
-            State.INTERRUPTED: ("interrupted", "the service was shut down", "start a new identification"),
-        }
-        code, text, fix = defaults[state]
-        error = run.record.facts.get("error") or {"code": code, "text": text, "fix": fix}
         if not run.ended:
+            error = run.record.facts.get("error") or error_of(str(state), state=str(run.record.state))
             await self._move(run, state, {"error": error})
 
-    async def _fail(self, run: LiveRun, code: str, text: str, fix: str, **more: Any) -> None:
+    async def _fail(self, run: LiveRun, error: dict[str, Any]) -> None:
         if not run.ended:
-            await self._move(run, State.FAILED, {"error": {"code": code, "text": text, "fix": fix, **more}})
+            await self._move(run, State.FAILED, {"error": error})
 
     async def _move(self, run: LiveRun, state: State, facts: dict[str, Any] | None = None) -> None:
         async with run.lock:

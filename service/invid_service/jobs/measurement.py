@@ -84,15 +84,4 @@ def _short_plan(config: CellConfig, model: Belief | None, amplitude_scale: float
 
 def told_plan(plan: Plan, job: Job) -> dict[str, Any]:
     """Return the plan as a person sees it before arming, with what was chosen for this run."""
-    document: dict[str, Any] = plain(plan.to_json())
-    said = []
-    if job.amplitude == "gentler":
-        said.append("gentler: every torque is half of what would be planned")
-    if job.purpose is not None:
-        said.append(job.purpose)
-    return {
-        **document,
-        "amplitude": job.amplitude,
-        "purpose": job.purpose,
-        "warnings": [*said, *document["warnings"]],
-    }
+    return {**plain(plan.to_json()), "amplitude": job.amplitude, "purpose": job.purpose}

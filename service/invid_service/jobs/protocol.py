@@ -22,7 +22,6 @@ from invid_drivers.protocol import (
 
 End = Done | EndedEarly
 Told = Planned | Running | RunProgress | AxisStates | Measured | Read | End
-DISK_FULL_FIX = "make room on the disk of the service, then start again; what was measured is kept"
 
 
 @dataclass(frozen=True, kw_only=True)

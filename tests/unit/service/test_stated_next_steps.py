@@ -63,7 +63,7 @@ def test_a_stopped_run_shows_phase_trace_and_one_action(tmp_path: Path) -> None:
         assert (found["phase"], found["axis"]) == ("experiment 2 of 4", "A1")
         assert found["action"] == {
             "code": "gentler",
-            "text": "Start again with “gentler”: half of the torque, half of the motion.",
+            "text": "Start again with half of the torque and half of the motion.",
             "where": "page",
         }
         assert found["trace"]["time_s"] == [-1.0, -0.5, 0.0]
