@@ -17,7 +17,7 @@ from invid_service.jobs.launcher import Launcher, launch_process
 from invid_service.jobs.router import router as identifications
 from invid_service.links import API
 from invid_service.middleware import Guard
-from invid_service.openapi import complete_schema, operation_id
+from invid_service.openapi import complete_schema
 from invid_service.recordings.router import router as recordings
 from invid_service.service import Clock, build, utc_now
 from invid_service.settings import Settings
@@ -60,7 +60,7 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
         openapi_url=f"{API}/openapi.json",
         docs_url=None,  # Swagger's page comes from a CDN; cells are offline
         redoc_url=None,
-        generate_unique_id_function=operation_id,
+        generate_unique_id_function=lambda route: route.name,
     )
     app.state.service = service
     problems.install(app, service.is_simulated)

@@ -39,10 +39,10 @@ from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager
 from invid_service.jobs.results import Results, load
-from invid_service.jobs.run_log import tell_ended
 from invid_service.jobs.states import State
 from invid_service.keys import Keys
 from invid_service.links import API, address, set_root
+from invid_service.logs import tell_ended
 from invid_service.metrics import Metrics
 from invid_service.problems import Problem
 from invid_service.settings import Settings

@@ -141,9 +141,11 @@ def test_the_list_of_commands_loads_no_command() -> None:
 
 
 def test_whoever_talks_to_a_bus_starts_without_tables_pictures_and_control() -> None:
-    starts = ("invid_service.serving", "invid_service.jobs.worker", "invid_drivers.realtime")
-    code = f"import sys, {', '.join(starts)}; from invid.cli.app import run; "
-    code += "[run([c, '--help']) for c in ('measure', 'check', 'init')]; print(*sys.modules, file=sys.stderr)"
+    code = (
+        "import sys, invid_service.serving, invid_service.jobs.worker, invid_drivers.realtime; "
+        "from invid.cli.app import run; [run([c, '--help']) for c in ('measure', 'check', 'init')]; "
+        "print(*sys.modules, file=sys.stderr)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     heavy = {"pandas", "asammdf", "matplotlib", "control", "polars", "scipy.signal", "scipy.stats"}
     assert not heavy & set(done.stderr.split())

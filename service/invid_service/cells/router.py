@@ -12,7 +12,6 @@ from fastapi.responses import JSONResponse
 from invid.errors import InputError
 from invid_drivers.simulated import truth
 from invid_service.cells.changes import changes_view
-from invid_service.cells.overview import overview
 from invid_service.cells.readiness import Checked, Readiness
 from invid_service.cells.registry import Cell, merged
 from invid_service.cells.schema import (
@@ -29,6 +28,7 @@ from invid_service.cells.schema import (
     StopAnswer,
     StopAnswers,
 )
+from invid_service.cells.state import overview
 from invid_service.dependencies import Accepter, CellInPath, Context, Reader, Runner, Stopper
 from invid_service.jobs.schema import view
 from invid_service.jobs.states import State
@@ -134,7 +134,7 @@ async def check_drives(service: Context, caller: Runner, cell: CellInPath) -> Ch
 
 
 @router.post("/cells/{cell}/stop", response_model=StopAnswer)
-async def stop(service: Context, caller: Stopper, cell: CellInPath) -> StopAnswer:
+async def stop_cell(service: Context, caller: Stopper, cell: CellInPath) -> StopAnswer:
     """Stop motion at once. This is **not a safety function**: it goes through a network, an operating
     system and the drives' protocol. Use the emergency stop where people are in danger.
 
@@ -146,7 +146,7 @@ async def stop(service: Context, caller: Stopper, cell: CellInPath) -> StopAnswe
 
 
 @router.post("/stop", response_model=StopAnswers)
-async def stop_all(service: Context, caller: Stopper) -> StopAnswers:
+async def stop_all_cells(service: Context, caller: Stopper) -> StopAnswers:
     """Stop motion of all cells at once, and say for each whether something moved. As of one cell: **not a
     safety function**, and it needs no key.
     """

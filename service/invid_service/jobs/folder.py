@@ -99,10 +99,11 @@ def unseen(
     error: dict[str, Any], states: AxisStates, names: Sequence[str], known: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Return the error of a run whose axes nobody has seen at rest, with what is known of them."""
-    more = (f"{sentence}." for sentence in (*states.of(names), *known))
+    axes = states.of(names)
+    more = (f"{sentence}." for sentence in (*(a.sentence for a in axes), *known))
     text = " ".join((error["text"], said("error.unseen"), *more))
     look = {"text": text, "fix": said("error.unseen.fix")}
-    return {**error, **look, "axes": states.to_json(names), "known": list(known)}
+    return {**error, **look, "axes": [asdict(a) for a in axes], "known": list(known)}
 
 
 def interruption(run: RunRecord, words: LastWords) -> dict[str, Any]:

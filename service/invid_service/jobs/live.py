@@ -20,7 +20,7 @@ Wish = Literal["stop", "cancel", "shutdown"]
 def progress_of(record: RunRecord) -> RunProgress:
     """Return the progress of a stored run, in which nothing goes on any more."""
     done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
-    return RunProgress(fraction=1.0 if done else record.facts.get("progress", 0.0), phase=str(record.state))
+    return RunProgress(progress=1.0 if done else record.facts.get("progress", 0.0), phase=str(record.state))
 
 
 class WrongStateError(Exception):
@@ -75,13 +75,13 @@ class LiveRun:
         )
         done = state in (State.AWAITING_ACCEPT, State.SUCCEEDED)
         # What belongs to the last state alone does not outlive it.
-        self.progress = RunProgress(fraction=1.0 if done else self.progress.fraction, phase=str(state))
+        self.progress = RunProgress(progress=1.0 if done else self.progress.progress, phase=str(state))
         if state in ENDED:
-            self.note(progress=self.progress.fraction)
+            self.note(progress=self.progress.progress)
         data = {
             "state": str(state),
             "simulated": self.record.simulated,
-            **self.progress.to_json(),
+            **self.progress.model_dump(),
             **{k: self.record.facts[k] for k in ("error", "decision", "summary") if k in self.record.facts},
         }
         self.since = now
@@ -97,12 +97,12 @@ class LiveRun:
 
     def advance(self, progress: RunProgress) -> None:
         """Take over progress; it never runs backwards."""
-        fraction = min(max(progress.fraction, self.progress.fraction), 1.0)
-        self.progress = replace(progress, fraction=fraction)
+        furthest = max(progress.progress, self.progress.progress)
+        self.progress = progress.model_copy(update={"progress": furthest})
         data = {
             "state": str(self.record.state),
             "simulated": self.record.simulated,
-            **self.progress.to_json(),
+            **self.progress.model_dump(),
         }
         self.events.append("progress", data)
         self._wake()

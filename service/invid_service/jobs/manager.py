@@ -36,9 +36,9 @@ from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Wish, WrongStateError
 from invid_service.jobs.protocol import End, Job, Told
 from invid_service.jobs.results import Results
-from invid_service.jobs.run_log import tell_began, tell_ended
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.jobs.stops import without_trace
+from invid_service.logs import tell_began, tell_ended
 from invid_service.settings import Settings
 from invid_service.store.database import is_full
 from invid_service.store.store import RunRecord, Store, StoredEvent
@@ -82,6 +82,26 @@ def _results_of(job: Job) -> set[str]:
     if job.mode == "verify":
         return {"recording", "verification"}
     return {"recording", "model", "diagnosis", "report"}
+
+
+Moved = tuple[State, dict[str, Any]]
+"""A state, and the facts that belong to it."""
+
+
+def _failure(error: dict[str, Any]) -> Moved:
+    return State.FAILED, {"error": error}
+
+
+def _early_end(run: LiveRun) -> Moved:
+    ends = {"stop": State.STOPPED, "cancel": State.CANCELLED, "shutdown": State.INTERRUPTED}
+    state = ends[run.wish or "cancel"]
+    return state, {"error": run.record.facts.get("error") or error_of(state, state=str(run.record.state))}
+
+
+def _not_stored(error: Exception, job: Job) -> dict[str, Any]:
+    if is_full(error) or (isinstance(error, OSError) and disk.is_full(error)):
+        return error_of("disk-full", free=disk.free(job.folder))
+    return error_of("store-unavailable")
 
 
 class JobManager:
@@ -248,10 +268,11 @@ class JobManager:
             raise
         except Exception as error:
             log.exception("run %s", run.record.id)
-            if isinstance(error, OSError) and disk.is_full(error):
-                await self._fail(run, error_of("disk-full", free=disk.free(job.folder)))
-            else:
-                await self._fail(run, error_of("internal-error"))
+            full = isinstance(error, OSError) and disk.is_full(error)
+            if not run.ended:
+                await self._move(
+                    run, *_failure(_not_stored(error, job) if full else error_of("internal-error"))
+                )
         finally:
             run.motion_ended.set()
             if kept:
@@ -275,7 +296,7 @@ class JobManager:
     async def _watch(self, run: LiveRun, job: Job) -> bool:
         """Follow a run to its end; return whether all that it left is in the store."""
         if run.wish is not None:
-            await self._finish_early(run)
+            await self._move(run, *_early_end(run))
             return True
         await self._move(run, State.ANALYSING if job.kind == "analyse" else State.CHECKING)
         worker = await self._launch(job)
@@ -356,54 +377,6 @@ class JobManager:
                     run.worker.kill()
                 return
 
-    async def _conclude(
-        self, run: LiveRun, job: Job, verdict: End | None, status: int, kept: set[str] | Exception
-    ) -> None:
-        self._note_stop(run, verdict)
-        moved = run.record.state is State.RUNNING
-        if verdict is None and moved:
-            await self._lost(run, job, status)
-        elif run.wish is not None:
-            await self._finish_early(run)
-        elif verdict is None:
-            await self._fail(run, error_of("runner-died", status=str(status)))
-        elif isinstance(verdict, EndedEarly):
-            early = State.STOPPED if verdict.type == "stopped" else State.FAILED
-            await self._move(run, early, {"error": verdict.error.model_dump(exclude_none=True)})
-        elif isinstance(kept, Exception):
-            await self._not_kept(run, job, kept)
-        elif not _results_of(job) <= kept:
-            log.error("run %s: the runner ended without all of its results", run.record.id)
-            await self._fail(run, error_of("internal-error"))
-        else:
-            await self._succeed(run, job, verdict.result)
-
-    async def _lost(self, run: LiveRun, job: Job, status: int) -> None:
-        """End a run whose runner was killed, or died, in motion: nobody has seen its axes at rest."""
-        known: tuple[str, ...] = ()
-        if job.config is not None:
-            config = CellConfig.model_validate(job.config)
-            known = await asyncio.to_thread(known_after_death, config, self._settings.stop_grace_s)
-        grace = f"{self._settings.stop_grace_s:.0f}"
-        died, deaf = error_of("runner-died", status=str(status)), error_of("not-stopped", seconds=grace)
-        await self._fail(run, unseen(deaf if run.killed else died, run.axes, run.record.axes, known))
-
-    @staticmethod
-    def _note_stop(run: LiveRun, verdict: End | None) -> None:
-        """Note where a motion that ended early stood: what the runner told, or what was seen of it last."""
-        stopped = verdict.stopped if isinstance(verdict, EndedEarly) else None
-        if verdict is None and run.record.state is State.RUNNING:
-            reason = f"the process that moved it was lost. {said('error.unseen')}"
-            stopped = without_trace(run.progress.phase, run.progress.axis, reason)
-        if stopped is not None:
-            run.note(stopped=stopped)
-
-    async def _not_kept(self, run: LiveRun, job: Job, error: Exception) -> None:
-        """Fail a run whose results wait in its folder for a store that takes them."""
-        full = is_full(error) or (isinstance(error, OSError) and disk.is_full(error))
-        told = error_of("disk-full", free=disk.free(job.folder)) if full else error_of("store-unavailable")
-        await self._fail(run, told)
-
     async def _keep_results(self, run: LiveRun) -> set[str] | Exception:
         """Store the files of a run; return their kinds, or why the store did not take them."""
         try:
@@ -412,29 +385,54 @@ class JobManager:
             log.error("run %s: results could not be stored: %s", run.record.id, error)
             return error
 
-    async def _succeed(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> None:
-        if run.record.cell is None or not job.acceptable or job.mode == "verify":
-            await self._move(run, State.SUCCEEDED, {"summary": summary})
-            return
-        summary = await asyncio.to_thread(self._results.concluded, run.record, summary, self._clock())
-        if job.mode == "screen":  # it says what changed, and is no model to run a robot with
-            await self._move(run, State.SUCCEEDED, {"summary": summary})
-            return
-        await self._move(run, State.AWAITING_ACCEPT, {"summary": summary})
-        if job.mode != "test" and self._results.may_auto_accept(summary):
+    async def _conclude(
+        self, run: LiveRun, job: Job, verdict: End | None, status: int, kept: set[str] | Exception
+    ) -> None:
+        """Move a run whose runner has ended to where it ends, or to where a person decides."""
+        if isinstance(verdict, EndedEarly) and verdict.stopped is not None:
+            run.note(stopped=verdict.stopped)
+        if verdict is None and run.record.state is State.RUNNING:
+            end = await self._lost(run, job, status)
+        elif run.wish is not None:
+            end = _early_end(run)
+        elif verdict is None:
+            end = _failure(error_of("runner-died", status=str(status)))
+        elif isinstance(verdict, EndedEarly):
+            state = State.STOPPED if verdict.type == "stopped" else State.FAILED
+            end = state, {"error": verdict.error.model_dump(exclude_none=True)}
+        elif isinstance(kept, Exception):  # they wait in its folder for a store that takes them
+            end = _failure(_not_stored(kept, job))
+        elif not _results_of(job) <= kept:
+            log.error("run %s: the runner ended without all of its results", run.record.id)
+            end = _failure(error_of("internal-error"))
+        else:
+            end = await self._success(run, job, verdict.result)
+        await self._move(run, *end)
+        state, facts = end
+        may_be_auto = state is State.AWAITING_ACCEPT and job.mode != "test"
+        if may_be_auto and self._results.may_auto_accept(facts["summary"]):
             await self.decide(run, AUTO)
 
-    async def _finish_early(self, run: LiveRun) -> None:
-        state = {"stop": State.STOPPED, "cancel": State.CANCELLED, "shutdown": State.INTERRUPTED}[
-            run.wish or "cancel"
-        ]
-        if not run.ended:
-            error = run.record.facts.get("error") or error_of(str(state), state=str(run.record.state))
-            await self._move(run, state, {"error": error})
+    async def _success(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> Moved:
+        if run.record.cell is None or not job.acceptable or job.mode == "verify":
+            return State.SUCCEEDED, {"summary": summary}
+        summary = await asyncio.to_thread(self._results.concluded, run.record, summary, self._clock())
+        # A short check says what changed, and is no model to run a robot with.
+        return State.SUCCEEDED if job.mode == "screen" else State.AWAITING_ACCEPT, {"summary": summary}
 
-    async def _fail(self, run: LiveRun, error: dict[str, Any]) -> None:
-        if not run.ended:
-            await self._move(run, State.FAILED, {"error": error})
+    async def _lost(self, run: LiveRun, job: Job, status: int) -> Moved:
+        """How a run ends whose runner was killed, or died, in motion: nobody has seen its axes at rest."""
+        known: tuple[str, ...] = ()
+        if job.config is not None:
+            config = CellConfig.model_validate(job.config)
+            known = await asyncio.to_thread(known_after_death, config, self._settings.stop_grace_s)
+        grace = f"{self._settings.stop_grace_s:.0f}"
+        died, deaf = error_of("runner-died", status=str(status)), error_of("not-stopped", seconds=grace)
+        reason = f"the process that moved it was lost. {said('error.unseen')}"
+        return State.FAILED, {
+            "stopped": without_trace(run.progress.phase, run.progress.axis, reason),
+            "error": unseen(deaf if run.killed else died, run.axes, run.record.axes, known),
+        }
 
     async def _move(self, run: LiveRun, state: State, facts: dict[str, Any] | None = None) -> None:
         async with run.lock:

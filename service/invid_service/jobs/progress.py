@@ -7,10 +7,10 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
-from invid_drivers.protocol import Known, RunProgress
+from invid_drivers.protocol import FoundCause, Known, RunProgress
 
 EVERY_S = 1.0
 SLOWER = 0.5
@@ -124,7 +124,7 @@ class MotionProgress(_Told):
         pace = (self._heard - began) / done if done > _SETTLED_S else 1.0
         left = self.count_down(pace * float(p.eta_s) - (self.elapsed_s - self._heard))
         return RunProgress(
-            fraction=float(p.fraction) * BEGINS,
+            progress=float(p.fraction) * BEGINS,
             phase=str(p.phase),
             axis=p.axis,
             frequency=p.frequency,
@@ -162,7 +162,7 @@ class AnalysisProgress(_Told):
     def weigh(self, progress: Any) -> None:
         """Take what identification and diagnosis say of themselves (``invid.numerics.budget.Progress``)."""
         with self._lock:
-            found = tuple(asdict(f) for f in progress.found)
+            found = [FoundCause(**asdict(f)) for f in progress.found]
             self._what = RunProgress(
                 phase=str(progress), axis=progress.axis, cause=progress.cause, found=found
             )
@@ -175,9 +175,6 @@ class AnalysisProgress(_Told):
         # a stage that tells nothing moves on by the clock, up to its end
         share = max(self._share, min(elapsed / self._expected, self._high))
         left, most = self._expected - elapsed, max(self._most - elapsed, 0.0)
-        return replace(
-            self._what,
-            fraction=BEGINS + share * (ENDS - BEGINS),
-            eta_s=self.count_down(min(left, most) if left > 0.0 else None),
-            most_s=most,
-        )
+        told: dict[str, float | None] = {"progress": BEGINS + share * (ENDS - BEGINS), "most_s": most}
+        told["eta_s"] = self.count_down(min(left, most) if left > 0.0 else None)
+        return self._what.model_copy(update=told)

@@ -131,7 +131,7 @@ class ScriptedWorker:
             yield Running()
             yield AxisStates(self.director.axes)
             for k in range(3):
-                yield RunProgress(fraction=0.1 * k, phase="A1", axis="A1", eta_s=5.0)
+                yield RunProgress(progress=0.1 * k, phase="A1", axis="A1", eta_s=5.0)
             if (seen := await self._until(self.director.go)) != "event":
                 if seen == "stop" and not self.director.die:
                     self._recording()

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from service_doubles import Director, running, wait_for
 
-from invid_service.logging_setup import configure_logging
+from invid_service.logs import configure_logging
 
 START = "/api/v1/cells/cell/identifications"
 
