@@ -63,7 +63,7 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
         generate_unique_id_function=lambda route: route.name,
     )
     app.state.service = service
-    problems.install(app, service.is_simulated)
+    problems.install(app)
     for router in (cells, state, series, identifications, files, tuning, recordings, health.router):
         app.include_router(router, prefix=API)
     # The usual addresses of supervision, beside those under the version.

@@ -55,6 +55,8 @@ class Require:
         return caller
 
 
+Known = Annotated[Caller, Depends(identify_caller)]
+"""Whoever may call at all; what for is asked by the route."""
 Reader = Annotated[Caller, Depends(Require(Scope.READ))]
 Runner = Annotated[Caller, Depends(Require(Scope.RUN))]
 Accepter = Annotated[Caller, Depends(Require(Scope.ACCEPT))]
@@ -96,9 +98,12 @@ class FoundRun:
         return Problem(kind, f"identification {self.record.id} is {state}{what}", state=state)
 
 
-async def _run(identification: str, service: Context) -> FoundRun:
-    return FoundRun(*await service.run(identification))
+async def find_run(identification: str, request: Request, service: Context) -> FoundRun:
+    """Return a run; Problem 404 where there is none. What is refused of one then says what is behind it."""
+    run = FoundRun(*await service.run(identification))
+    request.state.simulated = run.record.simulated
+    return run
 
 
-RunInPath = Annotated[FoundRun, Depends(_run)]
+RunInPath = Annotated[FoundRun, Depends(find_run)]
 """404 where there is none; behind the caller, as ``CellInPath``."""

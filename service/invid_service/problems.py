@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
@@ -186,19 +186,19 @@ EVERYWHERE = problem_responses(400, 401, 403, 404, 405, 413, 415, 422, 500, 503)
 """Failures that any request may meet."""
 
 
-def install(app: FastAPI, is_simulated: Callable[[str, bool], Awaitable[bool]]) -> None:
+def install(app: FastAPI) -> None:
     """Map every exception to a problem document.
 
-    ``is_simulated``: whether a path names a cell, or a run of one, with no hardware behind it, and whether
-    the store may be asked; such problems say so as answers do. Who has no key for it learns nothing of it.
+    One about a cell, or a run of one, with no hardware behind it says so as answers do. Who has no key for it
+    learns nothing of it.
     """
 
     async def answer(request: Request, problem: Problem) -> JSONResponse:
-        path = request.url.path
-        open_question = problem.status not in (401, 403) and "simulated" not in problem.members
-        if open_question and await is_simulated(path, problem.kind != "store-unavailable"):
-            problem.members["simulated"] = True
-        return problem.response(path)
+        cell = app.state.service.cells.get(request.path_params.get("cell", ""))
+        found = getattr(request.state, "simulated", False) or (cell is not None and cell.simulated)
+        if found and problem.status not in (401, 403):
+            problem.members.setdefault("simulated", True)
+        return problem.response(request.url.path)
 
     @app.exception_handler(Problem)
     async def _problem(request: Request, error: Problem) -> JSONResponse:

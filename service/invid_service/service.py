@@ -5,13 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import re
 import secrets
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -41,7 +40,7 @@ from invid_service.jobs.manager import JobManager
 from invid_service.jobs.results import Results, load
 from invid_service.jobs.states import State
 from invid_service.keys import Keys
-from invid_service.links import API, address, set_root
+from invid_service.links import address, set_root
 from invid_service.logs import tell_ended
 from invid_service.metrics import Metrics
 from invid_service.problems import Problem
@@ -54,9 +53,8 @@ from invid_service.tuning.tunings import Tunings
 from invid_service.web.texts import said
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 Clock = Callable[[], datetime]
-_NAMED = re.compile(rf"{API}/(cells|identifications)/([^/]+)")
-"""The cell, or the run, that a path is about."""
 _DRIVES_REFUSED = ("drive", "bus")
 """Codes of runs that ended because a drive or the bus did not do its part."""
 _RETENTION_PERIOD_S = 3600.0
@@ -195,12 +193,7 @@ class Service:
             drives = asked.reasons
         elif mode != "simulate" and occupied is None:
             drives = await asyncio.to_thread(not_ready, cell.config)
-        answers, in_force = True, None
-        try:
-            async with asyncio.timeout(_STORE_PROBE_S):
-                in_force = await asyncio.to_thread(self.results.in_force, cell.id)
-        except (TimeoutError, SQLAlchemyError):
-            answers = False
+        answers, in_force = await self.ask_store(self.results.in_force, cell.id)
         return readiness(
             Situation(
                 config=cell.config,
@@ -217,6 +210,14 @@ class Service:
                 answer=self._answer(cell),
             )
         )
+
+    async def ask_store(self, question: Callable[..., T], *about: str) -> tuple[bool, T | None]:
+        """Return whether the store answers in time, and what."""
+        try:
+            async with asyncio.timeout(_STORE_PROBE_S):
+                return True, await asyncio.to_thread(question, *about)
+        except (TimeoutError, SQLAlchemyError):
+            return False, None
 
     def _answer(self, cell: Cell) -> Answer | None:
         """Return what the drives of a cell said last: to somebody who asked, or to the last run."""
@@ -289,26 +290,6 @@ class Service:
         if record is None:
             raise Problem("identification-not-found", f"no identification {run_id[:64]!r}")
         return record, self.jobs.live(run_id)
-
-    async def is_simulated(self, path: str, store_answers: bool) -> bool:
-        """True where a path of the interface names a cell, or a run of one, with no hardware behind it.
-
-        ``store_answers``: runs that ended are looked up; without it, those in memory count alone.
-        """
-        named = _NAMED.search(path)
-        if named is None:
-            return False
-        kind, identity = named.groups()
-        if kind == "cells":
-            return identity in self.cells and self.cells[identity].simulated
-        live = self.jobs.live(identity)
-        if live is not None or not store_answers:
-            return live is not None and live.record.simulated
-        try:
-            record, _ = await self.run(identity)
-        except Exception:  # within the answer to another failure: it must not become one itself
-            return False
-        return record.simulated
 
     def new_run(self, cell: Cell | None, mode: str, axes: list[str], caller: str) -> RunRecord:
         """Return a queued run with a fresh id that sorts by time."""

@@ -48,7 +48,6 @@ class LiveRun:
         self.unsaved = False
         """The store has not taken its state yet: memory alone knows it."""
         self.motion_ended = asyncio.Event()
-        self.changed = asyncio.Event()
         self.lock = asyncio.Lock()
         """One writer of states to the store at a time, in the order in which they happened."""
 
@@ -86,7 +85,6 @@ class LiveRun:
         }
         self.since = now
         event = self.events.append("state", data)
-        self._wake()
         if state in ENDED:
             self.events.close()
         return event
@@ -105,8 +103,3 @@ class LiveRun:
             **self.progress.model_dump(),
         }
         self.events.append("progress", data)
-        self._wake()
-
-    def _wake(self) -> None:
-        self.changed.set()
-        self.changed = asyncio.Event()

@@ -198,7 +198,7 @@ class JobManager:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(deadline):
                     while not run.ended:
-                        await run.changed.wait()
+                        await run.events.news.wait()
 
     async def arm(self, run: LiveRun) -> None:
         """Let the run move; WrongStateError where it does not wait for that. Twice is no error."""
@@ -366,7 +366,7 @@ class JobManager:
             try:
                 async with asyncio.timeout(bound):
                     while run.record.state is state and not (moves and run.progress.place != said):
-                        await run.changed.wait()
+                        await run.events.news.wait()
             except TimeoutError:
                 if run.wish is None:
                     run.note(error=error_of("timeout", state=str(state), seconds=f"{bound:.0f}"))
@@ -479,7 +479,7 @@ class JobManager:
             async with asyncio.timeout(self._settings.stop_grace_s + 3.0):
                 for run in runs:
                     while not run.ended:
-                        await run.changed.wait()
+                        await run.events.news.wait()
         # The state is in memory before it is in the store: let what is being written be written.
         if self._tasks:
             await asyncio.wait(list(self._tasks), timeout=_LAST_WORDS_S)

@@ -12,7 +12,16 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from fastapi.sse import format_sse_event
 
-from invid_service.dependencies import CellInPath, Context, FoundRun, Reader, Require, RunInPath, Runner
+from invid_service.dependencies import (
+    CellInPath,
+    Context,
+    FoundRun,
+    Known,
+    Reader,
+    Require,
+    RunInPath,
+    Runner,
+)
 from invid_service.events import EventLog, sse
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import WrongStateError
@@ -169,7 +178,7 @@ for _name, _operation, _text in (
     responses=problem_responses(409, 507),
 )
 async def act_on_identification(
-    identification: str, body: ActionBody, request: Request, service: Context
+    body: ActionBody, request: Request, service: Context, _caller: Known, run: RunInPath
 ) -> Identification:
     """Arm, cancel, accept or reject. Repeating what was already done is no error.
 
@@ -178,7 +187,6 @@ async def act_on_identification(
     """
     decides = body.type in ("accept", "reject")
     caller = await Require(Scope.ACCEPT if decides else Scope.RUN)(request)
-    run = FoundRun(*await service.run(identification))
     record = run.record
     facts = {"identification": record.id, "cell": record.cell, "state": str(record.state)}
     doubt = why_untrusted(record.mode, record.facts.get("summary"))
@@ -197,12 +205,12 @@ async def act_on_identification(
             service, body, run, Decision(body.type == "accept", body.by or caller.name, caller.name, override)
         )
     except WrongStateError:
-        now, _ = await service.run(identification)
+        now, _ = await service.run(record.id)
         text = f"{body.type!r} is not possible: the identification is {now.state}"
         raise Problem("wrong-state", text, state=str(now.state)) from None
     if body.type in ("cancel", "reject"):
         await asyncio.to_thread(service.audit.try_write, body.type, caller=caller.name, **facts)
-    return await _whole(service, FoundRun(*await service.run(identification)))
+    return await _whole(service, FoundRun(*await service.run(record.id)))
 
 
 async def _apply(service: Service, body: ActionBody, run: FoundRun, decision: Decision) -> None:

@@ -15,7 +15,7 @@ from invid.tuning.axis_loop import loops_from_json
 from invid.tuning.motor_scale import MotorScale
 from invid_drivers.values.applying import Proposal, apply, propose, undo, written_entries
 from invid_service.cells.registry import Cell
-from invid_service.dependencies import Accepter, Context, FoundRun, Reader, RunInPath, Runner
+from invid_service.dependencies import Accepter, Context, Reader, RunInPath, Runner, find_run
 from invid_service.jobs.files import artefact, file_responses
 from invid_service.jobs.protocol import TuningTask
 from invid_service.jobs.schema import RETRY_AFTER_S, PersonName, following
@@ -144,10 +144,10 @@ async def start_tuning(
     responses={**ACCEPTED, **problem_responses(409, 410)},
 )
 async def tune_model(
-    body: ModelTuningBody, response: Response, service: Context, caller: Runner
+    body: ModelTuningBody, request: Request, response: Response, service: Context, caller: Runner
 ) -> TuningState:
     """Work out values for the drives from a model, which has the id of its run."""
-    run = FoundRun(*await service.run(body.model))
+    run = await find_run(body.model, request, service)
     return await start_tuning(response, service, caller, run, body)
 
 
@@ -174,11 +174,13 @@ async def get_tuning(request: Request, service: Context, _caller: Reader, run: R
 @router.get("/models/tune/{model}", response_class=Response, responses=_ANSWERS)
 async def get_model_tuning(model: str, request: Request, service: Context, caller: Reader) -> Response:
     """Return what was worked out for this model."""
-    return await get_tuning(request, service, caller, FoundRun(*await service.run(model)))
+    return await get_tuning(request, service, caller, await find_run(model, request, service))
 
 
 @router.post("/models/tune/{model}/apply", response_model=Applied, responses=problem_responses(409))
-async def apply_tuning(model: str, body: ApplyBody, service: Context, caller: Accepter) -> Applied:
+async def apply_tuning(
+    model: str, body: ApplyBody, request: Request, service: Context, caller: Accepter
+) -> Applied:
     """Write these values into the drives of the cell, by a person's act.
 
     Without ``token`` the drives are asked and nothing is written: the answer lists every object, old and
@@ -186,7 +188,7 @@ async def apply_tuning(model: str, body: ApplyBody, service: Context, caller: Ac
     drives that are off or stand, and read back; where one is not taken, or holds another value than the list
     says, nothing stays written. ``undo`` writes back what the last act replaced.
     """
-    record, _ = await service.run(model)
+    record = (await find_run(model, request, service)).record
     cell = service.cell(record.cell or "")
     if (body.token is not None or body.undo) and body.name != cell.config.robot:
         raise Problem(
