@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
-from service_doubles import CELL, Director, model_document, running, settings_in, wait_for
+from service_doubles import CELL, START, Director, model_document, running, settings_in, start, wait_for
 from sqlalchemy.exc import OperationalError
 
 from invid.config import load_config
@@ -23,16 +23,7 @@ from invid_service.app import create_app
 from invid_service.settings import Settings
 from invid_service.store.database import open_engine
 
-START = "/api/v1/cells/cell/identifications"
 STOP = "/api/v1/cells/cell/stop"
-
-
-def start(client: TestClient, **body: Any) -> str:
-    answer = client.post(START, json={"mode": "full", "arm": True, **body})
-    assert answer.status_code == 202, answer.text
-    assert int(answer.headers["Retry-After"]) >= 1
-    location: str = answer.headers["Location"]
-    return location
 
 
 def act(client: TestClient, location: str, kind: str) -> Any:
