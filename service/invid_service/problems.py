@@ -62,19 +62,6 @@ STATUSES: dict[str, int] = {
 """id -> status; its title is `problem.<id>` of the catalogue. Ids are stable: never renamed, never given
 another meaning."""
 
-_BY_STATUS = {
-    400: "bad-request",
-    401: "key-missing",
-    403: "scope-missing",
-    404: "not-found",
-    405: "method-not-allowed",
-    408: "upload-stalled",
-    411: "length-required",
-    413: "too-large",
-    415: "unsupported-media-type",
-    422: "invalid-request",
-    503: "store-unavailable",
-}
 log = logging.getLogger(__name__)
 
 
@@ -220,9 +207,8 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def _http(request: Request, error: HTTPException) -> JSONResponse:
-        kind = _BY_STATUS.get(
-            error.status_code, "bad-request" if error.status_code < 500 else "internal-error"
-        )
+        others = ["bad-request" if error.status_code < 500 else "internal-error"]
+        kind = (_kinds(error.status_code) or others)[0]
         detail = {
             404: f"nothing is served at {request.url.path}; the calls are listed in /api/v1/openapi.json",
             405: f"{request.method} is not possible at {request.url.path}",
