@@ -33,7 +33,6 @@ KINDS_OF_ERROR = (
     "DiskFullError", "ConfigError", "RecordingError", "NotIdentifiableError", "SafetyStop", "DriveError",
     "BusError",
 )  # fmt: skip
-ENDS = ("SafetyStop", "DriveError", "BusError")
 FAMILIES = {key.split(".")[0] for key in ENGLISH}
 
 
