@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from invid.recording.import_map import ImportMap
     from invid.recording.model import Recording
     from invid.simulators.guided import Simulator
+    from invid.tuning.axis_loop import AxisLoop
     from invid.tuning.forms import WrittenTuning
-    from invid.tuning.simulated_loops import AxisLoop
     from invid.tuning.tune import Tuning
 
 Masses = Sequence[int] | Literal["auto"] | None
@@ -415,7 +415,7 @@ def tune(
     from invid.errors import InputError
     from invid.model.document import load_json
     from invid.numerics.immutable import immutable
-    from invid.tuning.document import loops_from_json
+    from invid.tuning.axis_loop import loops_from_json
     from invid.tuning.servo_loop import DriveTiming
     from invid.tuning.tune import READ, TuneSettings, tune_model
 

@@ -24,9 +24,10 @@ import numpy as np
 import invid
 from invid.config import CellConfig
 from invid.recording import read_recording
+from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.feedforward import NONE
 from invid.tuning.servo_loop import DriveTiming
-from invid.tuning.simulated_loops import AxisLoop, Command, LoopRun, move_figures, run_loops
+from invid.tuning.simulated_loops import Command, LoopRun, move_figures, run_loops
 from invid.tuning.verification import verify
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.simulated.cell import SimulatedCell

@@ -8,9 +8,10 @@ pattern that tells a whole line of candump's log has read it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import reload
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ import can
 import dpkt
 import numpy as np
 import polars as pl
+from can.io import mf4
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool
@@ -35,11 +37,13 @@ READ = (
     "captures of "
     "Wireshark (pcap, pcapng), and BLF, PEAK TRC, MF4 of frames, and python-can's CSV and SQLite"
 )
-STARTS = {
-    b"LOGG": can.BLFReader, b"MDF     ": can.MF4Reader, b"SQLite format 3": can.SqliteReader,
-    b";$FILEVERSION": can.TRCReader, b"timestamp,arbitration_id,": can.CSVReader,
+STARTS: dict[bytes, Callable[[Path], Iterable[Any]]] = {
+    b"LOGG": can.BLFReader, b"MDF     ": lambda path: reload(mf4).MF4Reader(path),
+    b"SQLite format 3": can.SqliteReader, b";$FILEVERSION": can.TRCReader,
+    b"timestamp,arbitration_id,": can.CSVReader,
 }  # fmt: skip
-"""Readers of python-can by a file's first bytes, whatever its name."""
+"""Readers of python-can by a file's first bytes, whatever its name; that of MF4 finds asammdf only now (see
+``invid_drivers``)."""
 _ERROR = 0x20000000
 """Flag of an error frame in SocketCAN's identifier; the two above are extended and remote."""
 _REMOTE = 0x40000000

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import IO, Any, Literal
 
@@ -60,15 +60,17 @@ class Judgement:
 # --- from the cycle --------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class LastSeen:
-    """What an axis was seen to be, and when [s since 1970]."""
+    """What an axis was last seen to be, and when [s since 1970]; ``None``: it was not seen under power."""
 
     axis: str
-    state: str
-    at: float
+    state: str | None = None
+    at: float | None = None
 
     @property
     def sentence(self) -> str:
         """In words."""
+        if self.state is None:
+            return f"axis {self.axis} was not seen under power"
         when = time.strftime("%H:%M:%S", time.localtime(self.at))
         return f"axis {self.axis} was last seen {self.state}, at {when}"
 
@@ -79,15 +81,10 @@ class AxisStates:
 
     axes: tuple[LastSeen, ...] = ()
 
-    def of(self, names: Sequence[str]) -> tuple[str, ...]:
-        """A sentence for each of these axes, seen or not: of whoever lost the process that knew them."""
+    def of(self, names: Sequence[str]) -> tuple[LastSeen, ...]:
+        """Each of these axes, seen or not: for whoever lost the process that knew them."""
         seen = {a.axis: a for a in self.axes}
-        return tuple(seen[n].sentence if n in seen else f"axis {n} was not seen under power" for n in names)
-
-    def to_json(self, names: Sequence[str]) -> list[dict[str, Any]]:
-        """Plain values of each of these axes; ``state`` and ``at`` ``None`` where it was not seen."""
-        seen = {a.axis: asdict(a) for a in self.axes}
-        return [seen.get(n, {"axis": n, "state": None, "at": None}) for n in names]
+        return tuple(seen.get(name, LastSeen(name)) for name in names)
 
 
 @dataclass(frozen=True)
@@ -152,34 +149,42 @@ class Known(BaseModel):
     """Causes that are of interest."""
 
 
-@dataclass(frozen=True)
-class RunProgress:
+class FoundCause(BaseModel):
+    """A cause found while the analysis still looks."""
+
+    cause: str
+    axis: str
+    other_axis: str | None
+    element: str | None
+
+
+class RunProgress(BaseModel):
     """How far a run is."""
 
-    fraction: float = 0.0
+    model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
+    progress: float = Field(default=0.0, ge=0, le=1)
     phase: str = ""
     axis: str | None = None
     frequency: float | None = None
     """[Hz]"""
     eta_s: float | None = None
-    motion_left_s: float | None = None
-    cause: str | None = None
-    """What the analysis weighs."""
+    """Until the result, as the last runs took, in the analysis of a first one as its own stages took [s];
+    ``null`` where that is not known: it is the first and moves yet, or it takes longer than they did."""
     most_s: float | None = None
-    found: tuple[dict[str, Any], ...] = ()
+    """Until the analysis ends at the latest, with its best answer so far [s]."""
+    motion_left_s: float | None = None
+    """Until the axes are at rest, by the plan; ``null`` where nothing moves [s]."""
+    cause: str | None = None
+    """What the analysis weighs now; its axis is ``axis``."""
+    found: list[FoundCause] = []
+    """What the analysis found so far; it still looks."""
     known: Known | None = None
+    """What the runs so far tell, while the next one moves: the measurement ends when that is enough."""
 
     @property
     def place(self) -> tuple[float, str, str | None]:
         """Where it is: a run that goes on comes to another one."""
-        return self.fraction, self.phase, self.axis
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the members that the contract names."""
-        document = asdict(self)
-        fraction = document.pop("fraction")
-        known = None if self.known is None else self.known.model_dump()
-        return {"progress": fraction, **document, "known": known, "found": list(self.found)}
+        return self.progress, self.phase, self.axis
 
 
 @dataclass(frozen=True)
@@ -205,6 +210,12 @@ class ErrorInfo(BaseModel):
     code: str
     text: str
     fix: str
+    values: dict[str, str] | None = None
+    """What stands in the text, where the service itself says it by the code."""
+    axes: list[LastSeen] | None = None
+    """Of a run whose axes nobody saw at rest: what each was seen to be last."""
+    known: list[str] | None = None
+    """What else is known of them."""
 
 
 @dataclass(frozen=True)

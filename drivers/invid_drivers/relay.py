@@ -80,7 +80,7 @@ def measure_in_process(
         failure = _end(relay, process, ended)
         if process.child.returncode:  # it was killed, or died: nobody has told
             names = [a.name for a in config.axes]
-            note_left(ended, (*relay.states.of(names), *known_after_death(config, 0.0)))
+            note_left(ended, (*(a.sentence for a in relay.states.of(names)), *known_after_death(config, 0.0)))
         if failure is not None and failure is not ended:
             note_left(ended, (str(failure),))
         raise ended from None

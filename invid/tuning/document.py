@@ -1,4 +1,4 @@
-"""The tuning as a document: JSON, a table of values with their units, and the way back to an axis' loops."""
+"""The tuning as a document: JSON, and a table of values with their units; ``axis_loop`` reads it."""
 
 from __future__ import annotations
 
@@ -7,25 +7,15 @@ import io
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from pydantic import BaseModel, BeforeValidator, Field, ValidationError
-
-from invid.errors import InputError
 from invid.model.document import (
-    Model,
-    describe_validation_error,
     effect_to_json,
-    model_from_json,
     model_to_json,
 )
-from invid.tuning.servo_loop import DriveTiming
-from invid.tuning.simulated_loops import AxisLoop
+from invid.tuning.axis_loop import FORMAT, FORMAT_VERSION, AxisLoop
 from invid.tuning.tune import AxisTuning, Repair, Tuning
 from invid.wording.statement import LANGUAGES, say
-
-FORMAT = "invid-tuning"
-FORMAT_VERSION = 1
 
 
 class Value(NamedTuple):
@@ -173,45 +163,3 @@ def repair_sentence(r: Repair, unit: str) -> str:
     if now - then < 0.01 * now:
         return f"without {place} the new values would do no better"
     return f"without {place} the {name} falls from {1e3 * now:.3g} to {1e3 * then:.3g} m{unit}"
-
-
-def _with_integral(side: Any) -> Any:
-    """One side of an axis; gains that somebody wrote by hand may leave the integral out."""
-    gains = side.get("gains") if isinstance(side, dict) else None
-    return {**side, "gains": {"integral_time": None, **gains}} if isinstance(gains, dict) else side
-
-
-class _AxisJson(BaseModel):
-    axis: str
-    after: Annotated[AxisLoop, BeforeValidator(_with_integral)]
-
-
-class _TuningJson(BaseModel):
-    format: str = Field(pattern=f"^{FORMAT}$")
-    format_version: int = Field(ge=1, le=FORMAT_VERSION)
-    axes: list[_AxisJson]
-    cycle_s: float = Field(default=0.001, gt=0, allow_inf_nan=False)
-    dead_cycles: int = Field(default=1, ge=0)
-    model: dict[str, Any] | None = None
-
-
-def prediction_from_json(document: Any, source: str) -> tuple[Model, dict[str, AxisLoop], DriveTiming]:
-    """Model, loops and timing on which a tuning's margins stand; InputError where it does not hold them."""
-    loops = loops_from_json(document, source)
-    read = _TuningJson.model_validate(document)
-    if read.model is None:
-        raise InputError(f"{source}: it holds no model, so nothing is predicted; tune anew")
-    return model_from_json(read.model, source=source), loops, DriveTiming(read.cycle_s, read.dead_cycles)
-
-
-def loops_from_json(document: Any, source: str) -> dict[str, AxisLoop]:
-    """The ``after`` of every axis of an ``invid-tuning`` document, by its name; InputError says what is
-    wrong.
-
-    Written by hand it needs ``format``, ``format_version`` and per axis ``after.gains``.
-    """
-    try:
-        read = _TuningJson.model_validate(document)
-    except ValidationError as error:
-        raise InputError(describe_validation_error(error, source)) from None
-    return {a.axis: a.after for a in read.axes}

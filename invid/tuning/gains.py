@@ -23,8 +23,9 @@ from scipy.linalg import LinAlgWarning
 
 from invid.exchange.linear_plant import LinearPlant
 from invid.numerics.arrays import Complex128, Float64
+from invid.tuning.closed_loop import closed_loop
 from invid.tuning.margins import DrawnPlants, held_modes
-from invid.tuning.servo_loop import DriveTiming, Gains, Notch, closed_loop, controller_response
+from invid.tuning.servo_loop import DriveTiming, Gains, Notch, controller_response
 
 SENSITIVITY = 1.7
 """Largest |S| in the draws that a design sees."""

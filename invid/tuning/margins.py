@@ -18,7 +18,8 @@ import scipy.linalg
 from invid.exchange.linear_plant import LinearPlant
 from invid.model.matrices import natural_frequencies
 from invid.numerics.arrays import Complex128, Float64
-from invid.tuning.servo_loop import DriveTiming, Gains, closed_loop, controller_response, held_plant_response
+from invid.tuning.closed_loop import closed_loop
+from invid.tuning.servo_loop import DriveTiming, Gains, controller_response, held_plant_response
 
 SEEN = 0.02
 """Empirical: least share of a mode's motion at a motor by which it counts as seen there."""

@@ -17,8 +17,9 @@ import numpy as np
 
 from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
+from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.servo_loop import DriveTiming, speed_response
-from invid.tuning.simulated_loops import BAND, AxisLoop, Command, run_loops
+from invid.tuning.simulated_loops import BAND, Command, run_loops
 
 SETTLED = 2
 """Periods of shaking that are simulated; the last counts."""

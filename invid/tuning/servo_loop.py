@@ -1,5 +1,4 @@
-"""The cascade of a drive at its motor encoder, its values, and its response and state space by
-python-control.
+"""The cascade of a drive at its motor encoder: its values and its response.
 
 Each cycle T of the drive, from the position q that the motor encoder shows (v its backward difference) and
 the commanded motion r:
@@ -14,18 +13,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache, reduce
-from typing import Annotated, Any
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated
 
-import control
 import numpy as np
 from annotated_types import Gt
 from pydantic import BeforeValidator
-from scipy.signal import bilinear
 
 from invid.exchange.linear_plant import LinearPlant
-from invid.exchange.statespace import state_space
 from invid.numerics.arrays import Complex128, Float64, frozen_float
 
 Positive = Annotated[float, Gt(0)]
@@ -49,9 +45,12 @@ class Notch:
 def _biquad(notch: Notch, cycle: float) -> tuple[Float64, Float64]:
     w = 2 * np.pi * notch.frequency
     warped = 2.0 / cycle * np.tan(min(w * cycle / 2.0, 1.5))
-    top, bottom = ([1.0, 2 * d * warped, warped**2] for d in (notch.zero_damping, notch.pole_damping))
-    b, a = bilinear(top, bottom, 1.0 / cycle)
-    return frozen_float(b), frozen_float(a)
+    # Tustin's rule: s = k (1 − z⁻¹) / (1 + z⁻¹)
+    k = 2.0 / cycle
+    square, sides = k**2 + warped**2, 2.0 * (warped**2 - k**2)
+    zero, pole = (2.0 * d * warped * k for d in (notch.zero_damping, notch.pole_damping))
+    b, a = [square + zero, sides, square - zero], [square + pole, sides, square - pole]
+    return frozen_float(np.array(b) / a[0]), frozen_float(np.array(a) / a[0])
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class DriveTiming:
         return (self.cycles(delay) + 1.0) * self.cycle + lag
 
 
-def _sections(gains: Gains, timing: DriveTiming) -> list[tuple[Float64, Float64]]:
+def sections(gains: Gains, timing: DriveTiming) -> list[tuple[Float64, Float64]]:
     """Numerators and denominators in z⁻¹ from the speed that is missed to torque: integral, then notches."""
     if math.isinf(gains.integral_time):  # no pole that its zero would only seem to cancel
         pi = np.array([gains.velocity_gain]), np.ones(1)
@@ -102,19 +101,19 @@ def _sections(gains: Gains, timing: DriveTiming) -> list[tuple[Float64, Float64]
     return [pi, *(notch.coefficients(timing.cycle) for notch in gains.notches)]
 
 
-def _place_section(gains: Gains, timing: DriveTiming) -> tuple[Float64, Float64]:
+def place_section(gains: Gains, timing: DriveTiming) -> tuple[Float64, Float64]:
     """The same from the place that is missed to the speed that is."""
     return np.array([gains.position_gain + 1.0 / timing.cycle, -1.0 / timing.cycle]), np.array([1.0, 0.0])
 
 
 def controller_response(gains: Gains, timing: DriveTiming, omega: Float64) -> Complex128:
     """(F,) torque per position error at ω [rad/s], without dead time and hold."""
-    return speed_response(gains, timing, omega) * _response([_place_section(gains, timing)], timing, omega)
+    return speed_response(gains, timing, omega) * _response([place_section(gains, timing)], timing, omega)
 
 
 def speed_response(gains: Gains, timing: DriveTiming, omega: Float64) -> Complex128:
     """(F,) torque per speed error at ω [rad/s], without dead time and hold."""
-    return _response(_sections(gains, timing), timing, omega)
+    return _response(sections(gains, timing), timing, omega)
 
 
 def _response(sections: Sequence[tuple[Float64, Float64]], timing: DriveTiming, omega: Float64) -> Complex128:
@@ -128,79 +127,11 @@ def _response(sections: Sequence[tuple[Float64, Float64]], timing: DriveTiming, 
 def held_plant_response(plant: LinearPlant, timing: DriveTiming, omega: Float64) -> Complex128:
     """(F, M, M) motor positions per torque commanded: plant, lag, hold over a cycle and dead time.
 
-    Images of the sampling are left out; whether a loop is stable is asked of ``closed_loop``, which is exact.
+    Images of the sampling are left out; whether a loop is stable is asked of ``closed_loop``, which is
+    exact.
     """
     dead = np.array([timing.cycles(d) for d in plant.delay]) * timing.cycle
     w = np.asarray(omega)[:, None]
     hold = np.exp(-1j * w * (dead + timing.cycle / 2.0)) * np.sinc(w * timing.cycle / 2.0 / np.pi)
     result: Complex128 = plant.response(omega) * hold[:, None, :]
     return result
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedLoop:
-    """A machine under its drives: poles in z, and the response of its loads to torques on them."""
-
-    poles: Complex128
-    cycle: float
-    load_compliance: Any = field(repr=False)
-    """``control.StateSpace`` from a torque at each load to its position (M inputs, M outputs)."""
-
-    @property
-    def is_stable(self) -> bool:
-        """Whether all poles lie within the unit circle."""
-        return bool(np.abs(self.poles).max() < 1.0)
-
-    def modes(self) -> tuple[Float64, Float64]:
-        """Frequencies [Hz] and damping ratios of the poles that oscillate, by frequency."""
-        inside = self.poles[(np.abs(self.poles) > 1e-6) & (self.poles.imag > 1e-9)]
-        s = np.log(inside) / self.cycle
-        order = np.argsort(np.abs(s))
-        size = np.abs(s[order])
-        return size / (2 * np.pi), -s[order].real / size
-
-
-def closed_loop(plant: LinearPlant, gains: tuple[Gains, ...], timing: DriveTiming) -> ClosedLoop:
-    """Exact sampled loops of all axes on the linear plant: torques held over a cycle and late by whole
-    cycles."""
-    motors, n = len(plant.motors), plant.mass.shape[0]
-    system = state_space(plant)
-    ends = [int(i) for i in plant.chains.end_dofs]
-    push = np.zeros((system.a.shape[0], motors))
-    push[n : 2 * n] = np.linalg.solve(plant.mass, np.eye(n)[:, ends])
-    loads = np.zeros((motors, system.a.shape[0]))
-    loads[np.arange(motors), ends] = 1.0
-    b, c = np.hstack([system.b, push]), np.vstack([system.c, loads])
-    sampled = control.sample_system(
-        control.ss(system.a, b, c, np.zeros((2 * motors, 2 * motors))), timing.cycle, "zoh"
-    )
-    late = [_late(controller(g, timing), timing.cycles(d)) for g, d in zip(gains, plant.delay, strict=True)]
-    back = control.append(*late, *([control.ss([], [], [], [[0.0]], timing.cycle)] * motors))
-    closed = control.feedback(sampled, back)
-    compliance = control.ss(
-        closed.A, closed.B[:, motors:], closed.C[motors:], closed.D[motors:, motors:], timing.cycle
-    )
-    return ClosedLoop(np.asarray(closed.poles()), timing.cycle, compliance)
-
-
-def controller(gains: Gains, timing: DriveTiming) -> Any:
-    """``control.StateSpace`` of ``controller_response``."""
-    return speed_controller(gains, timing) * _state_space(*_place_section(gains, timing), timing)
-
-
-def speed_controller(gains: Gains, timing: DriveTiming, dead_cycles: int = 0) -> Any:
-    """``control.StateSpace`` of ``speed_response``, its output ``dead_cycles`` later."""
-    parts = [_state_space(b, a, timing) for b, a in _sections(gains, timing)]
-    return _late(reduce(lambda before, part: part * before, parts), dead_cycles)
-
-
-def _state_space(b: Float64, a: Float64, timing: DriveTiming) -> Any:
-    return control.tf2ss(control.tf(b, a, timing.cycle))
-
-
-def _late(system: Any, cycles: int) -> Any:
-    """The system with its output ``cycles`` cycles later."""
-    if cycles == 0:
-        return system
-    shift = control.ss(np.eye(cycles, k=-1), np.eye(cycles)[:, :1], np.eye(cycles)[-1:], [[0.0]], system.dt)
-    return shift * system

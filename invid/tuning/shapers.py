@@ -12,16 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.numerics.arrays import Complex128, Float64
-from invid.tuning.servo_loop import ClosedLoop
+from invid.numerics.arrays import Float64
 
 TOLERANCE = 0.05
 """Vibration that may stay, as a share of that without a shaper."""
 DAMPED = 3.0 / (2.0 * np.pi)
 """Damping ratio from which a vibration falls to a twentieth in less than a period, the length of ZVD and EI:
 no shaper is faster than that."""
-DOMINANT = 0.3
-"""Empirical: share of the largest amplitude from which a mode counts as one of a load."""
 
 
 @dataclass(frozen=True)
@@ -61,23 +58,6 @@ def _ei(k: float) -> tuple[Float64, Float64]:
 
 KINDS: dict[str, Callable[[float], tuple[Float64, Float64]]] = {"zv": _zv, "zvd": _zvd, "ei": _ei}
 """The shortest first; times in damped periods."""
-
-
-def load_mode(loop: ClosedLoop, axis: int) -> tuple[float, float] | None:
-    """Frequency [Hz] and damping ratio of the lowest mode in which the load of an axis swings; ``None`` where
-    nothing does."""
-    system = loop.load_compliance
-    poles, right = np.linalg.eig(system.A)
-    left = np.linalg.pinv(right)
-    size: Float64 = np.abs((system.C[axis] @ right) * (left @ system.B[:, axis]))
-    swinging = (poles.imag > 1e-9) & (np.abs(poles) > 1e-6)
-    if not swinging.any():
-        return None
-    s: Complex128 = np.log(poles[swinging]) / loop.cycle
-    size = size[swinging]
-    large = s[size >= DOMINANT * size.max()]
-    lowest = large[np.argmin(np.abs(large))]
-    return float(np.abs(lowest)) / (2 * np.pi), float(-lowest.real / np.abs(lowest))
 
 
 def residual_vibration(shaper: Shaper, frequency: float, damping: float) -> float:

@@ -18,10 +18,10 @@ from invid.numerics.arrays import Float64
 from invid.simulation.kernel import march
 from invid.simulation.laws import compiled_laws, laws_of, static_table
 from invid.simulation.plant import discretise, matrices
-from invid.tuning.feedforward import NONE, Feedforward
+from invid.tuning.axis_loop import AxisLoop
+from invid.tuning.closed_loop import speed_controller
 from invid.tuning.margins import held_modes
-from invid.tuning.servo_loop import DriveTiming, Gains, speed_controller
-from invid.tuning.shapers import Shaper
+from invid.tuning.servo_loop import DriveTiming
 
 FINENESS = 0.25
 """Largest angle [rad] of the fastest mode in a sub-step."""
@@ -35,15 +35,6 @@ LEAST_CYCLES = 200
 """Of the drive in the move: a faster one shows its sampling."""
 BAND = 0.01
 """An axis has settled where it stays within this share of the move."""
-
-
-@dataclass(frozen=True)
-class AxisLoop:
-    """All that the drive of one axis is given."""
-
-    gains: Gains
-    feedforward: Feedforward = NONE
-    shaper: Shaper | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,14 +13,15 @@ from invid.exchange.linear_plant import LeftOut, LinearPlant, linear_plant
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import EffectTerm, Estimate, Model
 from invid.numerics.arrays import Float64
+from invid.tuning.axis_loop import AxisLoop
+from invid.tuning.closed_loop import ClosedLoop, closed_loop, load_mode
 from invid.tuning.feedforward import NONE, Feedforward, feedforward
 from invid.tuning.gains import PROMISE, design_gains, gains_at, own_inertias, slower
 from invid.tuning.margins import Margins, drawn_plants, seen_modes, worst_margins
 from invid.tuning.plant_draws import LOOP_CAUSES, candidates, drawn_models
-from invid.tuning.servo_loop import ClosedLoop, DriveTiming, Gains, closed_loop
-from invid.tuning.shapers import Shaper, choose_shaper, load_mode
+from invid.tuning.servo_loop import DriveTiming, Gains
+from invid.tuning.shapers import Shaper, choose_shaper
 from invid.tuning.simulated_loops import (
-    AxisLoop,
     Command,
     LoopRun,
     MoveFigures,

@@ -21,12 +21,13 @@ from invid.exchange.linear_plant import LinearPlant, linear_plant
 from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording import Experiment, Recording
+from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.gains import own_inertias
 from invid.tuning.margins import DrawnPlants, axis_margins, drawn_plants
 from invid.tuning.measured_moves import asked_torque, lateness, motor_figures, shaken_motion
 from invid.tuning.plant_draws import drawn_models
 from invid.tuning.servo_loop import DriveTiming, held_plant_response
-from invid.tuning.simulated_loops import AxisLoop, Command, reference_move, run_loops
+from invid.tuning.simulated_loops import Command, reference_move, run_loops
 from invid.tuning.tune import SPREAD_DRAWS, bearable, sensors_of, softened
 
 DRAWS, SEED = 60, 0

@@ -12,12 +12,12 @@ from invid_service import health, problems
 from invid_service.cells.router import router as cells
 from invid_service.cells.series import router as series
 from invid_service.cells.state import router as state
-from invid_service.jobs.drawing import router as drawing
+from invid_service.jobs.files import router as files
 from invid_service.jobs.launcher import Launcher, launch_process
 from invid_service.jobs.router import router as identifications
 from invid_service.links import API
 from invid_service.middleware import Guard
-from invid_service.openapi import complete_schema, operation_id
+from invid_service.openapi import complete_schema
 from invid_service.recordings.router import router as recordings
 from invid_service.service import Clock, build, utc_now
 from invid_service.settings import Settings
@@ -60,11 +60,11 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
         openapi_url=f"{API}/openapi.json",
         docs_url=None,  # Swagger's page comes from a CDN; cells are offline
         redoc_url=None,
-        generate_unique_id_function=operation_id,
+        generate_unique_id_function=lambda route: route.name,
     )
     app.state.service = service
-    problems.install(app, service.is_simulated)
-    for router in (cells, state, series, identifications, drawing, tuning, recordings, health.router):
+    problems.install(app)
+    for router in (cells, state, series, identifications, files, tuning, recordings, health.router):
         app.include_router(router, prefix=API)
     # The usual addresses of supervision, beside those under the version.
     app.include_router(health.router, include_in_schema=False)

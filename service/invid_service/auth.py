@@ -7,14 +7,12 @@ one, everyone is asked for a key, loopback too: behind a reverse proxy every req
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated
 
-from fastapi import Depends, Request
+from fastapi import Request
 
 from invid.errors import ConfigError
-from invid_service.keys import LOCAL, NOBODY, Caller, KeyRefusedError, Keys, Scope
+from invid_service.keys import LOCAL, Caller, KeyRefusedError, Keys
 from invid_service.problems import Problem
-from invid_service.query import refuse_unknown_parameters
 from invid_service.settings import Settings, is_loopback
 
 OWN_PAGE = "x-requested-with"
@@ -54,7 +52,7 @@ def identify_caller(request: Request) -> Caller:
     """
     settings: Settings = request.app.state.service.settings
     keys: Keys = request.app.state.service.keys
-    _refuse_other_sites(request)
+    refuse_other_sites(request)
     token = _token(request)
     if not keys.configured and settings.loopback:
         if token is not None:
@@ -96,7 +94,7 @@ def _host_name(request: Request) -> str:
     return host if host.endswith("]") else host.rsplit(":", 1)[0]
 
 
-def _refuse_other_sites(request: Request) -> None:
+def refuse_other_sites(request: Request) -> None:
     """Raise Problem where another site's page calls: its origin is not the host that was asked for.
 
     A proxy may have changed the host: our own page is known by a header too that a browser adds to no other
@@ -113,41 +111,3 @@ def _refuse_other_sites(request: Request) -> None:
         f"a page of {origin!r} may not call this service, which was asked for as {host!r}; a reverse "
         f"proxy has to pass the header Host on, or the page has to send {OWN_PAGE}: invid",
     )
-
-
-class Require:
-    """FastAPI dependency that returns the caller, who must have ``scope``."""
-
-    def __init__(self, scope: Scope) -> None:
-        self.scope = scope
-
-    async def __call__(self, request: Request) -> Caller:
-        caller = identify_caller(request)
-        if not caller.may(self.scope):
-            raise Problem(
-                "scope-missing",
-                f"the key {caller.name!r} lacks the scope {self.scope}",
-                scope=str(self.scope),
-            )
-        refuse_unknown_parameters(request)
-        return caller
-
-
-Reader = Annotated[Caller, Depends(Require(Scope.READ))]
-Runner = Annotated[Caller, Depends(Require(Scope.RUN))]
-Accepter = Annotated[Caller, Depends(Require(Scope.ACCEPT))]
-Admin = Annotated[Caller, Depends(Require(Scope.ADMIN))]
-
-
-async def _stopping_caller(request: Request) -> Caller:
-    """Return whoever asks for a stop: with a key that is missing, wrong or revoked, or through a proxy that
-    changes the host, it stops as well.
-    """
-    _refuse_other_sites(request)
-    try:
-        return identify_caller(request)
-    except Problem:
-        return NOBODY
-
-
-Stopper = Annotated[Caller, Depends(_stopping_caller)]

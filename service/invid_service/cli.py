@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from invid.cli.output import emit, note
-from invid.errors import ConfigError
+from invid_service.keys import add_key, read_keys, revoke_key
 
 
 def register(app: typer.Typer) -> None:
@@ -23,9 +23,6 @@ def register(app: typer.Typer) -> None:
         port: int = typer.Option(None, min=0, max=65535, help="Port; 0 takes a free one."),
         data_dir: Path = typer.Option(None, help="Folder of the store; default .invid."),
         key_file: Path = typer.Option(None, help="File with the hashed keys."),
-        add_key: str = typer.Option(
-            None, metavar="NAME:SCOPES", help="Add a key to --key-file, print it once and end."
-        ),
         database_url: str = typer.Option(None, help="SQLAlchemy URL instead of SQLite in the data folder."),
         root_path: str = typer.Option(
             None, help="Path under which a reverse proxy shows the service: /invid."
@@ -35,9 +32,6 @@ def register(app: typer.Typer) -> None:
         ),
         json_logs: bool = typer.Option(False, "--json-logs", help="Logs as JSON lines."),
     ) -> None:
-        if add_key is not None:
-            _add_key(key_file, add_key)
-            return
         from invid_service.serving import serve_forever, settings_from
 
         given = {
@@ -70,7 +64,12 @@ def register_keys(app: typer.Typer) -> None:
         days: float = typer.Option(None, min=0.001, help="The key ends after so many days."),
     ) -> None:
         """Add a key and print it, this once."""
-        _add_key(key_file, key, days)
+        name, _, scopes = key.partition(":")
+        expires = None if days is None else datetime.now(UTC) + timedelta(days=days)
+        wanted = [s.strip() for s in scopes.split(",") if s.strip()]
+        token = add_key(key_file, name, wanted, expires=expires)
+        note(f"added {name!r} to {key_file}; the key is shown this once:")
+        typer.echo(token)
 
     @keys.command("list")
     def show(
@@ -78,8 +77,6 @@ def register_keys(app: typer.Typer) -> None:
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> None:
         """Print id, name, scopes and end of every key; never the key itself."""
-        from invid_service.keys import read_keys
-
         now = datetime.now(UTC)
         rows = [
             {**k.model_dump(mode="json", exclude={"sha256"}), "expired": k.expired(now)}
@@ -104,21 +101,7 @@ def register_keys(app: typer.Typer) -> None:
         key_file: Path = file,
     ) -> None:
         """Take a key out of the file."""
-        from invid_service.keys import revoke_key
-
         gone = revoke_key(key_file, key)
         note(f"revoked {gone.id} ({gone.name}); a running service refuses it within a second")
 
     app.add_typer(keys, name="keys")
-
-
-def _add_key(key_file: Path | None, text: str, days: float | None = None) -> None:
-    from invid_service.keys import add_key
-
-    if key_file is None:
-        raise ConfigError("--add-key needs --key-file: the file the key's hash is added to")
-    name, _, scopes = text.partition(":")
-    expires = None if days is None else datetime.now(UTC) + timedelta(days=days)
-    token = add_key(key_file, name, [s.strip() for s in scopes.split(",") if s.strip()], expires=expires)
-    note(f"added {name!r} to {key_file}; the key is shown this once:")
-    typer.echo(token)

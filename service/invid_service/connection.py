@@ -16,7 +16,7 @@ import time
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from invid_service.problems import CATALOGUE, MEDIA_TYPE, URN
+from invid_service.problems import MEDIA_TYPE, document_of
 
 _FILES = 65536
 _RESERVED = 128
@@ -58,8 +58,7 @@ class Connection(H11Protocol):
 
     def send_400_response(self, msg: str) -> None:
         """Answer bytes that are no HTTP request with a problem document."""
-        status, title = CATALOGUE["bad-request"]
-        document = {"type": f"{URN}bad-request", "title": title, "status": status, "detail": msg}
+        document = document_of("bad-request", msg)
         body = json.dumps(document).encode()
         headers = [
             (b"content-type", MEDIA_TYPE.encode()),
@@ -68,7 +67,7 @@ class Connection(H11Protocol):
         ]
         with contextlib.suppress(h11.LocalProtocolError):
             for event in (
-                h11.Response(status_code=status, headers=headers, reason=b"Bad Request"),
+                h11.Response(status_code=document["status"], headers=headers, reason=b"Bad Request"),
                 h11.Data(data=body),
                 h11.EndOfMessage(),
             ):

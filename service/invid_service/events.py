@@ -31,7 +31,8 @@ class EventLog:
         self._last = self._events[-1].id if self._events else 0
         self._now_ms = now_ms or (lambda: int(time.time() * 1000))
         self._closed = False
-        self._news = asyncio.Event()
+        self.news = asyncio.Event()
+        """Set at the next event, or the end; then another one takes its place."""
 
     def append(self, kind: str, data: Mapping[str, Any]) -> StoredEvent:
         """Add an event and wake the followers."""
@@ -47,8 +48,8 @@ class EventLog:
         self._wake()
 
     def _wake(self) -> None:
-        self._news.set()
-        self._news = asyncio.Event()
+        self.news.set()
+        self.news = asyncio.Event()
 
     def behind(self, after: int) -> list[StoredEvent]:
         """Return events with ids above ``after``."""
@@ -57,7 +58,7 @@ class EventLog:
     async def follow(self, after: int, keep_alive_s: float) -> AsyncIterator[StoredEvent | None]:
         """Yield events with ids above ``after``; ``None`` where nothing happened for ``keep_alive_s``."""
         while True:
-            news, closed = self._news, self._closed
+            news, closed = self.news, self._closed
             for event in self.behind(after):
                 after = event.id
                 yield event

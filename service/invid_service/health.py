@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel
-from sqlalchemy.exc import SQLAlchemyError
 
 from invid import __version__
-from invid_service.auth import Admin, Reader
-from invid_service.context import Context
+from invid_service.dependencies import Admin, Context, Reader
 from invid_service.metrics import CellFacts
 from invid_service.problems import EVERYWHERE, ROOM, Problem, problem_responses
 from invid_service.service import Service
 
-_STORE_S = 1.0
-"""Longest wait for the store."""
 _LOOKED_AT = 20
 """Runs of a cell among which its last result is."""
 router = APIRouter(tags=["operations"], responses=EVERYWHERE)
@@ -59,11 +54,9 @@ async def get_service_readiness(service: Context) -> Ready:
     service is going down.
     """
     free = service.blobs.free_bytes()
-    try:
-        async with asyncio.timeout(_STORE_S):
-            await asyncio.to_thread(service.store.ping)
-    except (TimeoutError, SQLAlchemyError):
-        raise Problem("store-unavailable", "the store does not answer", {"Retry-After": "2"}) from None
+    answers, _ = await service.ask_store(service.store.ping)
+    if not answers:
+        raise Problem("store-unavailable", "the store does not answer", {"Retry-After": "2"})
     if service.shutting_down:
         raise Problem("store-unavailable", "the service is shutting down")
     if free < service.settings.min_free_bytes:
@@ -80,11 +73,8 @@ async def get_service_readiness(service: Context) -> Ready:
 )
 async def get_metrics(service: Context, _caller: Reader) -> Response:
     """Return metrics in Prometheus' text format. Cells are left out while the store does not answer."""
-    cells: list[CellFacts] = []
-    with contextlib.suppress(TimeoutError, SQLAlchemyError):
-        async with asyncio.timeout(_STORE_S):
-            cells = [await asyncio.to_thread(_facts, service, cell) for cell in service.cells]
-    return Response(service.metrics.text(cells), media_type="text/plain; version=0.0.4; charset=utf-8")
+    _, cells = await service.ask_store(lambda: [_facts(service, cell) for cell in service.cells])
+    return Response(service.metrics.text(cells or []), media_type="text/plain; version=0.0.4; charset=utf-8")
 
 
 def _facts(service: Service, cell: str) -> CellFacts:

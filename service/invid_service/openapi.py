@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import FastAPI
-from fastapi.routing import APIRoute
 
 from invid_service.problems import RETRY_AFTER, ProblemDocument
 
 _RUN = "20261125T142221-0a1b2c3d"
-_OPERATION_IDS = {"stop": "stop_cell", "stop_all": "stop_all_cells", "all_states": "list_states"}
-"""Where the function has a shorter name; elsewhere it has the operation's."""
 ACCEPTED: dict[int | str, dict[str, Any]] = {
     202: {
         "description": "It goes on by itself; follow Location",
@@ -130,13 +127,6 @@ EXAMPLES: dict[str, Any] = {
     },
 }
 """By name of the schema; a test holds each against it."""
-
-
-def operation_id(route: APIRoute) -> str:
-    """Return the name of the function that answers, a verb and its object: a generated client's
-    method, too.
-    """
-    return _OPERATION_IDS.get(route.name, route.name)
 
 
 def complete_schema(app: FastAPI) -> None:

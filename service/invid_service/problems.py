@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Iterator
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
@@ -18,60 +19,49 @@ from starlette.exceptions import HTTPException
 from invid import disk
 from invid.errors import InputError
 from invid_service.store.database import is_full
+from invid_service.web.texts import said
 
 MEDIA_TYPE = "application/problem+json"
 URN = "urn:invid:problem:"
 
-CATALOGUE: dict[str, tuple[int, str]] = {
-    "bad-request": (400, "The request cannot be read"),
-    "key-missing": (401, "A key is needed"),
-    "key-invalid": (401, "The key is not valid"),
-    "scope-missing": (403, "The key does not allow this"),
-    "foreign-origin": (403, "Requests from other web sites are refused"),
-    "not-found": (404, "There is no such thing"),
-    "cell-not-found": (404, "There is no such cell"),
-    "identification-not-found": (404, "There is no such identification"),
-    "model-not-found": (404, "There is no such model"),
-    "parameter-not-found": (404, "There is no such parameter or cause"),
-    "artefact-not-found": (404, "This result does not exist (yet)"),
-    "method-not-allowed": (405, "This address does not take this method"),
-    "run-in-progress": (409, "Another identification is in progress on this cell"),
-    "not-ready": (409, "The cell cannot start"),
-    "wrong-state": (409, "Not possible in this state"),
-    "override-needed": (409, "This result is not to be trusted"),
-    "nothing-to-separate": (409, "There is nothing to separate"),
-    "not-simulated": (409, "The cell has hardware behind it"),
-    "not-applied": (409, "Nothing was written to the drives"),
-    "not-tunable": (409, "No values for the drives can be given"),
-    "no-comparison": (409, "There are not two models to compare"),
-    "artefact-expired": (410, "This file was deleted after its time of retention"),
-    "length-required": (411, "The size must be given"),
-    "too-large": (413, "The body is too large"),
-    "unsupported-media-type": (415, "This kind of body is not taken"),
-    "invalid-request": (422, "The request holds a value that cannot be used"),
-    "invalid-recording": (422, "The upload is not a recording"),
-    "invalid-simulator": (422, "The simulator is not taken"),
-    "idempotency-key-reused": (422, "The Idempotency-Key was used with another body"),
-    "upload-stalled": (408, "The upload stalled"),
-    "internal-error": (500, "An error of the service"),
-    "store-unavailable": (503, "The store does not answer"),
-    "disk-full": (507, "There is no room to store this"),
+STATUSES: dict[str, int] = {
+    "bad-request": 400,
+    "key-missing": 401,
+    "key-invalid": 401,
+    "scope-missing": 403,
+    "foreign-origin": 403,
+    "not-found": 404,
+    "cell-not-found": 404,
+    "identification-not-found": 404,
+    "model-not-found": 404,
+    "parameter-not-found": 404,
+    "artefact-not-found": 404,
+    "method-not-allowed": 405,
+    "run-in-progress": 409,
+    "not-ready": 409,
+    "wrong-state": 409,
+    "override-needed": 409,
+    "nothing-to-separate": 409,
+    "not-simulated": 409,
+    "not-applied": 409,
+    "not-tunable": 409,
+    "no-comparison": 409,
+    "artefact-expired": 410,
+    "length-required": 411,
+    "too-large": 413,
+    "unsupported-media-type": 415,
+    "invalid-request": 422,
+    "invalid-recording": 422,
+    "invalid-simulator": 422,
+    "idempotency-key-reused": 422,
+    "upload-stalled": 408,
+    "internal-error": 500,
+    "store-unavailable": 503,
+    "disk-full": 507,
 }
-"""id -> (status, title). Ids are stable: never renamed, never given another meaning."""
+"""id -> status; its title is `problem.<id>` of the catalogue. Ids are stable: never renamed, never given
+another meaning."""
 
-_BY_STATUS = {
-    400: "bad-request",
-    401: "key-missing",
-    403: "scope-missing",
-    404: "not-found",
-    405: "method-not-allowed",
-    408: "upload-stalled",
-    411: "length-required",
-    413: "too-large",
-    415: "unsupported-media-type",
-    422: "invalid-request",
-    503: "store-unavailable",
-}
 log = logging.getLogger(__name__)
 
 
@@ -94,7 +84,7 @@ class ProblemDocument(BaseModel):
     """Problem document of RFC 9457 with further members by type; each is left out where it says nothing."""
 
     model_config = ConfigDict(extra="allow")
-    type: str = Field(description=f"`{URN}` and one of: {', '.join(CATALOGUE)}; more may come")
+    type: str = Field(description=f"`{URN}` and one of: {', '.join(STATUSES)}; more may come")
     title: str
     status: int
     detail: str = Field(description="What, where, the value found, the way out")
@@ -119,20 +109,18 @@ class Problem(Exception):
     @property
     def status(self) -> int:
         """Return the HTTP status of this kind."""
-        return CATALOGUE[self.kind][0]
+        return STATUSES[self.kind]
 
     def response(self, instance: str) -> JSONResponse:
         """Return the document, ready to send."""
-        status, title = CATALOGUE[self.kind]
-        document = {
-            "type": URN + self.kind,
-            "title": title,
-            "status": status,
-            "detail": self.detail,
-            "instance": instance,
-            **self.members,
-        }
-        return JSONResponse(document, status_code=status, media_type=MEDIA_TYPE, headers=self.headers)
+        document = {**document_of(self.kind, self.detail), "instance": instance, **self.members}
+        return JSONResponse(document, self.status, self.headers, MEDIA_TYPE)
+
+
+def document_of(kind: str, detail: str) -> dict[str, Any]:
+    """Return the members that every problem document has."""
+    title = said(f"problem.{kind}")
+    return {"type": URN + kind, "title": title, "status": STATUSES[kind], "detail": detail}
 
 
 RETRY_AFTER: dict[str, Any] = {
@@ -152,12 +140,17 @@ _HEADERS: dict[int, dict[str, Any]] = {
 ROOM = "make room on the disk of the service's data (delete old files there, or shorten retention_days)"
 
 
-def not_stored(what: str, path: Path, error: OSError) -> Problem:
-    """Return the problem of a file that could not be written: its name, the reason, the room, the way out."""
-    text = f"{what} ({path.name}) cannot be written: {error.strerror or error}"
-    if not disk.is_full(error):
-        return Problem("store-unavailable", f"{text}; see who may write in the service's data folder")
-    return Problem("disk-full", f"{text}, {disk.free(path.parent)}; {ROOM}, then try again")
+@contextlib.contextmanager
+def storing(what: str, path: Path) -> Iterator[None]:
+    """Problem where this file cannot be written within: its name, the reason, the room, the way out."""
+    try:
+        yield
+    except OSError as error:
+        text = f"{what} ({path.name}) cannot be written: {error.strerror or error}"
+        if not disk.is_full(error):
+            why = f"{text}; see who may write in the service's data folder"
+            raise Problem("store-unavailable", why) from None
+        raise Problem("disk-full", f"{text}, {disk.free(path.parent)}; {ROOM}, then try again") from None
 
 
 def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -173,26 +166,26 @@ def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def _kinds(status: int) -> list[str]:
-    return [kind for kind, (code, _) in CATALOGUE.items() if code == status]
+    return [kind for kind, code in STATUSES.items() if code == status]
 
 
 EVERYWHERE = problem_responses(400, 401, 403, 404, 405, 413, 415, 422, 500, 503)
 """Failures that any request may meet."""
 
 
-def install(app: FastAPI, is_simulated: Callable[[str, bool], Awaitable[bool]]) -> None:
+def install(app: FastAPI) -> None:
     """Map every exception to a problem document.
 
-    ``is_simulated``: whether a path names a cell, or a run of one, with no hardware behind it, and whether
-    the store may be asked; such problems say so as answers do. Who has no key for it learns nothing of it.
+    One about a cell, or a run of one, with no hardware behind it says so as answers do. Who has no key for it
+    learns nothing of it.
     """
 
     async def answer(request: Request, problem: Problem) -> JSONResponse:
-        path = request.url.path
-        open_question = problem.status not in (401, 403) and "simulated" not in problem.members
-        if open_question and await is_simulated(path, problem.kind != "store-unavailable"):
-            problem.members["simulated"] = True
-        return problem.response(path)
+        cell = app.state.service.cells.get(request.path_params.get("cell", ""))
+        found = getattr(request.state, "simulated", False) or (cell is not None and cell.simulated)
+        if found and problem.status not in (401, 403):
+            problem.members.setdefault("simulated", True)
+        return problem.response(request.url.path)
 
     @app.exception_handler(Problem)
     async def _problem(request: Request, error: Problem) -> JSONResponse:
@@ -214,9 +207,8 @@ def install(app: FastAPI, is_simulated: Callable[[str, bool], Awaitable[bool]]) 
 
     @app.exception_handler(HTTPException)
     async def _http(request: Request, error: HTTPException) -> JSONResponse:
-        kind = _BY_STATUS.get(
-            error.status_code, "bad-request" if error.status_code < 500 else "internal-error"
-        )
+        others = ["bad-request" if error.status_code < 500 else "internal-error"]
+        kind = (_kinds(error.status_code) or others)[0]
         detail = {
             404: f"nothing is served at {request.url.path}; the calls are listed in /api/v1/openapi.json",
             405: f"{request.method} is not possible at {request.url.path}",

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import re
 import secrets
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from typing import Any, TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -33,16 +33,15 @@ from invid_service.cells.readiness import (
     readiness,
 )
 from invid_service.cells.registry import Cell, load_cells
-from invid_service.jobs.last_words import LastWords, interruption
+from invid_service.jobs.folder import LastWords, interruption, settle
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager
-from invid_service.jobs.orphans import settle
 from invid_service.jobs.results import Results, load
-from invid_service.jobs.run_log import tell_ended
 from invid_service.jobs.states import State
 from invid_service.keys import Keys
-from invid_service.links import API, set_root
+from invid_service.links import address, set_root
+from invid_service.logs import tell_ended
 from invid_service.metrics import Metrics
 from invid_service.problems import Problem
 from invid_service.settings import Settings
@@ -51,11 +50,11 @@ from invid_service.store.database import open_engine, upgrade
 from invid_service.store.lock import DataLock
 from invid_service.store.store import RunRecord, Store, StoredModel
 from invid_service.tuning.tunings import Tunings
+from invid_service.web.texts import said
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 Clock = Callable[[], datetime]
-_NAMED = re.compile(rf"{API}/(cells|identifications)/([^/]+)")
-"""The cell, or the run, that a path is about."""
 _DRIVES_REFUSED = ("drive", "bus")
 """Codes of runs that ended because a drive or the bus did not do its part."""
 _RETENTION_PERIOD_S = 3600.0
@@ -194,12 +193,7 @@ class Service:
             drives = asked.reasons
         elif mode != "simulate" and occupied is None:
             drives = await asyncio.to_thread(not_ready, cell.config)
-        answers, in_force = True, None
-        try:
-            async with asyncio.timeout(_STORE_PROBE_S):
-                in_force = await asyncio.to_thread(self.results.in_force, cell.id)
-        except (TimeoutError, SQLAlchemyError):
-            answers = False
+        answers, in_force = await self.ask_store(self.results.in_force, cell.id)
         return readiness(
             Situation(
                 config=cell.config,
@@ -217,6 +211,14 @@ class Service:
             )
         )
 
+    async def ask_store(self, question: Callable[..., T], *about: str) -> tuple[bool, T | None]:
+        """Return whether the store answers in time, and what."""
+        try:
+            async with asyncio.timeout(_STORE_PROBE_S):
+                return True, await asyncio.to_thread(question, *about)
+        except (TimeoutError, SQLAlchemyError):
+            return False, None
+
     def _answer(self, cell: Cell) -> Answer | None:
         """Return what the drives of a cell said last: to somebody who asked, or to the last run."""
         known, run = self._answers.get(cell.id), self.jobs.latest(cell.id)
@@ -230,17 +232,16 @@ class Service:
             return Answer(record.ended or record.created, error["text"], error["fix"])
         return known if record.started is None else Answer(record.started)
 
-    def require_free_bus(self, cell: Cell) -> None:
+    def require_free_bus(self, cell: Cell, why: str = "", **members: Any) -> None:
         """Problem 409 where a run has the bus of a cell; whoever calls it holds the cell's start lock."""
         busy = self.jobs.occupying(cell.id)
-        if busy is not None:
-            raise Problem(
-                "run-in-progress",
-                f"identification {busy.record.id} is {busy.record.state}: it has the bus",
-                {"Retry-After": "5"},
-                identification=busy.record.id,
-                simulated=cell.simulated,
-            )
+        if busy is None:
+            return
+        run, state = busy.record.id, str(busy.record.state)
+        members |= {"simulated": cell.simulated, "identification": run, "state": state}
+        members["location"] = address("identifications", run)
+        why = why or f"identification {run} is {state}: it has the bus"
+        raise Problem("run-in-progress", why, {"Retry-After": "5"}, **members)
 
     async def check(self, cell: Cell) -> Checked:
         """Ask the drives of a cell in which nothing runs; Problem 409 where something does.
@@ -290,26 +291,6 @@ class Service:
             raise Problem("identification-not-found", f"no identification {run_id[:64]!r}")
         return record, self.jobs.live(run_id)
 
-    async def is_simulated(self, path: str, store_answers: bool) -> bool:
-        """True where a path of the interface names a cell, or a run of one, with no hardware behind it.
-
-        ``store_answers``: runs that ended are looked up; without it, those in memory count alone.
-        """
-        named = _NAMED.search(path)
-        if named is None:
-            return False
-        kind, identity = named.groups()
-        if kind == "cells":
-            return identity in self.cells and self.cells[identity].simulated
-        live = self.jobs.live(identity)
-        if live is not None or not store_answers:
-            return live is not None and live.record.simulated
-        try:
-            record, _ = await self.run(identity)
-        except Exception:  # within the answer to another failure: it must not become one itself
-            return False
-        return record.simulated
-
     def new_run(self, cell: Cell | None, mode: str, axes: list[str], caller: str) -> RunRecord:
         """Return a queued run with a fresh id that sorts by time."""
         now = self.clock()
@@ -346,8 +327,7 @@ def _answer_of(asked: Asked, now: datetime) -> Answer:
     error = asked.refusal
     if error is None:
         return Answer(now)
-    fix = error.way_out or "mend what it says, then ask the drives again (`invid check` does, too)"
-    return Answer(now, error.reason or str(error), fix)
+    return Answer(now, error.reason or str(error), error.way_out or said("reason.check_refused.fix"))
 
 
 def utc_now() -> datetime:

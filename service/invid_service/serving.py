@@ -14,7 +14,7 @@ from invid.cli.output import note
 from invid.errors import ConfigError, InputError
 from invid_service.app import create_app
 from invid_service.connection import Connection, allow_many_connections
-from invid_service.logging_setup import configure_logging
+from invid_service.logs import configure_logging
 from invid_service.precedence import before_others
 from invid_service.settings import Settings
 from invid_service.supervision import stay_alive, tell

@@ -93,9 +93,9 @@ def test_the_database_keeps_the_promises_of_the_store(server: str) -> None:
         return RunRecord(identity, "pg", "robot", "full", ("A1",), False, state, now, "local")
 
     store.add_run(record("pg-1"), idempotency_key="k", body_sha256="a" * 64)
-    assert store.add_run(record("pg-2"), idempotency_key="k", body_sha256="a" * 64).id == "pg-1"
+    assert store.find_idempotent("pg", "k", "a" * 64) == store.run("pg-1")
     with pytest.raises(KeyReusedError):
-        store.add_run(record("pg-3"), idempotency_key="k", body_sha256="b" * 64)
+        store.find_idempotent("pg", "k", "b" * 64)
     with pytest.raises(CellBusyError):
         store.add_run(record("pg-4"))
     store.save_state(record("pg-1", State.RUNNING), StoredEvent(2**41, "state", {"state": "running"}))

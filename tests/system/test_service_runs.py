@@ -194,14 +194,14 @@ def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_
         assert service.client.get("/health/ready").status_code == 200
 
 
-def serve(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`invid serve` in a folder, of which an end is expected."""
-    command = [sys.executable, "-c", "from invid.cli import main; main()", "serve", *arguments]
+def invid(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """`invid …` in a folder, of which an end is expected."""
+    command = [sys.executable, "-c", "from invid.cli import main; main()", *arguments]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False)
 
 
 def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_path: Path) -> None:
-    made = serve(tmp_path, "--key-file", "keys.json", "--add-key", "plc:read,run")
+    made = invid(tmp_path, "keys", "add", "plc:read,run", "--key-file", "keys.json")
     assert made.returncode == 0, made.stderr
     token = made.stdout.strip()
     assert token not in (tmp_path / "keys.json").read_text()
@@ -213,7 +213,7 @@ def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_pat
 
 def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "small.yaml").write_text(SMALL_CELL)
-    refused = serve(tmp_path, "small.yaml", "--host", "0.0.0.0", "--port", "0")
+    refused = invid(tmp_path, "serve", "small.yaml", "--host", "0.0.0.0", "--port", "0")
     assert refused.returncode == 2
     assert "no key" in refused.stderr
     assert "Traceback" not in refused.stderr

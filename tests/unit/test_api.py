@@ -140,6 +140,17 @@ def test_the_list_of_commands_loads_no_command() -> None:
     assert said["serve"] != said["keys"]
 
 
+def test_whoever_talks_to_a_bus_starts_without_tables_pictures_and_control() -> None:
+    code = (
+        "import sys, invid_service.serving, invid_service.jobs.worker, invid_drivers.realtime; "
+        "from invid.cli.app import run; [run([c, '--help']) for c in ('measure', 'check', 'init')]; "
+        "print(*sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    heavy = {"pandas", "asammdf", "matplotlib", "control", "polars", "scipy.signal", "scipy.stats"}
+    assert not heavy & set(done.stderr.split())
+
+
 def test_an_identification_loads_only_what_loads_fast_of_scipy(
     case: tuple[invid.Recording, Truth], tmp_path: Path
 ) -> None:

@@ -16,7 +16,7 @@ from invid.cli.output import EXIT_OK, emit, note
 from invid.config import CellConfig, load_config
 from invid.errors import InputError
 from invid.model.document import load_json
-from invid.tuning.document import loops_from_json
+from invid.tuning.axis_loop import loops_from_json
 from invid.tuning.forms import read_motors
 from invid_drivers.cia402.journal import Entry
 from invid_drivers.values.applying import Change, Proposal, apply, propose, undo

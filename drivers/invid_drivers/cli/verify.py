@@ -11,7 +11,7 @@ from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.config import load_config
 from invid.model.document import dump_json, load_json, save_text
 from invid.recording import read_recording
-from invid.tuning.document import prediction_from_json
+from invid.tuning.axis_loop import prediction_from_json
 from invid.tuning.verification import verify
 from invid.tuning.verification_document import verification_picture, verification_to_json
 from invid.wording.statement import ENGLISH

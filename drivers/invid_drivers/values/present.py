@@ -8,8 +8,8 @@ from typing import Any
 
 from invid.config import CellConfig
 from invid.errors import InputError
+from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.motor_scale import MotorScale
-from invid.tuning.simulated_loops import AxisLoop
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.objects import Object

@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from invid.errors import InputError
+from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.feedforward import Feedforward
 from invid.tuning.motor_scale import MotorScale
 from invid.tuning.servo_loop import Gains, Notch
-from invid.tuning.simulated_loops import AxisLoop
 from invid_drivers.cia402.objects import Object
 
 _EPOS4 = (

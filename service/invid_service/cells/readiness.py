@@ -8,20 +8,37 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel
 
 from invid.config import CellConfig
 from invid.errors import InvidError
-from invid.planning.build import axes_left_out, subset_sentence
+from invid.planning.build import axes_left_out
 from invid_drivers.cia402.standing.holding import Reason as CellReason
-from invid_drivers.cia402.stated.scales import MUCH_OF_RATED, limit_over_rated
+from invid_drivers.cia402.stated.scales import MUCH_OF_RATED
 from invid_drivers.connect import is_virtual
 from invid_service.jobs.live import LiveRun
+from invid_service.problems import Problem
+from invid_service.web.texts import said, told
 
 _KEPT_S = 4.0
 """An answer is asked for again after so long."""
+
+
+ReasonCode = Literal[
+    "run_in_progress",
+    "disk_full",
+    "store_unavailable",
+    "bus_missing",
+    "no_model",
+    "nothing_to_screen",
+    "shutting_down",
+    "axes_left_out",
+    "axis_energised",
+    "axis_suspect",
+    "check_refused",
+]
 
 
 class _Said(BaseModel):
@@ -36,19 +53,7 @@ class _Said(BaseModel):
 class Reason(_Said):
     """One reason why a cell cannot start: a stable code, a sentence, a way out."""
 
-    code: Literal[
-        "run_in_progress",
-        "disk_full",
-        "store_unavailable",
-        "bus_missing",
-        "no_model",
-        "nothing_to_screen",
-        "shutting_down",
-        "axes_left_out",
-        "axis_energised",
-        "axis_suspect",
-        "check_refused",
-    ]
+    code: ReasonCode
 
 
 class Note(_Said):
@@ -68,6 +73,12 @@ class Readiness(BaseModel):
     reasons: list[Reason]
     notes: list[Note] = []
     simulated: bool = False
+
+    def problem(self) -> Problem:
+        """Return why no run can start, as a refusal."""
+        members: dict[str, Any] = {"reasons": [r.model_dump(mode="json") for r in self.reasons]}
+        detail = " ".join(r.text for r in self.reasons)
+        return Problem("not-ready", detail, simulated=self.simulated, **members)
 
     @property
     def is_asked(self) -> bool:
@@ -138,114 +149,44 @@ class RecentAnswers:
 
 def readiness(s: Situation) -> Readiness:
     """Return every reason why the cell cannot start now; none: it can."""
-    reasons = []
-    if s.shutting_down:
-        reasons.append(
-            Reason(code="shutting_down", text="the service is shutting down", fix="wait for its restart")
-        )
-    if s.occupied_by is not None:
-        run = s.occupied_by.record
-        reasons.append(
-            Reason(
-                code="run_in_progress",
-                text=f"identification {run.id} is {run.state}",
-                fix="wait until it has ended, or cancel it",
-                values={"run": run.id},
-            )
-        )
-    if not s.store_answers:
-        reasons.append(
-            Reason(
-                code="store_unavailable",
-                text="the store does not answer: a result could not be kept",
-                fix="look at the database and the disk of the service",
-            )
-        )
-    if s.free_bytes < s.needed_bytes:
-        reasons.append(
-            Reason(
-                code="disk_full",
-                text=f"{s.free_bytes / 1e6:.0f} MB are free on the service's disk, a run needs "
-                f"{s.needed_bytes / 1e6:.0f} MB",
-                fix="delete old files on that disk or shorten retention_days",
-                values={"free": f"{s.free_bytes / 1e6:.0f}", "needed": f"{s.needed_bytes / 1e6:.0f}"},
-            )
-        )
-    bus = s.config.bus
-    if (
-        s.mode != "simulate"
-        and bus.interface == "socketcan"
-        and not Path("/sys/class/net", bus.channel).exists()
-    ):
-        reasons.append(
-            Reason(
-                code="bus_missing",
-                text=f"this computer has no CAN interface {bus.channel}",
-                fix=f"plug the adapter in, then: ip link set {bus.channel} up type can "
-                f"bitrate {bus.bitrate_bit_per_s}",
-                values={"channel": bus.channel, "bitrate": str(bus.bitrate_bit_per_s)},
-            )
-        )
-    if s.mode == "simulate" and not s.config.simulated and not s.has_model:
-        reasons.append(
-            Reason(
-                code="no_model",
-                text="a real cell is simulated with its accepted model, and it has none yet",
-                fix="identify the cell in mode full and accept the result first",
-            )
-        )
-    if s.mode == "screen" and not s.has_model:
-        reasons.append(
-            Reason(
-                code="nothing_to_screen",
-                text="a screening compares with the accepted model, and there is none yet",
-                fix="identify the cell in mode full and accept the result first",
-            )
-        )
-    drives = () if s.mode == "simulate" else s.drives
-    reasons += [_of_drive(d) for d in drives if not d.taken_over]
-    if s.refusal is not None:
-        text = s.refusal.reason or str(s.refusal)
-        reasons.append(
-            Reason(
-                code="check_refused",
-                text=text,
-                fix=s.refusal.way_out
-                or "mend what it says, then ask the drives again (`invid check` does, too)",
-                values={"text": str(s.refusal)},
-            )
-        )
-    hardware = s.mode != "simulate" and not is_virtual(s.config)
-    if hardware and s.answer is not None and s.answer.text:
-        reasons.append(
-            Reason(
-                code="check_refused",
-                text=s.answer.text,
-                fix=s.answer.fix,
-                values={"text": s.answer.text},
-                seen=s.answer.at,
-            )
-        )
+    bus, hardware = s.config.bus, s.mode != "simulate"
     left_out = axes_left_out(s.config, s.axes)
-    if left_out:
-        reasons.append(
-            Reason(
-                code="axes_left_out",
-                text=subset_sentence(left_out),
-                fix="choose all axes",
-                values={"axes": ", ".join(left_out)},
-            )
-        )
+    room = {"free": f"{s.free_bytes / 1e6:.0f}", "needed": f"{s.needed_bytes / 1e6:.0f}"}
+    found: list[Reason | None] = [
+        _if(s.shutting_down, "shutting_down"),
+        None if s.occupied_by is None else _reason("run_in_progress", run=s.occupied_by.record.id),
+        _if(not s.store_answers, "store_unavailable"),
+        _if(s.free_bytes < s.needed_bytes, "disk_full", **room),
+        _if(
+            hardware and bus.interface == "socketcan" and not Path("/sys/class/net", bus.channel).exists(),
+            "bus_missing", channel=bus.channel, bitrate=str(bus.bitrate_bit_per_s),
+        ),
+        _if(s.mode == "simulate" and not s.config.simulated and not s.has_model, "no_model"),
+        _if(s.mode == "screen" and not s.has_model, "nothing_to_screen"),
+    ]  # fmt: skip
+    drives = s.drives if hardware else ()
+    found += [_of_drive(d) for d in drives if not d.taken_over]
+    if s.refusal is not None:
+        text, fix = s.refusal.reason or str(s.refusal), s.refusal.way_out or said("reason.check_refused.fix")
+        found.append(Reason(code="check_refused", text=text, fix=fix, values={"text": str(s.refusal)}))
+    hardware = hardware and not is_virtual(s.config)
+    if hardware and s.answer is not None and s.answer.text:
+        text, fix, at = s.answer.text, s.answer.fix, s.answer.at
+        found.append(Reason(code="check_refused", text=text, fix=fix, values={"text": text}, seen=at))
+    found.append(_if(bool(left_out), "axes_left_out", axes=", ".join(left_out)))
+    reasons = [r for r in found if r is not None]
     notes = [_taken_over(d) for d in drives if d.taken_over] + _limits_beyond_drives(s.config)
     if hardware and s.answer is None and not reasons:
-        notes.append(
-            Note(
-                code="drives_not_asked",
-                text="the drives have not been asked: whether they answer is not known",
-                fix="ask them; a measurement asks them before anything moves",
-            )
-        )
+        notes.append(Note(code="drives_not_asked", **told("note.drives_not_asked")))
     return Readiness(can_start=not reasons, reasons=reasons, notes=notes, simulated=s.config.simulated)
+
+
+def _reason(code: ReasonCode, **values: str) -> Reason:
+    return Reason(code=code, **told(f"reason.{code}", **values))
+
+
+def _if(holds: bool, code: ReasonCode, **values: str) -> Reason | None:
+    return _reason(code, **values) if holds else None
 
 
 def _of_drive(found: CellReason) -> Reason:
@@ -260,24 +201,11 @@ def _taken_over(found: CellReason) -> Note:
 
 def _limits_beyond_drives(config: CellConfig) -> list[Note]:
     """Torque limits far beyond the rated torque that the config states; no drive is asked for it."""
-    notes = []
+    notes, unit = [], "N" if config.linear else "N·m"
     for a in config.axes:
         rated, limit = a.rated_torque, a.limits.torque
-        if rated is None or limit <= MUCH_OF_RATED * rated:
-            continue
-        notes.append(
-            Note(
-                code="limit_beyond_drive",
-                text=f"axis {a.name}: {limit_over_rated(limit, rated, linear=config.linear)}",
-                fix="correct the limit or its unit in the config; the drive's own limit holds where it "
-                "is lower",
-                values={
-                    "axis": a.name,
-                    "limit": f"{limit:g}",
-                    "rated": f"{rated:g}",
-                    "times": f"{limit / rated:.3g}",
-                    "unit": "N" if config.linear else "N·m",
-                },
-            )
-        )
+        if rated is not None and limit > MUCH_OF_RATED * rated:
+            sizes = {"limit": f"{limit:g}", "rated": f"{rated:g}", "times": f"{limit / rated:.3g}"}
+            words = told("note.limit_beyond_drive", axis=a.name, unit=unit, **sizes)
+            notes.append(Note(code="limit_beyond_drive", **words))
     return notes

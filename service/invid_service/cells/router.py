@@ -11,9 +11,7 @@ from fastapi.responses import JSONResponse
 
 from invid.errors import InputError
 from invid_drivers.simulated import truth
-from invid_service.auth import Accepter, Reader, Runner, Stopper
 from invid_service.cells.changes import changes_view
-from invid_service.cells.overview import overview
 from invid_service.cells.readiness import Checked, Readiness
 from invid_service.cells.registry import Cell, merged
 from invid_service.cells.schema import (
@@ -30,7 +28,8 @@ from invid_service.cells.schema import (
     StopAnswer,
     StopAnswers,
 )
-from invid_service.context import Context
+from invid_service.cells.state import overview
+from invid_service.dependencies import Accepter, CellInPath, Context, Reader, Runner, Stopper
 from invid_service.jobs.schema import view
 from invid_service.jobs.states import State
 from invid_service.keys import NOBODY, Caller
@@ -53,9 +52,9 @@ async def list_cells(service: Context, _caller: Reader) -> CellList:
 
 
 @router.get("/cells/{cell}", response_model=CellView)
-async def get_cell(cell: str, service: Context, _caller: Reader) -> CellView:
+async def get_cell(service: Context, _caller: Reader, cell: CellInPath) -> CellView:
     """Return one cell: drives, limits, the model in force, the last identification."""
-    return await _cell_view(service, service.cell(cell))
+    return await _cell_view(service, cell)
 
 
 async def _cell_view(service: Service, cell: Cell) -> CellView:
@@ -114,29 +113,28 @@ def _accepted(a: Approval) -> AcceptedModel:
 
 
 @router.get("/cells/{cell}/readiness", response_model=Readiness)
-async def get_readiness(cell: str, service: Context, _caller: Reader) -> Readiness:
+async def get_readiness(service: Context, _caller: Reader, cell: CellInPath) -> Readiness:
     """Say whether a measurement can start now; if not, why, and what to do about it.
 
     Nothing is sent to the drives: what is known of them is what a run or `POST /cells/{cell}/check` saw last
     (`seen`).
     """
-    return await service.readiness(service.cell(cell))
+    return await service.readiness(cell)
 
 
 @router.post("/cells/{cell}/check", response_model=Checked, responses=problem_responses(409))
-async def check_drives(cell: str, service: Context, caller: Runner) -> Checked:
+async def check_drives(service: Context, caller: Runner, cell: CellInPath) -> Checked:
     """Ask the drives, as `invid check` does, and say whether a measurement can start. Moves nothing.
 
     Drives that are off are taken pre-operational, and settings that an earlier run left in them are restored;
     to drives under power nothing is sent but questions.
     """
-    found = service.cell(cell)
-    await asyncio.to_thread(service.audit.try_write, "check", caller=caller.name, cell=found.id)
-    return await service.check(found)
+    await asyncio.to_thread(service.audit.try_write, "check", caller=caller.name, cell=cell.id)
+    return await service.check(cell)
 
 
 @router.post("/cells/{cell}/stop", response_model=StopAnswer)
-async def stop(cell: str, service: Context, caller: Stopper) -> StopAnswer:
+async def stop_cell(service: Context, caller: Stopper, cell: CellInPath) -> StopAnswer:
     """Stop motion at once. This is **not a safety function**: it goes through a network, an operating
     system and the drives' protocol. Use the emergency stop where people are in danger.
 
@@ -144,11 +142,11 @@ async def stop(cell: str, service: Context, caller: Stopper) -> StopAnswer:
     identification becomes ``stopped``. Stopping what stands still is no error: asked again until
     ``stopping`` is false, a stop is confirmed.
     """
-    return _stop(service, service.cell(cell), caller)
+    return _stop(service, cell, caller)
 
 
 @router.post("/stop", response_model=StopAnswers)
-async def stop_all(service: Context, caller: Stopper) -> StopAnswers:
+async def stop_all_cells(service: Context, caller: Stopper) -> StopAnswers:
     """Stop motion of all cells at once, and say for each whether something moved. As of one cell: **not a
     safety function**, and it needs no key.
     """
@@ -185,17 +183,16 @@ def _later(service: Service, action: str, **facts: Any) -> None:
     responses={200: {"content": {"application/json": {"schema": {"type": "object"}}}}},
     response_class=JSONResponse,
 )
-async def get_accepted_model(cell: str, service: Context, _caller: Reader) -> JSONResponse:
+async def get_accepted_model(service: Context, _caller: Reader, cell: CellInPath) -> JSONResponse:
     """Return the model in force."""
-    found = service.cell(cell)
-    model = await asyncio.to_thread(service.results.in_force, found.id)
+    model = await asyncio.to_thread(service.results.in_force, cell.id)
     if model is None:
         raise Problem(
             "model-not-found",
-            f"cell {found.id} has no accepted model yet; identify it and accept the result",
-            simulated=found.simulated,
+            f"cell {cell.id} has no accepted model yet; identify it and accept the result",
+            simulated=cell.simulated,
         )
-    return _document(found, model)
+    return _document(cell, model)
 
 
 def _document(cell: Cell, model: StoredModel) -> JSONResponse:
@@ -203,11 +200,10 @@ def _document(cell: Cell, model: StoredModel) -> JSONResponse:
 
 
 @router.get("/cells/{cell}/models", response_model=ModelList)
-async def list_models(cell: str, service: Context, _caller: Reader) -> ModelList:
+async def list_models(service: Context, _caller: Reader, cell: CellInPath) -> ModelList:
     """List every model identified on the cell, and the history of those in force."""
-    found = service.cell(cell)
-    stored = await asyncio.to_thread(service.store.models, found.id)
-    approvals = [_accepted(a) for a in await asyncio.to_thread(service.store.approvals, found.id)]
+    stored = await asyncio.to_thread(service.store.models, cell.id)
+    approvals = [_accepted(a) for a in await asyncio.to_thread(service.store.approvals, cell.id)]
     in_force = approvals[0].id if approvals else None
     entries = [
         ModelEntry(
@@ -219,7 +215,7 @@ async def list_models(cell: str, service: Context, _caller: Reader) -> ModelList
         )
         for m in stored
     ]
-    return ModelList(models=entries, history=approvals, simulated=found.simulated)
+    return ModelList(models=entries, history=approvals, simulated=cell.simulated)
 
 
 async def _stored_model(service: Service, cell: Cell, identity: str) -> StoredModel:
@@ -238,34 +234,32 @@ async def _stored_model(service: Service, cell: Cell, identity: str) -> StoredMo
     responses={200: {"content": {"application/json": {"schema": {"type": "object"}}}}},
     response_class=JSONResponse,
 )
-async def get_model(cell: str, model: str, service: Context, _caller: Reader) -> JSONResponse:
+async def get_model(model: str, service: Context, _caller: Reader, cell: CellInPath) -> JSONResponse:
     """Return one model of the cell, accepted or not."""
-    found = service.cell(cell)
-    return _document(found, await _stored_model(service, found, model))
+    return _document(cell, await _stored_model(service, cell, model))
 
 
 @router.post("/cells/{cell}/models/{model}/restore", response_model=ModelList)
 async def restore_model(
-    cell: str, model: str, service: Context, caller: Accepter, body: RestoreBody | None = None
+    model: str, service: Context, caller: Accepter, cell: CellInPath, body: RestoreBody | None = None
 ) -> ModelList:
     """Take an earlier model into force again; the history keeps both."""
-    found = service.cell(cell)
-    stored = await _stored_model(service, found, model)
-    history = await asyncio.to_thread(service.store.approvals, found.id)
+    stored = await _stored_model(service, cell, model)
+    history = await asyncio.to_thread(service.store.approvals, cell.id)
     if not any(a.model == stored.id for a in history):
         raise Problem(
             "model-not-found",
             f"model {stored.id} was never accepted; only accepted models can be restored",
-            simulated=found.simulated,
+            simulated=cell.simulated,
         )
     by = (body or RestoreBody()).by or caller.name
-    facts = {"cell": found.id, "model": stored.id, "by": by}
+    facts = {"cell": cell.id, "model": stored.id, "by": by}
     await asyncio.to_thread(service.audit.try_write, "restore", caller=caller.name, **facts)
     if history[0].model != stored.id:
         await asyncio.to_thread(
-            service.store.approve, found.id, stored.id, by=by, how="restore", now=service.clock()
+            service.store.approve, cell.id, stored.id, by=by, how="restore", now=service.clock()
         )
-    return await list_models(cell, service, caller)
+    return await list_models(service, caller, cell)
 
 
 @router.get(
@@ -274,9 +268,9 @@ async def restore_model(
     responses=problem_responses(409),
 )
 async def get_changes(
-    cell: str,
     service: Context,
     _caller: Reader,
+    cell: CellInPath,
     from_model: Annotated[str | None, Query(alias="from", max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
     to_model: Annotated[str | None, Query(alias="to", max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
     averaged: bool | None = None,
@@ -288,8 +282,7 @@ async def get_changes(
     models before it that agree with it: smaller changes are found so. With `from`, exactly the two models
     named, unless `averaged=true`: then either is averaged with the accepted models before it that agree.
     """
-    found = service.cell(cell)
-    history = [a.model for a in await asyncio.to_thread(service.store.approvals, found.id)]
+    history = [a.model for a in await asyncio.to_thread(service.store.approvals, cell.id)]
     new = to_model or (history[0] if history else None)
     if from_model is not None:
         old: str | None = from_model
@@ -299,19 +292,19 @@ async def get_changes(
     if old is None or new is None:
         raise Problem(
             "no-comparison",
-            f"cell {found.id} has {len(set(history))} accepted model(s); name two models with ?from=…&to=…",
-            simulated=found.simulated,
+            f"cell {cell.id} has {len(set(history))} accepted model(s); name two models with ?from=…&to=…",
+            simulated=cell.simulated,
         )
-    before = await _stored_model(service, found, old)
-    after = await _stored_model(service, found, new)
+    before = await _stored_model(service, cell, old)
+    after = await _stored_model(service, cell, new)
     if averaged is None:
         averaged = from_model is None
     result, sides = await asyncio.to_thread(
-        service.results.changes, found.id, before, after, averaged=averaged
+        service.results.changes, cell.id, before, after, averaged=averaged
     )
     return {
-        "cell": found.id,
-        "simulated": found.simulated,
+        "cell": cell.id,
+        "simulated": cell.simulated,
         "from": before.id,
         "to": after.id,
         **changes_view(result, sides),
@@ -319,19 +312,17 @@ async def get_changes(
 
 
 @router.get("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
-async def get_simulation(cell: str, service: Context, _caller: Reader) -> SimulationView:
+async def get_simulation(service: Context, _caller: Reader, cell: CellInPath) -> SimulationView:
     """Return a simulated cell as it is now, with the truth to compare with."""
     # In a thread: the first use loads the simulated drives, and a stop must not wait for that.
-    return await asyncio.to_thread(_simulation, _simulated(service, cell))
+    _require_simulated(cell)
+    return await asyncio.to_thread(_simulation, cell)
 
 
-def _simulated(service: Service, cell: str) -> Cell:
-    found = service.cell(cell)
-    if not found.simulated:
-        raise Problem(
-            "not-simulated", f"cell {found.id} has hardware behind it; there is no simulation to change"
-        )
-    return found
+def _require_simulated(cell: Cell) -> None:
+    if not cell.simulated:
+        text = f"cell {cell.id} has hardware behind it; there is no simulation to change"
+        raise Problem("not-simulated", text)
 
 
 def _simulation(cell: Cell) -> SimulationView:
@@ -340,15 +331,15 @@ def _simulation(cell: Cell) -> SimulationView:
 
 @router.patch("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
 async def change_simulation(
-    cell: str, body: SimulationPatch, service: Context, caller: Runner
+    body: SimulationPatch, service: Context, caller: Runner, cell: CellInPath
 ) -> SimulationView:
     """Change the simulated cell (another tool, say) for the next run; one in progress is not affected."""
-    found = _simulated(service, cell)
+    _require_simulated(cell)
     try:
-        answer = await asyncio.to_thread(_change, found, body)
+        answer = await asyncio.to_thread(_change, cell, body)
     except InputError as error:
         raise Problem("invalid-request", str(error), simulated=True) from None
-    facts = {"cell": found.id, **body.model_dump(exclude_none=True)}
+    facts = {"cell": cell.id, **body.model_dump(exclude_none=True)}
     await asyncio.to_thread(service.audit.try_write, "simulation", caller=caller.name, **facts)
     return answer
 

@@ -8,21 +8,19 @@ import io
 import math
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel
 
 from invid.comparison.causes import main_parameter
 from invid.comparison.pairs import name_of
 from invid.errors import InvidError
 from invid.model.document import Estimate, Model, parameter_vector, stds_by_name, units
-from invid_service.auth import Reader
-from invid_service.context import Context
+from invid_service.dependencies import CellInPath, Context, Reader
 from invid_service.jobs.results import load
 from invid_service.problems import EVERYWHERE, Problem
-from invid_service.query import refuse_unknown_parameters
 from invid_service.store.store import StoredModel
 
-router = APIRouter(tags=["cells"], responses=EVERYWHERE, dependencies=[Depends(refuse_unknown_parameters)])
+router = APIRouter(tags=["cells"], responses=EVERYWHERE)
 MOST = 200
 """Models looked at, the newest first."""
 _KINDS = {
@@ -78,9 +76,9 @@ def sizes_of(model: Model) -> dict[str, Estimate]:
     responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
 )
 async def get_series(
-    cell: str,
     service: Context,
     _caller: Reader,
+    cell: CellInPath,
     request: Request,
     parameter: Annotated[str, Query(max_length=200)],
     format: Literal["json", "csv"] | None = None,
@@ -90,20 +88,19 @@ async def get_series(
     JSON, or CSV with `format=csv` or `Accept: text/csv`. Oldest first; of a cause a model without it has
     null. The names are those of `GET /cells/{cell}/changes`.
     """
-    found = service.cell(cell)
-    models = await asyncio.to_thread(service.store.models, found.id, MOST)
-    accepted = {a.model for a in await asyncio.to_thread(service.store.approvals, found.id)}
+    models = await asyncio.to_thread(service.store.models, cell.id, MOST)
+    accepted = {a.model for a in await asyncio.to_thread(service.store.approvals, cell.id)}
     unit, points, known = await asyncio.to_thread(_points, list(reversed(models)), accepted, parameter)
     if parameter not in known:
         near = ", ".join(sorted(known)[:40]) or "no model yet"
         raise Problem(
             "parameter-not-found",
-            f"no model of cell {found.id} has {parameter[:64]!r}; known: {near}",
-            simulated=found.simulated,
+            f"no model of cell {cell.id} has {parameter[:64]!r}; known: {near}",
+            simulated=cell.simulated,
         )
     if format == "csv" or (format is None and "text/csv" in request.headers.get("accept", "")):
         return Response(_csv(parameter, unit, points), media_type="text/csv; charset=utf-8")
-    return Series(cell=found.id, parameter=parameter, unit=unit, points=points, simulated=found.simulated)
+    return Series(cell=cell.id, parameter=parameter, unit=unit, points=points, simulated=cell.simulated)
 
 
 def _points(

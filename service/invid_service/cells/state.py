@@ -7,6 +7,7 @@ once, for the page.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from datetime import datetime
 from textwrap import shorten
 from typing import Any
@@ -14,17 +15,22 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
 
-from invid_drivers.protocol import Known
-from invid_service.auth import Reader
+from invid.wording.statement import LANGUAGES
+from invid_drivers.protocol import RunProgress
+from invid_service.cells.readiness import Readiness
 from invid_service.cells.registry import Cell
-from invid_service.context import Context
-from invid_service.jobs.schema import FoundCause, polling_headers
-from invid_service.jobs.states import IDLE, OCCUPYING, State
+from invid_service.cells.schema import LastRun, Overview
+from invid_service.dependencies import CellInPath, Context, Reader
+from invid_service.jobs.live import LiveRun
+from invid_service.jobs.schema import polling_headers
+from invid_service.jobs.states import ENDED, IDLE, OCCUPYING, State
 from invid_service.problems import EVERYWHERE, RETRY_AFTER
 from invid_service.service import Service
+from invid_service.store.store import RunRecord
 
 router = APIRouter(tags=["cells"], responses=EVERYWHERE)
 _GOING_ON = OCCUPYING | {State.AWAITING_ACCEPT}
+_NEWS = {"appeared", "grew", "shrank", "gone", "changed"}
 _PHASE = 60
 """Characters of a phase: it may name an effect that somebody else wrote."""
 
@@ -51,7 +57,7 @@ class CellNow(BaseModel):
     simulated: bool
 
 
-class CellState(CellNow):
+class CellState(CellNow, RunProgress):
     """One cell now, as the page draws it."""
 
     name: str
@@ -60,16 +66,6 @@ class CellState(CellNow):
     ``unknown`` while drives or store have not said."""
     moves: bool = False
     """A run has its drives enabled."""
-    axis: str | None = None
-    frequency: float | None = None
-    """[Hz]"""
-    cause: str | None = None
-    """What the analysis weighs now."""
-    most_s: float | None = None
-    found: list[FoundCause] = []
-    """As of the run."""
-    known: Known | None = None
-    """As of the run."""
 
 
 class CellStates(BaseModel):
@@ -84,14 +80,13 @@ class CellStates(BaseModel):
     response_model=CellNow,
     responses={200: {"description": "As it is now", "headers": RETRY_AFTER}},
 )
-async def get_cell_state(cell: str, service: Context, _caller: Reader) -> Response:
+async def get_cell_state(service: Context, _caller: Reader, cell: CellInPath) -> Response:
     """Return the state of the cell's last measurement: which run, how far, since when. Less than 1 kB, made
     for a PLC that asks every second.
     """
-    found = service.cell(cell)
-    run = service.jobs.latest(found.id)
+    run = service.jobs.latest(cell.id)
     headers = {} if run is None else polling_headers(run.record)
-    body = CellNow(**_now(service, found)).model_dump_json()
+    body = CellNow(**_now(service, cell)).model_dump_json()
     return Response(body, media_type="application/json", headers=headers)
 
 
@@ -100,7 +95,7 @@ async def get_cell_state(cell: str, service: Context, _caller: Reader) -> Respon
     response_model=CellStates,
     responses={304: {"description": "Not changed since the ETag given in If-None-Match"}},
 )
-async def all_states(request: Request, service: Context, _caller: Reader) -> Response:
+async def list_states(request: Request, service: Context, _caller: Reader) -> Response:
     """Return what every cell does, made to be asked every second: 0.5 kB a cell, with an `ETag`."""
     cells = [state_of(service, cell) for cell in service.cells.values()]
     body = CellStates(cells=cells, simulated=any(c.simulated for c in cells)).model_dump_json()
@@ -115,17 +110,9 @@ def state_of(service: Service, cell: Cell) -> CellState:
     run = service.jobs.latest(cell.id)
     now = {**_now(service, cell), "name": cell.config.robot}
     if run is not None and run.record.state in _GOING_ON:
-        return CellState(
-            **now,
-            status=str(run.record.state),
-            moves=run.record.state is State.RUNNING,
-            axis=run.progress.axis,
-            frequency=run.progress.frequency,
-            cause=run.progress.cause,
-            most_s=run.progress.most_s,
-            found=[FoundCause.model_validate(f) for f in run.progress.found],
-            known=run.progress.known,
-        )
+        more = {k: v for k, v in run.progress if k not in now}
+        moves = run.record.state is State.RUNNING
+        return CellState(**now, **more, status=str(run.record.state), moves=moves)
     can_start = service.can_start.of(cell.id, lambda: service.readiness(cell))
     return CellState(**now, status="unknown" if can_start is None else "ready" if can_start else "not_ready")
 
@@ -148,10 +135,54 @@ def _now(service: Service, cell: Cell) -> dict[str, Any]:
         "run": run.record.id,
         "since": run.since,
         "phase": _short(progress.phase),
-        "progress": progress.fraction,
+        "progress": progress.progress,
         "eta_s": None if progress.eta_s is None else round(progress.eta_s, 1),
         "motion_left_s": None if progress.motion_left_s is None else round(progress.motion_left_s, 1),
         "error": (facts.get("error") or {}).get("code"),
         "grade": (facts.get("summary") or {}).get("grade"),
         "simulated": cell.simulated,
     }
+
+
+def overview(runs: Sequence[RunRecord], occupied_by: LiveRun | None, ready: Readiness) -> Overview:
+    """Return the line of a cell; ``runs`` are its measurements, the last started first."""
+    done = [r for r in runs if r.state in ENDED or r.state is State.AWAITING_ACCEPT]
+    last = done[0] if done else None
+    changes = None if last is None else (last.facts.get("summary") or {}).get("changes")
+    busy = occupied_by.record if occupied_by is not None else last
+    ready_word = "ready" if ready.is_asked else "unknown"
+    state = ready_word if ready.can_start else "not_ready"
+    if busy is not None and busy.state in _GOING_ON:
+        state = str(busy.state)
+    return Overview(
+        state=state,
+        last_run=None if last is None else _last_run(last),
+        changed=str(changes["sentence"]) if changes and _has_news(changes) else None,
+        news=None if changes is None else _news(changes),
+    )
+
+
+def _last_run(run: RunRecord) -> LastRun:
+    summary = run.facts.get("summary") or {}
+    return LastRun(
+        id=run.id,
+        state=run.state,
+        ended=run.ended,
+        verdict=summary.get("verdict"),
+        headline=summary.get("headline") or (run.facts.get("error") or {}).get("text"),
+        grade=summary.get("grade"),
+    )
+
+
+def _has_news(changes: dict[str, Any] | None) -> bool:
+    if changes is None:
+        return False
+    found = [*changes.get("parameters", []), *changes.get("causes", []), *changes.get("effects", [])]
+    return any(entry.get("status") in _NEWS for entry in found) or bool(changes.get("structure"))
+
+
+def _news(changes: dict[str, Any]) -> dict[str, str]:
+    """Return the first of what changed by language; a run of an earlier release tells none."""
+    if not _has_news(changes):
+        return dict.fromkeys(LANGUAGES, "")
+    return {language: lines[0] for language, lines in changes.get("lines", {}).items() if lines}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
@@ -17,19 +18,22 @@ from invid.model.document import Model, dump_json, model_from_json, model_to_jso
 from invid.model.doubts import doubts_of
 from invid.planning.separating_experiments import to_separate
 from invid.recording import Recording, read_recording
+from invid.recording.still_axes import moving_part
 from invid.report import render_report
+from invid.report.data import figure_data
 from invid.simulators.open import masses_of
-from invid.tuning.document import prediction_from_json
+from invid.tuning.axis_loop import prediction_from_json
 from invid.tuning.verification import Verdict, verify
 from invid.tuning.verification_document import verification_picture, verification_to_json
 from invid.wording.statement import ENGLISH
 from invid_drivers.protocol import Line, Read
-from invid_service.jobs.analysis_progress import AnalysisProgress
-from invid_service.jobs.plots import plot_data
+from invid_service.jobs.progress import AnalysisProgress
 from invid_service.jobs.protocol import Job
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
 
+_DIGITS = 5
+"""Significant ones of the numbers of pictures; a screen shows four."""
 WALL = 2.0
 """By the clock an analysis takes at most so many times its budget of processor time (the contract)."""
 
@@ -199,3 +203,20 @@ def _marked(report: str, simulated: bool) -> str:
     style = "border:2px solid;padding:.5em;font-weight:bold"
     banner = f'<p role="note" style="{style}">Simulated cell: no hardware</p>'
     return f"{head}<body{tag}>{banner}{body}"
+
+
+def plot_data(recording: Recording, model: Model, diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return ``figure_data`` rounded, no NaN: page and report show the same."""
+    recording, _ = moving_part(recording, diagnosis.model.axes)
+    document: dict[str, Any] = _rounded(figure_data(recording, model, diagnosis))
+    return {"axes": list(recording.axes), **document}
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _rounded(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(v) for v in value]
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+    return value

@@ -20,7 +20,7 @@ Wish = Literal["stop", "cancel", "shutdown"]
 def progress_of(record: RunRecord) -> RunProgress:
     """Return the progress of a stored run, in which nothing goes on any more."""
     done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
-    return RunProgress(fraction=1.0 if done else record.facts.get("progress", 0.0), phase=str(record.state))
+    return RunProgress(progress=1.0 if done else record.facts.get("progress", 0.0), phase=str(record.state))
 
 
 class WrongStateError(Exception):
@@ -48,7 +48,6 @@ class LiveRun:
         self.unsaved = False
         """The store has not taken its state yet: memory alone knows it."""
         self.motion_ended = asyncio.Event()
-        self.changed = asyncio.Event()
         self.lock = asyncio.Lock()
         """One writer of states to the store at a time, in the order in which they happened."""
 
@@ -73,40 +72,34 @@ class LiveRun:
             ended=now if state in ENDED else self.record.ended,
             facts={**self.record.facts, **(facts or {})},
         )
-        if state in ENDED or state is State.AWAITING_ACCEPT:
-            done = state in (State.AWAITING_ACCEPT, State.SUCCEEDED)
-            self.progress = RunProgress(fraction=1.0 if done else self.progress.fraction, phase=str(state))
-        else:
-            # What belongs to the last state alone does not outlive it.
-            self.progress = RunProgress(fraction=self.progress.fraction, phase=str(state))
+        done = state in (State.AWAITING_ACCEPT, State.SUCCEEDED)
+        # What belongs to the last state alone does not outlive it.
+        self.progress = RunProgress(progress=1.0 if done else self.progress.progress, phase=str(state))
         if state in ENDED:
-            facts = {**self.record.facts, "progress": self.progress.fraction}
-            self.record = replace(self.record, facts=facts)
+            self.note(progress=self.progress.progress)
         data = {
             "state": str(state),
             "simulated": self.record.simulated,
-            **self.progress.to_json(),
+            **self.progress.model_dump(),
             **{k: self.record.facts[k] for k in ("error", "decision", "summary") if k in self.record.facts},
         }
         self.since = now
         event = self.events.append("state", data)
-        self._wake()
         if state in ENDED:
             self.events.close()
         return event
 
+    def note(self, **facts: Any) -> None:
+        """Keep facts of the run; stored with its next state."""
+        self.record = replace(self.record, facts={**self.record.facts, **facts})
+
     def advance(self, progress: RunProgress) -> None:
         """Take over progress; it never runs backwards."""
-        fraction = min(max(progress.fraction, self.progress.fraction), 1.0)
-        self.progress = replace(progress, fraction=fraction)
+        furthest = max(progress.progress, self.progress.progress)
+        self.progress = progress.model_copy(update={"progress": furthest})
         data = {
             "state": str(self.record.state),
             "simulated": self.record.simulated,
-            **self.progress.to_json(),
+            **self.progress.model_dump(),
         }
         self.events.append("progress", data)
-        self._wake()
-
-    def _wake(self) -> None:
-        self.changed.set()
-        self.changed = asyncio.Event()

@@ -31,17 +31,18 @@ from invid_drivers.protocol import (
     Stop,
 )
 from invid_drivers.readiness import known_after_death
-from invid_service.jobs.last_words import UNKNOWN, unknown_axes
+from invid_service.jobs.folder import unseen
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Wish, WrongStateError
-from invid_service.jobs.protocol import DISK_FULL_FIX, End, Job, Told
+from invid_service.jobs.protocol import End, Job, Told
 from invid_service.jobs.results import Results
-from invid_service.jobs.run_log import tell_began, tell_ended
 from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.jobs.stops import without_trace
+from invid_service.logs import tell_began, tell_ended
 from invid_service.settings import Settings
 from invid_service.store.database import is_full
 from invid_service.store.store import RunRecord, Store, StoredEvent
+from invid_service.web.texts import error_of, said
 
 log = logging.getLogger(__name__)
 _RETRY_S = 1.0
@@ -83,6 +84,26 @@ def _results_of(job: Job) -> set[str]:
     return {"recording", "model", "diagnosis", "report"}
 
 
+Moved = tuple[State, dict[str, Any]]
+"""A state, and the facts that belong to it."""
+
+
+def _failure(error: dict[str, Any]) -> Moved:
+    return State.FAILED, {"error": error}
+
+
+def _early_end(run: LiveRun) -> Moved:
+    ends = {"stop": State.STOPPED, "cancel": State.CANCELLED, "shutdown": State.INTERRUPTED}
+    state = ends[run.wish or "cancel"]
+    return state, {"error": run.record.facts.get("error") or error_of(state, state=str(run.record.state))}
+
+
+def _not_stored(error: Exception, job: Job) -> dict[str, Any]:
+    if is_full(error) or (isinstance(error, OSError) and disk.is_full(error)):
+        return error_of("disk-full", free=disk.free(job.folder))
+    return error_of("store-unavailable")
+
+
 class JobManager:
     """Runs in progress, one per cell."""
 
@@ -121,7 +142,7 @@ class JobManager:
     def is_lost(self, cell: str) -> bool:
         """Whether the last measurement of a cell ended and nobody saw its axes at rest."""
         run = self._latest.get(cell)
-        return run is not None and "axes" in (run.record.facts.get("error") or {})
+        return run is not None and (run.record.facts.get("error") or {}).get("axes") is not None
 
     def remember(self, record: RunRecord) -> None:
         """Take up what was the last measurement of its cell before a restart, or until it ended."""
@@ -137,21 +158,21 @@ class JobManager:
             self._latest[record.cell or ""] = run
 
     # --- taking jobs ---------------------------------------------------------------------------
-    def reserve(self, record: RunRecord) -> LiveRun:
-        """Occupy the cell in memory, before the store is asked."""
+    async def begin(self, record: RunRecord, job: Job, *, key: str | None = None, digest: str = "") -> None:
+        """Take a run and run its job in the background; nothing is left where the store does not take it.
+
+        CellBusyError where another service runs the cell on the same database.
+        """
         run = LiveRun(record)
-        self._live[record.id] = run
-        return run
-
-    def release(self, run: LiveRun) -> None:
-        """Free the cell again: the store did not take the run."""
-        self._live.pop(run.record.id, None)
-
-    def start(self, run: LiveRun, job: Job) -> None:
-        """Run the job in the background."""
-        if run.record.cell is not None and run.record.mode != UPLOAD:
-            self._latest[run.record.cell] = run
-        tell_began(run.record)
+        self._live[record.id] = run  # the cell is occupied before the store is asked
+        try:
+            await asyncio.to_thread(self._store.add_run, record, idempotency_key=key, body_sha256=digest)
+        except BaseException:
+            del self._live[record.id]
+            raise
+        if record.cell is not None and record.mode != UPLOAD:
+            self._latest[record.cell] = run
+        tell_began(record)
         self._spawn(self._run(run, job))
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
@@ -177,7 +198,7 @@ class JobManager:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(deadline):
                     while not run.ended:
-                        await run.changed.wait()
+                        await run.events.news.wait()
 
     async def arm(self, run: LiveRun) -> None:
         """Let the run move; WrongStateError where it does not wait for that. Twice is no error."""
@@ -247,11 +268,11 @@ class JobManager:
             raise
         except Exception as error:
             log.exception("run %s", run.record.id)
-            if isinstance(error, OSError) and disk.is_full(error):
-                text = f"the disk of the service is full: {disk.free(job.folder)}"
-                await self._fail(run, "disk-full", text, DISK_FULL_FIX)
-            else:
-                await self._fail(run, "internal-error", "an error of the service", "the log says where")
+            full = isinstance(error, OSError) and disk.is_full(error)
+            if not run.ended:
+                await self._move(
+                    run, *_failure(_not_stored(error, job) if full else error_of("internal-error"))
+                )
         finally:
             run.motion_ended.set()
             if kept:
@@ -275,7 +296,7 @@ class JobManager:
     async def _watch(self, run: LiveRun, job: Job) -> bool:
         """Follow a run to its end; return whether all that it left is in the store."""
         if run.wish is not None:
-            await self._finish_early(run)
+            await self._move(run, *_early_end(run))
             return True
         await self._move(run, State.ANALYSING if job.kind == "analyse" else State.CHECKING)
         worker = await self._launch(job)
@@ -312,7 +333,7 @@ class JobManager:
     async def _hear(self, run: LiveRun, message: Told) -> None:
         match message:
             case Planned(plan=plan, arm=arm):
-                run.record = replace(run.record, facts={**run.record.facts, "plan": plan})
+                run.note(plan=plan)
                 run.events.append("plan", plan)
                 if not arm and run.wish is None:
                     await self._move(run, State.AWAITING_ARM)
@@ -345,87 +366,16 @@ class JobManager:
             try:
                 async with asyncio.timeout(bound):
                     while run.record.state is state and not (moves and run.progress.place != said):
-                        await run.changed.wait()
+                        await run.events.news.wait()
             except TimeoutError:
                 if run.wish is None:
-                    what = "was not armed" if state is State.AWAITING_ARM else f"hung while {state}"
-                    error = {
-                        "code": "timeout",
-                        "text": f"the run {what} for {bound:.0f} s and was ended",
-                        "fix": "start again" if state is State.AWAITING_ARM else "see the log of the service",
-                    }
-                    run.record = replace(run.record, facts={**run.record.facts, "error": error})
+                    run.note(error=error_of("timeout", state=str(state), seconds=f"{bound:.0f}"))
                     run.wish = "cancel"
                 if moves:
                     await self._stop_worker(run)
                 elif run.worker is not None:
                     run.worker.kill()
                 return
-
-    async def _conclude(
-        self, run: LiveRun, job: Job, verdict: End | None, status: int, kept: set[str] | Exception
-    ) -> None:
-        self._note_stop(run, verdict)
-        moved = run.record.state is State.RUNNING
-        if verdict is None and moved:
-            await self._lost(run, job, status)
-        elif run.wish is not None:
-            await self._finish_early(run)
-        elif verdict is None:
-            await self._fail(
-                run,
-                "runner-died",
-                f"the runner process ended without a result (exit status {status})",
-                "start again; the log of the service says more",
-            )
-        elif isinstance(verdict, EndedEarly):
-            early = State.STOPPED if verdict.type == "stopped" else State.FAILED
-            await self._move(run, early, {"error": verdict.error.model_dump()})
-        elif isinstance(kept, Exception):
-            await self._not_kept(run, job, kept)
-        elif not _results_of(job) <= kept:
-            await self._fail(
-                run,
-                "internal-error",
-                "the runner ended without all of its results",
-                "please report it, with the log of the service",
-            )
-        else:
-            await self._succeed(run, job, verdict.result)
-
-    async def _lost(self, run: LiveRun, job: Job, status: int) -> None:
-        """End a run whose runner was killed, or died, in motion: nobody has seen its axes at rest."""
-        known: tuple[str, ...] = ()
-        if job.config is not None:
-            config = CellConfig.model_validate(job.config)
-            known = await asyncio.to_thread(known_after_death, config, self._settings.stop_grace_s)
-        what = (
-            f"the runner process did not stop within {self._settings.stop_grace_s:.0f} s and was killed"
-            if run.killed
-            else f"the runner process ended without a result (exit status {status})"
-        )
-        told = unknown_axes(what, run.axes, run.record.axes, known)
-        await self._fail(run, "not-stopped" if run.killed else "runner-died", **told)
-
-    @staticmethod
-    def _note_stop(run: LiveRun, verdict: End | None) -> None:
-        """Note where a motion that ended early stood: what the runner told, or what was seen of it last."""
-        stopped = verdict.stopped if isinstance(verdict, EndedEarly) else None
-        if verdict is None and run.record.state is State.RUNNING:
-            reason = f"the process that moved it was lost; {UNKNOWN}"
-            stopped = without_trace(run.progress.phase, run.progress.axis, reason)
-        if stopped is not None:
-            run.record = replace(run.record, facts={**run.record.facts, "stopped": stopped})
-
-    async def _not_kept(self, run: LiveRun, job: Job, error: Exception) -> None:
-        """Fail a run whose results wait in its folder for a store that takes them."""
-        kept = "what was measured is kept, and stored as soon as there is"
-        if is_full(error) or (isinstance(error, OSError) and disk.is_full(error)):
-            text = f"the results could not be stored, the disk is full: {disk.free(job.folder)}"
-            await self._fail(run, "disk-full", text, f"make room on it: {kept} room")
-        else:
-            text = "the results could not be stored; the log of the service says why"
-            await self._fail(run, "store-unavailable", text, f"look at store and disk: {kept} an answer")
 
     async def _keep_results(self, run: LiveRun) -> set[str] | Exception:
         """Store the files of a run; return their kinds, or why the store did not take them."""
@@ -435,35 +385,54 @@ class JobManager:
             log.error("run %s: results could not be stored: %s", run.record.id, error)
             return error
 
-    async def _succeed(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> None:
-        if run.record.cell is None or not job.acceptable or job.mode == "verify":
-            await self._move(run, State.SUCCEEDED, {"summary": summary})
-            return
-        summary = await asyncio.to_thread(self._results.concluded, run.record, summary, self._clock())
-        if job.mode == "screen":  # it says what changed, and is no model to run a robot with
-            await self._move(run, State.SUCCEEDED, {"summary": summary})
-            return
-        await self._move(run, State.AWAITING_ACCEPT, {"summary": summary})
-        if job.mode != "test" and self._results.may_auto_accept(summary):
+    async def _conclude(
+        self, run: LiveRun, job: Job, verdict: End | None, status: int, kept: set[str] | Exception
+    ) -> None:
+        """Move a run whose runner has ended to where it ends, or to where a person decides."""
+        if isinstance(verdict, EndedEarly) and verdict.stopped is not None:
+            run.note(stopped=verdict.stopped)
+        if verdict is None and run.record.state is State.RUNNING:
+            end = await self._lost(run, job, status)
+        elif run.wish is not None:
+            end = _early_end(run)
+        elif verdict is None:
+            end = _failure(error_of("runner-died", status=str(status)))
+        elif isinstance(verdict, EndedEarly):
+            state = State.STOPPED if verdict.type == "stopped" else State.FAILED
+            end = state, {"error": verdict.error.model_dump(exclude_none=True)}
+        elif isinstance(kept, Exception):  # they wait in its folder for a store that takes them
+            end = _failure(_not_stored(kept, job))
+        elif not _results_of(job) <= kept:
+            log.error("run %s: the runner ended without all of its results", run.record.id)
+            end = _failure(error_of("internal-error"))
+        else:
+            end = await self._success(run, job, verdict.result)
+        await self._move(run, *end)
+        state, facts = end
+        may_be_auto = state is State.AWAITING_ACCEPT and job.mode != "test"
+        if may_be_auto and self._results.may_auto_accept(facts["summary"]):
             await self.decide(run, AUTO)
 
-    async def _finish_early(self, run: LiveRun) -> None:
-        state = {"stop": State.STOPPED, "cancel": State.CANCELLED, "shutdown": State.INTERRUPTED}[
-            run.wish or "cancel"
-        ]
-        defaults = {
-            State.STOPPED: ("stopped", "stopped on request", "start again when the cell is clear"),
-            State.CANCELLED: ("cancelled", "cancelled on request", "start again at any time"),
-            State.INTERRUPTED: ("interrupted", "the service was shut down", "start a new identification"),
-        }
-        code, text, fix = defaults[state]
-        error = run.record.facts.get("error") or {"code": code, "text": text, "fix": fix}
-        if not run.ended:
-            await self._move(run, state, {"error": error})
+    async def _success(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> Moved:
+        if run.record.cell is None or not job.acceptable or job.mode == "verify":
+            return State.SUCCEEDED, {"summary": summary}
+        summary = await asyncio.to_thread(self._results.concluded, run.record, summary, self._clock())
+        # A short check says what changed, and is no model to run a robot with.
+        return State.SUCCEEDED if job.mode == "screen" else State.AWAITING_ACCEPT, {"summary": summary}
 
-    async def _fail(self, run: LiveRun, code: str, text: str, fix: str, **more: Any) -> None:
-        if not run.ended:
-            await self._move(run, State.FAILED, {"error": {"code": code, "text": text, "fix": fix, **more}})
+    async def _lost(self, run: LiveRun, job: Job, status: int) -> Moved:
+        """How a run ends whose runner was killed, or died, in motion: nobody has seen its axes at rest."""
+        known: tuple[str, ...] = ()
+        if job.config is not None:
+            config = CellConfig.model_validate(job.config)
+            known = await asyncio.to_thread(known_after_death, config, self._settings.stop_grace_s)
+        grace = f"{self._settings.stop_grace_s:.0f}"
+        died, deaf = error_of("runner-died", status=str(status)), error_of("not-stopped", seconds=grace)
+        reason = f"the process that moved it was lost. {said('error.unseen')}"
+        return State.FAILED, {
+            "stopped": without_trace(run.progress.phase, run.progress.axis, reason),
+            "error": unseen(deaf if run.killed else died, run.axes, run.record.axes, known),
+        }
 
     async def _move(self, run: LiveRun, state: State, facts: dict[str, Any] | None = None) -> None:
         async with run.lock:
@@ -510,7 +479,7 @@ class JobManager:
             async with asyncio.timeout(self._settings.stop_grace_s + 3.0):
                 for run in runs:
                     while not run.ended:
-                        await run.changed.wait()
+                        await run.events.news.wait()
         # The state is in memory before it is in the store: let what is being written be written.
         if self._tasks:
             await asyncio.wait(list(self._tasks), timeout=_LAST_WORDS_S)

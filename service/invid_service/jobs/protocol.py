@@ -1,4 +1,4 @@
-"""The task of a runner; what is said between it and the service is ``invid_drivers.protocol``."""
+"""The tasks of runners; what is said between it and the service is ``invid_drivers.protocol``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from invid.tuning.motor_scale import MotorScale
 from invid_drivers.protocol import (
     AxisStates,
     Done,
@@ -21,7 +22,6 @@ from invid_drivers.protocol import (
 
 End = Done | EndedEarly
 Told = Planned | Running | RunProgress | AxisStates | Measured | Read | End
-DISK_FULL_FIX = "make room on the disk of the service, then start again; what was measured is kept"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +59,22 @@ class Job:
     budget_s: float = 1500.0
     """Time for the analysis, after which the best answer so far is given: less than the half hour after which
     the service takes a run for hung."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuningTask:
+    """What the process that tunes needs to know."""
+
+    folder: Path
+    source: Path
+    simulated: bool
+    cycle_s: float
+    notches: int
+    draws: int
+    drive: str | None
+    motors: Mapping[str, MotorScale]
+    config: dict[str, Any] | None
+    """Of the cell whose drives say what they hold now; ``None``: they are not asked."""
 
 
 def plain(document: Mapping[str, Any]) -> Any:

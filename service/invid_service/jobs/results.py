@@ -25,7 +25,7 @@ from invid.model.doubts import Doubt, DoubtCode
 from invid.model.expectation import Agreement, Answer
 from invid_service.cells.changes import changes_view
 from invid_service.jobs.doubts import doubt_view, doubts_against
-from invid_service.jobs.leftovers import complete_recording
+from invid_service.jobs.folder import complete_recording
 from invid_service.jobs.stated_change import StatedChange
 from invid_service.settings import Settings
 from invid_service.store.blobs import KINDS, Blobs

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from invid_drivers.protocol import ErrorInfo, Known
+from invid_drivers.protocol import ErrorInfo, RunProgress
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, progress_of
 from invid_service.jobs.stated_change import StatedChange
@@ -123,16 +123,7 @@ class StoppedView(BaseModel):
     trace: Trace
 
 
-class FoundCause(BaseModel):
-    """A cause found while the analysis still looks."""
-
-    cause: str
-    axis: str
-    other_axis: str | None
-    element: str | None
-
-
-class Identification(BaseModel):
+class Identification(RunProgress):
     """A run: what it is, how far, and its results."""
 
     id: str
@@ -152,24 +143,6 @@ class Identification(BaseModel):
     axes: list[str]
     state: State
     simulated: bool
-    progress: float = Field(ge=0, le=1)
-    phase: str
-    axis: str | None
-    frequency: float | None
-    """[Hz]"""
-    eta_s: float | None
-    """Until the result, as the last runs took, in the analysis of a first one as its own stages took [s];
-    ``null`` where that is not known: it is the first and moves yet, or it takes longer than they did."""
-    most_s: float | None
-    """Until the analysis ends at the latest, with its best answer so far [s]."""
-    motion_left_s: float | None
-    """Until the axes are at rest, by the plan; ``null`` where nothing moves [s]."""
-    cause: str | None
-    """What the analysis weighs now; its axis is ``axis``."""
-    found: list[FoundCause]
-    """What the analysis found so far; it still looks."""
-    known: Known | None
-    """What the runs so far tell, while the next one moves: the measurement ends when that is enough."""
     error: ErrorInfo | None
     recorded: bool | None
     """Whether a run that has ended left a recording, to be worked out by ``analysis``; ``null`` in lists, and
@@ -227,7 +200,7 @@ def view(
     summary = record.facts.get("summary")
     return Identification(
         **{name: value for name, value in vars(record).items() if name not in ("axes", "facts")},
-        **progress.to_json(),
+        **dict(progress),
         amplitude=record.facts.get("amplitude", "planned"),
         separates=record.facts.get("separates"),
         analyses=record.facts.get("analyses"),
@@ -257,6 +230,11 @@ def _news(summary: dict[str, Any]) -> dict[str, Any]:
         return summary
     lists = {n: [e for e in changes[n] if e["status"] == "changed"] for n in _PARAMETERS if n in changes}
     return {**summary, "changes": {**changes, **lists}}
+
+
+def following(*parts: str) -> dict[str, str]:
+    """Return the headers of an answer to what goes on by itself: where to follow it, and when."""
+    return {"Location": address("identifications", *parts), "Retry-After": str(RETRY_AFTER_S)}
 
 
 def polling_headers(record: RunRecord) -> dict[str, str]:

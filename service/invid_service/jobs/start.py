@@ -8,8 +8,6 @@ import json
 from dataclasses import replace
 from typing import Any
 
-from sqlalchemy.exc import SQLAlchemyError
-
 from invid.config import CellConfig
 from invid.errors import InputError
 from invid.model.document import model_to_json
@@ -20,7 +18,7 @@ from invid_service.cells.registry import Cell
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.results import load
 from invid_service.jobs.schema import StartBody
-from invid_service.problems import Problem, not_stored
+from invid_service.problems import Problem, storing
 from invid_service.service import Service
 from invid_service.store.store import CellBusyError, KeyReusedError, RunRecord, StoredModel
 
@@ -34,79 +32,60 @@ _RECENT = 20
 
 
 async def begin_identification(
-    service: Service, cell_id: str, body: StartBody, caller: str, key: str | None
+    service: Service, cell: Cell, body: StartBody, caller: str, key: str | None
 ) -> RunRecord:
     """Queue a run, or return the one that the key stands for; Problem where neither is possible."""
-    cell = service.cell(cell_id)
     digest = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
-    if body.separate is not None and body.axes is not None:
-        raise Problem(
-            "invalid-request",
-            "axes: which axes move follows from what is to be separated; leave 'axes' out",
-            simulated=cell.simulated,
-        )
-    unknown = [a for a in body.axes or () if a not in cell.axes]
-    if unknown:
-        raise Problem(
-            "invalid-request",
-            f"axes: no axis {unknown[0][:64]!r}; the cell has {list(cell.axes)}",
-            simulated=cell.simulated,
-        )
-    if body.mode == "screen" and (body.separate is not None or body.axes not in (None, list(cell.axes))):
-        raise Problem(
-            "invalid-request",
-            "mode: a screening shakes all axes by a plan of its own; leave 'axes' and 'separate' out",
-            simulated=cell.simulated,
-        )
-    if (body.tuned is None) == (body.mode == "verify") or (body.mode == "verify" and body.axes):
-        raise Problem(
-            "invalid-request",
-            "mode: 'verify' measures the loops of all axes, and 'tuned' names the run whose tuning was "
-            "applied; nothing else takes 'tuned'",
-            simulated=cell.simulated,
-        )
-    wrong = body.changed and body.changed.refusal(cell.axes, linear=cell.config.linear)
+    wrong = _wrong_with(body, cell)
     if wrong:
-        raise Problem("invalid-request", wrong, simulated=cell.simulated)
+        raise Problem("invalid-request", wrong)
     async with service.start_locks[cell.id]:
         if key is not None:
             try:
                 earlier = await asyncio.to_thread(service.store.find_idempotent, cell.id, key, digest)
             except KeyReusedError:
-                raise _reused(key, cell) from None
+                text = f"Idempotency-Key {key!r} was used on this cell with another body; use a new key"
+                raise Problem("idempotency-key-reused", f"{text} for a new request") from None
             if earlier is not None:
                 return earlier
         await _refuse_if_not_ready(service, cell, body)
         separation = None if body.separate is None else await _separation(service, cell, body)
         tuning = None if body.tuned is None else await tuning_of(service, body.tuned, cell)
         record = service.new_run(cell, body.mode, list(body.axes or cell.axes), caller)
-        said = None if body.changed is None else body.changed.model_dump()
-        asked = {"amplitude": body.amplitude, "separates": body.separate, "changed": said}
-        asked["verifies"] = body.tuned
-        record = replace(record, facts=asked)
+        asked = body.model_dump(include={"amplitude", "changed"})
+        record = replace(record, facts={**asked, "separates": body.separate, "verifies": body.tuned})
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
-        before = await asyncio.to_thread(_analysis_before, service, cell.id, body)
         job = _job(service, cell, record, body, in_force, separation)
         if tuning is not None and job.config is not None:
             closed = closed_loop_config(CellConfig.model_validate(job.config)).model_dump(mode="json")
             job = replace(job, config=closed, tuning=tuning)
-        job = replace(job, expected_analysis_s=before)
-        live = service.jobs.reserve(record)
-        try:
-            facts = {"cell": cell.id, "identification": record.id, **body.model_dump()}
+        before = await asyncio.to_thread(_analysis_before, service, cell, body)
+        facts = {"cell": cell.id, "identification": record.id, **body.model_dump()}
+        with storing("the audit log", service.audit.path):
             await asyncio.to_thread(service.audit.write, "start", caller=caller, **facts)
-            await asyncio.to_thread(service.store.add_run, record, idempotency_key=key, body_sha256=digest)
-        except OSError as error:
-            service.jobs.release(live)
-            raise not_stored("the audit log", service.audit.path, error) from None
+        try:
+            job = replace(job, expected_analysis_s=before)
+            await service.jobs.begin(record, job, key=key, digest=digest)
         except CellBusyError:
-            service.jobs.release(live)
             raise Problem("run-in-progress", "another service runs this cell on the same database") from None
-        except (SQLAlchemyError, asyncio.CancelledError):
-            service.jobs.release(live)
-            raise
-        service.jobs.start(live, job)
         return record
+
+
+def _wrong_with(body: StartBody, cell: Cell) -> str | None:
+    """What of a body cannot be, on this cell."""
+    unknown = [a for a in body.axes or () if a not in cell.axes]
+    if body.separate is not None and body.axes is not None:
+        return "axes: which axes move follows from what is to be separated; leave 'axes' out"
+    if unknown:
+        return f"axes: no axis {unknown[0][:64]!r}; the cell has {list(cell.axes)}"
+    if body.mode == "screen" and (body.separate is not None or body.axes not in (None, list(cell.axes))):
+        return "mode: a screening shakes all axes by a plan of its own; leave 'axes' and 'separate' out"
+    if (body.tuned is None) == (body.mode == "verify") or (body.mode == "verify" and body.axes):
+        return (
+            "mode: 'verify' measures the loops of all axes, and 'tuned' names the run whose tuning was "
+            "applied; nothing else takes 'tuned'"
+        )
+    return None if body.changed is None else body.changed.refusal(cell.axes, linear=cell.config.linear)
 
 
 async def tuning_of(service: Service, identity: str, cell: Cell | None = None) -> dict[str, Any]:
@@ -121,14 +100,6 @@ async def tuning_of(service: Service, identity: str, cell: Cell | None = None) -
     return document
 
 
-def _reused(key: str, cell: Cell) -> Problem:
-    return Problem(
-        "idempotency-key-reused",
-        f"Idempotency-Key {key!r} was used on this cell with another body; use a new key for a new request",
-        simulated=cell.simulated,
-    )
-
-
 async def _refuse_if_not_ready(service: Service, cell: Cell, body: StartBody) -> None:
     axes = None if body.axes is None else tuple(body.axes)
     ready = await service.readiness(cell, body.mode, axes=axes)
@@ -137,24 +108,9 @@ async def _refuse_if_not_ready(service: Service, cell: Cell, body: StartBody) ->
         ready, _ = await service.ask_drives(cell, body.mode, axes)
     if ready.can_start:
         return
-    members: dict[str, Any] = {
-        "reasons": [r.model_dump(mode="json") for r in ready.reasons],
-        "simulated": cell.simulated,
-    }
-    detail = "; ".join(r.text for r in ready.reasons)
-    busy = service.jobs.occupying(cell.id)
-    if busy is not None:
-        run = busy.record.id
-        raise Problem(
-            "run-in-progress",
-            detail,
-            {"Retry-After": "5"},
-            identification=run,
-            location=f"/api/v1/identifications/{run}",
-            state=str(busy.record.state),
-            **members,
-        )
-    raise Problem("not-ready", detail, **members)
+    refusal = ready.problem()
+    service.require_free_bus(cell, refusal.detail, **refusal.members)
+    raise refusal
 
 
 async def _separation(service: Service, cell: Cell, body: StartBody) -> Separation:
@@ -162,22 +118,15 @@ async def _separation(service: Service, cell: Cell, body: StartBody) -> Separati
     identity = body.separate or ""
     earlier, _ = await service.run(identity)
     if earlier.cell != cell.id:
-        raise Problem(
-            "invalid-request",
-            f"separate: identification {identity} is not of cell {cell.id}",
-            simulated=cell.simulated,
-        )
+        raise Problem("invalid-request", f"separate: identification {identity} is not of cell {cell.id}")
     text = await asyncio.to_thread(_text_of, service, identity, "diagnosis")
     if text is None:
-        raise Problem(
-            "nothing-to-separate",
-            f"identification {identity} is {earlier.state} and has no diagnosis (any more)",
-            simulated=cell.simulated,
-        )
+        why = f"identification {identity} is {earlier.state} and has no diagnosis (any more)"
+        raise Problem("nothing-to-separate", why)
     try:
         return to_separate(json.loads(text), cell.config)
     except (InputError, ValueError) as error:
-        raise Problem("nothing-to-separate", str(error), simulated=cell.simulated) from None
+        raise Problem("nothing-to-separate", str(error)) from None
 
 
 def _text_of(service: Service, identity: str, kind: str) -> str | None:
@@ -188,29 +137,19 @@ def _text_of(service: Service, identity: str, kind: str) -> str | None:
         return None
 
 
-def _analysis_before(service: Service, cell: str, body: StartBody) -> float | None:
+def _analysis_before(service: Service, cell: Cell, body: StartBody) -> float | None:
     """Return the seconds that the analysis of the cell's last runs took at most, in three of four cases; of
     runs like this one where there are any, of other cells with as many axes where it is the cell's first.
     """
-    axes = len(service.cell(cell).axes)
-    done = _analyses(service, cell) or [
-        (run, took) for run, took in _analyses(service, None) if len(run.axes) == axes
-    ]
-    alike = [
-        took
-        for run, took in done
-        if run.mode == body.mode and (run.facts.get("separates") is None) == (body.separate is None)
-    ]
-    took = sorted(alike or [took for _, took in done])
-    return took[3 * (len(took) - 1) // 4] if took else None
-
-
-def _analyses(service: Service, cell: str | None) -> list[tuple[RunRecord, float]]:
-    return [
-        (run, float(run.facts["summary"]["analysis_s"]))
-        for run in service.store.runs(cell=cell, limit=_RECENT, measured=True)
-        if "analysis_s" in (run.facts.get("summary") or {})
-    ]
+    done: list[tuple[bool, float]] = []
+    for which in (cell.id, None):
+        for run in [] if done else service.store.runs(cell=which, limit=_RECENT, measured=True):
+            took = (run.facts.get("summary") or {}).get("analysis_s")
+            alike = run.mode == body.mode and (run.facts.get("separates") is None) == (body.separate is None)
+            if took is not None and (which is not None or len(run.axes) == len(cell.axes)):
+                done.append((alike, float(took)))
+    took_s = sorted([took for alike, took in done if alike] or [took for _, took in done])
+    return took_s[3 * (len(took_s) - 1) // 4] if took_s else None
 
 
 def _job(

@@ -17,47 +17,35 @@ from typing import Any
 
 from invid.disk import is_full, not_written
 from invid.errors import DiskFullError, InvidError, SafetyStop
+from invid.wording.statement import ENGLISH
 from invid_drivers.protocol import Done, EndedEarly, ErrorInfo, Line, Stopped, line_of_process
-from invid_service.jobs.last_words import LastWords
-from invid_service.jobs.orphans import hold
-from invid_service.jobs.protocol import DISK_FULL_FIX, Job, plain
+from invid_service.jobs.folder import LastWords, hold
+from invid_service.jobs.protocol import Job, plain
 from invid_service.jobs.stops import Run, stopped_by
 from invid_service.precedence import as_everyone
+from invid_service.web.texts import catalogue, error_of, said
 
-FIXES = {
-    "DiskFullError": DISK_FULL_FIX,
-    "ConfigError": "correct the cell's configuration",
-    "RecordingError": "check the file; the contract of recordings is in the documentation",
-    "NotIdentifiableError": "measure longer, with more amplitude or on more axes",
-    "SafetyStop": "look at the robot, clear the cause that is named, then start again",
-    "DriveError": "look at the drive's display and cable, then start again",
-    "BusError": "check the CAN adapter, its cable and its termination, then start again",
-}
-
-
-STOPPED = ErrorInfo(code="stopped", text="stopped on request", fix="start again when the cell is clear")
+STOPPED = ErrorInfo(**error_of("stopped"))
 
 
 def error_info(error: BaseException) -> ErrorInfo:
     """Return what the service is told of an error: a stable code, the sentence, a way out."""
     if isinstance(error, OSError) and not isinstance(error, InvidError) and is_full(error):
         error = not_written(Path(error.filename or "a file of the run"), error)
-    kind = type(error).__name__
-    if isinstance(error, InvidError):
-        code = "".join("-" + c.lower() if c.isupper() else c for c in kind).lstrip("-")
-        code = code.removesuffix("-error")
-        fix = next((FIXES[c.__name__] for c in type(error).__mro__ if c.__name__ in FIXES), "see the manual")
-        text = error.reason if isinstance(error, DiskFullError) else str(error)
-        return ErrorInfo(code=code, text=text, fix=fix)
     if isinstance(error, MemoryError):
-        return ErrorInfo(
-            code="out-of-memory",
-            text="the data need more memory than one run may take",
-            fix="cut the recording into shorter ones",
-        )
-    return ErrorInfo(
-        code="internal-error", text=f"{kind}: {error}", fix="please report it, with the log of the service"
-    )
+        return ErrorInfo(**error_of("out-of-memory"))
+    if not isinstance(error, InvidError):
+        own = error_of("internal-error")
+        return ErrorInfo(code=own["code"], text=f"{type(error).__name__}: {error}", fix=own["fix"])
+    codes = [_code_of(kind) for kind in type(error).__mro__]
+    fixes = (f"error.{code}.fix" for code in codes if f"error.{code}.fix" in catalogue(ENGLISH))
+    text = error.reason if isinstance(error, DiskFullError) else str(error)
+    return ErrorInfo(code=codes[0], text=text, fix=said(next(fixes, "error.any.fix")))
+
+
+def _code_of(kind: type) -> str:
+    name = "".join("-" + c.lower() if c.isupper() else c for c in kind.__name__)
+    return name.lstrip("-").removesuffix("-error")
 
 
 def run(line: Line) -> int:

@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import shutil
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
-from sqlalchemy.exc import SQLAlchemyError
-from starlette.datastructures import UploadFile
+from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from invid_service.auth import Runner
 from invid_service.cells.registry import Cell
-from invid_service.context import Context
+from invid_service.dependencies import Context, RunInPath, Runner
+from invid_service.jobs.files import stored_file
 from invid_service.jobs.protocol import Job
-from invid_service.jobs.router import stored_file
-from invid_service.jobs.schema import RETRY_AFTER_S, Identification, view
+from invid_service.jobs.schema import Identification, following, view
 from invid_service.jobs.states import OCCUPYING, UPLOAD
-from invid_service.links import address
 from invid_service.openapi import ACCEPTED
-from invid_service.problems import EVERYWHERE, Problem, not_stored, problem_responses
+from invid_service.problems import EVERYWHERE, Problem, problem_responses, storing
 from invid_service.recordings.claims import check_claims
 from invid_service.recordings.simulator import LARGEST, checked_simulator
 from invid_service.service import Service
@@ -78,44 +77,40 @@ async def upload_recording(
     the records kept out. The diagnosis then has ``against``; the corrected copy is at the link ``corrected``.
     It is one file that reads no other; an FMU is native code and is refused.
     """
-    owner = None if cell is None else service.cell(cell)
     media = request.headers.get("content-type", "").split(";")[0].strip().lower()
     if media not in (*_RAW, "multipart/form-data"):
         raise Problem(
             "unsupported-media-type",
             f"Content-Type {media!r}: send the HDF5 file as application/x-hdf5 or as the form field 'file'",
         )
-    announced = int(request.headers.get("content-length") or 0)
-    if service.blobs.free_bytes() < service.settings.min_free_bytes + announced:
-        raise Problem("disk-full", "there is not enough room on the service's disk for this upload")
+    if cell is not None:
+        service.cell(cell)
+    _require_room(service, int(request.headers.get("content-length") or 0))
     record = service.new_run(None, UPLOAD, [], caller.name)
-    folder = service.blobs.scratch(record.id)
-    try:
-        target = folder / "recording.h5"
-        if media == "multipart/form-data":
-            named, simulator = await _receive_form(request, target)
-            if simulator is not None:
-                suffix, text = await asyncio.to_thread(checked_simulator, simulator)
-                record = replace(record, facts={**record.facts, "simulator": f"simulator{suffix}"})
-                await asyncio.to_thread(_write, folder / f"simulator{suffix}", text)
-            if named is not None:
-                if cell not in (None, named):
-                    raise Problem(
-                        "invalid-request", f"cell: the query says {cell!r}, the form {named[:64]!r}"
-                    )
-                owner = service.cell(named)
-        else:
+    with service.blobs.filling(record.id) as folder:
+        target, given = folder / "recording.h5", _Form(cell=cell)
+        if media in _RAW:
             await _receive_raw(request, target)
+        else:
+            given = await _receive_form(request, target, cell)
+        if given.simulator is not None:
+            suffix, text = await asyncio.to_thread(checked_simulator, given.simulator)
+            path = folder / f"simulator{suffix}"
+            with storing("the simulator", path):
+                await asyncio.to_thread(path.write_bytes, text)
+            record = replace(record, facts={"simulator": path.name})
+        owner = None if given.cell is None else service.cell(given.cell)
         await check_claims(target, largest=service.settings.max_unpacked_bytes)
         if owner is not None:
             record = replace(record, cell=owner.id, robot=owner.config.robot)
         await _queue(service, record, folder, owner)
-    except BaseException:
-        service.blobs.clear_scratch(record.id)
-        raise
-    response.headers["Location"] = address("identifications", record.id)
-    response.headers["Retry-After"] = str(RETRY_AFTER_S)
+    response.headers.update(following(record.id))
     return view(record, service.jobs.live(record.id))
+
+
+def _require_room(service: Service, wanted: int = 0) -> None:
+    if service.blobs.free_bytes() < service.settings.min_free_bytes + wanted:
+        raise Problem("disk-full", "there is not enough room on the service's disk for this recording")
 
 
 @router.post(
@@ -125,36 +120,26 @@ async def upload_recording(
     responses={**ACCEPTED, **problem_responses(409, 410, 507)},
 )
 async def analyse_identification(
-    identification: str, response: Response, service: Context, caller: Runner
+    response: Response, service: Context, caller: Runner, run: RunInPath
 ) -> Identification:
     """Identify and diagnose the recording of a run that has ended, as if it had been uploaded.
 
     For a run that was stopped, failed or was interrupted: what it measured until then is worked out, or the
     new run's ``error`` says what is missing.
     """
-    earlier, _ = await service.run(identification)
+    earlier = run.record
     if earlier.state in OCCUPYING:
-        raise Problem(
-            "wrong-state",
-            f"identification {earlier.id} is {earlier.state}; its recording is analysed once it has ended",
-            state=str(earlier.state),
-            simulated=earlier.simulated,
-        )
-    source = await stored_file(service, earlier, "recording")
-    if service.blobs.free_bytes() < service.settings.min_free_bytes:
-        raise Problem("disk-full", "there is not enough room on the service's disk for an analysis")
+        raise run.problem("wrong-state", "; its recording is analysed once it has ended")
+    source = await stored_file(service, run, "recording")
+    _require_room(service)
     record = service.new_run(None, UPLOAD, list(earlier.axes), caller.name)
     facts = {"analyses": earlier.id}
     record = replace(record, cell=earlier.cell, robot=earlier.robot, simulated=earlier.simulated, facts=facts)
-    folder = service.blobs.scratch(record.id)
-    try:
-        await asyncio.to_thread(_same_file, source, folder / "recording.h5")
+    with service.blobs.filling(record.id) as folder:
+        with storing("the copy of the recording", folder / "recording.h5"):
+            await asyncio.to_thread(_same_file, source, folder / "recording.h5")
         await _queue(service, record, folder, service.cells.get(earlier.cell or ""))
-    except BaseException:
-        service.blobs.clear_scratch(record.id)
-        raise
-    response.headers["Location"] = address("identifications", record.id)
-    response.headers["Retry-After"] = str(RETRY_AFTER_S)
+    response.headers.update(following(record.id))
     return view(record, service.jobs.live(record.id))
 
 
@@ -163,77 +148,71 @@ def _same_file(source: Path, target: Path) -> None:
     try:
         target.hardlink_to(source)
     except OSError:
-        try:
-            shutil.copyfile(source, target)
-        except OSError as error:
-            raise not_stored("the copy of the recording", target, error) from None
+        shutil.copyfile(source, target)
 
 
 async def _receive_raw(request: Request, target: Path) -> None:
     first = b""
+    with storing("the upload", target), target.open("wb") as file, _whole():
+        async for chunk in request.stream():
+            first = first if len(first) >= len(SIGNATURE) else (first + chunk)[: len(SIGNATURE)]
+            _require_hdf5(first, SIGNATURE[: len(first)])
+            await asyncio.to_thread(file.write, chunk)
+    _require_hdf5(first, SIGNATURE)
+
+
+@contextlib.contextmanager
+def _whole() -> Iterator[None]:
+    """Problem where the sender hangs up within."""
     try:
-        with target.open("wb") as file:
-            async for chunk in request.stream():
-                if len(first) < len(SIGNATURE):
-                    first += chunk[: len(SIGNATURE) - len(first)]
-                    if not SIGNATURE.startswith(first):
-                        raise _no_recording()
-                await asyncio.to_thread(file.write, chunk)
+        yield
     except ClientDisconnect:
         raise Problem("bad-request", "the upload was cut off; send it again") from None
-    except OSError as error:
-        raise not_stored("the upload", target, error) from None
-    if first != SIGNATURE:
-        raise _no_recording()
 
 
-def _no_recording() -> Problem:
-    return Problem(
-        "invalid-recording", "the body is no HDF5 file; 'invid import' turns other formats into one"
-    )
+def _require_hdf5(first: bytes, signature: bytes) -> None:
+    if first != signature:
+        text = "the body is no HDF5 file; 'invid import' turns other formats into one"
+        raise Problem("invalid-recording", text)
 
 
-async def _receive_form(request: Request, target: Path) -> tuple[str | None, bytes | None]:
-    """Write the file of a form; return the cell that the form names, and the simulator's bytes."""
+@dataclass(frozen=True)
+class _Form:
+    """What a form has beside the recording."""
+
+    cell: str | None
+    simulator: bytes | None = None
+
+
+async def _receive_form(request: Request, target: Path, cell: str | None) -> _Form:
+    """Write the file of a form; return the cell that form or query (``cell``) names, and the simulator."""
     # Files are spooled to disk beyond a megabyte: memory does not grow with the upload.
     try:
-        form = await request.form(max_files=2, max_fields=4, max_part_size=4096)
-    except ClientDisconnect:
-        raise Problem("bad-request", "the upload was cut off; send it again") from None
+        with _whole():
+            form = await request.form(max_files=2, max_fields=4, max_part_size=4096)
     except HTTPException as error:
         if error.status_code == 400:
             raise Problem("invalid-request", f"the form cannot be read: {error.detail}") from None
         raise
     try:
-        file = form.get("file")
-        if not isinstance(file, UploadFile):
-            raise Problem("invalid-request", "the form has no file in the field 'file'")
-        if (await file.read(len(SIGNATURE))) != SIGNATURE:
-            raise _no_recording()
-        await file.seek(0)
-        await asyncio.to_thread(_copy, file, target)
-        named, simulator = form.get("cell"), form.get("simulator")
-        if simulator is not None and not isinstance(simulator, UploadFile):
-            raise Problem("invalid-request", "simulator: send the file itself, as the recording in 'file'")
-        model = None if simulator is None else await simulator.read(LARGEST + 1)
-        return named if isinstance(named, str) and named else None, model
+        return await _read_form(form, target, cell)
     finally:
         await form.close()
 
 
-def _copy(file: UploadFile, target: Path) -> None:
-    try:
-        with target.open("wb") as out:
-            shutil.copyfileobj(file.file, out, 1024 * 1024)
-    except OSError as error:
-        raise not_stored("the upload", target, error) from None
-
-
-def _write(target: Path, text: bytes) -> None:
-    try:
-        target.write_bytes(text)
-    except OSError as error:
-        raise not_stored("the simulator", target, error) from None
+async def _read_form(form: FormData, target: Path, cell: str | None) -> _Form:
+    file, named, simulator = form.get("file"), form.get("cell") or cell, form.get("simulator")
+    if not isinstance(file, UploadFile):
+        raise Problem("invalid-request", "the form has no file in the field 'file'")
+    _require_hdf5(await file.read(len(SIGNATURE)), SIGNATURE)
+    if not isinstance(named, str | None) or cell not in (None, named):
+        raise Problem("invalid-request", f"cell: the query says {cell!r}, the form {str(named)[:64]!r}")
+    if not isinstance(simulator, UploadFile | None):
+        raise Problem("invalid-request", "simulator: send the file itself, as the recording in 'file'")
+    await file.seek(0)
+    with storing("the upload", target), target.open("wb") as out:
+        await asyncio.to_thread(shutil.copyfileobj, file.file, out, 1024 * 1024)
+    return _Form(named, None if simulator is None else await simulator.read(LARGEST + 1))
 
 
 async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell | None) -> None:
@@ -253,10 +232,4 @@ async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell |
         stop_grace_s=service.settings.stop_grace_s,
         budget_s=service.settings.analysis_budget_s,
     )
-    live = service.jobs.reserve(record)
-    try:
-        await asyncio.to_thread(service.store.add_run, record)
-    except (SQLAlchemyError, asyncio.CancelledError):
-        service.jobs.release(live)
-        raise
-    service.jobs.start(live, job)
+    await service.jobs.begin(record, job)

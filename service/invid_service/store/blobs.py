@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,6 +52,15 @@ class Blobs:
         folder = self.work / run
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+    @contextlib.contextmanager
+    def filling(self, run: str) -> Iterator[Path]:
+        """Context manager with such a folder, which is gone again where what is done within fails."""
+        try:
+            yield self.scratch(run)
+        except BaseException:
+            self.clear_scratch(run)
+            raise
 
     def put(self, run: str, kind: str, source: Path) -> Blob | None:
         """Move ``source`` into the store: flushed, then renamed, so that no half file has its name.

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from operator import eq, ge, lt, ne
 from typing import Any
 
 from sqlalchemy import Connection, Engine, Select, and_, delete, func, insert, or_, select, text, update
@@ -78,7 +79,7 @@ class CellBusyError(Exception):
 
 def _run(row: Any) -> RunRecord:
     own = {"axes": tuple(row.axes), "state": State(row.state)}
-    return RunRecord(**{name: v for name, v in row._mapping.items() if name != "number"} | own)
+    return RunRecord(**{name: v for name, v in row._mapping.items() if name not in _ASIDE} | own)
 
 
 def _columns(run: RunRecord) -> dict[str, Any]:
@@ -90,17 +91,8 @@ def _add(link: Connection, run: str, event: StoredEvent) -> None:
     link.execute(insert(EVENTS).values(run=run, id=event.id, type=event.type, data=dict(event.data)))
 
 
-def _earlier(link: Connection, cell: str, key: str, body_sha256: str) -> RunRecord | None:
-    """The run that a key stands for; KeyReusedError with another body."""
-    used = select(IDEMPOTENCY).where(IDEMPOTENCY.c.cell == cell, IDEMPOTENCY.c.key == key)
-    earlier = link.execute(used).one_or_none()
-    if earlier is None:
-        return None
-    if earlier.body_sha256 != body_sha256:
-        raise KeyReusedError
-    return _run(link.execute(select(RUNS).where(RUNS.c.id == earlier.run)).one())
-
-
+_ASIDE = ("number", "body_sha256")
+"""Columns that are nothing of the run itself."""
 _CHANGE = ("state", "started", "ended", "facts", "robot", "axes", "simulated")
 """Columns of a run that change after it was queued."""
 _LAST_FIRST = (RUNS.c.number.desc(), RUNS.c.id.desc())
@@ -117,42 +109,28 @@ class Store:
             return link.execute(query).all()
 
     # --- runs ----------------------------------------------------------------------------------
-    def add_run(
-        self, run: RunRecord, *, idempotency_key: str | None = None, body_sha256: str = ""
-    ) -> RunRecord:
-        """Insert a queued run, or return the one this idempotency key already stands for.
-
-        Raises
-        ------
-        KeyReusedError
-            Where the key was used with another body.
-        CellBusyError
-            Where the cell has a run in progress.
+    def add_run(self, run: RunRecord, *, idempotency_key: str | None = None, body_sha256: str = "") -> None:
+        """Insert a queued run; CellBusyError where another service has run its cell, or used its key, since
+        it was looked for.
         """
-        key = None if run.cell is None else idempotency_key
+        last = select(func.coalesce(func.max(RUNS.c.number), 0) + 1).scalar_subquery()
         try:
             with self.engine.begin() as link:
-                if (
-                    key is not None
-                    and (found := _earlier(link, run.cell or "", key, body_sha256)) is not None
-                ):
-                    return found
-                last = select(func.coalesce(func.max(RUNS.c.number), 0) + 1).scalar_subquery()
                 link.execute(insert(RUNS).values(**_columns(run), number=last))
-                if key is not None:
-                    used = {"cell": run.cell, "key": key, "body_sha256": body_sha256}
+                if run.cell is not None and idempotency_key is not None:
+                    used = {"cell": run.cell, "key": idempotency_key, "body_sha256": body_sha256}
                     link.execute(insert(IDEMPOTENCY).values(**used, run=run.id, created=run.created))
-            return run
         except IntegrityError:
-            found = None if key is None else self.find_idempotent(run.cell or "", key, body_sha256)
-            if found is None:
-                raise CellBusyError from None
-            return found
+            raise CellBusyError from None
 
     def find_idempotent(self, cell: str, key: str, body_sha256: str) -> RunRecord | None:
         """Return the run this key stands for; KeyReusedError with another body."""
-        with self.engine.connect() as link:
-            return _earlier(link, cell, key, body_sha256)
+        query = select(RUNS, IDEMPOTENCY.c.body_sha256).join(IDEMPOTENCY, IDEMPOTENCY.c.run == RUNS.c.id)
+        for row in self._all(query.where(IDEMPOTENCY.c.cell == cell, IDEMPOTENCY.c.key == key)):
+            if row.body_sha256 != body_sha256:
+                raise KeyReusedError
+            return _run(row)
+        return None
 
     def save_state(self, run: RunRecord, event: StoredEvent | None) -> None:
         """Write the run's state and facts with the event that tells of it."""
@@ -190,17 +168,15 @@ class Store:
         measured
             Without those of uploaded recordings.
         """
-        query = select(RUNS).order_by(*_LAST_FIRST).limit(limit)
-        if cell is not None:
-            query = query.where(RUNS.c.cell == cell)
-        if state is not None:
-            query = query.where(RUNS.c.state == str(state))
-        if measured:
-            query = query.where(RUNS.c.mode != UPLOAD)
-        if since is not None:
-            query = query.where(RUNS.c.created >= since)
-        if until is not None:
-            query = query.where(RUNS.c.created < until)
+        given = (
+            (cell, eq, RUNS.c.cell),
+            (None if state is None else str(state), eq, RUNS.c.state),
+            (since, ge, RUNS.c.created),
+            (until, lt, RUNS.c.created),
+            (UPLOAD if measured else None, ne, RUNS.c.mode),
+        )
+        query = select(RUNS).where(*(is_so(column, v) for v, is_so, column in given if v is not None))
+        query = query.order_by(*_LAST_FIRST).limit(limit)
         if after is not None:
             found = self._all(select(RUNS.c.number, RUNS.c.id).where(RUNS.c.id == after))
             if not found:

@@ -11,21 +11,18 @@ from fastapi import APIRouter, Body, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from invid.errors import InputError, InvidError
-from invid.tuning.document import loops_from_json
+from invid.tuning.axis_loop import loops_from_json
 from invid.tuning.motor_scale import MotorScale
 from invid_drivers.values.applying import Proposal, apply, propose, undo, written_entries
-from invid_service.auth import Accepter, Reader, Runner
 from invid_service.cells.registry import Cell
-from invid_service.context import Context
-from invid_service.jobs.router import artefact, file_responses
-from invid_service.jobs.schema import RETRY_AFTER_S, PersonName
+from invid_service.dependencies import Accepter, Context, Reader, RunInPath, Runner, find_run
+from invid_service.jobs.files import artefact, file_responses
+from invid_service.jobs.protocol import TuningTask
+from invid_service.jobs.schema import RETRY_AFTER_S, PersonName, following
 from invid_service.jobs.start import tuning_of
-from invid_service.links import address
 from invid_service.openapi import ACCEPTED
 from invid_service.problems import EVERYWHERE, RETRY_AFTER, Problem, problem_responses
-from invid_service.service import Service
 from invid_service.store.blobs import KINDS
-from invid_service.tuning.order import Order
 
 router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
 
@@ -111,16 +108,33 @@ class TuningState(BaseModel):
     responses={**ACCEPTED, **problem_responses(409, 410)},
 )
 async def start_tuning(
-    identification: str,
     response: Response,
     service: Context,
     caller: Runner,
+    run: RunInPath,
     body: Annotated[TuningBody | None, Body()] = None,
 ) -> TuningState:
     """Work out gains, notch filters, feedforward and shapers from the model of this run, with the margins
     they leave over its covariance. It takes seconds; follow ``Location``. Nothing is written to a drive.
     """
-    return await _start(service, identification, body or TuningBody(), response)
+    wanted, record = body or TuningBody(), run.record
+    blobs = await asyncio.to_thread(service.store.artefacts, record.id)
+    found = [b for k in ("diagnosis", "model") if (b := blobs.get(k)) is not None]
+    if blobs.get("model") is None:
+        raise run.problem("wrong-state", " and has no model to tune on")
+    cell = service.cells.get(record.cell or "")
+    asks = wanted.from_drives and cell is not None and service.jobs.occupying(cell.id) is None
+    task = TuningTask(
+        **wanted.model_dump(include={"cycle_s", "notches", "draws", "drive"}),
+        folder=service.blobs.work,
+        source=service.blobs.path(found[0].path),
+        simulated=record.simulated,
+        motors=wanted.motors,
+        config=cell.config.model_dump(mode="json") if asks and cell is not None else None,
+    )
+    service.tunings.start(record.id, task)
+    response.headers.update(following(record.id, "tuning"))
+    return TuningState(simulated=record.simulated)
 
 
 @router.post(
@@ -130,81 +144,43 @@ async def start_tuning(
     responses={**ACCEPTED, **problem_responses(409, 410)},
 )
 async def tune_model(
-    body: ModelTuningBody, response: Response, service: Context, caller: Runner
+    body: ModelTuningBody, request: Request, response: Response, service: Context, caller: Runner
 ) -> TuningState:
     """Work out values for the drives from a model, which has the id of its run."""
-    return await _start(service, body.model, body, response)
+    run = await find_run(body.model, request, service)
+    return await start_tuning(response, service, caller, run, body)
 
 
-async def _start(
-    service: Service, identification: str, wanted: TuningBody, response: Response
-) -> TuningState:
-    record, _ = await service.run(identification)
-    blobs = await asyncio.to_thread(service.store.artefacts, record.id)
-    found = {k: b for k in ("diagnosis", "model") if (b := blobs.get(k)) is not None}
-    if "model" not in found:
-        raise Problem(
-            "wrong-state",
-            f"identification {record.id} is {record.state} and has no model to tune on",
-            state=str(record.state),
-            simulated=record.simulated,
-        )
-    cell = service.cells.get(record.cell or "")
-    asks = wanted.from_drives and cell is not None and service.jobs.occupying(cell.id) is None
-    order = Order(
-        folder=service.blobs.work,
-        source=service.blobs.path(next(iter(found.values())).path),
-        simulated=record.simulated,
-        cycle_s=wanted.cycle_s,
-        notches=wanted.notches,
-        draws=wanted.draws,
-        drive=wanted.drive,
-        motors=wanted.motors,
-        config=cell.config.model_dump(mode="json") if asks and cell is not None else None,
-    )
-    service.tunings.start(record.id, order)
-    response.headers["Location"] = address("identifications", record.id, "tuning")
-    response.headers["Retry-After"] = str(RETRY_AFTER_S)
-    return TuningState(simulated=record.simulated)
+_ANSWERS: dict[int | str, dict[str, Any]] = {
+    **file_responses(KINDS["tuning"][1]),
+    **problem_responses(409, 410),
+    202: {"description": "It goes on", "model": TuningState, "headers": RETRY_AFTER},
+}
 
 
-@router.get(
-    "/identifications/{identification}/tuning",
-    response_class=Response,
-    responses={
-        **file_responses(KINDS["tuning"][1]),
-        **problem_responses(409, 410),
-        202: {"description": "It goes on", "model": TuningState, "headers": RETRY_AFTER},
-    },
-)
-async def get_tuning(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
+@router.get("/identifications/{identification}/tuning", response_class=Response, responses=_ANSWERS)
+async def get_tuning(request: Request, service: Context, _caller: Reader, run: RunInPath) -> Response:
     """Return the values for the drives, before and after, with their margins and what repair would buy."""
-    record, _ = await service.run(identification)
+    record = run.record
     if service.tunings.is_running(record.id):
         state = TuningState(simulated=record.simulated).model_dump_json()
         return Response(state, 202, {"Retry-After": str(RETRY_AFTER_S)}, "application/json")
     why = service.tunings.failure(record.id)
     if why is not None:
         raise Problem("not-tunable", why, simulated=record.simulated)
-    return await artefact(service, identification, "tuning", request)
+    return await artefact(service, run, "tuning", request)
 
 
-@router.get(
-    "/models/tune/{model}",
-    response_class=Response,
-    responses={
-        **file_responses(KINDS["tuning"][1]),
-        **problem_responses(409, 410),
-        202: {"description": "It goes on", "model": TuningState, "headers": RETRY_AFTER},
-    },
-)
+@router.get("/models/tune/{model}", response_class=Response, responses=_ANSWERS)
 async def get_model_tuning(model: str, request: Request, service: Context, caller: Reader) -> Response:
     """Return what was worked out for this model."""
-    return await get_tuning(model, request, service, caller)
+    return await get_tuning(request, service, caller, await find_run(model, request, service))
 
 
 @router.post("/models/tune/{model}/apply", response_model=Applied, responses=problem_responses(409))
-async def apply_tuning(model: str, body: ApplyBody, service: Context, caller: Accepter) -> Applied:
+async def apply_tuning(
+    model: str, body: ApplyBody, request: Request, service: Context, caller: Accepter
+) -> Applied:
     """Write these values into the drives of the cell, by a person's act.
 
     Without ``token`` the drives are asked and nothing is written: the answer lists every object, old and
@@ -212,7 +188,7 @@ async def apply_tuning(model: str, body: ApplyBody, service: Context, caller: Ac
     drives that are off or stand, and read back; where one is not taken, or holds another value than the list
     says, nothing stays written. ``undo`` writes back what the last act replaced.
     """
-    record, _ = await service.run(model)
+    record = (await find_run(model, request, service)).record
     cell = service.cell(record.cell or "")
     if (body.token is not None or body.undo) and body.name != cell.config.robot:
         raise Problem(

@@ -11,9 +11,9 @@ from datetime import datetime
 
 from invid_drivers.protocol import Failed
 from invid_service.jobs.launcher import ProcessWorker
+from invid_service.jobs.protocol import TuningTask
 from invid_service.store.blobs import KINDS, Blobs
 from invid_service.store.store import Store
-from invid_service.tuning.order import Order
 
 log = logging.getLogger(__name__)
 TUNING_KINDS = ("tuning", "tuning-page", "tuning-picture", "tuning-files")
@@ -36,14 +36,14 @@ class Tunings:
         """Why the last try failed, in a sentence; ``None`` where it did not."""
         return self._failed.get(run)
 
-    def start(self, run: str, order: Order) -> None:
-        """Begin; nothing more where it has begun. The folder of ``order`` is a scratch folder of the run."""
+    def start(self, run: str, task: TuningTask) -> None:
+        """Begin; nothing more where it has begun. The folder of ``task`` is a scratch folder of the run."""
         if run in self._tasks:
             return
         self._failed.pop(run, None)
-        task = asyncio.create_task(self._carry_out(run, order))
-        self._tasks[run] = task
-        task.add_done_callback(lambda _: self._tasks.pop(run, None))
+        work = asyncio.create_task(self._carry_out(run, task))
+        self._tasks[run] = work
+        work.add_done_callback(lambda _: self._tasks.pop(run, None))
 
     async def close(self) -> None:
         """End what runs."""
@@ -52,12 +52,12 @@ class Tunings:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
-    async def _carry_out(self, run: str, order: Order) -> None:
+    async def _carry_out(self, run: str, task: TuningTask) -> None:
         scratch = f"tuning-{run}"
         try:
             async with self._one:
                 folder = await asyncio.to_thread(self._blobs.scratch, scratch)
-                why = await self._process(replace(order, folder=folder))
+                why = await self._process(replace(task, folder=folder))
             if why is None:
                 await asyncio.to_thread(self._keep, run, scratch)
             else:
@@ -73,9 +73,9 @@ class Tunings:
         kept = {kind: self._blobs.put(run, kind, folder / KINDS[kind][0]) for kind in TUNING_KINDS}
         self._store.add_artefacts(run, {k: b for k, b in kept.items() if b is not None}, self._clock())
 
-    async def _process(self, order: Order) -> str | None:
+    async def _process(self, task: TuningTask) -> str | None:
         """Why it did not come to an end well, ``None`` where it did."""
-        worker = await ProcessWorker.start("invid_service.tuning.worker", order, order.folder / "worker.log")
+        worker = await ProcessWorker.start("invid_service.tuning.worker", task, task.folder / "worker.log")
         try:
             async with asyncio.timeout(self._timeout_s):
                 async for message in worker.messages():

@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from invid import __version__
-from invid_service.web.texts import LANGUAGES, catalogue, sayings, wanted
+from invid_service.web.texts import LANGUAGES, catalogue, sayings
 
 _HERE = Path(__file__).parent
 _TEMPLATES = Environment(
@@ -23,6 +23,7 @@ _POLICY = (
     "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-src 'self'; "
     "object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+COOKIE = "invid-language"
 router = APIRouter()
 
 
@@ -61,6 +62,27 @@ def _embedded(texts: Mapping[str, str]) -> Markup:
 async def favicon() -> Response:
     """Answer that there is no icon; saves a line in every log."""
     return Response(status_code=204)
+
+
+def wanted(request: Request) -> str:
+    """Return the language chosen on the page before, else the first of the browser's that is there."""
+    chosen = request.cookies.get(COOKIE, "")
+    return chosen if chosen in LANGUAGES else preferred(request.headers.get("accept-language", ""))
+
+
+def preferred(header: str) -> str:
+    """Return the best language of an ``Accept-Language`` header ("de-CH,de;q=0.9,en;q=0.8")."""
+    ranked: list[tuple[float, int, str]] = []
+    for place, part in enumerate(header.split(",")[:50]):
+        tag, _, weight = part.strip().partition(";")
+        try:
+            share = float(weight.strip().removeprefix("q=")) if weight else 1.0
+        except ValueError:
+            continue
+        language = tag.split("-")[0].strip().lower()
+        if language in LANGUAGES and share > 0:
+            ranked.append((-share, place, language))
+    return min(ranked)[2] if ranked else LANGUAGES[0]
 
 
 def static_files() -> StaticFiles:

@@ -1,4 +1,4 @@
-"""Read the page's texts: one flat JSON catalogue a language, and which of them a request asks for."""
+"""The texts of service and page: one flat JSON catalogue a language, a message is a key with values."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import json
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-
-from fastapi import Request
+from typing import Any
 
 from invid.wording import statement as wording
 
 FOLDER = Path(__file__).parent / "static" / "texts"
 LANGUAGES = wording.LANGUAGES
 """The first is spoken where none of what a browser asks for is there."""
-COOKIE = "invid-language"
 FAMILIES = ("cause.", "effect.", "measure.", "check.", "experiment.")
 SHARED = ("number.point", "word.and", "word.or")
 """What the page says in the words of the core (``invid.wording``): names of causes and of their sizes."""
@@ -39,25 +37,20 @@ def sayings(language: str) -> Mapping[str, str]:
     return found
 
 
-def wanted(request: Request) -> str:
-    """Return the language chosen on the page before, else the first of the browser's that is there."""
-    chosen = request.cookies.get(COOKIE, "")
-    return chosen if chosen in LANGUAGES else preferred(request.headers.get("accept-language", ""))
+def said(key: str, values: Mapping[str, object] | None = None) -> str:
+    """Return the English words of a key, for programs and logs; a page says them in its own language."""
+    text = catalogue(wording.ENGLISH)[key]
+    return text.format_map(values) if values else text
 
 
-def preferred(header: str) -> str:
-    """Return the best language of an ``Accept-Language`` header ("de-CH,de;q=0.9,en;q=0.8")."""
-    ranked: list[tuple[float, int, str]] = []
-    for place, part in enumerate(header.split(",")[:50]):
-        tag, _, weight = part.strip().partition(";")
-        try:
-            share = float(weight.strip().removeprefix("q=")) if weight else 1.0
-        except ValueError:
-            continue
-        language = tag.split("-")[0].strip().lower()
-        if language in LANGUAGES and share > 0:
-            ranked.append((-share, place, language))
-    return min(ranked)[2] if ranked else LANGUAGES[0]
+def told(key: str, **values: str) -> dict[str, Any]:
+    """Return what is said under a key: its ``text``, the way out (``fix``), the ``values`` of its gaps."""
+    return {"text": said(key, values), "fix": said(f"{key}.fix", values), "values": values}
+
+
+def error_of(code: str, **values: str) -> dict[str, Any]:
+    """Return why a run ended early, of which the service itself knows all."""
+    return {"code": code, **told(f"error.{code}", **values)}
 
 
 def drawing_words(language: str) -> dict[str, str]:

@@ -14,10 +14,10 @@ from invid.errors import DriveError, InputError
 from invid.model.chains import CoupledChains
 from invid.model.document import Model, parameter_vector, std_by_name
 from invid.recording import read_recording
+from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.feedforward import NONE
 from invid.tuning.motor_scale import MotorScale
 from invid.tuning.servo_loop import DriveTiming, Gains, Notch
-from invid.tuning.simulated_loops import AxisLoop
 from invid.tuning.verification import Verdict, Verification, verify
 from invid.tuning.verification_document import sentence
 from invid_drivers.connect import connect

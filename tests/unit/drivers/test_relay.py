@@ -68,5 +68,5 @@ def test_of_a_cycle_process_that_is_lost_every_axis_is_named_with_its_last_state
         parent.run(ours)
     parent.end()
     first, second = parent.states.of(["A1", "A2"])
-    assert first.startswith("axis A1 was last seen held by its drive, at ")
-    assert second == "axis A2 was not seen under power"
+    assert first.sentence.startswith("axis A1 was last seen held by its drive, at ")
+    assert second.sentence == "axis A2 was not seen under power"

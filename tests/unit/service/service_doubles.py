@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -131,7 +132,7 @@ class ScriptedWorker:
             yield Running()
             yield AxisStates(self.director.axes)
             for k in range(3):
-                yield RunProgress(fraction=0.1 * k, phase="A1", axis="A1", eta_s=5.0)
+                yield RunProgress(progress=0.1 * k, phase="A1", axis="A1", eta_s=5.0)
             if (seen := await self._until(self.director.go)) != "event":
                 if seen == "stop" and not self.director.die:
                     self._recording()
@@ -237,10 +238,20 @@ def running(
         yield client, director
 
 
+START = "/api/v1/cells/cell/identifications"
+
+
+def start(client: TestClient, cell: str = "cell", **body: Any) -> str:
+    """Start a run that waits for nobody; its address."""
+    answer = client.post(f"/api/v1/cells/{cell}/identifications", json={"mode": "full", "arm": True, **body})
+    assert answer.status_code == 202, answer.text
+    assert int(answer.headers["Retry-After"]) >= 1
+    location: str = answer.headers["Location"]
+    return location
+
+
 def wait_for(client: TestClient, location: str, *states: str, timeout: float = 30.0) -> dict[str, Any]:
     """Poll until the run is in one of ``states``; fails with what it saw."""
-    import time
-
     deadline = time.monotonic() + timeout
     while time.monotonic() < deadline:
         body: dict[str, Any] = client.get(location).json()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_doubles import Director, running, wait_for
+from service_doubles import START, Director, running, start, wait_for
 
 from invid.cli.app import run
 from invid.errors import ConfigError
@@ -17,7 +17,6 @@ from invid_service.service import build, utc_now
 from invid_service.settings import Settings
 
 CELLS = "/api/v1/cells"
-START = "/api/v1/cells/cell/identifications"
 STOP = "/api/v1/cells/cell/stop"
 
 
@@ -118,7 +117,7 @@ def test_an_untrusted_result_is_accepted_only_with_a_reason_which_is_kept(
 ) -> None:
     with running(tmp_path) as (client, director):
         director.verdict = verdict
-        location = client.post(START, json={"mode": mode, "arm": True}).headers["Location"]
+        location = start(client, mode=mode)
         assert wait_for(client, location, "awaiting_accept")["untrusted"]
         refused = client.post(f"{location}/actions", json={"type": "accept"})
         assert (refused.status_code, kind(refused)) == (409, "override-needed")

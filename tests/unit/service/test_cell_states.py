@@ -7,14 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_doubles import CELL, Director, running, wait_for
+from service_doubles import CELL, Director, running, start, wait_for
 
 STATE, STOP = "/api/v1/state", "/api/v1/stop"
-
-
-def start(client: Any, cell: str = "cell", **body: Any) -> str:
-    answer = client.post(f"/api/v1/cells/{cell}/identifications", json={"mode": "full", "arm": True, **body})
-    return str(answer.headers["Location"])
 
 
 def of(client: Any, cell: str = "cell") -> dict[str, Any]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from service_doubles import Director, running, wait_for
+from service_doubles import Director, running, start, wait_for
 
-START = "/api/v1/cells/cell/identifications"
 PLANNED = "A1: velocity could be 2.63 rad/s without its model; limits.velocity ends the run"
 UNSEEN = {"code": "unseen", "text": "A1.damper.1: not seen by these data", "values": {}}
 MISSED = {"code": "missed_torque", "text": "The model cannot be trusted: …", "values": {"share": 0.79}}
@@ -22,7 +21,7 @@ def test_the_weightiest_doubt_is_the_reason_and_stays_it_in_a_test_run(tmp_path:
             ("full", ["missed_torque", "unseen"]),
             ("test", ["missed_torque", "unseen", "test"]),
         ):
-            location = client.post(START, json={"mode": mode, "arm": True}).headers["Location"]
+            location = start(client, mode=mode)
             body = wait_for(client, location, "awaiting_accept")
             doubts = body["summary"]["doubts"]
             assert [d["code"] for d in doubts] == codes

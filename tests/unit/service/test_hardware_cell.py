@@ -8,13 +8,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from service_doubles import CELL, model_document, running, wait_for
+from service_doubles import CELL, START, model_document, running, wait_for
 
 from invid.config import CellConfig
 from invid_drivers.simulated import truth
 from invid_service.store.store import RunRecord, State, StoredModel
 
-START = "/api/v1/cells/cell/identifications"
 HARDWARE = CELL.split("simulation:")[0].replace(
     "{interface: invid-virtual, channel: test, cycle_s: 0.001}",
     "{interface: socketcan, channel: can-none, cycle_s: 0.001}",

@@ -10,14 +10,12 @@ from pathlib import Path
 
 import h5py
 import pytest
-from service_doubles import Director, running, settings_in, wait_for
+from service_doubles import START, Director, running, settings_in, wait_for
 
 from invid.errors import ConfigError
 from invid_service.app import create_app
 from invid_service.keys import add_key
 from invid_service.recordings.declared import look
-
-START = "/api/v1/cells/cell/identifications"
 
 
 def kind(answer: object) -> str:

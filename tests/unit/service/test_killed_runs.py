@@ -17,7 +17,7 @@ from sqlalchemy.exc import OperationalError
 from invid.recording import Kind, Outcome, Recording, RecordingWriter, read_recording
 from invid_drivers.protocol import AxisStates, LastSeen
 from invid_service.app import create_app
-from invid_service.jobs.last_words import LastWords
+from invid_service.jobs.folder import LastWords
 from invid_service.jobs.states import State
 from invid_service.store.blobs import Blobs
 from invid_service.store.store import RunRecord

@@ -13,7 +13,7 @@ from typing import Any
 from service_doubles import Director, settings_in
 
 from invid_service.app import create_app
-from invid_service.problems import CATALOGUE
+from invid_service.problems import STATUSES
 
 COMMITTED = Path(__file__).parents[3] / "docs" / "reference" / "openapi.json"
 CONTRACT = {
@@ -112,12 +112,12 @@ def test_problem_types_are_stable() -> None:
         "internal-error",
         "store-unavailable",
         "disk-full",
-    } <= CATALOGUE.keys()
+    } <= STATUSES.keys()
 
 
 def test_the_cookbook_names_every_problem_type() -> None:
     text = (COMMITTED.parents[1] / "how-to" / "rest.md").read_text(encoding="utf-8")
-    assert [kind for kind in CATALOGUE if f"`{kind}`" not in text] == []
+    assert [kind for kind in STATUSES if f"`{kind}`" not in text] == []
 
 
 if __name__ == "__main__":

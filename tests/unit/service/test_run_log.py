@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_doubles import Director, running, wait_for
+from service_doubles import Director, running, start, wait_for
 
-from invid_service.logging_setup import configure_logging
-
-START = "/api/v1/cells/cell/identifications"
+from invid_service.logs import configure_logging
 
 
 @pytest.fixture
@@ -23,10 +21,6 @@ def root_logger(monkeypatch: pytest.MonkeyPatch) -> Iterator[logging.Logger]:
     monkeypatch.setattr(root, "handlers", list(root.handlers))
     yield root
     root.setLevel(level)
-
-
-def start(client: Any) -> str:
-    return str(client.post(START, json={"mode": "full", "arm": True}).headers["Location"])
 
 
 @pytest.mark.campaign

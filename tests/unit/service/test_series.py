@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_doubles import Director, model_document, running, wait_for
+from service_doubles import Director, model_document, running, start, wait_for
 
 API = "/api/v1/cells/cell"
 PLAY = {"cause": "backlash", "axis": "A2", "element": "spring 1"}
@@ -27,8 +27,7 @@ def document(gap: float | None, verdict: str = "explained") -> dict[str, Any]:
 def accept(client: Any, director: Director, made: dict[str, Any]) -> dict[str, Any]:
     """One run whose result is ``made``, accepted; the run as it awaited that."""
     director.model = lambda: made
-    answer = client.post(f"{API}/identifications", json={"mode": "full", "arm": True})
-    location = answer.headers["Location"]
+    location = start(client)
     run = wait_for(client, location, "awaiting_accept")
     client.post(f"{location}/actions", json={"type": "accept"})
     return run
@@ -55,18 +54,11 @@ def test_a_cause_that_appears_is_in_the_headline_and_in_the_changes(tmp_path: Pa
 @pytest.mark.campaign
 def test_a_cause_that_came_is_never_accepted_without_a_person(tmp_path: Path) -> None:
     director = Director()
-    with running(
-        tmp_path, director, auto_accept={"max_change_percent": 50.0, "verdicts": ["consistent"]}
-    ) as (
-        client,
-        _,
-    ):
+    bounds = {"max_change_percent": 50.0, "verdicts": ["consistent"]}
+    with running(tmp_path, director, auto_accept=bounds) as (client, _):
         accept(client, director, document(None))
         director.model = lambda: document(3e-4)
-        location = client.post(f"{API}/identifications", json={"mode": "full", "arm": True}).headers[
-            "Location"
-        ]
-        assert wait_for(client, location, "awaiting_accept")["state"] == "awaiting_accept"
+        assert wait_for(client, start(client), "awaiting_accept")["state"] == "awaiting_accept"
 
 
 @pytest.mark.campaign

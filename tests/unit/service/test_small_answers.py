@@ -6,14 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from service_doubles import CELL, Director, running, wait_for
+from service_doubles import CELL, Director, running, start, wait_for
 
 from invid_drivers.protocol import RunProgress
 from invid_service.jobs.live import LiveRun
 from invid_service.jobs.states import State
-
-START = {"mode": "full", "arm": True}
-
 
 BUFFER = 1024
 """Bytes that the contract promises to a PLC."""
@@ -34,15 +31,15 @@ def test_the_state_fits_a_small_buffer_with_the_longest_names_that_there_are(tmp
     with running(tmp_path, director, cells=[config]) as (client, _):
         (cell,) = client.get("/api/v1/cells").json()["cells"]
         assert len(cell["id"]) == 64
-        run = client.post(f"/api/v1/cells/{cell['id']}/identifications", json=START)
-        wait_for(client, run.headers["Location"], "failed")
+        location = start(client, cell["id"])
+        wait_for(client, location, "failed")
         assert state_of(client, cell["id"])["error"] == director.failure["code"]
         service = client.app.state.service
-        record = replace(service.store.run(run.json()["id"]), state=State.RUNNING, ended=None, id="9" * 40)
-        longest = LiveRun(record)
+        record = service.store.run(location.rsplit("/", 1)[1])
+        longest = LiveRun(replace(record, state=State.RUNNING, ended=None, id="9" * 40))
         for character in ("\U0001f916", "\x01"):  # four bytes; six where JSON escapes it
             longest.progress = RunProgress(
-                fraction=1 / 3,
+                progress=1 / 3,
                 phase=character * 1000,
                 axis="A" * 64,
                 frequency=1 / 3,

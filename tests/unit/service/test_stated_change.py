@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import service_doubles
 from fastapi.testclient import TestClient
-from service_doubles import Director, model_document, wait_for
-from service_doubles import running as running_service
+from service_doubles import START, Director, model_document, start, wait_for
 
 from invid_service.keys import add_key
 
-START = "/api/v1/cells/cell/identifications"
 TOOL = {"what": "tool", "axis": "A2", "mass_kg": 1.3, "arm_m": 1.0}
 HEAVIER = 1.31 / 6.0  # of the final mass of A2
 
@@ -31,14 +30,12 @@ def running(folder: Path, **given: Any) -> Iterator[tuple[TestClient, Director]]
         "warnings": [],
         "model": director.model(),
     }
-    with running_service(folder, director, **given) as (client, _):
+    with service_doubles.running(folder, director, **given) as (client, _):
         yield client, director
 
 
 def run(client: TestClient, state: str = "awaiting_accept", **body: Any) -> str:
-    answer = client.post(START, json={"mode": "full", "arm": True, **body})
-    assert answer.status_code == 202, answer.text
-    location: str = answer.headers["Location"]
+    location = start(client, **body)
     wait_for(client, location, state)
     return location
 

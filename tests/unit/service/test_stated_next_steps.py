@@ -9,14 +9,13 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from service_doubles import Director, running, wait_for
+from service_doubles import START, Director, running, start, wait_for
 
 from invid.errors import SafetyStop
 from invid.sweep.moment import Moment
 from invid_service.jobs.stops import Run, action_for, stopped_by
 
 HDF5 = {"Content-Type": "application/x-hdf5"}
-START = "/api/v1/cells/cell/identifications"
 OPEN = {
     "cause": "torque_delay",
     "axis": "A2",
@@ -40,7 +39,7 @@ def test_the_separating_experiment_runs_instead_of_the_cells_own(tmp_path: Path)
     director.findings = [{"cause": "backlash", "axis": "A1", "alternatives": []}, OPEN]
     director.summary = {"separating": {"finding": 1, "text": "a band up to 100 Hz"}}
     with running(tmp_path, director) as (client, _):
-        first = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+        first = start(client)
         assert wait_for(client, first, "awaiting_accept")["separating"]["finding"] == 1
         identity = first.rsplit("/", 1)[-1]
         second = client.post(START, json={"mode": "full", "separate": identity}).headers["Location"]
@@ -58,12 +57,12 @@ def test_a_stopped_run_shows_phase_trace_and_one_action(tmp_path: Path) -> None:
     director.failure = {"code": "safety-stop", "text": "left its window", "fix": "look"}
     director.stopped = stopped_by(error, Run("full", "planned", False, None))
     with running(tmp_path, director) as (client, _):
-        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+        location = start(client)
         found = wait_for(client, location, "failed")["stopped"]
         assert (found["phase"], found["axis"]) == ("experiment 2 of 4", "A1")
         assert found["action"] == {
             "code": "gentler",
-            "text": "Start again with “gentler”: half of the torque, half of the motion.",
+            "text": "Start again with half of the torque and half of the motion.",
             "where": "page",
         }
         assert found["trace"]["time_s"] == [-1.0, -0.5, 0.0]

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from prometheus_client.parser import text_string_to_metric_families
-from service_doubles import Director, running, wait_for
+from service_doubles import Director, running, start, wait_for
 
-START = {"mode": "full", "arm": True}
 """Words of the query language, and labels that it groups by."""
 
 
@@ -32,7 +31,7 @@ def test_supervision_sees_state_grade_age_and_build(tmp_path: Path) -> None:
         ((python, version),) = before["invid_build_info"]
         assert version == client.get("/version").json()["version"]
         assert python.startswith("3.")
-        location = client.post("/api/v1/cells/cell/identifications", json=START).headers["Location"]
+        location = start(client)
         wait_for(client, location, "awaiting_accept")
         now = samples(client.get("/metrics").text)
         states = {state for (_, state), value in now["invid_cell_state"].items() if value == 1}
@@ -41,7 +40,7 @@ def test_supervision_sees_state_grade_age_and_build(tmp_path: Path) -> None:
         assert sum(now["invid_cell_grade"].values()) == 1
         assert 0 <= now["invid_cell_last_run_age_seconds"][("cell",)] < 60
         director.go.clear()
-        client.post("/api/v1/cells/cell/identifications", json=START)
+        start(client)
         moving = samples(client.get("/metrics").text)
         assert moving["invid_cell_state"][("cell", "awaiting_accept")] == 0
         assert moving["invid_cell_grade"][("cell", "watch")] == 1  # of the last result

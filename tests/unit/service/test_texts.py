@@ -17,18 +17,22 @@ from invid.numerics.compiled import COMPILING
 from invid.planning import make_plan
 from invid_drivers.cia402.supervisor import STOPPING, UNSEEN
 from invid_service.cells.readiness import Note, Reason
-from invid_service.jobs.analysis_progress import STAGES
+from invid_service.jobs.progress import STAGES
 from invid_service.jobs.states import State
 from invid_service.jobs.stops import STOPS, Run, action_for
-from invid_service.jobs.worker import FIXES, error_info
-from invid_service.problems import CATALOGUE as PROBLEMS
+from invid_service.jobs.worker import error_info
+from invid_service.problems import STATUSES as PROBLEMS
 from invid_service.web import texts
-from invid_service.web.texts import LANGUAGES, catalogue, preferred
+from invid_service.web.pages import preferred
+from invid_service.web.texts import LANGUAGES, catalogue
 
 ROOT = Path(__file__).parents[3]
 WEB = Path(texts.__file__).parent
 ENGLISH = catalogue("en")
-ENDS = ("SafetyStop", "DriveError", "BusError")
+KINDS_OF_ERROR = (
+    "DiskFullError", "ConfigError", "RecordingError", "NotIdentifiableError", "SafetyStop", "DriveError",
+    "BusError",
+)  # fmt: skip
 FAMILIES = {key.split(".")[0] for key in ENGLISH}
 
 
@@ -89,7 +93,7 @@ def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
         for code in get_args(Note.model_fields["code"].annotation):
             wanted |= {f"note.{code}", f"note.{code}.fix"}
         wanted |= {f"problem.{kind}" for kind in PROBLEMS}
-        for name in FIXES:
+        for name in KINDS_OF_ERROR:
             code = error_info(getattr(errors, name)("x")).code
             wanted |= {f"error.{code}", f"error.{code}.fix"}
         stops = [Run("full", "planned", False, "A1"), Run("test", "planned", False, "A1")]

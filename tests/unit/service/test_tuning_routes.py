@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_doubles import Director, model_document, running, wait_for
+from service_doubles import START, Director, model_document, running, start, wait_for
 from starlette.testclient import TestClient
 
-START = "/api/v1/cells/cell/identifications"
 PATIENCE_S = 180.0
 
 
@@ -35,7 +34,7 @@ def small_diagnosis() -> dict[str, Any]:
 
 
 def finished(client: TestClient) -> str:
-    location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+    location = start(client)
     wait_for(client, location, "awaiting_accept")
     return location
 

@@ -12,7 +12,7 @@ from canopen.objectdictionary import import_od
 from tuning.tuned import tuned
 
 from invid.errors import InputError
-from invid.tuning.document import loops_from_json
+from invid.tuning.axis_loop import loops_from_json
 from invid.tuning.forms import (
     write_tuning,
 )

@@ -15,7 +15,8 @@ import pytest
 
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, std_by_name
-from invid.tuning.simulated_loops import AxisLoop, move_figures, reference_move, run_loops
+from invid.tuning.axis_loop import AxisLoop
+from invid.tuning.simulated_loops import move_figures, reference_move, run_loops
 from invid.tuning.tune import AxisTuning, TuneSettings, Tuning, tune_model
 
 pytestmark = pytest.mark.campaign

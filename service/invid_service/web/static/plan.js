@@ -19,7 +19,7 @@ export function showPlan(run, cell) {
   $("plan-facts").textContent = `${t("plan.facts", { time: seconds(plan.duration_s), n: plan.experiments?.length ?? "?" })}${run.simulated ? "" : ` ${t("plan.people")}`}`;
   // What the page says in its own words above is not said again.
   const unforeseen = (plan.forecast ?? []).some((f) => f.basis === "limits");
-  const notes = (plan.warnings ?? []).filter((w) => w !== plan.purpose && !(plan.amplitude === "gentler" && w.startsWith("gentler:")) && !(unforeseen && w.startsWith("no model of this cell:")));
+  const notes = (plan.warnings ?? []).filter((w) => !(unforeseen && w.startsWith("no model of this cell:")));
   fill($("plan-warnings"), notes.map((w) => spoken("li", w)));
   $("plan-notes").hidden = !notes.length; // unfolded: what is said before arming is read before arming
   $("plan-notes-title").textContent = t("plan.notes", { n: notes.length });

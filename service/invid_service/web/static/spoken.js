@@ -1,6 +1,6 @@
 // What the service says with a code: in the page's language where the catalogue has it, else as it is, in English.
 import { Problem } from "./api.js";
-import { el, sentence } from "./dom.js";
+import { el, sentence, when } from "./dom.js";
 import { said } from "./said.js";
 import { and, english, has, t } from "./texts.js";
 
@@ -33,14 +33,21 @@ export function refused(problem) {
   if (!ours(key)) return [problem.message];
   const reasons = (problem.document.reasons ?? []).filter((r) => ours(`reason.${r.code}`));
   if (reasons.length) return [`${t(key)}: ${reasons.map((r) => `${t(`reason.${r.code}`, r.values)} ${t("ready.todo", { fix: t(`reason.${r.code}.fix`, r.values) })}`).join(" ")}`];
+  if (problem.document.state) return [`${t(key)} (${t(`phase.${problem.document.state}`)}).`];
   return [`${t(key)}.`, detail(problem.message)];
 }
 
-// Why a run ended early. A stopped one has its one action beside it; two that differ are none.
+// Why a run ended early. What the service itself knows is a code with values. A stopped one has its one action beside it;
+// two that differ are none.
 /** @param {Run} run */
 export function ended(run) {
-  const stop = run.stopped, { code, text, fix } = run.error, reason = stop?.reason ?? text;
-  const key = stop ? `halt.${stop.code}` : `error.${code}`;
+  const stop = run.stopped, { code, text, fix, values, axes, known } = run.error, reason = stop?.reason ?? text;
+  const key = stop?.code ? `halt.${stop.code}` : `error.${code}`;
+  if (values && !stop?.code) {
+    const what = t(key, values.state ? { ...values, state: t(`phase.${values.state}`) } : values), do_ = t(`${axes ? "error.unseen" : key}.fix`);
+    const seen = (axes ?? []).map((a) => (a.state ? t("error.axis_seen", { ...a, time: when(a.at * 1000) }) : t("error.axis_unseen", a)));
+    return [`${[what, axes ? t("error.unseen") : ""].join(" ").trim()} ${t("ready.todo", { fix: do_ })}`, ...[...seen, ...(known ?? [])].map(detail)];
+  }
   if (!ours(key)) return [`${sentence(said(reason).text)}.${stop ? "" : ` ${t("ready.todo", { fix })}`}`];
   return [stop ? t(key) : `${t(key)} ${t("ready.todo", { fix: t(`${key}.fix`) })}`, ...rest(reason, t(key).replace(/\.$/, ""))];
 }

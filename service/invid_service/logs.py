@@ -1,9 +1,12 @@
-"""Tell the service's log when a run began and how it ended; facts go beside the words, to filter by."""
+"""Write the service's log to stderr, as JSON lines or text: when a run began, how it ended."""
 
 from __future__ import annotations
 
 import logging
+import sys
 from typing import Any
+
+import structlog
 
 from invid_service.jobs.states import State
 from invid_service.store.store import RunRecord
@@ -53,3 +56,28 @@ def tell_ended(record: RunRecord) -> None:
 def _tell(level: int, what: str, record: RunRecord, **facts: Any) -> None:
     said = {"run": record.id, "cell": record.cell, "mode": record.mode, **facts}
     log.log(level, what, extra={name: value for name, value in said.items() if value is not None})
+
+
+def configure_logging(*, json_lines: bool) -> None:
+    """Set one formatter for our own and the libraries' records."""
+    renderer: structlog.typing.Processor = (
+        structlog.processors.JSONRenderer() if json_lines else structlog.dev.ConsoleRenderer(colors=False)
+    )
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(
+        structlog.stdlib.ProcessorFormatter(
+            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, renderer],
+            foreign_pre_chain=[
+                structlog.stdlib.add_log_level,
+                structlog.stdlib.add_logger_name,
+                structlog.stdlib.ExtraAdder(FACTS),
+                structlog.processors.TimeStamper(fmt="iso", utc=True),
+                structlog.processors.format_exc_info,
+            ],
+        )
+    )
+    root = logging.getLogger()
+    root.handlers[:] = [handler]
+    root.setLevel(logging.INFO)
+    for noisy in ("alembic", "uvicorn.access"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
