@@ -66,7 +66,7 @@ def _absent(said: Expectation, parameters: Sequence[Change]) -> Answer:
     if said.subject is Subject.LUBRICATION:  # no number of the linear model stands for it
         return Answer(said, Agreement.NOT_VISIBLE)
     tool = said.subject is Subject.TOOL
-    places = [p for p in asked if (p.final if tool else p.kind == "spring")]
+    places = [p for p in asked if (p.kind is ChangeKind.LOAD if tool else p.family == "spring")]
     if not places or any(p.bound is None for p in places):
         return Answer(said, Agreement.CANNOT_TELL)
     visible = max((p.bound or 0.0) * p.scale for p in places)

@@ -117,7 +117,7 @@ def _is_open(found: Diagnosis, compared: Comparison, before: Verdict) -> bool:
 
 def _detectable(compared: Comparison) -> str:
     """Return how small a change would have been found, in words."""
-    known = [p for p in compared.parameters if p.kind != "damper" and p.detectable is not None]
+    known = [p for p in compared.parameters if p.family != "damper" and p.detectable is not None]
     if not known:
         return ""
     worst = max(known, key=lambda p: p.detectable or 0.0)

@@ -149,6 +149,11 @@ class LinearParameter(NamedTuple):
     std: float
     unit: str
 
+    @property
+    def name(self) -> str:
+        """As ``parameter_vector`` has it."""
+        return _name(self.axes, self.kind, self.number)
+
 
 _UNIT_OF = {"spring": "stiffness", "ground_spring": "stiffness", "damper": "damping"}
 
@@ -565,25 +570,4 @@ def std_by_name(chains: CoupledChains, std: Mapping[str, float]) -> ChainStd:
         dampers=column("damper", chains.dampers),
         couplings=frozen_float(couplings),
         ground_springs=frozen_float([std.get(f"{a}.ground_spring", np.nan) for a in chains.axes]),
-    )
-
-
-def chains_by_name(chains: CoupledChains, values: Mapping[str, float]) -> CoupledChains:
-    """``chains`` with the parameters named in ``values``; the others stay as they are."""
-
-    named = std_by_name(chains, values)  # the same shapes
-
-    def filled(new: Float64, old: Float64) -> Float64:
-        return frozen_float(np.where(np.isnan(new), old, new))
-
-    def column(new: tuple[Float64, ...], old: tuple[Float64, ...]) -> tuple[Float64, ...]:
-        return tuple(map(filled, new, old))
-
-    return replace(
-        chains,
-        masses=column(named.masses, chains.masses),
-        springs=column(named.springs, chains.springs),
-        dampers=column(named.dampers, chains.dampers),
-        couplings=filled(named.couplings, chains.couplings),
-        ground_springs=filled(named.ground_springs, chains.ground_springs),
     )

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from invid.cli.app import run
-from invid.comparison.baseline import pool_models
 from invid.comparison.changes import Comparison, Status
 from invid.comparison.compare import compare
+from invid.comparison.numbers import mean_model
 from invid.errors import InputError
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector, save_model
@@ -105,7 +105,7 @@ def test_a_phase_that_went_past_half_a_turn_changed_by_the_short_way_round() -> 
     (phase,) = (c for c in result.effects if c.name.endswith(".phase"))
     assert phase.difference == pytest.approx(2 * np.pi - 6.26)
     assert phase.status is not Status.CHANGED
-    (mean,) = pool_models([rippled(3.13), rippled(-3.13)]).effects
+    (mean,) = mean_model([rippled(3.13), rippled(-3.13)]).effects
     assert abs(mean.value("phase")) == pytest.approx(np.pi, abs=1e-3)
 
 

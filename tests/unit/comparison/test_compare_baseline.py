@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from test_joint_test import NAMES, VALUES, covariance, drawn, model_of
 
-from invid.comparison.baseline import pool_agreeing, pool_models
+from invid.comparison.baseline import pool_agreeing
 from invid.comparison.compare import compare
+from invid.comparison.numbers import mean_model
 from invid.model.document import EffectTerm, Estimate, Model
 
 STD = 2e-3 * np.abs(VALUES)
@@ -45,7 +46,7 @@ def test_a_run_whose_friction_differs_is_not_averaged_and_one_without_it_neither
 
     same = pool_agreeing(rubbing(1.0), [rubbing(1.01)], 1.0)
     assert len(same) == 2
-    mean = pool_models(same).effects[0].parameters["torque"]
+    mean = mean_model(same).effects[0].parameters["torque"]
     assert mean.value == pytest.approx(1.005)
     assert mean.std == pytest.approx(0.01 / np.sqrt(2))
     assert len(pool_agreeing(rubbing(1.0), [rubbing(1.2)], 1.0)) == 1
