@@ -6,22 +6,19 @@ checksum, the options and the software that made the documents, and counts only 
 
 from __future__ import annotations
 
-import csv
 import fcntl
 import hashlib
-import io
 import json
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any
+from typing import Any
 
 from invid import __version__
 from invid.batch.analysis import Options, Outcome
 from invid.disk import not_written
 from invid.errors import InputError
-from invid.model.document import dump_json, save_text
+from invid.model.document import csv_text, dump_json, save_text
 
 INDEX = "index.csv"
 COLUMNS = ("recording", "status", "exit_status", "verdict", "headline", "error")
@@ -49,7 +46,6 @@ class Results:
 
     def __init__(self, folder: Path, options: Options) -> None:
         self.folder, self.options = folder, options
-        self._lock: IO[str] | None = None
 
     def __enter__(self) -> Results:
         try:
@@ -64,11 +60,8 @@ class Results:
             raise InputError(f"{self.folder}: another batch writes there; give another folder") from None
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._lock is not None:
-            self._lock.close()
+    def __exit__(self, *_: object) -> None:
+        self._lock.close()
 
     def place(self, name: str) -> Path:
         """Where the documents of a recording go: its path without ``.h5``."""
@@ -95,13 +88,11 @@ class Results:
         """Write the documents, then the outcome; nothing of an earlier one stays."""
         place = self.place(outcome.recording)
         try:
-            (place / "outcome.json").unlink(missing_ok=True)
+            for file in ("outcome.json", *_DOCUMENTS.values()):
+                (place / file).unlink(missing_ok=True)
             for kind, file in _DOCUMENTS.items():
-                text = getattr(outcome, kind)
-                if text:
+                if text := getattr(outcome, kind):
                     save_text(place / file, text)
-                else:
-                    (place / file).unlink(missing_ok=True)
         except OSError as error:
             raise not_written(place, error) from None
         document = {
@@ -115,12 +106,8 @@ class Results:
 
     def write_index(self, outcomes: Iterable[Outcome]) -> None:
         """``index.csv``: a row a recording, in the order of their names."""
-        table = io.StringIO()
-        writer = csv.writer(table, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for outcome in sorted(outcomes, key=lambda o: o.recording):
-            writer.writerow([getattr(outcome, c) for c in COLUMNS])
-        save_text(self.folder / INDEX, table.getvalue())
+        rows = [row(o).values() for o in sorted(outcomes, key=lambda o: o.recording)]
+        save_text(self.folder / INDEX, csv_text(COLUMNS, rows))
 
     def _made(self, checksum: str, software: str) -> dict[str, Any]:
         options = json.loads(dump_json(asdict(self.options)))  # as it will be read

@@ -8,10 +8,12 @@ and the effects that extend the linear model.
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -500,6 +502,17 @@ def model_from_json(document: Any, *, source: str = "model") -> Model:
 def dump_json(document: Mapping[str, Any]) -> str:
     """Strict JSON text (no NaN), UTF-8, indented; keys in the order given."""
     return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+
+
+def csv_text(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """A table as text; numbers to nine digits, nothing for those that are none."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(head)
+    for row in rows:
+        shown = [("" if math.isinf(x) else f"{x:.9g}") if isinstance(x, float) else x for x in row]
+        writer.writerow(shown)
+    return stream.getvalue()
 
 
 def load_json(path: Path) -> Any:

@@ -109,19 +109,14 @@ class MjcfPlant:
             out = out - cross @ np.linalg.solve(whole[np.ix_(inner, inner)], cross.T)
         return np.asarray(np.diag(out) / np.array([motor.reduction for motor in self.motors]) ** 2)
 
-    def start(
-        self, data: Any, model: Any, position: Float64, velocity: Float64, inner: Float64 | None
-    ) -> None:
-        """Every mass where its motor is and as fast, or away from it; what belongs to no chain at rest."""
+    def start(self, data: Any, model: Any, position: Float64, velocity: Float64) -> None:
+        """Every mass where its motor is and as fast; what belongs to no chain at rest."""
         x = np.zeros((2, self.positions.shape[0]))
         for i, chain in enumerate(self.order):
             x[0, chain], x[1, chain] = position[i], velocity[i]
             for h in self.handles:  # and what hangs on them
                 if h.b >= 0 and (h.a in chain) != (h.b in chain):
                     x[:, h.a if h.b in chain else h.b] = position[i], velocity[i]
-        behind = [k for chain in self.order for k in chain[1:]]
-        if inner is not None and inner.shape[1] == len(behind):
-            x[:, behind] += inner
         q = np.linalg.solve(self.positions, x.T).T
         for k in range(model.njnt):
             data.qpos[model.jnt_qposadr[k]] = model.qpos0[model.jnt_qposadr[k]] + q[0, k]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from operator import attrgetter
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -16,8 +17,8 @@ from invid.report.labels import label, printable
 from invid.report.style import AFTER, BEFORE, INK, svg
 from invid.tuning.document import repair_sentence, values_of
 from invid.tuning.gains import PROMISE
-from invid.tuning.margins import Margins, drawn_plants
-from invid.tuning.tune import AxisTuning, Tuning
+from invid.tuning.margins import drawn_plants
+from invid.tuning.tune import SPREAD_DRAWS, AxisTuning, Tuning
 
 SIDES = (("before", BEFORE, "--"), ("after", AFTER, "-"))
 
@@ -106,11 +107,9 @@ def tuning_page(tuning: Tuning, losses: Mapping[str, tuple[str, ...]]) -> str:
 
 def headline(tuning: Tuning) -> str:
     """One sentence: what the new values bring, and what they leave."""
-    peak = max(a.margins_after.sensitivity for a in tuning.axes)
+    peak = max(a.after.margins.sensitivity for a in tuning.axes)
     unit = "mm" if tuning.model.linear else "mrad"
-    old, new = (
-        max(1e3 * getattr(a, f"move_{side}").following for a in tuning.axes) for side in ("before", "after")
-    )
+    old, new = (max(1e3 * getattr(a, side).move.following for a in tuning.axes) for side, *_ in SIDES)
     return (
         f"following error at most {number(new)} {unit} rms in the reference move, before {number(old)}; "
         f"peak of sensitivity at most {peak:.2f} in {tuning.settings.draws} draws of the model"
@@ -122,29 +121,32 @@ def number(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"
 
 
-def _axis_rows(a: AxisTuning, unit: str) -> tuple[str, list[tuple[str, str, str]]]:
-    def margins(m: Margins) -> tuple[str, str, str]:
-        if m.unstable:
-            return (f"unstable in {m.unstable:.0%} of the draws", "–", "–")
-        return number(m.sensitivity), number(m.gain), number(m.phase)
+_ROWS = (
+    ("worst peak of sensitivity", "margins.sensitivity", 1.0),
+    ("worst gain margin (factor)", "margins.gain", 1.0),
+    ("worst phase margin [°]", "margins.phase", 1.0),
+    ("draws that are unstable [%]", "margins.unstable", 100.0),
+    ("rms following error [m{unit}]", "move.following", 1e3),
+    ("rms error at the load [m{unit}]", "move.at_load", 1e3),
+    ("settling of the load [s]", "move.settling", 1.0),
+    ("overshoot of the load [%]", "move.overshoot", 100.0),
+)
+"""Of either side of an axis, and by how much it is shown."""
 
-    before, after = margins(a.margins_before), margins(a.margins_after)
-    rows = [
-        ("worst peak of sensitivity", before[0], after[0]),
-        ("worst gain margin (factor)", before[1], after[1]),
-        ("worst phase margin [°]", before[2], after[2]),
+
+def _axis_rows(a: AxisTuning, unit: str) -> tuple[str, list[tuple[str, str, str]]]:
+    rows = [*_ROWS]
+    if math.isfinite(a.after.margins.ripple / a.rated_torque):
+        share = 100.0 / a.rated_torque
+        rows.append(("torque that counts make, rms [% of rated]", "margins.ripple", share))
+    shown = [
+        (
+            name.format(unit=unit),
+            number(times * attrgetter(of)(a.before)),
+            number(times * attrgetter(of)(a.after)),
+        )
+        for name, of, times in rows
     ]
-    if math.isfinite(a.margins_after.ripple) and math.isfinite(a.rated_torque):
-        was, now = (number(100 * m.ripple / a.rated_torque) for m in (a.margins_before, a.margins_after))
-        rows.append(("torque that counts make, rms [% of rated]", was, now))
-    old, new = a.move_before, a.move_after
-    rows += [
-        (f"rms following error [m{unit}]", number(1e3 * old.following), number(1e3 * new.following)),
-        (f"rms error at the load [m{unit}]", number(1e3 * old.at_load), number(1e3 * new.at_load)),
-        ("settling of the load [s]", number(old.settling), number(new.settling)),
-        ("overshoot of the load [%]", number(100 * old.overshoot), number(100 * new.overshoot)),
-    ]
-    drawn = [1e3 * m.at_load for m in a.moves_drawn]
-    span = f"{number(min(drawn))} … {number(max(drawn))}"
-    rows.append((f"the same in {len(drawn)} machines of the covariance, at the load [m{unit}]", "–", span))
-    return a.axis, rows
+    span = " … ".join(number(1e3 * x) for x in a.spread["at_load"])
+    many = f"the same in {SPREAD_DRAWS} machines of the covariance, at the load [m{unit}]"
+    return a.axis, [*shown, (many, "–", span)]

@@ -22,7 +22,7 @@ _FIGURES = ("sensitivity", "gain_margin", "phase_margin", "ripple", "following",
 
 def verification_to_json(found: Verification) -> dict[str, Any]:
     """The ``invid-verification`` document."""
-    clean: dict[str, Any] = finite(
+    return finite(
         {
             "format": FORMAT,
             "format_version": 1,
@@ -32,7 +32,6 @@ def verification_to_json(found: Verification) -> dict[str, Any]:
             "axes": [_axis_to_json(a) for a in found.axes],
         }
     )
-    return clean
 
 
 def _axis_to_json(a: AxisVerification) -> dict[str, Any]:

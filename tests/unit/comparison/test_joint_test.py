@@ -121,17 +121,11 @@ def test_unchanged_says_within_what_and_a_loose_one_is_cannot_tell() -> None:
     assert 0.0033 < spring.bound < 0.01
 
 
-def test_a_parameter_without_uncertainty_or_in_one_model_only_is_cannot_tell() -> None:
+def test_a_parameter_without_uncertainty_is_cannot_tell() -> None:
     rng = np.random.default_rng(17)
     matrix = covariance(rng)
     document = model_to_json(drawn(rng, matrix))
     del document["covariance"]
     document["branches"][0]["masses"][0]["std"] = None
-    del document["branches"][2]["masses"][2], document["branches"][2]["springs"][1]
-    del document["branches"][2]["dampers"][1]
-    other = model_from_json(document)
-    result = compare(drawn(rng, matrix), other)
-    by_name = {p.name: p for p in result.parameters}
-    assert by_name["A1.mass.1"].status is Status.CANNOT_TELL
-    assert "A3.mass.3" not in by_name
-    assert any("A3 had 3 and now has 2 masses" in s for s in result.sentences)
+    result = compare(drawn(rng, matrix), model_from_json(document))
+    assert next(p for p in result.parameters if p.name == "A1.mass.1").status is Status.CANNOT_TELL
