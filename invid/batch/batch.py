@@ -16,9 +16,18 @@ from queue import SimpleQueue
 from typing import Any
 
 from invid import __version__
-from invid.batch.analysis import KILLED, Options, Outcome, analyse_apart
+from invid.batch.analysis import (
+    INDEX,
+    KILLED,
+    Options,
+    Outcome,
+    Results,
+    analyse_apart,
+    checksum_of,
+    find_recordings,
+    row,
+)
 from invid.batch.fleet import FALSE_ALARMS, FleetRow, compare_fleet, find_baselines, write_changes
-from invid.batch.results import INDEX, Results, checksum_of, find_recordings, row
 from invid.errors import InputError, InvidError
 from invid.model.diagnosis_document import diagnosis_from_json
 from invid.model.document import Model

@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 
 import invid
-from invid.batch.analysis import Options, analyse_apart
-from invid.batch.results import COLUMNS, Results
+from invid.batch.analysis import COLUMNS, Options, Results, analyse_apart
 from invid.cli import app
 from invid.model.diagnosis_document import diagnosis_to_json
 from invid.model.document import dump_json, model_to_json

@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from invid.api import diagnose, identify, screen
-from invid.comparison.news import with_stated_inertia
+from invid.comparison.answers import with_stated_inertia
 from invid.config import CellConfig
 from invid.errors import InputError, NotIdentifiableError, RecordingError
 from invid.identification.stated_inertia import against_stated
@@ -20,8 +20,8 @@ from invid.recording import Recording, read_recording
 from invid.report import render_report
 from invid.simulators.open import masses_of
 from invid.tuning.document import prediction_from_json
+from invid.tuning.page import verification_picture, verification_to_json
 from invid.tuning.verification import Verdict, verify
-from invid.tuning.verification_document import verification_picture, verification_to_json
 from invid.wording.statement import ENGLISH
 from invid_drivers.protocol import Line, Read
 from invid_service.jobs.analysis_progress import AnalysisProgress

@@ -16,10 +16,10 @@ from invid.model.document import Model, parameter_vector, std_by_name
 from invid.recording import read_recording
 from invid.tuning.feedforward import NONE
 from invid.tuning.motor_scale import MotorScale
+from invid.tuning.page import sentence
 from invid.tuning.servo_loop import DriveTiming, Gains, Notch
 from invid.tuning.simulated_loops import AxisLoop
 from invid.tuning.verification import Verdict, Verification, verify
-from invid.tuning.verification_document import sentence
 from invid_drivers.connect import connect
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.values.applying import Proposal, apply, propose, undo, written_entries
