@@ -53,6 +53,10 @@ four fifths of its start by then, and what is left of it is free motion."""
 SAME_TIME = 0.05
 """Share of a sample by which the torque's time may be wrong in a run: a hundredth of its phase at most in any
 band."""
+ENDS = 4.0
+"""Periods of the band's top at either end of a record without a period that are not judged."""
+READINGS = 4
+"""Runs of a record at most, until the torque is read at the time at which it acts."""
 AT_REST = 0.01
 """Speed over the largest one below which a record begins at rest."""
 
@@ -75,8 +79,8 @@ class Sampling:
 
 @dataclass(frozen=True, eq=False)
 class Guided:
-    """Inputs of one experiment: ``torque`` and ``position`` (n, M) at the samples, the last ones those of the
-    ``record``'s span; before it stands what brings a simulator to its start.
+    """Inputs of one experiment: ``torque`` and ``position`` (n, M) at the samples, of which ``judged`` are
+    the span that is judged, both its ends included; before it stands what brings a simulator to its start.
 
     ``low``, ``high`` [Hz] is the band that is judged; ``sampling`` how the torque was read from its samples.
     """
@@ -84,6 +88,7 @@ class Guided:
     record: Record
     torque: Float64
     position: Float64
+    judged: slice
     low: float
     high: float
     sampling: Sampling
@@ -169,32 +174,38 @@ class Guided:
     @property
     def frequencies(self) -> Float64:
         """(F,) [Hz] of the lines that are judged."""
-        return np.asarray(self._numbers / self.record.span)
+        return np.asarray(self._numbers / self._span)
 
     def floor(self, model: Model) -> Float64:
         """(F, M) power that the noise of torque and encoder leaves a line, through the plant of ``model``."""
         z = np.abs(_seen_by_motors(model, 2 * np.pi * self.frequencies).stiffness) ** 2
-        return np.asarray(0.5 * (self.record.torque_noise + z @ self.record.position_noise))
+        torque, position = self._variances
+        return np.asarray(2.0 * self.interval / self._span * (torque + z @ position))
 
     @property
-    def _samples(self) -> int:
-        return round(self.record.span / self.interval)
+    def _span(self) -> float:
+        """Of the samples that are judged [s]."""
+        return float((self.judged.stop - self.judged.start - 1) * self.interval)
 
     @property
     def _numbers(self) -> Int64:
         """(F,) numbers of the lines in the band, those of the period where the record has one."""
-        number = np.arange(0, self._samples // 2, max(self.record.periods, 1))
-        hz = number / self.record.span
+        number = np.arange(0, int(0.5 * self._span / self.interval), max(self.record.periods, 1))
+        hz = number / self._span
         return np.asarray(number[(hz >= 0.999 * self.low) & (hz <= 1.001 * self.high)])
 
     @property
     def _variances(self) -> tuple[Float64, Float64]:
         """(M,) of the noise of a sample of torque and position."""
-        lines = self.record.torque_noise, self.record.position_noise
-        return lines[0] * self._samples / 4.0, lines[1] * self._samples / 4.0
+        samples = 0.25 * self.record.span / self.interval
+        return self.record.torque_noise * samples, self.record.position_noise * samples
 
     def _spectrum(self, x: Float64) -> Complex128:
-        return np.asarray(transform(x[-self._samples - 1 :], self._numbers) / np.sqrt(2.0))
+        return np.asarray(transform(x[self.judged], self._numbers) / np.sqrt(2.0))
+
+
+_STRUCTURE = ("viscous_friction", "spring_damping", "coupling_stiffness", "extra_mode", "base_compliance")
+"""Causes that are linear in the motion."""
 
 
 def _times(stiffness: Complex128, position: Complex128) -> Complex128:
@@ -210,8 +221,8 @@ def _seen_by_motors(plant: Model, omega: Float64, step: float = 0.0) -> Condense
 
     By semi-implicit Euler of so long a ``step`` [s], if given: ω is sin(ωh/2)·2/h, damping is late by h/2.
     """
-    damping = tuple(t for t in plant.effects if t.cause in ("viscous_friction", "spring_damping"))
-    made, w = matrices(plant.chains, laws_of(plant.chains, damping)), np.asarray(omega)[:, None, None]
+    linear = tuple(t for t in plant.effects if t.cause in _STRUCTURE)
+    made, w = matrices(plant.chains, laws_of(plant.chains, linear)), np.asarray(omega)[:, None, None]
     turn = np.exp(-0.5j * step * w)
     if step:
         w = 2.0 / step * np.sin(0.5 * step * w)
@@ -270,7 +281,10 @@ def guided(experiment: Experiment, sampling: Sampling, count: Float64 | None = N
             np.concatenate([position[:0], *(position[:n] - k * drift for k in range(RUN_IN, 0, -1))]),
         ]
     torque, position = np.concatenate((before[0], torque)), np.concatenate((before[1], position))
-    return Guided(record, torque, position, low, high, sampling)
+    # The motion is less well known at the ends of a record, where nothing goes on.
+    last, cut = torque.shape[0], 0 if record.periods else round(ENDS / high / interval)
+    judged = slice(last - round(record.span / interval) - 1 + cut, last - cut)
+    return Guided(record, torque, position, judged, low, high, sampling)
 
 
 def missing_torque(simulator: Simulator, given: Guided, plant: Model) -> Complex128:
@@ -296,14 +310,20 @@ def missed(simulator: Simulator, records: Sequence[Guided], plant: Model) -> Mis
     Within a sample of the record that is convention, which a diagnosis that explains little gets wrong. Run
     anew where it was wrong by more than ``SAME_TIME``: friction turns it into more than a phase.
     """
-    runs = [missing_torque(simulator, g, plant) for g in records]
-    by = _sampling(records, runs, plant)
-    if (np.abs(by.later) > SAME_TIME * records[0].interval).any() or (np.abs(by.held) > SAME_TIME).any():
-        records = [g.read(by) for g in records]
-        runs = [missing_torque(simulator, g, plant) for g in records]
-        by = _sampling(records, runs, plant)
-    spectra = [x - g.changed(by, plant) for x, g in zip(runs, records, strict=True)]
-    return Missed(list(records), spectra, runs)
+
+    def run(read: list[Guided]) -> tuple[list[Complex128], Sampling]:
+        found = [missing_torque(simulator, g, plant) for g in read]
+        return found, _sampling(read, found, plant)
+
+    read = list(records)
+    runs, by = run(read)
+    for _ in range(READINGS - 1):
+        if max(np.abs(by.later).max() / read[0].interval, np.abs(by.held).max()) <= SAME_TIME:
+            break
+        read = [g.read(by) for g in read]
+        runs, by = run(read)
+    spectra = [x - g.changed(by, plant) for x, g in zip(runs, read, strict=True)]
+    return Missed(read, spectra, runs)
 
 
 def moved_by_noise(simulator: Simulator, found: Missed, plant: Model) -> list[Float64]:

@@ -50,13 +50,8 @@ from invid.simulators.mujoco_surroundings import tendon_row
 
 HARD = (6e-4, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solref and solimp of dry friction: MuJoCo's default gives way like a viscous damper at low speed."""
-SOFT = 0.01
-"""Impedance of friction that gives way: its share of inertia more while it does."""
 STIFF_BRISTLE = 1e-4
 """Deflection [rad or m] at which a bristle slides, for friction with a Stribeck curve and no presliding."""
-ROUNDING = "rounding"
-"""Further parameter of friction in a model: the velocity over which its sign changes, tanh(v/rounding)
-[rad/s or m/s]."""
 _NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
 NO_PLAY = 1e-6
 """Share of its play that a joint keeps where the machine has none: MuJoCo takes no limits without room."""
@@ -116,8 +111,6 @@ def correct(plant: MjcfPlant, model: Model) -> tuple[str, list[str]]:
         try:
             for element in elements_of(model.chains, term):
                 reason = _write(copy, element)
-                if isinstance(element, ForceLaw) and element.law is Law.DRY and ROUNDING in term.parameters:
-                    _rounded(copy, element, term.value(ROUNDING))
                 if reason:
                     copy.lost.append(f"{effect_name(term)}: {reason}")
         except ModelError as error:
@@ -412,23 +405,6 @@ def _dry(copy: SpecCopy, a: int, p: Sequence[float]) -> str:
     if abs(p[0] - p[1]) > 1e-3 * level:
         _constant(copy, a, -0.5 * (p[0] - p[1]))
     return ""
-
-
-def _rounded(copy: SpecCopy, law: ForceLaw, speed: float) -> None:
-    """Lets dry friction give way like a damper up to a speed, as MuJoCo's own does.
-
-    MuJoCo's friction is −(a + b v)/R within its level, with b = 2/(d·timeconst), R = (1 − d)/d·A and A the
-    inverse inertia at its place: (1 − d)·A·timeconst/2 is the speed per torque. A small d leaves the part of
-    the acceleration small.
-    """
-    at, m = copy.place(copy.coordinate(law.a), -1), copy.spec.compile()
-    if not at.frictionloss:
-        return
-    is_joint = isinstance(at, mujoco.MjsJoint)
-    light = m.dof_invweight0[m.joint(at.name).id] if is_joint else m.tendon_invweight0[m.tendon(at.name).id]
-    slow = 2.0 * speed / ((1.0 - SOFT) * float(light) * float(at.frictionloss))
-    at.solref_friction[:] = (max(slow, 2.0 * copy.spec.option.timestep), 1.0)
-    at.solimp_friction[:] = (SOFT, SOFT, 0.001, 0.5, 2.0)
 
 
 def _ripple(copy: SpecCopy, a: int, **law: list[float]) -> None:

@@ -15,7 +15,7 @@ from invid.model.document import Model, save_text
 from invid.numerics.arrays import Float64
 from invid.simulators.guided import GUIDE, Guided, stiff_guide
 from invid.simulators.mujoco_correct import correct
-from invid.simulators.mujoco_plant import MjcfPlant, Motor, inertia_remarks, read_plant, steps_of
+from invid.simulators.mujoco_plant import MjcfPlant, Motor, read_plant, steps_of
 from invid.simulators.mujoco_surroundings import release_limits, without_missing_shapes
 
 _IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
@@ -50,7 +50,6 @@ class MujocoSimulator:
         except ValueError:
             # Files of shapes that did not come with it: where every link states its inertia none is needed.
             spec = mujoco.MjSpec.from_file(str(path))
-            inertia_remarks(spec, self.path)
             self.left_out = without_missing_shapes(spec)
             if not self.left_out:
                 raise
@@ -125,10 +124,6 @@ class MujocoSimulator:
             control[:, own] += torque[:, i] * (motor.reduction / motor.gain)
         data = mujoco.MjData(model)
         plant.start(data, model, position[0], velocity[0])
-        for motor in plant.motors:
-            if motor.actuator:
-                at = model.actuator(motor.actuator).id
-                _commanded_before(model, data, at, control[:, model.actuator_ctrladr[at]])
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
         first = np.zeros(mujoco.mj_stateSize(model, kind))
         mujoco.mj_getState(model, data, first, kind)
@@ -179,22 +174,6 @@ class MujocoSimulator:
         lost += [f"{x}: their files are missing" for x in self.left_out]
         save_text(to, text)
         return type(self)(to, self.axes), lost
-
-
-def _commanded_before(model: Any, data: Any, actuator: int, control: Float64) -> None:
-    """Fills a delay's buffer and a filter as if the control had come as it goes on, mirrored in the start."""
-    step, delay = float(model.opt.timestep), float(model.actuator_delay[actuator])
-    before = 2.0 * control[0] - control
-    if delay:
-        count = int(model.actuator_history[actuator, 0])
-        k = np.arange(count, 0, -1)
-        times = -step * k
-        mujoco.mj_initCtrlHistory(model, data, actuator, times[:, None], before[k][:, None].copy())
-    if model.actuator_actadr[actuator] >= 0:
-        lag = float(model.actuator_dynprm[actuator, 0])
-        t = step * np.arange(control.size)
-        weight = np.exp(-np.maximum(t - delay, 0.0) / lag) * (t >= delay)
-        data.act[model.actuator_actadr[actuator]] = float(before @ weight / weight.sum())
 
 
 def opened(path: Path, axes: tuple[str, ...]) -> Any:

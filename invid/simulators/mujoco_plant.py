@@ -20,7 +20,7 @@ from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.numerics.arrays import Float64
-from invid.simulators.mujoco_surroundings import Locked, belonging, impossible_inertia, lock, tendon_row
+from invid.simulators.mujoco_surroundings import Locked, belonging, lock, tendon_row
 
 SMALL = 1e-9
 LIGHT = 0.05
@@ -163,7 +163,6 @@ def read_plant(
     ``reductions``: turns of a motor as it is recorded per turn of its joint, by the joint's name.
     """
     _name_all(spec)
-    remarks = inertia_remarks(spec, source)
     compiled = spec.compile()
     motors = _motors(spec, compiled, axes, source, reductions)
     tied = belonging(compiled, [compiled.joint(m.joint).id for m in motors])
@@ -198,28 +197,10 @@ def read_plant(
             hidden.append(chain.pop())
     plant = MjcfPlant(
         spec, compiled, axes, motors, positions, mass, handles, order, None, linear,
-        float(compiled.opt.timestep), hidden, plain, locked, remarks,
+        float(compiled.opt.timestep), hidden, plain, locked,
     )  # fmt: skip
     plant.model = _model(plant, source)
     return plant
-
-
-def inertia_remarks(spec: Any, source: str) -> tuple[str, ...]:
-    """Refuses moments of inertia that no body has; where the file balances them, says what that changes."""
-    bad = impossible_inertia(spec)
-    if bad and not spec.compiler.balanceinertia:
-        name, (a, b, c) = next(iter(bad.items()))
-        raise InputError(
-            f"{source}: {name!r} has the principal moments of inertia {a:.4g}, {b:.4g}, {c:.4g}, which no "
-            f"body has: the largest is at most the sum of the others. The one about the joint's axis is what "
-            f"counts: keep it, and raise the others (to {c / 2:.4g} each), or lower the largest where that "
-            "is another"
-        )
-    return tuple(
-        f"{name}: 'balanceinertia' replaces its moments {a:.4g}, {b:.4g}, {c:.4g} by their mean "
-        f"{(a + b + c) / 3:.4g}; state moments that a body can have instead"
-        for name, (a, b, c) in bad.items()
-    )
 
 
 def _name_all(spec: Any) -> None:

@@ -61,18 +61,6 @@ def without_missing_shapes(spec: Any) -> list[str]:
     return ["shapes whose files are missing"] if gone else []
 
 
-def impossible_inertia(spec: Any) -> dict[str, Any]:
-    """Bodies whose stated moments of inertia no body has, and these: one is more than the others together."""
-    found = {}
-    for body in (b for b in spec.bodies if b.explicitinertial):
-        xx, yy, zz, xy, xz, yz = body.fullinertia
-        full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        own = np.linalg.eigvalsh(full) if np.isfinite(full).all() else np.sort(body.inertia)
-        if own[2] > (own[0] + own[1]) * (1.0 + 1e-9) + 1e-15:
-            found[body.name] = own
-    return found
-
-
 def tendon_row(m: Any, tendon: int) -> Float64 | None:
     """(njnt,) coefficients of the joints in a tendon's length; ``None`` where it is no sum of them."""
     at = slice(int(m.tendon_adr[tendon]), int(m.tendon_adr[tendon] + m.tendon_num[tendon]))
