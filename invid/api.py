@@ -20,8 +20,8 @@ from invid import arguments
 if TYPE_CHECKING:
     import numpy as np
 
+    from invid.comparison.answers import Screening
     from invid.comparison.changes import Comparison
-    from invid.comparison.screening import Screening
     from invid.effects.effect import Effect
     from invid.exchange.export import Export
     from invid.model.diagnosis_document import Diagnosis
@@ -208,8 +208,8 @@ def diagnose(  # noqa: PLR0913 - the contract: each is one option of the command
     NotIdentifiableError
         Data from which no model can be drawn.
     """
+    from invid.comparison.answers import with_changes, with_stated_inertia
     from invid.comparison.compare import compare as compared
-    from invid.comparison.news import with_changes, with_stated_inertia
     from invid.diagnosis.diagnose import diagnose as diagnosed
     from invid.errors import InputError
     from invid.numerics.immutable import immutable
@@ -255,8 +255,8 @@ def screen(
     ModelError
         A model without a covariance, or of other axes.
     """
+    from invid.comparison.answers import Screening, judge_screening, require_screenable, with_its_causes
     from invid.comparison.compare import compare as compared
-    from invid.comparison.screening import Screening, judge_screening, require_screenable, with_its_causes
     from invid.errors import NotIdentifiableError
 
     one, start = _one(recording), arguments.a_model(model)

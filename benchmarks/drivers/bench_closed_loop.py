@@ -173,7 +173,7 @@ def closed(number: int, folder: Path) -> list[str]:
     (seen,) = found.axes
     share = [
         100.0 * x / seen.rated
-        for x in (axis.margins_before.ripple, seen.ripple.predicted, seen.ripple.measured)
+        for x in (axis.before.margins.ripple, seen.ripple.predicted, seen.ripple.measured)
     ]
 
     def ms(value: float) -> str:
@@ -185,7 +185,7 @@ def closed(number: int, folder: Path) -> list[str]:
         f"{ms(was.settling)} → {ms(now_is.settling)} ({ms(foretold.settling)})",
         f"{1e3 * was.following:.2f} → {1e3 * now_is.following:.2f} "
         f"({1e3 * foretold.following:.2f}; verified {1e3 * seen.following.measured:.2f})",
-        f"{axis.margins_before.sensitivity:.2f} → {seen.sensitivity.measured:.2f} ± "
+        f"{axis.before.margins.sensitivity:.2f} → {seen.sensitivity.measured:.2f} ± "
         f"{seen.sensitivity.std:.2f} ({seen.sensitivity.low:.2f} … {seen.sensitivity.high:.2f})",
         f"{seen.phase_margin.measured:.0f} ({seen.phase_margin.predicted:.0f})",
         f"{share[0]:.2f} → {share[2]:.2f} ({share[1]:.2f})",

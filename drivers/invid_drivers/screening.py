@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from invid.api import read_recording, screen
-from invid.comparison.screening import Screening
+from invid.comparison.answers import Screening
 from invid.config import CellConfig
 from invid.model.document import Model
 from invid.planning.belief import Belief, from_model

@@ -1,36 +1,40 @@
-"""Identify and diagnose one recording in a process of its own, and say what became of it.
+"""Identify and diagnose one recording, say what became of it, and keep that in the folder of results.
 
-A file that crashes a library, or for which memory lacks, then costs a row and not the batch. The process goes
-on with the next recording, and ends when whoever asked is gone. (One of ``multiprocessing`` may not be
-started by a Dask worker.)
+Each in a process of its own (``invid.processes``): a file that crashes a library, or for which memory lacks,
+costs a row and not the batch.
+
+``outcome.json`` is written last, so a recording whose folder has one is through. It names the recording's
+checksum, the options and the software that made the documents, and counts only where all these are the same.
 """
 
 from __future__ import annotations
 
-import os
-import queue
-import subprocess
-import sys
+import fcntl
+import hashlib
+import json
 import tempfile
 import threading
 import time
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from invid import __version__
 from invid.api import diagnose, identify, read_recording
-from invid.errors import InvidError
+from invid.disk import not_written
+from invid.errors import InputError, InvidError
 from invid.identification.identify import Masses
 from invid.model.diagnosis_document import diagnosis_to_json
-from invid.model.document import dump_json, model_to_json
+from invid.model.document import csv_text, dump_json, model_to_json, save_text
+from invid.processes import Helper, ProcessEnded
 
 KILLED = ""
 """Exit status where there is none: the process was killed."""
 INTERNAL = 70
 """Exit status of an error of ours, as of the commands."""
+ATTEMPTS = 2
+"""Of a recording whose process dies: once may have been the system's doing, twice is the recording's."""
 
 
 @dataclass(frozen=True)
@@ -94,91 +98,142 @@ def analyse_recording(path: Path, name: str, options: Options) -> Outcome:
     )
 
 
-ATTEMPTS = 2
-"""Of a recording whose process dies: once may have been the system's doing, twice is the recording's."""
-_ANSWER = f"import sys; from {__name__} import answer; answer(int(sys.argv[1]))"
-
-
-class Helper:
-    """Process that analyses recordings, started when it is first asked and again after it died."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._closed = False
-
-    def ask(self, path: Path, name: str, options: Options) -> Outcome:
-        """The outcome of a recording; where the process died on every attempt, one that says so."""
-        how = "before it began"
-        for _ in range(0 if self._closed else ATTEMPTS):
-            if self._process is None:
-                self._start()
-            try:
-                self._answers.send((path, name, options))
-                outcome: Outcome = self._answers.recv()
-            except (OSError, EOFError):
-                how = self._died()
-            else:
-                return outcome
-        said = f"its process ended {how} on {ATTEMPTS} attempts (is there memory enough? try fewer --workers)"
-        return Outcome.failed(name, KILLED, said)
-
-    def _start(self) -> None:
-        self._answers, theirs = Pipe()
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", _ANSWER, str(theirs.fileno())],
-            pass_fds=[theirs.fileno()],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the one who asks
-            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-        )
-        theirs.close()
-        if self._closed:  # meanwhile
-            self._process.kill()
-
-    def _died(self) -> str:
-        self._answers.close()
-        status = 0 if self._process is None else self._process.wait()
-        self._process = None
-        return f"by signal {-status}" if status < 0 else f"with status {status}"
-
-    def close(self) -> None:
-        """End the process, in the middle of a recording too."""
-        self._closed = True
-        if self._process is not None:
-            self._process.kill()
+def analyse_apart(helper: Helper, path: Path, name: str, options: Options) -> Outcome:
+    """``analyse_recording`` in the helper's process; where that ended on every attempt, it is said."""
+    how = ""
+    for _ in range(ATTEMPTS):
+        try:
+            outcome: Outcome = helper.call(analyse_recording, path, name, options)
+        except ProcessEnded as ended:
+            how = str(ended)
+        else:
+            return outcome
+    said = f"its process ended {how} on {ATTEMPTS} attempts (is there memory enough? try fewer --workers)"
+    return Outcome.failed(name, KILLED, said)
 
 
 _own = threading.local()
 
 
-def own_helper() -> Helper:
-    """The helper of the calling thread."""
-    if not hasattr(_own, "helper"):
-        _own.helper = Helper()
-    helper: Helper = _own.helper
-    return helper
-
-
 def analyse_content(content: bytes, name: str, options: Options) -> Outcome:
     """An outcome from the bytes of a recording: what a cluster's worker runs, with no file system shared."""
+    if not hasattr(_own, "helper"):
+        _own.helper = Helper()
     with tempfile.TemporaryDirectory(prefix="invid-batch-") as folder:
         path = Path(folder) / f"recording{Path(name).suffix}"
         path.write_bytes(content)
-        return own_helper().ask(path, name, options)
+        return analyse_apart(_own.helper, path, name, options)
 
 
-def answer(number: int) -> None:
-    """Answer tasks from the connection of a file descriptor until whoever asks is gone."""
-    asker = Connection(number)
-    tasks: queue.SimpleQueue[tuple[Path, str, Options]] = queue.SimpleQueue()
+# --- results ----------------------------------------------------------------------------------------
+INDEX = "index.csv"
+COLUMNS = ("recording", "status", "exit_status", "verdict", "headline", "error")
+SUFFIXES = (".h5", ".hdf5", ".rows")
+_DOCUMENTS = {"model": "model.json", "diagnosis": "diagnosis.json"}
 
-    def listen() -> None:
-        with suppress(EOFError, OSError):
-            while True:
-                tasks.put(asker.recv())
-        os._exit(0)
 
-    threading.Thread(target=listen, daemon=True).start()
-    while True:
-        asker.send(analyse_recording(*tasks.get()))
+def find_recordings(folder: Path, results: Path) -> dict[str, Path]:
+    """Files that may be recordings below ``folder``, by their path below it; none of ``results``."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; give the one below which the recordings lie")
+    own = results.resolve()
+    found = {
+        path.relative_to(folder).as_posix(): path
+        for path in sorted(folder.rglob("*"))
+        if path.suffix in SUFFIXES and path.is_file() and own not in path.resolve().parents
+    }
+    if not found:
+        raise InputError(f"{folder}: no recording ({', '.join(SUFFIXES)}) lies below it")
+    return found
+
+
+class Results:
+    """The folder, locked against a second batch while it is used as a context."""
+
+    def __init__(self, folder: Path, options: Options) -> None:
+        self.folder, self.options = folder, options
+
+    def __enter__(self) -> Results:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock = (self.folder / ".lock").open("w")
+        except OSError as error:
+            raise not_written(self.folder, error) from None
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._lock.close()
+            raise InputError(f"{self.folder}: another batch writes there; give another folder") from None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.close()
+
+    def place(self, name: str) -> Path:
+        """Where the documents of a recording go: its path without ``.h5``."""
+        return self.folder / name.removesuffix(".h5")
+
+    def kept(self, name: str, checksum: str) -> Outcome | None:
+        """The outcome of an earlier batch, where it is final and would be the same again."""
+        place = self.place(name)
+        try:
+            found = json.loads((place / "outcome.json").read_text(encoding="utf-8"))
+            texts = {
+                kind: (place / file).read_text(encoding="utf-8") if found["checksums"][kind] else ""
+                for kind, file in _DOCUMENTS.items()
+            }
+            outcome = Outcome(**{c: found[c] for c in COLUMNS}, **texts)
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        same = found.get("made") == self._made(checksum, __version__) and found["checksums"] == _checksums(
+            outcome
+        )
+        return outcome if same and outcome.final else None
+
+    def store(self, outcome: Outcome, checksum: str) -> None:
+        """Write the documents, then the outcome; nothing of an earlier one stays."""
+        place = self.place(outcome.recording)
+        try:
+            for file in ("outcome.json", *_DOCUMENTS.values()):
+                (place / file).unlink(missing_ok=True)
+            for kind, file in _DOCUMENTS.items():
+                if text := getattr(outcome, kind):
+                    save_text(place / file, text)
+        except OSError as error:
+            raise not_written(place, error) from None
+        document = {
+            "format": "invid-batch-outcome",
+            "format_version": 1,
+            **row(outcome),
+            "checksums": _checksums(outcome),
+            "made": self._made(checksum, outcome.software),
+        }
+        save_text(place / "outcome.json", dump_json(document))
+
+    def write_index(self, outcomes: Iterable[Outcome]) -> None:
+        """``index.csv``: a row a recording, in the order of their names."""
+        rows = [row(o).values() for o in sorted(outcomes, key=lambda o: o.recording)]
+        save_text(self.folder / INDEX, csv_text(COLUMNS, rows))
+
+    def _made(self, checksum: str, software: str) -> dict[str, Any]:
+        options = json.loads(dump_json(asdict(self.options)))  # as it will be read
+        return {"software": software, "recording_sha256": checksum, "options": options}
+
+
+def checksum_of(path: Path) -> str:
+    """SHA-256 of a file; "" where it cannot be read, which the analysis will say better."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return ""
+
+
+def row(outcome: Outcome) -> dict[str, Any]:
+    """The row of the index, for JSON."""
+    return {c: getattr(outcome, c) for c in COLUMNS}
+
+
+def _checksums(outcome: Outcome) -> dict[str, str]:
+    texts = {kind: getattr(outcome, kind) for kind in _DOCUMENTS}
+    return {kind: hashlib.sha256(t.encode()).hexdigest() if t else "" for kind, t in texts.items()}

@@ -12,16 +12,27 @@ from dataclasses import dataclass
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from invid import __version__
-from invid.batch.analysis import KILLED, Helper, Options, Outcome, own_helper
+from invid.batch.analysis import (
+    INDEX,
+    KILLED,
+    Options,
+    Outcome,
+    Results,
+    analyse_apart,
+    checksum_of,
+    find_recordings,
+    row,
+)
 from invid.batch.fleet import FALSE_ALARMS, FleetRow, compare_fleet, find_baselines, write_changes
-from invid.batch.results import INDEX, Results, checksum_of, find_recordings, row
 from invid.errors import InputError, InvidError
 from invid.model.diagnosis_document import diagnosis_from_json
 from invid.model.document import Model
 from invid.model.doubts import doubts_of
+from invid.processes import Helper
 
 Submit = Callable[[str, Path], Future[Outcome]]
 """Begins with a recording, by its name and path."""
@@ -132,7 +143,7 @@ def run_batch(  # noqa: PLR0913 - each is one option of the command
 def _place(scheduler: str | None, workers: int | None, options: Options) -> Iterator[tuple[Submit, int]]:
     """Where recordings are analysed, and how many of them at once."""
     if scheduler is None:
-        with this_machine(options, workers) as here:
+        with this_machine(options, workers or len(os.sched_getaffinity(0))) as here:
             yield here
         return
     try:
@@ -148,20 +159,23 @@ def _place(scheduler: str | None, workers: int | None, options: Options) -> Iter
 
 
 @contextmanager
-def this_machine(options: Options, workers: int | None) -> Iterator[tuple[Submit, int]]:
+def this_machine(options: Options, room: int) -> Iterator[tuple[Submit, int]]:
     """What analyses a recording in a process of its own, and how many at once; all processes end with it."""
-    helpers: list[Helper] = []
+    helpers = [Helper() for _ in range(room)]
+    free: SimpleQueue[Helper] = SimpleQueue()
 
     def one(name: str, path: Path) -> Outcome:
-        helper = own_helper()
-        if helper not in helpers:
-            helpers.append(helper)
-        return helper.ask(path, name, options)
+        helper = free.get()
+        try:
+            return analyse_apart(helper, path, name, options)
+        finally:
+            free.put(helper)
 
-    room = workers or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
+    for helper in helpers:
+        free.put(helper)
     with ThreadPoolExecutor(max_workers=room) as pool:
         try:
-            yield lambda name, path: pool.submit(one, name, path), room or 1
+            yield lambda name, path: pool.submit(one, name, path), room
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
             for helper in helpers:

@@ -8,8 +8,6 @@ anything is called changed on an unchanged fleet with a probability of at most Î
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatch
@@ -22,7 +20,8 @@ from invid.comparison.changes import Comparison
 from invid.comparison.compare import compare
 from invid.errors import InputError, InvidError
 from invid.model.diagnosis_document import load_model, model_of
-from invid.model.document import Model, save_text
+from invid.model.document import Model, csv_text, save_text
+from invid.model.named_change import NamedChange
 
 FALSE_ALARMS = 0.01
 """Probability of calling anything changed in a whole fleet that did not."""
@@ -46,9 +45,14 @@ class FleetRow:
         return self.why if self.comparison is None else self.comparison.headlines["en"]
 
     @property
+    def named(self) -> tuple[NamedChange, ...]:
+        """What changed."""
+        return () if self.comparison is None or not self.comparison.told else self.comparison.named
+
+    @property
     def weight(self) -> tuple[bool, bool, float]:
         """Order in the fleet: what matters first, then what changed at all, the largest share first."""
-        named = () if self.comparison is None or not self.comparison.told else self.comparison.named
+        named = self.named
         return (
             not any(c.matters for c in named),
             not named,
@@ -123,20 +127,15 @@ def _row(name: str, model: Model | str, files: list[Path], alpha: float) -> Flee
 
 def write_changes(folder: Path, rows: Iterable[FleetRow]) -> Path:
     """Write ``changes.csv``: a line each change, or each recording without one, in the order of the fleet."""
-    table = io.StringIO()
-    writer = csv.writer(table, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    table: list[tuple[object, ...]] = []
     for rank, row in enumerate(rows, 1):
-        compared = row.comparison
-        status = "cannot tell" if compared is None or not compared.told else "no"
-        named = () if compared is None or not compared.told else compared.named
-        for c in named:
+        for c in row.named:
             size = ("" if v is None else f"{v:.6g}" for v in (c.difference, c.std))
-            writer.writerow(
-                [rank, row.recording, "yes", c.axis, c.name or c.cause, *size, c.unit, row.headline]
-            )
-        if not named:
-            writer.writerow([rank, row.recording, status, "", "", "", "", "", row.headline])
+            table.append((rank, row.recording, "yes", c.axis, c.name or c.cause, *size, c.unit, row.headline))
+        if not row.named:
+            is_told = row.comparison is not None and row.comparison.told
+            status = "no" if is_told else "cannot tell"
+            table.append((rank, row.recording, status, "", "", "", "", "", row.headline))
     path = folder / CHANGES
-    save_text(path, table.getvalue())
+    save_text(path, csv_text(_COLUMNS, table))
     return path

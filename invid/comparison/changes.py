@@ -1,4 +1,4 @@
-"""What a comparison of two models consists of: ``Change`` of one parameter, ``Comparison`` of all."""
+"""What a comparison of two models consists of: ``Change`` of one number or cause, ``Comparison`` of all."""
 
 from __future__ import annotations
 
@@ -8,111 +8,103 @@ from typing import Any
 
 from invid.diagnosis.headline import changes_headline
 from invid.model.document import Estimate
-from invid.model.named_change import NamedChange
-from invid.wording.clauses import row_statement
+from invid.model.named_change import ChangeKind, NamedChange
+from invid.wording.clauses import label, row_statement
 from invid.wording.statement import ENGLISH, LANGUAGES, Statement, say, upper_first
 
 
 class Status(StrEnum):
-    """What can be said of one parameter."""
+    """What can be said of a parameter, or what became of a cause."""
 
     CHANGED = "changed"
     UNCHANGED = "unchanged"
     CANNOT_TELL = "cannot_tell"
-
-
-class CauseStatus(StrEnum):
-    """What became of a cause."""
-
     APPEARED = "appeared"
     GREW = "grew"
     SHRANK = "shrank"
-    UNCHANGED = "unchanged"
     GONE = "gone"
-    CANNOT_TELL = "cannot_tell"
+
+    @property
+    def is_change(self) -> bool:
+        """Whether it is more than chance."""
+        return self not in (Status.UNCHANGED, Status.CANNOT_TELL)
 
 
-def _estimate_to_json(e: Estimate | None) -> dict[str, Any] | None:
-    return None if e is None else {"value": e.value, "std": e.std}
+@dataclass(frozen=True)
+class Change(NamedChange):
+    """One number or cause, before and after, and what the test of its difference came to.
 
-
-@dataclass(frozen=True, kw_only=True)
-class _Judged:
-    """What the test of one difference came to.
-
-    ``difference`` ± ``std`` is new − old; ``bound`` the largest relative change that the data still allow.
+    ``difference`` ± ``std`` is new − old with the uncertainty of both and the repeatability of the cell; of a
+    *changed* parameter it is the change that explains the two models with all that did not change held equal,
+    which is better known than the plain difference of two correlated estimates. Of a cause it is that of its
+    size (its amount, of a gain its distance from 1) by its main ``parameter``; ``None`` in ``old`` or ``new``
+    where a run did not find it.
+    ``scale`` is |old|, or for couplings the geometric mean of the final masses they join; ``bound`` the
+    largest relative change that the data still allow; ``rivals`` the names of parameters of which this one,
+    or they, changed. ``detectable`` is the relative change in this parameter alone that would have been found
+    with 90 %; of a cause the size that a run without it would have seen in 95 of 100 cases.
     """
 
+    status: Status = Status.CANNOT_TELL
     why: Statement | None = None
     """Why nothing can be told."""
-    difference: float | None = None
-    std: float | None = None
     p_value: float | None = None
     p_adjusted: float | None = None
     bound: float | None = None
     detectable: float | None = None
+    scale: float = 0.0
+    rivals: tuple[str, ...] = ()
 
     @property
     def reason(self) -> str:
         """Why nothing can be told, in English; empty where something can."""
         return "" if self.why is None else say(self.why)
 
-    def _judged_to_json(
-        self, old: Estimate | None, new: Estimate | None, status: Status | CauseStatus
-    ) -> dict[str, Any]:
+    @property
+    def label(self) -> str:
+        """What a person calls it, in English."""
+        return say(label(self))
+
+    @property
+    def family(self) -> str:
+        """ "mass", "spring", "coupling", "effect", …: what kind of parameter it is."""
+        is_mass = self.kind in (ChangeKind.LOAD, ChangeKind.MOTOR_MASS)
+        return str(ChangeKind.MASS if is_mass else self.kind)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; those of a cause say what it is and where."""
+        if self.is_cause:
+            keys = ("name", "cause", "axis", "element", "other_axis", "parameter", "unit", "label")
+            what = {key: getattr(self, key) for key in keys} | {"detectable": self.detectable}
+        else:
+            what = {
+                "parameter": self.name,
+                "label": self.label,
+                "axis": self.axis,
+                "kind": self.family,
+                "unit": self.unit,
+                "detectable_percent": _percent(self.detectable),
+            }
         return {
-            "old": _estimate_to_json(old),
-            "new": _estimate_to_json(new),
-            "status": str(status),
+            **what,
+            "old": _estimate_to_json(self.old),
+            "new": _estimate_to_json(self.new),
+            "status": str(self.status),
             "reason": self.reason,
             "difference": self.difference,
             "std": self.std,
             "p": self.p_value,
             "p_adjusted": self.p_adjusted,
-            "within_percent": None if self.bound is None else 100.0 * self.bound,
+            "within_percent": _percent(self.bound),
         }
 
 
-@dataclass(frozen=True)
-class Change(_Judged):
-    """One parameter, before and after.
+def _percent(fraction: float | None) -> float | None:
+    return None if fraction is None else 100.0 * fraction
 
-    ``difference`` ± ``std`` is new − old with the uncertainty of both and the repeatability of the cell;
-    of a *changed* parameter it is the change that explains the two models with all that did not change
-    held equal, which is better known than the plain difference of two correlated estimates.
-    ``bound`` is the largest relative change that the data still allow (a fraction of ``scale``);
-    ``scale`` is |old|, or for couplings the geometric mean of the final masses they join.
-    ``detectable`` is the relative change in this parameter alone that would have been found with 90 %.
-    ``rivals`` are the names of parameters of which this one, or they, changed.
-    """
 
-    name: str
-    label: str
-    axis: str
-    kind: str
-    unit: str | None
-    old: Estimate | None
-    new: Estimate | None
-    status: Status
-    scale: float = 0.0
-    final: bool = False
-    rivals: tuple[str, ...] = ()
-    cause: str | None = None
-    """Of a number of a cause."""
-    element: str | None = None
-    other_axis: str | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "parameter": self.name,
-            "label": self.label,
-            "axis": self.axis,
-            "kind": self.kind,
-            "unit": self.unit,
-            **self._judged_to_json(self.old, self.new, self.status),
-            "detectable_percent": None if self.detectable is None else 100.0 * self.detectable,
-        }
+def _estimate_to_json(e: Estimate | None) -> dict[str, Any] | None:
+    return None if e is None else {"value": e.value, "std": e.std}
 
 
 @dataclass(frozen=True)
@@ -133,52 +125,15 @@ class Repeatability:
 
 
 @dataclass(frozen=True)
-class CauseChange(_Judged):
-    """One cause, before and after, by its main ``parameter``; ``None`` where a run did not find it.
-
-    ``difference`` ± ``std`` is that of its size (its amount, of a gain its distance from 1); ``bound`` the
-    largest relative change that the data still allow; ``detectable`` the size that a run without the cause
-    would have seen in 95 of 100 cases.
-    """
-
-    name: str
-    cause: str
-    axis: str
-    element: str | None
-    other_axis: str | None
-    parameter: str
-    unit: str | None
-    label: str
-    old: Estimate | None
-    new: Estimate | None
-    status: CauseStatus
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "name": self.name,
-            "cause": self.cause,
-            "axis": self.axis,
-            "element": self.element,
-            "other_axis": self.other_axis,
-            "parameter": self.parameter,
-            "unit": self.unit,
-            "label": self.label,
-            **self._judged_to_json(self.old, self.new, self.status),
-            "detectable": self.detectable,
-        }
-
-
-@dataclass(frozen=True)
 class Comparison:
     """What changed between two models."""
 
-    old_robot: str
-    new_robot: str
+    robots: tuple[str, str]
     alpha: float
     tolerance: float
     parameters: tuple[Change, ...]
     effects: tuple[Change, ...]
+    """Numbers of causes that both sides have."""
     joint_p: float | None
     joint_dof: int
     statements: tuple[Statement, ...] = ()
@@ -189,7 +144,7 @@ class Comparison:
     repeatability: Repeatability = field(default=Repeatability())
     runs: tuple[int, int] = (1, 1)
     """How many models the old and the new side are the mean of."""
-    causes: tuple[CauseChange, ...] = ()
+    causes: tuple[Change, ...] = ()
     """What became of every cause that either side has."""
     named: tuple[NamedChange, ...] = ()
     """What changed beyond its uncertainty, as it is told first."""
@@ -216,18 +171,15 @@ class Comparison:
     @property
     def told(self) -> bool:
         """False where nothing could be called changed or unchanged."""
-        return (
-            bool(self.shape)
-            or any(c.status is not Status.CANNOT_TELL or c.rivals for c in self.parameters + self.effects)
-            or any(str(c.status) != "cannot_tell" for c in self.causes)
-        )
+        rows = self.parameters + self.effects + self.causes
+        return bool(self.shape) or any(c.status is not Status.CANNOT_TELL or c.rivals for c in rows)
 
     def to_json(self) -> dict[str, Any]:
         """The ``invid-comparison`` document."""
         return {
             "format": "invid-comparison",
             "format_version": 1,
-            "robots": [self.old_robot, self.new_robot],
+            "robots": list(self.robots),
             "alpha": self.alpha,
             "tolerance_percent": 100.0 * self.tolerance,
             "parameters": [c.to_json() for c in self.parameters],

@@ -11,25 +11,21 @@ come here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from invid.comparison.baseline import MINIMUM_RUNS, pool_agreeing, pool_models
+from invid.comparison.baseline import MINIMUM_RUNS, pool_agreeing
 from invid.comparison.baseline import repeatability as measured_repeatability
 from invid.comparison.causes import compare_causes, variance_factors, with_cause_verdicts
 from invid.comparison.changes import Change, Comparison, Repeatability, Status
-from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
-from invid.comparison.named import named_change
-from invid.comparison.news import named_changes
-from invid.comparison.pairs import effects as paired_effects
-from invid.comparison.pairs import parameter_changes
-from invid.comparison.pairs import structure as structure_of
-from invid.comparison.sentences import bound_phrase, statements
+from invid.comparison.joint_test import Whitened, detectable, joint_p, select
+from invid.comparison.numbers import covariance_of_differences, mean_model, paired_numbers
+from invid.comparison.sentences import PRACTICAL, bound_phrase, named_changes, statements
 from invid.errors import InputError
-from invid.model.document import Model, units
-from invid.numerics.arrays import Float64
+from invid.model.document import Estimate, Model, units
+from invid.model.named_change import ChangeKind, NamedChange
 from invid.numerics.distributions import normal_isf
 from invid.wording.clauses import label
 from invid.wording.statement import Listed, Statement
@@ -103,122 +99,107 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
     # off by chance would then stand alone for its side.
     apart = max(1.0, scatter.factor)
     sides = pool_agreeing(old, before, apart), pool_agreeing(new, after, apart)
-    old, new = pool_models(sides[0]), pool_models(sides[1])
-    parameters = parameter_changes(old, new, common, repeatability)
-    effects = paired_effects(old, new, common, repeatability)
+    runs = len(sides[0]), len(sides[1])
+    old, new = mean_model(sides[0]), mean_model(sides[1])
+    rows = paired_numbers(old, new, common, repeatability)
     causes = compare_causes(old, new, common, alpha=alpha, tolerance=tolerance, scatter=scatter)
-    sizes = {f"{c.name}.{c.parameter}" for c in causes}
-    both = [*parameters, *effects]
-    judged = list(both)
-    p_all, dof = None, 0
     # The size of a cause is judged with the causes: a family of its own, as nothing ties it to the masses.
-    tested = [k for k, c in enumerate(both) if c.std is not None and c.name not in sizes]
-    if tested:
-        known = [both[k] for k in tested]
-        covariance = scatter.factor**2 * _covariance((old, new), known, variance_factors(causes))
-        white, sound = Whitened.of(np.array([c.difference for c in known], dtype=float), covariance)
-        if not sound:
+    sizes = {f"{c.name}.{c.parameter}" for c in causes}
+    known = [c for c in rows if c.std is not None and c.name not in sizes]
+    judged, p_all, joint_alpha = {c.name: c for c in rows}, None, _JOINT_SHARE * alpha
+    if known:
+        factors = variance_factors(causes)
+        covariance = scatter.factor**2 * covariance_of_differences(known, (old, new), factors)
+        white, is_sound = Whitened.of(np.array([c.difference for c in known], dtype=float), covariance)
+        if not is_sound:
             warnings.append(
                 "the joint covariance of the parameters is not positive definite, so their correlation is "
                 "left out of the test"
             )
-        runs = len(sides[0]), len(sides[1])
-        selection = select(white, (1 - _JOINT_SHARE) * alpha, scatter.dof, runs)
-        p_all, dof = joint_p(white, scatter.dof), len(known)
-        seen = detectable(white, (1 - _JOINT_SHARE) * alpha, scatter.dof, runs)
-        verdicts = _judge(known, white, selection, tolerance, alpha)
-        for k, change, size in zip(tested, verdicts, seen, strict=True):
-            judged[k] = replace(change, detectable=float(size) / change.scale if change.scale > 0 else None)
+        p_all = joint_p(white, scatter.dof)
+        found = _judge(known, white, (scatter.dof, runs), tolerance, alpha)
+        judged |= {c.name: c for c in found}
+    parameters, effects = (
+        tuple(c for c in judged.values() if (c.kind is ChangeKind.EFFECT) is is_effect)
+        for is_effect in (False, True)
+    )
     comparison = Comparison(
-        old.robot,
-        new.robot,
+        (old.robot, new.robot),
         alpha,
         tolerance,
-        tuple(judged[: len(parameters)]),
-        with_cause_verdicts(judged[len(parameters) :], causes),
+        parameters,
+        with_cause_verdicts(effects, causes),
         p_all,
-        dof,
-        (),
-        tuple(warnings),
-        tuple(structure_of(old, new, common)),
-        scatter,
-        (len(sides[0]), len(sides[1])),
-        causes,
+        len(known),
+        warnings=tuple(warnings),
+        shape=tuple(_structure(old, new, common)),
+        repeatability=scatter,
+        runs=runs,
+        causes=causes,
     )
-    joint_alpha = _JOINT_SHARE * alpha
     comparison = replace(comparison, named=named_changes(comparison, joint_alpha))
-    return replace(comparison, statements=statements(comparison, joint_alpha=joint_alpha))
+    return replace(comparison, statements=statements(comparison, joint_alpha))
 
 
-def _covariance(
-    models: tuple[Model, Model],
-    changes: Sequence[Change],
-    factors: tuple[Mapping[str, float], Mapping[str, float]],
-) -> Float64:
-    """Covariance of the differences: joint over the linear parameters, each effect for itself.
-
-    ``factors``: by axis, how many times the variance of its chain counts in either model.
-    """
-    spread = np.array([c.std or 0.0 for c in changes])
-    covariance: Float64 = np.diag(spread**2)
-    linear = [k for k, c in enumerate(changes) if c.kind not in ("effect", "inertia")]
-    names = [changes[k].name for k in linear]
-    own = [covariance_of(m, names) for m in models]
-    block = own[0] + own[1]
-    # The diagonal has the repeatability of the robot in it already.
-    block[np.diag_indices_from(block)] = spread[linear] ** 2
-    for part, by_axis in zip(own, factors, strict=True):
-        for axis, factor in by_axis.items():
-            at = [k for k, number in enumerate(linear) if changes[number].axis == axis]
-            block[np.ix_(at, at)] += (factor - 1.0) * part[np.ix_(at, at)]
-    covariance[np.ix_(linear, linear)] = block
-    return covariance
+def _structure(old: Model, new: Model, common: Sequence[str]) -> list[NamedChange]:
+    """What differs in axes and numbers of masses."""
+    said = [NamedChange(ChangeKind.AXIS_GONE, a) for a in old.axes if a not in common]
+    said += [NamedChange(ChangeKind.AXIS_NEW, a) for a in new.axes if a not in common]
+    for axis in common:
+        was, now = (Estimate(float(m.chains.masses[m.axes.index(axis)].size)) for m in (old, new))
+        if was != now:
+            said.append(NamedChange(ChangeKind.MASSES, axis, old=was, new=now))
+    return said
 
 
 def _judge(
-    changes: Sequence[Change], white: Whitened, selection: Selection, tolerance: float, alpha: float
+    changes: Sequence[Change],
+    white: Whitened,
+    known_from: tuple[float, tuple[int, int]],
+    tolerance: float,
+    alpha: float,
 ) -> list[Change]:
-    """Status of every tested parameter; *unchanged* needs an interval inside ±tolerance."""
-    sizes: dict[int, tuple[float, float]] = {}
-    if selection.chosen:
-        values, stds = white.sizes(selection.chosen)
-        sizes = {k: (float(v), float(s)) for k, v, s in zip(selection.chosen, values, stds, strict=True)}
-    doubtful = selection.doubtful()
+    """Status of every tested parameter; *unchanged* needs an interval inside ±tolerance.
+
+    ``known_from``: degrees of freedom of the deviations, and the runs behind either side.
+    """
+    selection = select(white, (1 - _JOINT_SHARE) * alpha, *known_from)
+    seen = detectable(white, (1 - _JOINT_SHARE) * alpha, *known_from)
+    doubtful, values, stds = selection.doubtful(), *white.sizes(selection.chosen)
     # One-sided on either side: the larger of both ends decides (two one-sided tests).
     reach = normal_isf(alpha)
     out = []
     for k, c in enumerate(changes):
         difference, spread = c.difference or 0.0, float(white.std[k])
-        if k in sizes and k not in doubtful:
-            difference, spread = sizes[k]
-        bound = (abs(difference) + reach * spread) / c.scale if c.scale > 0 else None
-        rivals: tuple[str, ...] = ()
-        why: Statement | None
+        status, why = Status.CANNOT_TELL, None
+        others = [changes[o] for o in sorted(set(doubtful.get(k, ())))]
         if k in doubtful:
-            rivals = tuple(dict.fromkeys(changes[o].name for o in sorted(doubtful[k])))
-            others = tuple(label(named_change(changes[o])) for o in sorted(doubtful[k]))
-            status = Status.CANNOT_TELL
-            why = Statement("why.rivals", {"labels": Listed(others, "or")})
-        elif k in sizes:
-            status, why = Status.CHANGED, None
-        elif bound is not None and bound <= tolerance:
-            status, why = Status.UNCHANGED, None
-        else:
-            status = Status.CANNOT_TELL
-            why = Statement("why.was_zero")
-            if bound is not None:
+            why = Statement("why.rivals", {"labels": Listed(tuple(map(label, others)), "or")})
+        elif k in selection.chosen:
+            at = selection.chosen.index(k)
+            difference, spread, status = float(values[at]), float(stds[at]), Status.CHANGED
+        bound = (abs(difference) + reach * spread) / c.scale if c.scale > 0 else None
+        if why is None and status is not Status.CHANGED:
+            if bound is None:
+                why = Statement("why.was_zero")
+            elif bound <= tolerance:
+                status = Status.UNCHANGED
+            else:
                 why = Statement("why.unseen", {"bound": bound_phrase(bound)})
         out.append(
             replace(
                 c,
                 difference=difference,
                 std=spread,
-                p_value=selection.p[k],
-                p_adjusted=selection.p_adjusted[k],
+                share=difference / c.scale if c.scale > 0 else None,
+                matters=bound is None or bound > PRACTICAL,
+                p_value=float(selection.p[k]),
+                p_adjusted=float(selection.p_adjusted[k]),
                 status=status,
                 why=why,
                 bound=bound,
-                rivals=rivals,
+                detectable=float(seen[k]) / c.scale if c.scale > 0 else None,
+                rivals=tuple(o.name for o in others),
             )
         )
     return out

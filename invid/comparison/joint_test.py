@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
+from scipy.optimize import brentq
 
-from invid.model.document import Model, parameter_vector, stds_by_name
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_sf, f_sf, normal_isf
 
@@ -36,43 +36,6 @@ SOUGHT = 3.0
 _EQUAL = 0.5
 """Part of the false alarms that every parameter gets in equal shares, whatever it is correlated with: none
 asks for more than twice the evidence (in p) of an equal share."""
-
-
-def covariance_of(model: Model, names: Sequence[str]) -> Float64:
-    """(n, n) covariance of named linear parameters: the joint one where the model has it, else diagonal.
-
-    A model's std (which may carry more than the fit's own covariance) stays; correlation is added.
-    """
-    stds = stds_by_name(model)
-    spread = np.array([stds.get(n, math.nan) for n in names])
-    result: Float64 = np.diag(spread**2)
-    joint = model.covariance
-    if joint is None or joint.shape != (len(model.parameter_names),) * 2:
-        return result
-    at = _positions(model)
-    known = [k for k, n in enumerate(names) if n in at]
-    rows = [at[names[k]] for k in known]
-    block = joint[np.ix_(rows, rows)]
-    own = np.sqrt(np.clip(np.diag(block), 0, None))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        scaled = block / np.outer(own, own) * np.outer(spread[known], spread[known])
-    target = result[np.ix_(known, known)]
-    good = np.isfinite(scaled)
-    target[good] = scaled[good]
-    np.fill_diagonal(target, spread[known] ** 2)
-    result[np.ix_(known, known)] = target
-    return result
-
-
-def _positions(model: Model) -> dict[str, int]:
-    at: dict[str, int] = {}
-    for k, name in enumerate(model.parameter_names):
-        at[name] = k
-        pair, _, kind = name.partition(".")
-        first, _, second = pair.partition("-")
-        if kind == "coupling" and second:
-            at[f"{second}-{first}.coupling"] = k
-    return at
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +76,6 @@ class Whitened:
         z[list(chosen)] = 0.0
         return z
 
-    def sharpest(self) -> Float64:
-        """(n,) standard deviation of each change with everything else unchanged."""
-        return np.asarray(self.std / np.linalg.norm(self.columns, axis=0), dtype=float)
-
     def sizes(self, chosen: Sequence[int]) -> tuple[Float64, Float64]:
         """Changes of ``chosen`` with everything else unchanged, and their standard deviations."""
         basis = self.columns[:, list(chosen)]
@@ -127,12 +86,12 @@ class Whitened:
 
 @dataclass(frozen=True)
 class Selection:
-    """``chosen`` in the order found, the ``rivals`` of each, p of every parameter, plain and by Holm."""
+    """``chosen`` in the order found, the ``rivals`` of each, p of every parameter, plain and by Holm (n,)."""
 
     chosen: tuple[int, ...]
     rivals: Mapping[int, tuple[int, ...]]
-    p: tuple[float, ...]
-    p_adjusted: tuple[float, ...]
+    p: Float64
+    p_adjusted: Float64
 
     def doubtful(self) -> dict[int, list[int]]:
         """Parameters of which one or another changed: each with its rivals.
@@ -142,17 +101,14 @@ class Selection:
         found: dict[int, list[int]] = {}
         for best, others in self.rivals.items():
             still = [o for o in others if o not in self.chosen]
-            if still:
-                group = [best, *still]
-                for k in group:
-                    found.setdefault(k, []).extend(o for o in group if o != k)
+            for k in [best, *still] if still else ():
+                found.setdefault(k, []).extend(o for o in (best, *still) if o != k)
         return found
 
 
-def two_sided(z: float, dof: float) -> float:
-    """Chance of a larger |z| (normal), or of a larger |t| where the scale itself was estimated."""
-    tail = special.ndtr(-abs(z)) if math.isinf(dof) else special.stdtr(dof, -abs(z))
-    return 2.0 * float(tail)
+def two_sided(z: Float64 | float, dof: float) -> Float64:
+    """Chance of a larger |t|, of a larger |z| (normal) where ``dof`` is infinite."""
+    return np.asarray(2.0 * special.stdtr(dof, -np.abs(z)), dtype=float)
 
 
 def shares(white: Whitened, alpha: float, runs: tuple[int, int]) -> Float64:
@@ -173,23 +129,15 @@ def shares(white: Whitened, alpha: float, runs: tuple[int, int]) -> Float64:
 
     # From everything spent (z = 0 everywhere) to next to nothing (z beyond 30 everywhere).
     top = float(reach.max())
-    low, high = -(top**2) / 2, 30.0 * top
-    for _ in range(50):
-        middle = (low + high) / 2
-        low, high = (middle, high) if spent(middle).sum() > alpha else (low, middle)
-    best = spent(high)
-    total = float(best.sum())
-    equal = np.full(count, 1.0 / count)
-    result: Float64 = _EQUAL * equal + (1 - _EQUAL) * (best / total if total > 0 else equal)
-    return result
+    best = spent(float(brentq(lambda level: spent(level).sum() - alpha, -(top**2) / 2, 30.0 * top)))
+    return np.asarray(_EQUAL / count + (1 - _EQUAL) * best / best.sum(), dtype=float)
 
 
 def detectable(white: Whitened, alpha: float, dof: float, runs: tuple[int, int]) -> Float64:
     """(n,) size of a change in one parameter alone that ``select`` would find in 90 of 100 times."""
-    share = alpha * shares(white, alpha, runs) / 2
-    threshold = -(special.ndtri(share) if math.isinf(dof) else special.stdtrit(dof, share))
-    result: Float64 = (threshold + normal_isf(1 - POWER)) * white.sharpest()
-    return result
+    threshold = -special.stdtrit(dof, alpha * shares(white, alpha, runs) / 2)
+    sharpest = white.std / np.linalg.norm(white.columns, axis=0)
+    return np.asarray((threshold + normal_isf(1 - POWER)) * sharpest, dtype=float)
 
 
 def select(white: Whitened, alpha: float, dof: float, runs: tuple[int, int] | None = None) -> Selection:
@@ -199,59 +147,27 @@ def select(white: Whitened, alpha: float, dof: float, runs: tuple[int, int] | No
     share = np.full(count, 1.0 / count) if runs is None else shares(white, alpha, runs)
     chosen: list[int] = []
     rivals: dict[int, tuple[int, ...]] = {}
-    p, adjusted = [1.0] * count, [1.0] * count
-    running = 0.0
-    while True:
+    p, adjusted, running = np.ones(count), np.ones(count), 0.0
+    while left := [k for k in range(count) if k not in chosen]:
         z = white.scores(chosen)
-        left = [k for k in range(count) if k not in chosen]
-        if not left:
-            break
         whole = float(share[left].sum())
-        for k in left:
-            p[k] = two_sided(float(z[k]), dof)
-            adjusted[k] = max(running, min(1.0, p[k] * whole / float(share[k])))
+        p[left] = two_sided(z[left], dof)
+        adjusted[left] = np.clip(p[left] * whole / share[left], running, 1.0)
         found = [k for k in left if adjusted[k] < alpha]
         if not found:
             break
         # Whether anything changed is a matter of the shares; what it was, of the data alone.
         best = max(found, key=lambda k: abs(z[k]))
-        running = adjusted[best]
+        running = float(adjusted[best])
         close = [k for k in left if k != best and z[k] ** 2 > z[best] ** 2 - RIVAL]
         # A parameter that is merely off by chance beside the best is no rival: a rival takes its place.
-        rivals[best] = tuple(
-            k
-            for k in close
-            if two_sided(float(white.scores([*chosen, k])[best]), dof)
-            * (whole - float(share[k]))
-            / float(share[best])
-            >= alpha
-        )
+        beside = {k: two_sided(white.scores([*chosen, k])[best], dof) * (whole - share[k]) for k in close}
+        rivals[best] = tuple(k for k in close if beside[k] / share[best] >= alpha)
         chosen.append(best)
-    return Selection(tuple(chosen), rivals, tuple(p), tuple(adjusted))
+    return Selection(tuple(chosen), rivals, p, adjusted)
 
 
 def joint_p(white: Whitened, dof: float) -> float:
     """Return the p value of "nothing at all changed"."""
     count = white.data.size
-    return (
-        chi2_sf(white.chi2, count) if math.isinf(dof) else f_sf(white.chi2 / count, float(count), float(dof))
-    )
-
-
-def difference(old: Model, new: Model, factor: float = 1.0) -> Whitened | None:
-    """new − old over the linear parameters that both know, its deviations ``factor`` times what the fits say.
-
-    ``None`` where the two have different parameters, or no covariance to judge them by.
-    """
-    names_old, was = parameter_vector(old.chains)
-    names_new, now = parameter_vector(new.chains)
-    if names_old != names_new or old.linear != new.linear:
-        return None
-    stds = stds_by_name(old), stds_by_name(new)
-    keep = [k for k, n in enumerate(names_old) if all(s.get(n, math.nan) > 0 for s in stds)]
-    if not keep:
-        return None
-    names = [names_old[k] for k in keep]
-    covariance = factor**2 * (covariance_of(old, names) + covariance_of(new, names))
-    white, sound = Whitened.of((now - was)[keep], covariance)
-    return white if sound else None
+    return chi2_sf(white.chi2, count) if math.isinf(dof) else f_sf(white.chi2 / count, float(count), dof)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
-from invid.comparison.changes import CauseStatus, Change, Comparison
-from invid.comparison.named import named_cause, named_change
+from invid.comparison.changes import Change, Comparison, Status
+from invid.model.document import Estimate
+from invid.model.named_change import ChangeKind, NamedChange
 from invid.wording.clauses import label, row_statement
 from invid.wording.figures import percent
 from invid.wording.statement import Figure, Listed, Statement, Value
@@ -17,81 +19,103 @@ ALIKE = 3.0
 """Ratio of bounds up to which one figure stands for all kinds of parameters (a convention)."""
 
 
-def statements(c: Comparison, *, joint_alpha: float) -> tuple[Statement, ...]:
-    """Return what changed, a sentence a row, then what did not and what cannot be told."""
+def named_changes(c: Comparison, joint_alpha: float) -> tuple[NamedChange, ...]:
+    """Return what changed beyond its uncertainty: what matters first, then by kind, then by size.
+
+    Parameters of causes are told with their cause. Where nothing at all can be told, one entry says so.
+    """
+    if not c.told:
+        return (NamedChange(ChangeKind.UNTOLD, matters=False),)
+    rows = _rows(c)
+    found: list[NamedChange] = [*c.shape, *(x for x in c.causes if x.status.is_change)]
+    changed = [x for x in rows if x.status.is_change]
+    for axis in dict.fromkeys(x.axis for x in changed):
+        factor = _common_factor([x for x in rows if x.axis == axis and x.family in _SCALED])
+        own = [x for x in changed if x.axis == axis and x.family in ("mass", "spring", "damper")]
+        if factor is not None and len(own) >= 3:
+            found.append(NamedChange(ChangeKind.SCALE, axis, new=Estimate(factor), share=factor - 1.0))
+            changed = [x for x in changed if x not in own]
+    found += changed
+    left = {x.name: x for x in rows if x.rivals}
+    while left:
+        names = [next(iter(left))]
+        for name in names:
+            names += [r for r in left[name].rivals if r in left and r not in names]
+        group = tuple(left.pop(name) for name in names)
+        found.append(NamedChange(ChangeKind.ONE_OF, group[0].axis, among=group))
+    if is_spread_out(c, joint_alpha):
+        found.append(NamedChange(ChangeKind.UNLOCATED))
+    order = list(ChangeKind)
+    return tuple(sorted(found, key=lambda x: (not x.matters, order.index(x.kind), -abs(x.share or 0.0))))
+
+
+_SCALED = ("mass", "spring", "inertia")
+
+
+def _rows(c: Comparison) -> list[Change]:
+    """All numbers that are not told as the size of a cause."""
     sizes = {f"{x.name}.{x.parameter}" for x in c.causes}
-    everything = [*c.parameters, *(x for x in c.effects if x.name not in sizes)]
-    unchanged = [x for x in everything if x.status == "unchanged"]
-    open_ones = [x for x in everything if x.status == "cannot_tell" and not x.rivals]
+    return [x for x in c.parameters + c.effects if x.name not in sizes]
+
+
+def statements(c: Comparison, joint_alpha: float) -> tuple[Statement, ...]:
+    """Return what changed, a sentence a row, then what did not and what cannot be told."""
+    everything = _rows(c)
+    unchanged = [x for x in everything if x.status is Status.UNCHANGED]
+    open_ones = [x for x in everything if x.status is Status.CANNOT_TELL and not x.rivals]
     said = [row_statement(row) for row in c.named]
     if unchanged and not is_spread_out(c, joint_alpha):
         said.append(Statement("told.nothing" + "_else" * bool(said) + "_known" * bool(open_ones)))
     if unchanged:
-        count = len(unchanged)
-        code = "told.unchanged_one" if count == 1 else "told.unchanged"
-        said.append(Statement(code, {"n": count, "within": within(unchanged)}))
+        code = "told.unchanged_one" if len(unchanged) == 1 else "told.unchanged"
+        said.append(Statement(code, {"n": len(unchanged), "within": _within(unchanged)}))
     if open_ones:
         values: dict[str, Value] = {"labels": _listing(open_ones), "why": _reasons(open_ones)}
         said.append(Statement("told.cannot_tell", values))
-    same = [x for x in c.causes if x.status is CauseStatus.UNCHANGED]
+    same = [x for x in c.causes if x.status is Status.UNCHANGED]
     if same:
-        labels = Listed(tuple(label(named_cause(x), plain=True) for x in same))
         bound = Figure(percent(max(x.bound or 0.0 for x in same)))
         code = "told.causes_same_one" if len(same) == 1 else "told.causes_same"
-        said.append(Statement(code, {"labels": labels, "bound": bound}))
+        said.append(Statement(code, {"labels": _labels(same, "and"), "bound": bound}))
     said += [
-        Statement("told.cause_open", {"label": label(named_cause(x)), "why": x.why or ""})
+        Statement("told.cause_open", {"label": label(x), "why": x.why or ""})
         for x in c.causes
-        if x.status is CauseStatus.CANNOT_TELL
+        if x.status is Status.CANNOT_TELL
     ]
-    means = tuple(
-        Statement(f"told.{side}_runs", {"n": n})
-        for side, n in zip(("old", "new"), c.runs, strict=True)
-        if n > 1
-    )
-    return (*said, Statement("told.means_of_runs", {"sides": Listed(means)})) if means else tuple(said)
+    means = [Statement(f"told.{side}_runs", {"n": n}) for side, n in zip(("old", "new"), c.runs, strict=True)]
+    means = [m for m, n in zip(means, c.runs, strict=True) if n > 1]
+    return (*said, *([Statement("told.means_of_runs", {"sides": Listed(tuple(means))})] if means else []))
 
 
 def is_spread_out(c: Comparison, joint_alpha: float) -> bool:
     """Return whether something changed jointly, and no parameter stands out."""
-    found = any(x.status == "changed" or x.rivals for x in c.parameters + c.effects)
+    found = any(x.status.is_change or x.rivals for x in c.parameters + c.effects)
     return c.joint_p is not None and c.joint_p < joint_alpha and not found
 
 
-def rival_groups(separate: Sequence[Change]) -> list[list[Change]]:
-    """Return groups of parameters of which one or another changed."""
-    groups = []
-    left = {x.name: x for x in separate}
-    while left:
-        group = [next(iter(left))]
-        for name in group:
-            group += [r for r in left[name].rivals if r in left and r not in group]
-        groups.append([left.pop(name) for name in group])
-    return groups
-
-
-def within(unchanged: Sequence[Change]) -> Statement:
+def _within(unchanged: Sequence[Change]) -> Statement:
     """Return "within ±0.2 %", or for each kind its own where one would hide what the others can tell."""
     worst: dict[str, float] = {}
     for x in unchanged:
-        worst[x.kind] = max(worst.get(x.kind, 0.0), x.bound or 0.0)
+        worst[x.family] = max(worst.get(x.family, 0.0), x.bound or 0.0)
+    figures = {k: Figure(f"±{100 * b:.2g} %") for k, b in worst.items()}
     if max(worst.values()) <= ALIKE * min(worst.values()):
-        return Statement("told.within", {"bounds": Figure(f"±{100 * max(worst.values()):.2g} %")})
-    bounds = tuple(
-        Statement(
-            "told.within_kind",
-            {"bound": Figure(f"±{100 * b:.2g} %"), "kind": Statement(f"kinds.{k}", english=k)},
-        )
-        for k, b in worst.items()
-    )
-    return Statement("told.within", {"bounds": Listed(bounds, "comma")})
+        return Statement("told.within", {"bounds": figures[max(worst, key=lambda k: worst[k])]})
+    bounds = [
+        Statement("told.within_kind", {"bound": f, "kind": Statement(f"kinds.{k}", english=k)})
+        for k, f in figures.items()
+    ]
+    return Statement("told.within", {"bounds": Listed(tuple(bounds), "comma")})
+
+
+def _labels(changes: Sequence[Change], by: Literal["and", "comma"]) -> Listed:
+    return Listed(tuple(label(x, plain=True) for x in changes), by)
 
 
 def _listing(changes: Sequence[Change], most: int = 6) -> Value:
-    shown = Listed(tuple(label(named_change(x), plain=True) for x in changes[:most]), "comma")
-    if len(changes) <= most:
-        return shown
-    return Statement("told.and_more", {"labels": shown, "n": len(changes) - most})
+    shown = _labels(changes[:most], "comma")
+    more = len(changes) - most
+    return shown if more <= 0 else Statement("told.and_more", {"labels": shown, "n": more})
 
 
 def _reasons(changes: Sequence[Change]) -> Listed:
@@ -100,10 +124,8 @@ def _reasons(changes: Sequence[Change]) -> Listed:
     said: list[Value] = [kinds[text] for text in sorted(kinds)]
     if bounds:
         low, high = bound_phrase(min(bounds)), bound_phrase(max(bounds))
-        if low != high:
-            said.append(Statement("why.unseen_range", {"low": low, "high": high}))
-        else:
-            said.append(Statement("why.unseen", {"bound": low}))
+        code, values = "why.unseen_range", {"low": low, "high": high}
+        said.append(Statement(code, values) if low != high else Statement("why.unseen", {"bound": low}))
     return Listed(tuple(said), "semicolon")
 
 
@@ -111,24 +133,6 @@ def bound_phrase(fraction: float) -> Value:
     """Return a bound in per cent, or "any size" where it says nothing."""
     text = percent(fraction)
     return Statement("why.any_size") if text == "any size" else Figure(text)
-
-
-def is_small(change: Change) -> bool:
-    """Return whether a change is significant but certainly too small to matter."""
-    return change.bound is not None and change.bound <= PRACTICAL
-
-
-def scaled_axes(changed: Sequence[Change], every: Sequence[Change]) -> dict[str, tuple[float, list[Change]]]:
-    """Return the axes of which all masses and springs changed by one factor, with it and those changes."""
-    found: dict[str, tuple[float, list[Change]]] = {}
-    for axis in dict.fromkeys(c.axis for c in changed):
-        factor = _common_factor(
-            [c for c in every if c.axis == axis and c.kind in ("mass", "spring", "inertia")]
-        )
-        own = [c for c in changed if c.axis == axis and c.kind in ("mass", "spring", "damper")]
-        if factor is not None and len(own) >= 3:
-            found[axis] = factor, own
-    return found
 
 
 def _common_factor(changes: Sequence[Change]) -> float | None:
@@ -149,15 +153,14 @@ def _common_factor(changes: Sequence[Change]) -> float | None:
 
 def table(changes: Sequence[Change]) -> str:
     """Return every parameter, one line each."""
-    words = {"changed": "changed", "unchanged": "unchanged", "cannot_tell": "cannot tell"}
     lines = [f"{'parameter':<36} {'old':>12} {'new':>12} {'difference':>12} {'± std':>10}  verdict"]
     for c in changes:
-        numbers = [c.old.value if c.old else None, c.new.value if c.new else None, c.difference, c.std]
-        shown = [("–" if n is None else f"{n:.5g}") for n in numbers]
-        bound = f" within ±{100 * c.bound:.2g} %" if c.status == "unchanged" and c.bound is not None else ""
-        why = f": {c.reason}" if c.reason else ""
-        lines.append(
-            f"{c.label:<36} {shown[0]:>12} {shown[1]:>12} {shown[2]:>12} {shown[3]:>10}  "
-            f"{words[str(c.status)]}{bound}{why}"
+        numbers = (c.old.value if c.old else None, c.new.value if c.new else None, c.difference, c.std)
+        shown = " ".join(
+            f"{'–' if n is None else f'{n:.5g}':>{w}}" for n, w in zip(numbers, (12, 12, 12, 10), strict=True)
         )
+        is_bounded = c.status is Status.UNCHANGED and c.bound is not None
+        bound = f" within ±{100 * (c.bound or 0.0):.2g} %" if is_bounded else ""
+        why = f": {c.reason}" if c.reason else ""
+        lines.append(f"{c.label:<36} {shown}  {str(c.status).replace('_', ' ')}{bound}{why}")
     return "\n".join(lines)

@@ -8,10 +8,12 @@ and the effects that extend the linear model.
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -148,6 +150,11 @@ class LinearParameter(NamedTuple):
     value: float
     std: float
     unit: str
+
+    @property
+    def name(self) -> str:
+        """As ``parameter_vector`` has it."""
+        return _name(self.axes, self.kind, self.number)
 
 
 _UNIT_OF = {"spring": "stiffness", "ground_spring": "stiffness", "damper": "damping"}
@@ -497,6 +504,17 @@ def dump_json(document: Mapping[str, Any]) -> str:
     return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
+def csv_text(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """A table as text; numbers to nine digits, nothing for those that are none."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(head)
+    for row in rows:
+        shown = [("" if math.isinf(x) else f"{x:.9g}") if isinstance(x, float) else x for x in row]
+        writer.writerow(shown)
+    return stream.getvalue()
+
+
 def load_json(path: Path) -> Any:
     """Parsed JSON file; InputError says what is wrong with the file."""
     try:
@@ -565,25 +583,4 @@ def std_by_name(chains: CoupledChains, std: Mapping[str, float]) -> ChainStd:
         dampers=column("damper", chains.dampers),
         couplings=frozen_float(couplings),
         ground_springs=frozen_float([std.get(f"{a}.ground_spring", np.nan) for a in chains.axes]),
-    )
-
-
-def chains_by_name(chains: CoupledChains, values: Mapping[str, float]) -> CoupledChains:
-    """``chains`` with the parameters named in ``values``; the others stay as they are."""
-
-    named = std_by_name(chains, values)  # the same shapes
-
-    def filled(new: Float64, old: Float64) -> Float64:
-        return frozen_float(np.where(np.isnan(new), old, new))
-
-    def column(new: tuple[Float64, ...], old: tuple[Float64, ...]) -> tuple[Float64, ...]:
-        return tuple(map(filled, new, old))
-
-    return replace(
-        chains,
-        masses=column(named.masses, chains.masses),
-        springs=column(named.springs, chains.springs),
-        dampers=column(named.dampers, chains.dampers),
-        couplings=filled(named.couplings, chains.couplings),
-        ground_springs=filled(named.ground_springs, chains.ground_springs),
     )

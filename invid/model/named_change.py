@@ -30,6 +30,8 @@ class ChangeKind(StrEnum):
     GREW = "grew"
     SHRANK = "shrank"
     GONE = "gone"
+    CAUSE = "cause"
+    """A cause of which none of these can be said."""
     MASSES = "masses"
     """The number of masses of an axis."""
     AXIS_NEW = "axis_new"
@@ -69,8 +71,15 @@ class NamedChange:
     matters: bool = True
     among: tuple[NamedChange, ...] = ()
 
+    @property
+    def is_cause(self) -> bool:
+        """Whether it is a cause, by its size."""
+        return self.kind in CAUSES
 
-CAUSES = frozenset({ChangeKind.APPEARED, ChangeKind.GREW, ChangeKind.SHRANK, ChangeKind.GONE})
+
+CAUSES = frozenset(
+    {ChangeKind.APPEARED, ChangeKind.GREW, ChangeKind.SHRANK, ChangeKind.GONE, ChangeKind.CAUSE}
+)
 
 
 def is_tool_change(changes: Sequence[NamedChange]) -> bool:

@@ -10,13 +10,12 @@ import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 from jinja2 import Environment, PackageLoader
 
 from invid.diagnosis.sentences import format_estimate as size_of
 from invid.model.diagnosis_document import Finding, Unexplained
-from invid.model.document import EffectTerm, Model, units
+from invid.model.document import EffectTerm, Model, linear_parameters, units
 from invid.report.branch_marks import (
     BELOW,
     COLOURS,
@@ -29,7 +28,6 @@ from invid.report.branch_marks import (
     Mark,
     bubbles_of,
     callouts_of,
-    changed_places,
     place_of,
     places,
     room_of,
@@ -85,7 +83,7 @@ def branch_drawing(
     """
     said = {**WORDS, **(words or {})}
     marks = _marks(model, findings, unexplained, news or {}, said)
-    elements = elements_of(model, changed_places(changed or {}, model.chains), said)
+    elements = elements_of(model, changed or {}, said)
     widest = max((room_of(m.text) for m in marks), default=0.0)
     box, gap = _widths(elements)
     where = places(model, [m.place for m in marks], widest, box=box, gap=gap)
@@ -126,32 +124,21 @@ class Element:
         return f"{value} Δ {self.change}" if self.change else value
 
 
-def elements_of(
-    model: Model, changes: Mapping[tuple[str, int, int], str], said: Mapping[str, str]
-) -> list[Element]:
+def elements_of(model: Model, changed: Mapping[str, str], said: Mapping[str, str]) -> list[Element]:
     """Every element of the drawing, axis by axis from the motor, then couplings."""
-    chains, std, unit = model.chains, model.std, units(model.linear)
-    found: list[Element] = []
-
-    def add(key: tuple[str, int, int], value: float, spread: float, of: str, name: str = "") -> None:
-        number = _number(float(value), float(spread), said)
-        found.append(Element(*key, number, unit[of], changes.get(key), name))
-
-    for i in range(chains.branches):
-        count = int(chains.masses[i].size)
-        for q in range(1, count + 1):
-            name = mass_name(q, count, said)
-            add(("mass", i, q), chains.masses[i][q - 1], std.masses[i][q - 1], "mass", name)
-            if q < count:
-                spring, damper = said["spring"].format(n=q), said["damper"]
-                add(("spring", i, q), chains.springs[i][q - 1], std.springs[i][q - 1], "stiffness", spring)
-                add(("damper", i, q), chains.dampers[i][q - 1], std.dampers[i][q - 1], "damping", damper)
-        if chains.ground_springs[i] != 0:
-            add(("ground", i, 0), chains.ground_springs[i], std.ground_springs[i], "stiffness")
-    for i, j in combinations(range(chains.branches), 2):
-        if chains.couplings[i, j] != 0:
-            name = said["coupling"].format(pair=f"{chains.axes[i]}–{chains.axes[j]}")
-            add(("coupling", i, j), chains.couplings[i, j], std.couplings[i, j], "mass", name)
+    chains, found = model.chains, list[Element]()
+    for p in linear_parameters(model):
+        axis, *other = (chains.axes.index(a) for a in p.axes)
+        names = {
+            "mass": mass_name(p.number, chains.masses[axis].size, said),
+            "spring": said["spring"].format(n=p.number),
+            "damper": said["damper"],
+            "coupling": said["coupling"].format(pair="–".join(p.axes)),
+        }
+        if p.value or not other:
+            number, value = other[0] if other else p.number, _number(p.value, p.std, said)
+            name = names.get(p.kind, "")
+            found.append(Element(p.kind, axis, number, value, p.unit, changed.get(p.name), name))
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -189,21 +189,4 @@ def _lanes(model: Model, right: float, asked: set[tuple[int, int]]) -> list[Lane
             taken.append([])
         taken[free].append((i, j))
         found.append(Lane((i, j), right + LANE * free))
-    return found
-
-
-def changed_places(names: Mapping[str, str], chains: CoupledChains) -> dict[tuple[str, int, int], str]:
-    """Texts of changed parameters ("A1.spring.2": "+12 %") by kind, axis and number."""
-    kinds = {"mass": "mass", "spring": "spring", "damper": "damper"}
-    found: dict[tuple[str, int, int], str] = {}
-    for name, text in names.items():
-        front, _, number = name.rpartition(".")
-        axis, _, kind = front.rpartition(".")
-        if number.isdigit() and kind in kinds and axis in chains.axes:
-            found[kind, chains.axes.index(axis), int(number)] = text
-        elif number == "coupling":
-            for i, one in enumerate(chains.axes):
-                for j, other in enumerate(chains.axes):
-                    if i < j and front == f"{one}-{other}":
-                        found["coupling", i, j] = text
     return found

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from invid.effects import curve as laws
+from invid.effects.elements import ModelPlace
 from invid.effects.registry import effect_of
 from invid.identification.begun import settled_about
 from invid.identification.fitted_model import plant_of
@@ -128,22 +129,15 @@ class Place:
 
 def place_in(chains: CoupledChains, term: EffectTerm) -> Place:
     """Where a term acts in chains; what is not placed at the motor."""
-    i = chains.axes.index(term.axis)
-    pattern, start, last = np.zeros(chains.dofs), int(chains.motor_dofs[i]), chains.masses[i].size
-    kind, _, number = (term.element or "mass 1").partition(" ")
-    at = max(int(number) if number.isdigit() else 1, 1)
-    effect = effect_of(term.cause)
-    home = "motor" if effect is None else effect.home
-    if home == "axis" and term.other_axis in chains.axes:
-        pattern[chains.end_dofs[i]] = 1.0
-        pattern[chains.end_dofs[chains.axes.index(term.other_axis)]] = -1.0
-    elif kind == "spring" and at < last:
-        pattern[start + at - 1], pattern[start + at] = 1.0, -1.0
-        return Place(i, pattern, float(chains.springs[i][at - 1]))
-    else:
-        at = last if home == "end" and term.element is None else at
-        pattern[start + min(at, last) - 1] = 1.0
-    return Place(i, pattern)
+    effect, at = effect_of(term.cause), ModelPlace(chains, term)
+    a, b = at.coordinates("motor" if effect is None else effect.home)
+    pattern = np.zeros(chains.dofs)
+    pattern[a] = 1.0
+    if b < 0:
+        return Place(at.axis, pattern)
+    pattern[b] = -1.0
+    is_pair = term.other_axis is not None
+    return Place(at.axis, pattern, 0.0 if is_pair else float(at.spring()[2]))
 
 
 def quantity(m: Missing, place: Place, what: str, *, own: bool = True) -> Float64:

@@ -5,39 +5,41 @@ without such names inputs and outputs stand in the order of the axes. An output 
 there is one, else differences of the position. Parameters named as an invid model's (``A1.mass.1``) are read
 and corrected.
 
-It is native code of somebody else: it runs in a process of its own, ``python -m invid.simulators.fmu_engine
-JOB ANSWER``, whose end is an error that names the file.
+It is native code of somebody else: it runs in a process of its own, whose end is an error that names the
+file.
 """
 
 from __future__ import annotations
 
 import json
-import pickle
 import re
 import shutil
-import signal
-import subprocess
-import sys
 import tempfile
 import weakref
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import fmpy
 import numpy as np
-from fmpy.fmi2 import FMU2Slave
-from fmpy.fmi3 import FMU3Slave
+from fmpy.simulation import (
+    apply_start_values,
+    instantiate_fmu,
+    settable_in_initialization_mode,
+    settable_in_instantiated,
+)
 
 from invid.errors import InputError
 from invid.exchange.linear_plant import effect_name
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, Model, parameter_vector, save_text
 from invid.numerics.arrays import Float64
+from invid.processes import Helper, ProcessEnded
 from invid.recording.units import FACTORS, MachineConstants, Quantity, factor, normal_unit
-from invid.simulators.guided import GUIDE, Guided, Tie
+from invid.simulators.guided import GUIDE, Guided, stiff_guide
 
 LARGEST_STEP = 0.2
 """Rate of the guide times the communication step: the guide sees the motion as it was a step ago."""
@@ -89,8 +91,6 @@ def _fixed_step(description: Any) -> float | None:
 class FmuSimulator:
     """One FMU, unpacked; ``values`` of its parameters by name in place of its own."""
 
-    restarts = False
-
     def __init__(self, path: Path, axes: tuple[str, ...], values: Mapping[str, float] | None = None) -> None:
         self.path, self.axes = str(path), axes
         try:
@@ -108,14 +108,21 @@ class FmuSimulator:
             )
         self.engine = f"FMI {self.description.fmiVersion} by fmpy {fmpy.__version__}"
         variables = {v.name: v for v in self.description.modelVariables}
-        self.inputs = self._found(variables, "input", "torque")
-        self.outputs = self._found(variables, "output", "position")
-        self.velocities = self._found(variables, "output", "velocity", needed=False)
-        self.step = _fixed_step(self.description) or 0.0
         self.parameters = {n: v for n, v in variables.items() if v.causality == "parameter"}
-        self.values = dict(values or {})
-        self.folder = fmpy.extract(str(path), tempfile.mkdtemp(prefix="invid-fmu-"))
-        weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+        folder = tempfile.mkdtemp(prefix="invid-fmu-")
+        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self.step = _fixed_step(self.description) or 0.0
+        self._plant = _Fmu(
+            self.path,
+            fmpy.extract(str(path), folder),
+            self.description,
+            self._found(variables, "input", "torque"),
+            self._found(variables, "output", "position"),
+            self._found(variables, "output", "velocity", needed=False),
+            self.step,
+            dict(values or {}),
+        )
+        self._helper = Helper()
 
     def _found(
         self, variables: Mapping[str, Any], causality: str, what: Quantity, *, needed: bool = True
@@ -155,7 +162,7 @@ class FmuSimulator:
 
     def claimed(self) -> Model | None:
         """The chains that its parameters are, where they are named as an invid model's."""
-        known = {n: self.values.get(n, float(v.start or 0.0)) for n, v in self.parameters.items()}
+        known = {n: self._plant.values.get(n, float(v.start or 0.0)) for n, v in self.parameters.items()}
 
         def row(axis: str, kind: str) -> list[float]:
             numbers: list[float] = []
@@ -176,42 +183,60 @@ class FmuSimulator:
         name = self.description.modelName
         return Model(robot=name, method="fmu", chains=chains, std=ChainStd.unknown(chains))
 
-    def guide(self, given: Guided, start: Float64 | None) -> tuple[Float64, Tie]:
-        """See ``Simulator.guide``; the guide is closed between steps, from the FMU's own start.
-
-        It cannot be started in motion: a period is run before what repeats.
-        """
-        job, answer = (Path(self.folder) / f"invid-{name}" for name in ("job", "answer"))
-        job.write_bytes(pickle.dumps((self, given)))
-        answer.unlink(missing_ok=True)
-        command = [sys.executable, "-m", __name__, str(job), str(answer)]
+    def guide(self, given: Guided) -> tuple[Float64, Float64]:
+        """See ``Simulator.guide``; the guide is closed between steps, from the FMU's own start: it cannot be
+        started in motion."""
+        alone = f"try it alone: 'fmpy simulate {Path(self.path).name}'"
         try:
-            ended = subprocess.run(
-                command, capture_output=True, text=True, errors="replace", check=False, timeout=LONGEST_S
-            )
-        except subprocess.TimeoutExpired:
+            force, position = self._helper.call(_guide, self._plant, given, timeout=LONGEST_S)
+        except TimeoutError:
             raise InputError(
-                f"{self.path}: the FMU has not simulated experiment {given.key} in {LONGEST_S:g} s; try it "
-                f"alone: 'fmpy simulate {Path(self.path).name}'"
+                f"{self.path}: the FMU has not simulated experiment {given.key} in {LONGEST_S:g} s; {alone}"
             ) from None
-        if not answer.exists():
-            how = f"with status {ended.returncode}"
-            if ended.returncode < 0:
-                how = f"by {signal.Signals(-ended.returncode).name}"
-            said = ended.stderr.strip().splitlines()[-1:] or ["nothing"]
+        except ProcessEnded as ended:
             raise InputError(
-                f"{self.path}: the FMU's own code ended its process {how} in experiment {given.key} (it "
-                f"said: {said[0][:200]}); try it alone: 'fmpy simulate {Path(self.path).name}'"
-            )
-        found = pickle.loads(answer.read_bytes())
-        if isinstance(found, InputError):
-            raise found
-        force, tie = found
-        return force, tie
+                f"{self.path}: the FMU's own code ended its process {ended} in experiment {given.key} (it "
+                f"said: {(ended.said or 'nothing')[:200]}); {alone}"
+            ) from None
+        return force, position
 
-    def guided_here(self, given: Guided) -> tuple[Float64, Tie]:
-        """``guide`` in this process."""
-        given = given.run_in()
+    def corrected(self, model: Model, to: Path) -> tuple[FmuSimulator, Sequence[str]]:
+        """Start values of its parameters as JSON: nobody can change an FMU's equations from outside."""
+        names, numbers = parameter_vector(model.chains)
+        values = {n: float(x) for n, x in zip(names, numbers, strict=True) if n in self.parameters}
+        lost = [f"{n}, which is no parameter of the FMU" for n in names if n not in values]
+        lost += [effect_name(t) for t in model.effects]
+        document = {"format": "invid-fmu-parameters", "fmu": Path(self.path).name, "start_values": values}
+        save_text(to, json.dumps({**document, "cannot_hold": lost}, indent=1, ensure_ascii=False))
+        return FmuSimulator(Path(self.path), self.axes, values), lost
+
+
+def _guide(plant: _Fmu, given: Guided) -> tuple[Float64, Float64]:
+    """What ``FmuSimulator.guide`` gives, in this process; InputError where it fails."""
+    try:
+        return plant.guided(given)
+    except InputError:
+        raise
+    except Exception as error:  # the FMU's library, its binding, or what either of them loads
+        said = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        raise InputError(f"{plant.path}: the FMU fails: {said}; try it alone: 'fmpy simulate'") from None
+
+
+@dataclass(frozen=True, eq=False)
+class _Fmu:
+    """An unpacked FMU with what to write and read; ``step`` [s] is the one it takes, 0 where it takes any."""
+
+    path: str
+    folder: str
+    description: Any
+    inputs: list[_Channel]
+    outputs: list[_Channel]
+    velocities: list[_Channel]
+    step: float
+    values: dict[str, float]
+
+    def guided(self, given: Guided) -> tuple[Float64, Float64]:
+        """Torque of the guide at the samples, and positions."""
         rate = 2 * np.pi * GUIDE * given.high
         longest, tried = LARGEST_STEP / rate, 1
         if self.step:
@@ -219,40 +244,35 @@ class FmuSimulator:
             rate = min(rate, LARGEST_FIXED / longest)
         inertia = self._inertia()
         for softer in range(tried):
-            tie = Tie.of(inertia, rate / 2**softer)
-            force = self._run(given, tie, longest)
+            force, position = self._run(given, stiff_guide(inertia, rate / 2**softer), longest)
             if np.isfinite(force).all() and np.abs(force).max() < RUN_AWAY * np.abs(given.torque).max():
-                every = max(1, int(np.ceil(given.interval / longest - 1e-9)))
-                return force, replace(tie, late=0.5 * given.interval / every)
+                return force, position
         coarse = f": its step of {self.step:g} s is too coarse to be guided" if self.step else ""
         raise InputError(f"{self.path}: the simulation of experiment {given.key} runs away{coarse}")
 
-    def _run(self, given: Guided, tie: Tie, longest: float) -> Float64:
-        """(n, M) torque of the guide in steps of ``longest`` [s] at most."""
+    def _run(self, given: Guided, guide: tuple[Float64, Float64], longest: float) -> tuple[Float64, Float64]:
+        """(n, M) torque of the guide and positions, in steps of ``longest`` [s] at most."""
         every, torque, position, velocity = given.fine(longest, torque=0.5)
-        step = given.interval / every
+        step, (stiffness, damping) = given.interval / every, guide
         # A torque held over a step has lost (ωh)²/24 of a sine.
         torque[1:-1] -= np.diff(torque, 2, axis=0) / 24.0
-        force = np.zeros_like(given.torque)
-        with _Running(self) as run:
-            q = run.read(self.outputs)
-            zero = q - position[0]  # it starts where it starts: only differences count
-            away, apart = np.zeros(q.size), [np.zeros(q.size)] * 3
-            slide = velocity[0]
+        force, away = np.zeros_like(torque), np.zeros_like(torque)
+        with self._running() as run:
+            zero = run.read(self.outputs) - position[0]  # it starts where it starts: only differences count
+            slide, apart = velocity[0], [np.zeros(len(self.inputs))] * 3
             for k in range(torque.shape[0] - 1):
-                e = tie.stiffness * away + tie.damping * slide
-                if k % every == 0:
-                    force[k // every] = e
-                run.step(torque[k] + e, k * step, step)
-                before, away = away, position[k + 1] + zero - run.read(self.outputs)
+                force[k] = stiffness * away[k] + damping * slide
+                run.step(torque[k] + force[k], k * step, step)
+                away[k + 1] = position[k + 1] + zero - run.read(self.outputs)
                 if self.velocities:
                     slide = velocity[k + 1] - run.read(self.velocities)
                 else:
                     # A difference is the velocity of half a step ago: by three of them. Of what lies apart:
                     # of the motion itself their error of (ωh)² would be torque.
-                    apart = [(away - before) / step, *apart[:2]]
+                    apart = [(away[k + 1] - away[k]) / step, *apart[:2]]
                     slide = (11.0 * apart[0] - 7.0 * apart[1] + 2.0 * apart[2]) / 6.0
-        return force
+        force[1:] = 0.5 * (force[1:] + force[:-1])  # held over a step, it acts half a step later
+        return force[::every], (position - away)[::every]
 
     def _steps_of(self, interval: float) -> int:
         """Fixed steps of the FMU in a sample of the record."""
@@ -267,10 +287,10 @@ class FmuSimulator:
 
     def _inertia(self) -> Float64:
         """(M,) inertia of each motor in a first short moment: torque over acceleration."""
-        out = np.zeros(len(self.axes))
+        out = np.zeros(len(self.inputs))
         tried = 10 * self.step or TRIED
         for i in range(out.size):
-            with _Running(self) as run:
+            with self._running() as run:
                 before = run.read(self.outputs)[i]
                 torque = np.zeros(out.size)
                 torque[i] = 1.0
@@ -283,82 +303,47 @@ class FmuSimulator:
             )
         return out
 
-    def corrected(self, model: Model, to: Path) -> tuple[FmuSimulator, Sequence[str]]:
-        """Start values of its parameters as JSON: nobody can change an FMU's equations from outside."""
-        names, numbers = parameter_vector(model.chains)
-        values = {n: float(x) for n, x in zip(names, numbers, strict=True) if n in self.parameters}
-        lost = [f"{n}, which is no parameter of the FMU" for n in names if n not in values]
-        lost += [effect_name(t) for t in model.effects]
-        document = {"format": "invid-fmu-parameters", "fmu": Path(self.path).name, "start_values": values}
-        save_text(to, json.dumps({**document, "cannot_hold": lost}, indent=1, ensure_ascii=False))
-        return FmuSimulator(Path(self.path), self.axes, values), lost
-
-
-class _Running:
-    """An instance of the FMU between set-up and end."""
-
-    def __init__(self, simulator: FmuSimulator) -> None:
-        self.simulator = simulator
-        self.is_two = simulator.description.fmiVersion.startswith("2")
-
-    def __enter__(self) -> _Running:
-        s = self.simulator
-        made = FMU2Slave if self.is_two else FMU3Slave
-        self.slave = made(
-            guid=s.description.guid, unzipDirectory=s.folder, instanceName="invid",
-            modelIdentifier=s.description.coSimulation.modelIdentifier,
-        )  # fmt: skip
-        self.slave.instantiate()
-        if self.is_two:
-            self.slave.setupExperiment(startTime=0.0)
-        known = [(s.parameters[n].valueReference, v) for n, v in s.values.items()]
-        if known and self.is_two:
-            self._write([k for k, _ in known], [v for _, v in known])
-        self.slave.enterInitializationMode()
-        if known and not self.is_two:
-            self._write([k for k, _ in known], [v for _, v in known])
-        self.slave.exitInitializationMode()
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    @contextmanager
+    def _running(self) -> Iterator[_Instance]:
+        """An instance between set-up and end."""
+        slave: Any = instantiate_fmu(self.folder, self.description, "CoSimulation")
+        if self.description.fmiVersion.startswith("2"):
+            slave.setupExperiment(startTime=0.0)
+        left = apply_start_values(slave, self.description, self.values, settable_in_instantiated)
+        slave.enterInitializationMode()
+        apply_start_values(slave, self.description, left, settable_in_initialization_mode)
+        slave.exitInitializationMode()
+        yield _Instance(self, slave)
         with suppress(Exception):  # what it did is read; an end that fails changes nothing
-            self.slave.terminate()
-            self.slave.freeInstance()
+            slave.terminate()
+            slave.freeInstance()
 
-    def _write(self, references: list[int], values: Sequence[float]) -> None:
-        (self.slave.setReal if self.is_two else self.slave.setFloat64)(references, list(values))
+
+@dataclass(frozen=True, eq=False)
+class _Instance:
+    """An FMU that runs."""
+
+    of: _Fmu
+    slave: Any
+
+    @cached_property
+    def _is_two(self) -> bool:
+        return bool(self.of.description.fmiVersion.startswith("2"))
 
     def read(self, channels: list[_Channel]) -> Float64:
         """Values of outputs [SI]."""
-        read = self.slave.getReal if self.is_two else self.slave.getFloat64
+        read = self.slave.getReal if self._is_two else self.slave.getFloat64
         values = np.array(read([c.reference for c in channels]), dtype=float)
         return np.asarray(values * np.array([c.factor for c in channels]))
 
     def step(self, torque: Float64, now: float, step: float) -> None:
         """One communication step with the torques held over it."""
-        inputs = self.simulator.inputs
-        torques = [float(t) / c.factor for t, c in zip(torque, inputs, strict=True)]
-        self._write([c.reference for c in inputs], torques)
+        write = self.slave.setReal if self._is_two else self.slave.setFloat64
+        torques = [float(t) / c.factor for t, c in zip(torque, self.of.inputs, strict=True)]
+        write([c.reference for c in self.of.inputs], torques)
         self.slave.doStep(currentCommunicationPoint=now, communicationStepSize=step)
 
 
 def opened(path: Path, axes: tuple[str, ...]) -> FmuSimulator:
     """The simulator."""
     return FmuSimulator(path, axes)
-
-
-def _answer(job: Path, answer: Path) -> None:
-    """Writes what ``guide`` gives, or the InputError that it ends with."""
-    simulator, given = pickle.loads(job.read_bytes())
-    try:
-        found = simulator.guided_here(given)
-    except InputError as error:
-        found = error
-    except Exception as error:  # the FMU's library, its binding, or what either of them loads
-        said = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        found = InputError(f"{simulator.path}: the FMU fails: {said}; try it alone: 'fmpy simulate'")
-    answer.write_bytes(pickle.dumps(found))
-
-
-if __name__ == "__main__":
-    _answer(Path(sys.argv[1]), Path(sys.argv[2]))

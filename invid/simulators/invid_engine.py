@@ -13,9 +13,8 @@ from invid.model.diagnosis_document import load_model
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.simulation.replay import HOLD_DAMPING
 from invid.simulation.run import simulate
-from invid.simulators.guided import Guided, Tie
+from invid.simulators.guided import Guided
 
 FACTOR = 2.0
 """The tie's natural frequency over the band's top: its damper sees a speed from five samples, whose error
@@ -26,7 +25,6 @@ class InvidSimulator:
     """Integrated over time by ``invid.simulate``, whose tie to the measured motion is the guide."""
 
     engine = "invid"
-    restarts = False
     step = 0.0
 
     def __init__(self, path: Path, model: Model) -> None:
@@ -42,12 +40,10 @@ class InvidSimulator:
         """The model."""
         return self.model
 
-    def guide(self, given: Guided, start: Float64 | None) -> tuple[Float64, Tie]:
+    def guide(self, given: Guided) -> tuple[Float64, Float64]:
         """See ``Simulator.guide``; the simulation finds its own start."""
-        chains, count = self.model.chains, given.torque.shape[0]
-        mass = np.array([m[0] for m in chains.masses])
+        count, mass = given.torque.shape[0], np.array([m[0] for m in self.model.chains.masses])
         stiffness = mass * (2 * np.pi * FACTOR * given.high) ** 2
-        damping = 2.0 * HOLD_DAMPING * np.sqrt(stiffness * np.diag(chains.rigid_mass_matrix))
         experiment = Experiment(
             key=given.key, kind=Kind.OTHER, role=Role.VALIDATE, excited_axis=-1, hold_gain=stiffness,
             period_samples=0, frequencies_hz=np.zeros(0), sample_rate_hz=1.0 / given.interval,
@@ -57,7 +53,7 @@ class InvidSimulator:
         unit = ("m", "N") if self.model.linear else ("rad", "N·m")
         recording = Recording("", self.model.axes, *unit, "", (experiment,))
         answer = simulate(self.model, recording).experiments[0]
-        return answer.torque - given.torque, Tie(stiffness, damping)
+        return answer.torque - given.torque, answer.position
 
     def corrected(self, model: Model, to: Path) -> tuple[InvidSimulator, Sequence[str]]:
         """The extended model itself: it holds everything."""

@@ -147,14 +147,9 @@ def judge(
 
 def _gear(claimed: Model, model: Model) -> float | None:
     """The gear between what a file and a recording count: the same square in every mass and spring."""
-    theirs = {(p.axes, p.kind, p.number): p.value for p in linear_parameters(claimed)}
-    ratios = np.array(
-        [
-            theirs.get((p.axes, p.kind, p.number), 0.0) / p.value
-            for p in linear_parameters(model)
-            if p.kind in ("mass", "spring") and p.value > 0.0
-        ]
-    )
+    theirs = {p.name: p.value for p in linear_parameters(claimed)}
+    ours = [p for p in linear_parameters(model) if p.kind in ("mass", "spring") and p.value > 0.0]
+    ratios = np.array([theirs.get(p.name, 0.0) / p.value for p in ours])
     if not (ratios > 0.0).all():
         return None
     usual = float(np.median(ratios))
@@ -193,22 +188,16 @@ def _axis_rows(recording: Recording, i: int, before: _Missing, after: _Missing |
 
     def row(low: float, high: float) -> dict[str, Any]:
         rms, floor = before.rms(i, low, high)
-        gained = None
-        if after is not None:
-            gained, floor = after.rms(i, low, high)
+        gained, floor = (None, floor) if after is None else after.rms(i, low, high)
         return {"before": rms, "after": gained, "noise_floor": floor}
 
     low, high = min(g.low for g in before.records), max(g.high for g in before.records)
-    edges = np.geomspace(low, high, BANDS + 1)
-    return {
-        "axis": recording.axes[i],
-        "unit": recording.torque_unit,
-        **row(0.0, math.inf),
-        "bands": [
-            {"from_hz": float(a), "to_hz": float(b), **row(a, b * (1.0 + 1e-6 * (b == edges[-1])))}
-            for a, b in pairwise(edges)
-        ],
-    }
+    bands = [
+        {"from_hz": float(a), "to_hz": float(b), **row(a, b * (1.0 + 1e-6 * (b >= high)))}
+        for a, b in pairwise(np.geomspace(low, high, BANDS + 1))
+    ]
+    unit = recording.torque_unit
+    return {"axis": recording.axes[i], "unit": unit, **row(0.0, math.inf), "bands": bands}
 
 
 def _whole(axes: list[dict[str, Any]], key: str) -> float | None:
@@ -225,50 +214,41 @@ def _differences(
 
     What it has, and the recording would not have shown (``ruled_out``), is not called wrong.
     """
-    seen: dict[tuple[str | None, ...], float] = {
-        (r.cause, r.axis, r.element or "mass 1", r.other_axis): math.inf if r.limit is None else r.limit
-        for r in ruled_out
+    theirs = {p.name: p.value for p in linear_parameters(claimed)}
+    numbers = [
+        (
+            p.name.replace(".", " "),
+            theirs.get(p.name, 0.0),
+            Estimate(float(p.value), None if math.isnan(p.std) else p.std, p.unit),
+        )
+        for p in linear_parameters(model)
+    ]
+    known, found = ({_place(t): t for t in m.effects} for m in (claimed, model))
+    for place in found.keys() & known.keys():
+        for name, estimate in found[place].parameters.items():
+            if name in known[place].parameters:
+                words = f"{_words(found[place])} {name}"
+                numbers.append((words, known[place].parameters[name].value, estimate))
+    limit = normal_isf(FALSE_ALARMS / 2 / max(len(numbers), 1))
+    rows = []
+    for name, given, e in numbers:
+        away, least = abs(given - e.value), AT_LEAST * max(abs(e.value), abs(given))
+        if e.std is not None and away > max(limit * e.std, least):
+            rows.append({"name": name, "simulator": given, "value": e.value, "std": e.std, "unit": e.unit})
+    unseen: dict[tuple[str | None, ...], float | None] = {
+        (r.cause, r.axis, r.element or "mass 1", r.other_axis): r.limit for r in ruled_out
     }
-    rows: list[dict[str, Any]] = []
-    theirs = {(p.axes, p.kind, p.number): p.value for p in linear_parameters(claimed)}
-    ours = linear_parameters(model)
-    known = {_place(t): t for t in claimed.effects}
-    tests = len(ours) + sum(len(t.parameters) for t in model.effects if _place(t) in known)
-    limit = normal_isf(FALSE_ALARMS / 2 / max(tests, 1))
+    for place, term in known.items():
+        name, e = next(iter(term.parameters.items()))
+        most = unseen.get(place, 0.0)
+        if place not in found and most is not None and abs(e.value) > most:
+            told = f"{_words(term)} {name}"
+            rows.append({"name": told, "simulator": e.value, "value": 0.0, "std": None, "unit": e.unit})
+    return rows, [t for t in model.effects if _place(t) not in known]
 
-    def compared(
-        name: str, given: float, here: Estimate | float, std: float | None, unit: str | None
-    ) -> None:
-        value = float(here if isinstance(here, float) else here.value)
-        away = abs(given - value)
-        beyond = std is not None and away > limit * std and away > AT_LEAST * max(abs(value), abs(given))
-        if beyond:
-            rows.append({"name": name, "simulator": given, "value": value, "std": std, "unit": unit})
 
-    for p in ours:
-        name = " ".join(["-".join(p.axes), p.kind, *([str(p.number)] if p.number else [])])
-        given = theirs.get((p.axes, p.kind, p.number), 0.0)
-        compared(name, given, float(p.value), None if math.isnan(p.std) else p.std, p.unit)
-    missing = []
-    for term in model.effects:
-        there = known.get(_place(term))
-        if there is None or term.cause != there.cause:
-            missing.append(term)
-            continue
-        for name, estimate in term.parameters.items():
-            if name in there.parameters:
-                words = " ".join(x for x in (term.axis, term.element, term.cause, name) if x)
-                compared(words, there.parameters[name].value, estimate, estimate.std, estimate.unit)
-    found = {_place(t) for t in model.effects}
-    for term in claimed.effects:
-        name, estimate = next(iter(term.parameters.items()))
-        if _place(term) not in found and abs(estimate.value) > seen.get(_place(term), 0.0):
-            words = " ".join(x for x in (term.axis, term.element, term.cause) if x)
-            rows.append(
-                {"name": f"{words} {name}", "simulator": estimate.value, "value": 0.0, "std": None,
-                 "unit": estimate.unit}
-            )  # fmt: skip
-    return rows, missing
+def _words(term: EffectTerm) -> str:
+    return " ".join(x for x in (term.axis, term.element, term.cause) if x)
 
 
 def _place(term: EffectTerm) -> tuple[str | None, ...]:

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
-from dataclasses import replace
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations, pairwise
 from typing import Any
 
 import mujoco
@@ -41,24 +42,16 @@ from invid.simulators.mujoco_plant import (
     SMALL,
     Handle,
     MjcfPlant,
-    coefficient,
-    damping_of,
-    gap_of,
     handles_between,
     mass_matrix,
     steps_of,
-    stiffness_of,
 )
+from invid.simulators.mujoco_surroundings import tendon_row
 
 HARD = (6e-4, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solref and solimp of dry friction: MuJoCo's default gives way like a viscous damper at low speed."""
-SOFT = 0.01
-"""Impedance of friction that gives way: its share of inertia more while it does."""
 STIFF_BRISTLE = 1e-4
 """Deflection [rad or m] at which a bristle slides, for friction with a Stribeck curve and no presliding."""
-ROUNDING = "rounding"
-"""Further parameter of friction in a model: the velocity over which its sign changes, tanh(v/rounding)
-[rad/s or m/s]."""
 _NO_INPUT = int(mujoco.mjtCtrlInput.mjINPUT_NONE)
 NO_PLAY = 1e-6
 """Share of its play that a joint keeps where the machine has none: MuJoCo takes no limits without room."""
@@ -118,8 +111,6 @@ def correct(plant: MjcfPlant, model: Model) -> tuple[str, list[str]]:
         try:
             for element in elements_of(model.chains, term):
                 reason = _write(copy, element)
-                if isinstance(element, ForceLaw) and element.law is Law.DRY and ROUNDING in term.parameters:
-                    _rounded(copy, element, term.value(ROUNDING))
                 if reason:
                     copy.lost.append(f"{effect_name(term)}: {reason}")
         except ModelError as error:
@@ -146,30 +137,19 @@ def linear_copy(plant: MjcfPlant, model: Model) -> SpecCopy:
 def beyond_weight(plant: MjcfPlant, model: Model) -> list[EffectTerm]:
     """Effects of a model, of gravity what the bodies' own weight is short of: nothing where that is within
     three standard deviations."""
-    own = (
-        {}
-        if plant.model is None
-        else {(t.axis, t.element): t for t in plant.model.effects if t.cause == "gravity"}
-    )
+    claimed = () if plant.model is None else plant.model.effects
+    own = {(t.axis, t.element): t for t in claimed if t.cause == "gravity"}
     out = []
     for term in model.effects:
-        there = own.get(
-            (
-                term.axis,
-                term.element or f"mass {len(model.chains.masses[model.chains.axes.index(term.axis)])}",
-            )
-        )
+        last = len(model.chains.masses[model.chains.axes.index(term.axis)])
+        there = own.get((term.axis, term.element or f"mass {last}"))
         if term.cause == "gravity" and there is not None:
             ours, theirs = (t.value("torque") * cmath.exp(1j * t.value("angle")) for t in (term, there))
-            std, left = term.parameters["torque"].std, ours - theirs
-            if std is not None and abs(left) < 3.0 * std:
+            (size, angle), left = (term.parameters[n] for n in ("torque", "angle")), ours - theirs
+            if size.std is not None and abs(left) < 3.0 * size.std:
                 continue
-            size, angle = (term.parameters[name] for name in ("torque", "angle"))
-            rest = {
-                "torque": replace(size, value=abs(left)),
-                "angle": replace(angle, value=cmath.phase(left)),
-            }
-            term = replace(term, parameters=rest)
+            size, angle = replace(size, value=abs(left)), replace(angle, value=cmath.phase(left))
+            term = replace(term, parameters={"torque": size, "angle": angle})
         out.append(term)
     return out
 
@@ -192,7 +172,7 @@ def _cleared(copy: SpecCopy) -> None:
             e.stiffness = [0.0, 0.0, 0.0]
         e.stiffness[1], e.stiffness[2] = 0.0, 0.0
         if h.play is not None:
-            _between_stops(copy, h.play, NO_PLAY * max(gap_of(m, h), NO_PLAY))
+            _between_stops(copy, h.play, NO_PLAY * max(h.gap, NO_PLAY))
         if h.kind == "tendon":
             e.springlength = [float(np.mean(m.tendon_lengthspring[m.tendon(h.name).id]))] * 2
     for motor in copy.plant.motors:
@@ -211,135 +191,126 @@ def _between_stops(copy: SpecCopy, joint: str, half: float) -> None:
     at.range = [middle - half, middle + half]
 
 
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """What makes a part of the mass matrix of the joints: a unit of it, as much as there is, the least that
+    may be, and what writes another value."""
+
+    unit: Float64
+    now: float
+    least: float
+    write: Callable[[float], None]
+
+
 def _inertia(copy: SpecCopy, model: Model) -> None:
     """Masses and couplings of the model, by bodies, armatures and tendons' armatures, none below zero."""
-    plant, m = copy.plant, copy.plant.compiled
-    flat, wanted = copy.flat, plant.mass.copy()  # of what is no chain's: as it is
+    plant, flat, chains = copy.plant, copy.flat, model.chains
+    wanted = plant.mass.copy()  # of what is no chain's: as it is
     wanted[np.ix_(flat, flat)] = 0.0
-    for element in (
-        e for t in model.effects if t.cause == "extra_mode" for e in elements_of(model.chains, t)
-    ):
+    for element in (e for t in model.effects if t.cause == "extra_mode" for e in elements_of(chains, t)):
         if isinstance(element, AddedMass) and (own := _own_hidden(copy, element.at)) is not None:
             wanted[own[1], own[1]] = element.mass
-    chains = model.chains
     wanted[flat, flat] = np.concatenate(chains.masses)
     ends = [chain[-1] for chain in plant.order]
     wanted[np.ix_(ends, ends)] += chains.couplings
     goal = plant.positions.T @ wanted @ plant.positions  # of the joints
-    columns, start, names = _inertias(plant)
-    _add_couples(copy, chains, columns, names)
-    start += [0.0] * (len(columns) - len(start))
+    shares = [*_shares(copy), *_couples(copy, chains, least=1e-9 * goal.diagonal().max())]
     scale = np.sqrt(np.outer(goal.diagonal(), goal.diagonal()))
-    rows = np.array([(c / scale).ravel() for c in columns]).T
+    rows = np.array([(x.unit / scale).ravel() for x in shares]).T
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    x0 = np.array(start)
-    low = np.array([LEAST if kind in ("body", "turning") else 0.0 for kind, _ in names])
-    kept = KEPT * np.diag(size)
-    found = lsq_linear(
-        np.vstack([rows, kept]), np.concatenate([(goal / scale).ravel(), kept @ x0]), (low, np.inf)
-    ).x  # fmt: skip
-    left = (rows @ found).reshape(goal.shape) - goal / scale
+    now, low = np.array([x.now for x in shares]), np.array([x.least for x in shares])
+
+    def fitted(target: Float64, weight: float, start: Float64, least: Float64) -> Float64:
+        kept = weight * np.diag(size)
+        both = np.vstack([rows, kept]), np.concatenate([target.ravel(), kept @ start])
+        return np.asarray(lsq_linear(*both, (least, np.inf)).x, dtype=float)
+
+    found = fitted(goal / scale, KEPT, now, low)
     # What keeping the old shares takes from the masses is given back, where there is room.
-    again = lsq_linear(np.vstack([rows, 1e-6 * np.diag(size)]), np.concatenate(
-        [-left.ravel(), np.zeros(size.size)]), (low - found, np.inf))  # fmt: skip
-    found = np.maximum(found + again.x, low)
+    left = goal / scale - (rows @ found).reshape(goal.shape)
+    found = np.maximum(found + fitted(left, 1e-6, np.zeros_like(now), low - found), low)
     left = np.abs((rows @ found).reshape(goal.shape) - goal / scale)
     for k in np.flatnonzero(left.diagonal() > 1e-3):
-        copy.lost.append(
-            f"inertia at joint {m.joint(int(k)).name}: {left[k, k]:.1%} away, a body is too heavy"
-        )
-    for i, a in enumerate(ends):
-        for j in range(i if plant.plain else 0):
-            if left[a, ends[j]] > 1e-3:
-                copy.lost.append(
-                    f"coupling {chains.axes[j]}-{chains.axes[i]} ({chains.couplings[i, j]:.4g}): two joints "
-                    "of a URDF are coupled by the links that both move"
-                )
-    for value, (kind, what) in zip(found, names, strict=True):
-        _put_inertia(copy, kind, what, value, least=1e-9 * goal.diagonal().max())
+        name = plant.compiled.joint(int(k)).name
+        copy.lost.append(f"inertia at joint {name}: {left[k, k]:.1%} away, a body is too heavy")
+    for (i, a), (j, b) in combinations(enumerate(ends), 2) if plant.plain else ():
+        if left[a, b] > 1e-3:
+            copy.lost.append(
+                f"{_coupling(chains, i, j)}: two joints of a URDF are coupled by the links that both move"
+            )
+    for share, value in zip(shares, found, strict=True):
+        share.write(float(value))
 
 
-def _add_couples(
-    copy: SpecCopy, chains: CoupledChains, columns: list[Float64], names: list[tuple[str, Any]]
-) -> None:
-    """A unit of a tendon's armature between the ends of every two chains, with either sign."""
-    plant, m = copy.plant, copy.plant.compiled
-    ends = [chain[-1] for chain in plant.order]
-    trees = [int(m.body_rootid[m.jnt_bodyid[k]]) for k in range(m.njnt)]
-    for i, a in enumerate(ends):
-        for j, b in enumerate(ends[: 0 if plant.plain else i]):
-            if trees[a] == trees[b]:
-                for sign in (1.0, -1.0):
-                    row = plant.positions[a] + sign * plant.positions[b]
-                    columns.append(np.outer(row, row))
-                    names.append(("couple", (a, b, sign)))
-                continue
-            own = chains.masses[i][-1] * chains.masses[j][-1]
-            if abs(chains.couplings[i, j]) > 1e-3 * math.sqrt(own):
-                copy.lost.append(
-                    f"coupling {chains.axes[j]}-{chains.axes[i]} ({chains.couplings[i, j]:.4g}): the two "
-                    "links hang on different trees of bodies; hang one on the other"
-                )
+def _coupling(chains: CoupledChains, i: int, j: int) -> str:
+    return f"coupling {chains.axes[i]}-{chains.axes[j]} ({chains.couplings[i, j]:.4g})"
 
 
-def _put_inertia(copy: SpecCopy, kind: str, what: Any, value: float, *, least: float) -> None:
-    """Writes one share of the mass matrix; a couple below ``least`` is none."""
-    plant, spec, m = copy.plant, copy.spec, copy.plant.compiled
-    if kind == "armature":
-        spec.joint(what).armature = value
-    elif kind in ("body", "turning"):
-        body = next(x for x in spec.bodies if x.id == what)
-        body.explicitinertial = True
-        body.mass = float(m.body_mass[what]) * (value if kind == "body" else 1.0)
-        body.inertia = m.body_inertia[what] * value
-        body.ipos, body.iquat = m.body_ipos[what], m.body_iquat[what]
-        body.fullinertia = [math.nan] * 6
-    elif kind == "tendon":
-        spec.tendon(what).armature = value
-    elif value > least:
-        a, b, sign = what
-        tendon = spec.add_tendon(name=f"couple {a} {b} {'+' if sign > 0 else '-'}")
-        row = plant.positions[a] + sign * plant.positions[b]
-        for k in np.flatnonzero(row):
-            tendon.wrap_joint(m.joint(int(k)).name, float(row[k]))
-        tendon.armature = value
-
-
-def _inertias(plant: MjcfPlant) -> tuple[list[Float64], list[float], list[tuple[str, Any]]]:
+def _shares(copy: SpecCopy) -> Iterator[_Share]:
     """The mass matrix of the joints by what makes it: a unit of each armature, each body as it is.
 
     Of a body whose weight the engine's gravity lets a joint feel the mass stays: scaled, it would weigh more.
     """
-    m = plant.spec.compile()
-    columns, start, names = [], [], []
-    whole = mass_matrix(m)
+    plant, spec, m = copy.plant, copy.spec, copy.plant.spec.compile()
+    whole, unit = mass_matrix(m), np.eye(m.nv)
     motors = {motor.joint for motor in plant.motors}
-    for k in (k for k in range(m.njnt) if not plant.plain or m.joint(k).name in motors):
-        unit = np.zeros_like(whole)
-        unit[k, k] = 1.0
-        columns.append(unit)
-        start.append(float(m.dof_armature[k]))
-        names.append(("armature", m.joint(k).name))
+    for k in range(m.njnt):
+        if not plant.plain or m.joint(k).name in motors:
+            at = spec.joint(m.joint(k).name)
+            yield _Share(np.outer(unit[k], unit[k]), float(m.dof_armature[k]), 0.0, partial(_arm, at))
     for t in range(m.ntendon):
-        if m.tendon_armature[t] > 0.0:
-            at = slice(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
-            row = np.zeros(m.nv)
-            row[m.jnt_dofadr[m.wrap_objid[at]]] = m.wrap_prm[at]
-            columns.append(np.outer(row, row))
-            start.append(float(m.tendon_armature[t]))
-            names.append(("tendon", m.tendon(t).name))
+        row = tendon_row(m, t)
+        if row is not None and m.tendon_armature[t] > 0.0:
+            at = spec.tendon(m.tendon(t).name)
+            yield _Share(np.outer(row, row), float(m.tendon_armature[t]), 0.0, partial(_arm, at))
     for b in range(1, m.nbody):
-        kind = "turning" if _weighs(m, b) else "body"
-        other = plant.spec.compile()
-        other.body_mass[b] *= 0.5 if kind == "body" else 1.0
+        weighs, other = _weighs(m, b), plant.spec.compile()
+        other.body_mass[b] *= 1.0 if weighs else 0.5
         other.body_inertia[b] *= 0.5
         mujoco.mj_setConst(other, mujoco.MjData(other))
         part = 2.0 * (whole - mass_matrix(other))
         if np.abs(part).max() > SMALL * np.abs(whole).max():
-            columns.append(part)
-            start.append(1.0)
-            names.append((kind, b))
-    return columns, start, names
+            yield _Share(part, 1.0, LEAST, partial(_scale_body, copy, b, weighs))
+
+
+def _arm(at: Any, value: float) -> None:
+    at.armature = value
+
+
+def _scale_body(copy: SpecCopy, number: int, weighs: bool, factor: float) -> None:
+    body, m = next(x for x in copy.spec.bodies if x.id == number), copy.plant.compiled
+    body.explicitinertial = True
+    body.mass = float(m.body_mass[number]) * (1.0 if weighs else factor)
+    body.inertia = m.body_inertia[number] * factor
+    body.ipos, body.iquat = m.body_ipos[number], m.body_iquat[number]
+    body.fullinertia = [math.nan] * 6
+
+
+def _couples(copy: SpecCopy, chains: CoupledChains, least: float) -> Iterator[_Share]:
+    """A unit of a tendon's armature between the ends of every two chains, with either sign; one below
+    ``least`` is none."""
+    plant, m = copy.plant, copy.plant.compiled
+
+    def tie(name: str, row: Float64, value: float) -> None:
+        if value > least:
+            tendon = copy.spec.add_tendon(name=name)
+            for k in np.flatnonzero(row):
+                tendon.wrap_joint(m.joint(int(k)).name, float(row[k]))
+            tendon.armature = value
+
+    ends = [chain[-1] for chain in plant.order]
+    trees = [int(m.body_rootid[m.jnt_bodyid[k]]) for k in range(m.njnt)]
+    for (i, a), (j, b) in () if plant.plain else combinations(enumerate(ends), 2):
+        if trees[a] == trees[b]:
+            for sign in (1.0, -1.0):
+                row = plant.positions[b] + sign * plant.positions[a]
+                name = f"couple {b} {a} {'+' if sign > 0 else '-'}"
+                yield _Share(np.outer(row, row), 0.0, 0.0, partial(tie, name, row))
+        elif abs(chains.couplings[i, j]) > 1e-3 * math.sqrt(chains.masses[i][-1] * chains.masses[j][-1]):
+            copy.lost.append(
+                f"{_coupling(chains, i, j)}: the two links hang on different trees of bodies; "
+                "hang one on the other"
+            )
 
 
 def _weighs(m: Any, b: int) -> bool:
@@ -356,14 +327,13 @@ def _weighs(m: Any, b: int) -> bool:
 
 
 def _springs(copy: SpecCopy, model: Model) -> None:
-    m = copy.plant.compiled
     for chain, springs, dampers in zip(
         copy.plant.order, model.chains.springs, model.chains.dampers, strict=True
     ):
         for s, (a, b) in enumerate(pairwise(chain)):
-            here = [h for h in copy.plant.handles if {h.a, h.b} == {a, b}]
-            elastic = [h for h in here if stiffness_of(m, h) > 0.0]
-            damped = [h for h in here if damping_of(m, h) > 0.0] or elastic
+            here = handles_between(copy.plant.handles, a, b)
+            elastic = [h for h in here if h.elastic > 0.0]
+            damped = [h for h in here if h.damping > 0.0] or elastic
             for part, goal, which in ((elastic, springs[s], "stiffness"), (damped, dampers[s], "damping")):
                 for n, h in enumerate(part):  # the first takes all: springs side by side are one
                     value = [float(goal) / h.scale**2 if n == 0 else 0.0, 0.0, 0.0]
@@ -437,27 +407,6 @@ def _dry(copy: SpecCopy, a: int, p: Sequence[float]) -> str:
     return ""
 
 
-def _rounded(copy: SpecCopy, law: ForceLaw, speed: float) -> None:
-    """Lets dry friction give way like a damper up to a speed, as MuJoCo's own does.
-
-    MuJoCo's friction is −(a + b v)/R within its level, with b = 2/(d·timeconst), R = (1 − d)/d·A and A the
-    inverse inertia at its place: (1 − d)·A·timeconst/2 is the speed per torque. A small d leaves the part of
-    the acceleration small.
-    """
-    at, m = copy.place(copy.coordinate(law.a), -1), copy.spec.compile()
-    is_joint = isinstance(at, mujoco.MjsJoint)
-    light = (
-        m.dof_invweight0[m.jnt_dofadr[m.joint(at.name).id]]
-        if is_joint
-        else m.tendon_invweight0[m.tendon(at.name).id]
-    )
-    if not at.frictionloss:
-        return
-    slow = 2.0 * speed / ((1.0 - SOFT) * float(light) * float(at.frictionloss))
-    at.solref_friction[:] = (max(slow, 2.0 * copy.spec.option.timestep), 1.0)
-    at.solimp_friction[:] = (SOFT, SOFT, 0.001, 0.5, 2.0)
-
-
 def _ripple(copy: SpecCopy, a: int, **law: list[float]) -> None:
     actuator = copy.actuator(copy.place(a, -1), "passive")
     actuator.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, ctrlspec=_NO_INPUT, **law)
@@ -471,8 +420,7 @@ def _constant(copy: SpecCopy, a: int, torque: float) -> None:
 
 def _spring_between(copy: SpecCopy, a: int, b: int) -> tuple[Any, float]:
     """The element that holds a chain's spring, and its scale."""
-    along = handles_between(copy.plant.handles, a, b)
-    h = next(h for h in along if stiffness_of(copy.plant.compiled, h) > 0.0)
+    h = next(h for h in handles_between(copy.plant.handles, a, b) if h.elastic > 0.0)
     return copy.element(h), abs(h.scale)
 
 
@@ -480,10 +428,7 @@ def _play(copy: SpecCopy, a: int, b: int, half: float) -> str:
     """A dead band in a tendon; the spring of a joint moves to a tendon for it."""
     own = next((h for h in handles_between(copy.plant.handles, a, b) if h.play is not None), None)
     if own is not None and own.play is not None:
-        m = copy.plant.compiled
-        _between_stops(
-            copy, own.play, half * abs(own.scale / coefficient(m, m.tendon(own.name).id, own.play))
-        )
+        _between_stops(copy, own.play, half / own.play_share)
         return ""
     at, scale = _spring_between(copy, a, b)
     if isinstance(at, mujoco.MjsJoint):

@@ -13,9 +13,9 @@ from mujoco import rollout
 from invid.errors import InputError
 from invid.model.document import Model, save_text
 from invid.numerics.arrays import Float64
-from invid.simulators.guided import GUIDE, Guided, Tie
+from invid.simulators.guided import GUIDE, Guided, stiff_guide
 from invid.simulators.mujoco_correct import correct
-from invid.simulators.mujoco_plant import MjcfPlant, Motor, inertia_remarks, read_plant, steps_of
+from invid.simulators.mujoco_plant import MjcfPlant, Motor, read_plant, steps_of
 from invid.simulators.mujoco_surroundings import release_limits, without_missing_shapes
 
 _IMPLICIT = (int(mujoco.mjtIntegrator.mjINT_IMPLICIT), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST))
@@ -30,7 +30,6 @@ STICKS = 0.99
 class MujocoSimulator:
     """An XML whose actuators drive the recorded axes, one a motor."""
 
-    restarts = True
     step = 0.0
     left_out: Sequence[str] = ()
     """Shapes that are not read."""
@@ -51,7 +50,6 @@ class MujocoSimulator:
         except ValueError:
             # Files of shapes that did not come with it: where every link states its inertia none is needed.
             spec = mujoco.MjSpec.from_file(str(path))
-            inertia_remarks(spec, self.path)
             self.left_out = without_missing_shapes(spec)
             if not self.left_out:
                 raise
@@ -88,11 +86,11 @@ class MujocoSimulator:
         """The chains and effects that the XML's elements are."""
         return self.plant.model
 
-    def guide(self, given: Guided, start: Float64 | None) -> tuple[Float64, Tie]:
+    def guide(self, given: Guided) -> tuple[Float64, Float64]:
         """See ``Simulator.guide``; the guide is an affine actuator a motor beside the user's own."""
         spec, plant = self.plant.spec.copy(), self.plant
         rate = 2 * np.pi * GUIDE * given.high
-        tie = Tie.of(plant.motor_inertia, rate)
+        stiffness, damping = stiff_guide(plant.motor_inertia, rate)
         if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
             # It holds a control over a step, and a stiff guide with it: the implicit one is as good there.
             spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -104,9 +102,10 @@ class MujocoSimulator:
         )
         spec.option.timestep = given.interval / every
         for i, motor in enumerate(plant.motors):
-            k, d = float(tie.stiffness[i]), float(tie.damping[i])
-            name = f"guide {i}"
-            guide = spec.add_actuator(name=name, target=motor.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            k, d = float(stiffness[i]), float(damping[i])
+            guide = spec.add_actuator(
+                name=f"guide {i}", target=motor.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
             guide.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             guide.gainprm[0], guide.biasprm[1], guide.biasprm[2] = 1.0, -k, -d
             guide.gear[0] = motor.reduction
@@ -120,16 +119,11 @@ class MujocoSimulator:
         control = np.zeros((torque.shape[0], model.nu))
         for i, motor in enumerate(plant.motors):
             guide = model.actuator_ctrladr[model.actuator(f"guide {i}").id]
-            k, d = tie.stiffness[i], tie.damping[i]
-            control[:, guide] = k * (position[:, i] + motor.zero) + d * velocity[:, i]
+            control[:, guide] = stiffness[i] * (position[:, i] + motor.zero) + damping[i] * velocity[:, i]
             own = model.actuator_ctrladr[model.actuator(motor.actuator).id] if motor.actuator else guide
             control[:, own] += torque[:, i] * (motor.reduction / motor.gain)
         data = mujoco.MjData(model)
-        plant.start(data, model, position[0], velocity[0], start)
-        for motor in plant.motors:
-            if motor.actuator:
-                at = model.actuator(motor.actuator).id
-                _commanded_before(model, data, at, control[:, model.actuator_ctrladr[at]])
+        plant.start(data, model, position[0], velocity[0])
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
         first = np.zeros(mujoco.mj_stateSize(model, kind))
         mujoco.mj_getState(model, data, first, kind)
@@ -137,18 +131,19 @@ class MujocoSimulator:
         states = np.concatenate([first[None], after[0]])
         if not np.isfinite(states).all():
             raise InputError(f"{self.path}: MuJoCo's simulation of experiment {given.key} runs away")
-        force = np.zeros_like(given.torque)
+        force, moved = np.zeros_like(given.torque), np.zeros_like(given.torque)
         for i, motor in enumerate(plant.motors):
             joint = model.joint(motor.joint).id
             q = motor.reduction * states[:, 1 + model.jnt_qposadr[joint]]
             v = motor.reduction * states[:, 1 + model.nq + model.jnt_dofadr[joint]]
             q, v = q[:-1], v[1:] if late else v[:-1]
             away, slower = position[:, i] + motor.zero - q, velocity[:, i] - v
-            force[:, i] = (tie.stiffness[i] * away + tie.damping[i] * slower)[::every]
+            force[:, i] = (stiffness[i] * away + damping[i] * slower)[::every]
+            moved[:, i] = (position[:, i] - away)[::every]
             force[:, i] = self._beyond_stiction(
                 model, motor, (states[:-1:every], control[::every]), force[:, i], v[::every], given.unmoved[i]
             )
-        return force, tie
+        return force, moved
 
     def _beyond_stiction(
         self, model: Any, motor: Motor, run: tuple[Float64, Float64], guide: Float64, speed: Float64,
@@ -179,22 +174,6 @@ class MujocoSimulator:
         lost += [f"{x}: their files are missing" for x in self.left_out]
         save_text(to, text)
         return type(self)(to, self.axes), lost
-
-
-def _commanded_before(model: Any, data: Any, actuator: int, control: Float64) -> None:
-    """Fills a delay's buffer and a filter as if the control had come as it goes on, mirrored in the start."""
-    step, delay = float(model.opt.timestep), float(model.actuator_delay[actuator])
-    before = 2.0 * control[0] - control
-    if delay:
-        count = int(model.actuator_history[actuator, 0])
-        k = np.arange(count, 0, -1)
-        times = -step * k
-        mujoco.mj_initCtrlHistory(model, data, actuator, times[:, None], before[k][:, None].copy())
-    if model.actuator_actadr[actuator] >= 0:
-        lag = float(model.actuator_dynprm[actuator, 0])
-        t = step * np.arange(control.size)
-        weight = np.exp(-np.maximum(t - delay, 0.0) / lag) * (t >= delay)
-        data.act[model.actuator_actadr[actuator]] = float(before @ weight / weight.sum())
 
 
 def opened(path: Path, axes: tuple[str, ...]) -> Any:

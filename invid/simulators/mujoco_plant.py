@@ -8,7 +8,7 @@ that spring, so x adds the joint before it. A chain is walked from each motor al
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Any
@@ -20,7 +20,7 @@ from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.numerics.arrays import Float64
-from invid.simulators.mujoco_surroundings import Locked, belonging, impossible_inertia, lock
+from invid.simulators.mujoco_surroundings import Locked, belonging, lock, tendon_row
 
 SMALL = 1e-9
 LIGHT = 0.05
@@ -48,14 +48,31 @@ class Motor:
 @dataclass(frozen=True)
 class Handle:
     """An element along x_a − x_b (b = −1: ground): a joint or a tendon, its length being ``scale`` times
-    that; ``play`` is the joint that takes from it what lies between its limits."""
+    that; what it does there.
+
+    ``spring`` is its stiffness, ``yields`` the force at which that gives way (0: never) and ``cubic`` its
+    third coefficient; ``gap`` the free play, of which the joint ``play`` takes ``play_share`` times what lies
+    between its limits.
+    """
 
     kind: str
     name: str
     a: int
     b: int
     scale: float
+    spring: float
+    damping: float
+    friction: float
+    cubic: float
+    yields: float
+    gap: float
     play: str | None = None
+    play_share: float = 0.0
+
+    @property
+    def elastic(self) -> float:
+        """Stiffness; nothing for a spring that yields, which is a law of its own."""
+        return 0.0 if self.yields else self.spring
 
 
 @dataclass(eq=False)
@@ -99,29 +116,20 @@ class MjcfPlant:
     @property
     def motor_inertia(self) -> Float64:
         """(M,) inertia that a guide of the motor feels at high frequency, as recorded."""
-        m = self.compiled
-        whole = mass_matrix(m)
-        dofs = [int(m.jnt_dofadr[m.joint(motor.joint).id]) for motor in self.motors]
-        inner = [k for k in range(m.nv) if k not in dofs]
-        out = whole[np.ix_(dofs, dofs)]
-        if inner:
-            cross = whole[np.ix_(dofs, inner)]
-            out = out - cross @ np.linalg.solve(whole[np.ix_(inner, inner)], cross.T)
+        whole, dofs = mass_matrix(self.compiled), [self.compiled.joint(m.joint).id for m in self.motors]
+        inner = np.setdiff1d(np.arange(whole.shape[0]), dofs)
+        cross = whole[np.ix_(dofs, inner)]
+        out = whole[np.ix_(dofs, dofs)] - cross @ np.linalg.solve(whole[np.ix_(inner, inner)], cross.T)
         return np.asarray(np.diag(out) / np.array([motor.reduction for motor in self.motors]) ** 2)
 
-    def start(
-        self, data: Any, model: Any, position: Float64, velocity: Float64, inner: Float64 | None
-    ) -> None:
-        """Every mass where its motor is and as fast, or away from it; what belongs to no chain at rest."""
+    def start(self, data: Any, model: Any, position: Float64, velocity: Float64) -> None:
+        """Every mass where its motor is and as fast; what belongs to no chain at rest."""
         x = np.zeros((2, self.positions.shape[0]))
         for i, chain in enumerate(self.order):
             x[0, chain], x[1, chain] = position[i], velocity[i]
             for h in self.handles:  # and what hangs on them
                 if h.b >= 0 and (h.a in chain) != (h.b in chain):
                     x[:, h.a if h.b in chain else h.b] = position[i], velocity[i]
-        behind = [k for chain in self.order for k in chain[1:]]
-        if inner is not None and inner.shape[1] == len(behind):
-            x[:, behind] += inner
         q = np.linalg.solve(self.positions, x.T).T
         for k in range(model.njnt):
             data.qpos[model.jnt_qposadr[k]] = model.qpos0[model.jnt_qposadr[k]] + q[0, k]
@@ -155,7 +163,6 @@ def read_plant(
     ``reductions``: turns of a motor as it is recorded per turn of its joint, by the joint's name.
     """
     _name_all(spec)
-    remarks = inertia_remarks(spec, source)
     compiled = spec.compile()
     motors = _motors(spec, compiled, axes, source, reductions)
     tied = belonging(compiled, [compiled.joint(m.joint).id for m in motors])
@@ -190,28 +197,10 @@ def read_plant(
             hidden.append(chain.pop())
     plant = MjcfPlant(
         spec, compiled, axes, motors, positions, mass, handles, order, None, linear,
-        float(compiled.opt.timestep), hidden, plain, locked, remarks,
+        float(compiled.opt.timestep), hidden, plain, locked,
     )  # fmt: skip
     plant.model = _model(plant, source)
     return plant
-
-
-def inertia_remarks(spec: Any, source: str) -> tuple[str, ...]:
-    """Refuses moments of inertia that no body has; where the file balances them, says what that changes."""
-    bad = impossible_inertia(spec)
-    if bad and not spec.compiler.balanceinertia:
-        name, (a, b, c) = next(iter(bad.items()))
-        raise InputError(
-            f"{source}: {name!r} has the principal moments of inertia {a:.4g}, {b:.4g}, {c:.4g}, which no "
-            f"body has: the largest is at most the sum of the others. The one about the joint's axis is what "
-            f"counts: keep it, and raise the others (to {c / 2:.4g} each), or lower the largest where that "
-            "is another"
-        )
-    return tuple(
-        f"{name}: 'balanceinertia' replaces its moments {a:.4g}, {b:.4g}, {c:.4g} by their mean "
-        f"{(a + b + c) / 3:.4g}; state moments that a body can have instead"
-        for name, (a, b, c) in bad.items()
-    )
 
 
 def _name_all(spec: Any) -> None:
@@ -308,35 +297,53 @@ def _slack(m: Any, mass: Float64, motors: set[str]) -> list[int]:
 
 
 def _handles(m: Any, back: Float64, slack: list[int]) -> Iterator[Handle]:
-    for k in (k for k in range(m.njnt) if k not in slack):
-        yield from _handle("joint", m.joint(k).name, back[k])
-    for t in range(m.ntendon):
-        at = slice(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
-        if np.all(m.wrap_type[at] == int(mujoco.mjtWrap.mjWRAP_JOINT)):
-            length = np.zeros(m.nv)
-            for joint, coefficient in zip(m.wrap_objid[at], m.wrap_prm[at], strict=True):
-                length[m.jnt_dofadr[joint]] += coefficient
-            pattern = length @ back
-            loose = [k for k in slack if pattern[k]]
-            pattern[loose] = 0.0
-            play = m.joint(loose[0]).name if len(loose) == 1 else None
-            for h in _handle("tendon", m.tendon(t).name, pattern):
-                yield replace(h, play=play)
-
-
-def _handle(kind: str, name: str, pattern: Float64) -> Iterator[Handle]:
-    at = np.flatnonzero(np.abs(pattern) > SMALL)
-    if at.size == 1:
-        yield Handle(kind, name, int(at[0]), -1, float(pattern[at[0]]))
-    elif at.size == 2 and abs(pattern[at].sum()) < SMALL:
-        yield Handle(kind, name, int(at[0]), int(at[1]), float(pattern[at[0]]))
+    """All joints and tendons that are one; of hinges and slides a joint's number is its coordinate's."""
+    rows = [("jnt", k, np.eye(m.nv)[k]) for k in range(m.njnt) if k not in slack]
+    tendons = ((t, tendon_row(m, t)) for t in range(m.ntendon))
+    rows += [("tendon", t, row) for t, row in tendons if row is not None]
+    for kind, at, row in rows:
+        pattern = row @ back
+        loose = [k for k in slack if pattern[k]] if kind == "tendon" else []
+        pattern[loose] = 0.0
+        found = np.flatnonzero(np.abs(pattern) > SMALL)
+        if found.size == 1:
+            found = np.append(found, -1)
+        elif found.size != 2 or abs(pattern[found].sum()) >= SMALL:
+            continue
+        scale = float(pattern[found[0]])
+        size, spring = abs(scale), float(getattr(m, f"{kind}_stiffness")[at]) * scale**2
+        damping, friction = (
+            (m.dof_damping, m.dof_frictionloss)
+            if kind == "jnt"
+            else (m.tendon_damping, m.tendon_frictionloss)
+        )
+        gap = 0.0 if kind == "jnt" else float(np.ptp(m.tendon_lengthspring[at])) / size
+        play, share = None, 0.0
+        if len(loose) == 1:
+            play, share = m.joint(loose[0]).name, abs(float(row[loose[0]])) / size
+            gap += share * float(np.ptp(m.jnt_range[loose[0]]))
+        yield Handle(
+            "joint" if kind == "jnt" else "tendon",
+            (m.joint if kind == "jnt" else m.tendon)(at).name,
+            int(found[0]),
+            int(found[1]),
+            scale,
+            spring,
+            float(damping[at]) * scale**2,
+            float(friction[at]) * size,
+            float(getattr(m, f"{kind}_stiffnesspoly")[at, 1]) * size**4,
+            spring * float(getattr(m, f"{kind}_springyield")[at]) / size,
+            gap,
+            play,
+            share,
+        )
 
 
 def _chains(m: Any, handles: list[Handle], motors: list[int]) -> list[list[int]]:
     """From each motor along the springs; a fork ends the chain, and so does another motor."""
     beside: dict[int, set[int]] = {}
     for h in handles:
-        if h.b >= 0 and stiffness_of(m, h) > 0.0:
+        if h.b >= 0 and h.elastic > 0.0:
             beside.setdefault(h.a, set()).add(h.b)
             beside.setdefault(h.b, set()).add(h.a)
     out = []
@@ -355,38 +362,6 @@ def _chains(m: Any, handles: list[Handle], motors: list[int]) -> list[list[int]]
     return out
 
 
-def stiffness_of(m: Any, h: Handle) -> float:
-    """Elastic stiffness along x_a − x_b; nothing for a spring that yields, which is a law of its own."""
-    kind, at = (m.joint(h.name), "jnt") if h.kind == "joint" else (m.tendon(h.name), "tendon")
-    if getattr(m, f"{at}_springyield")[kind.id] > 0.0:
-        return 0.0
-    return float(getattr(m, f"{at}_stiffness")[kind.id]) * h.scale**2
-
-
-def damping_of(m: Any, h: Handle) -> float:
-    """Viscous damping along x_a − x_b."""
-    if h.kind == "joint":
-        return float(m.dof_damping[m.jnt_dofadr[m.joint(h.name).id]]) * h.scale**2
-    return float(m.tendon_damping[m.tendon(h.name).id]) * h.scale**2
-
-
-def gap_of(m: Any, h: Handle) -> float:
-    """Free play along x_a − x_b: a dead band of the tendon, and what the joint of its play has."""
-    if h.kind == "joint":
-        return 0.0
-    at = m.tendon(h.name).id
-    band = float(np.ptp(m.tendon_lengthspring[at]))
-    if h.play is not None:
-        band += float(np.ptp(m.jnt_range[m.joint(h.play).id])) * abs(coefficient(m, at, h.play))
-    return band / abs(h.scale)
-
-
-def coefficient(m: Any, tendon: int, joint: str) -> float:
-    """A joint's in the length of a tendon."""
-    at = slice(int(m.tendon_adr[tendon]), int(m.tendon_adr[tendon] + m.tendon_num[tendon]))
-    return float(m.wrap_prm[at][m.wrap_objid[at] == m.joint(joint).id].sum())
-
-
 def _model(plant: MjcfPlant, source: str) -> Model | None:
     """Chains and effects, or None."""
     slack = [plant.compiled.joint(h.play).id for h in plant.handles if h.play]
@@ -400,12 +375,9 @@ def _model(plant: MjcfPlant, source: str) -> Model | None:
     np.fill_diagonal(rest, 0.0)
     if np.abs(rest).max(initial=0.0) > 1e-6 * plant.mass.diagonal().max():
         return None
-    m = plant.compiled
-    springs, dampers = [], []
-    for chain in plant.order:
-        pairs = [handles_between(plant.handles, a, b) for a, b in pairwise(chain)]
-        springs.append([sum(stiffness_of(m, h) for h in p) for p in pairs])
-        dampers.append([sum(damping_of(m, h) for h in p) for p in pairs])
+    pairs = [[handles_between(plant.handles, a, b) for a, b in pairwise(chain)] for chain in plant.order]
+    springs = [[sum(h.elastic for h in between) for between in chain] for chain in pairs]
+    dampers = [[sum(h.damping for h in between) for between in chain] for chain in pairs]
     couplings = plant.mass[np.ix_(ends, ends)] * (1.0 - np.eye(len(ends)))
     try:
         chains = CoupledChains.build(
@@ -447,44 +419,31 @@ def _effects(plant: MjcfPlant) -> Iterator[EffectTerm]:
 
     def term(cause: str, place: tuple[str, str], **values: tuple[float, str]) -> EffectTerm:
         return EffectTerm(
-            cause=cause, axis=place[0], element=place[1],
-            parameters={k: Estimate(v, None, unit) for k, (v, unit) in values.items()},
-        )  # fmt: skip
+            cause, place[0], {k: Estimate(v, None, unit) for k, (v, unit) in values.items()}, place[1]
+        )
 
     for h in plant.handles:
         place = place_of(plant, h.a, h.b)
         if place is None:
             continue
-        is_joint, size = h.kind == "joint", abs(h.scale)
-        at = m.joint(h.name).id if is_joint else m.tendon(h.name).id
-        loss = float(m.dof_frictionloss[m.jnt_dofadr[at]] if is_joint else m.tendon_frictionloss[at]) * size
-        if loss and not dry_off and h.b < 0:
-            yield term("coulomb_friction", place, torque=(loss, torque))
-        if h.b < 0 and damping_of(m, h):
-            yield term("viscous_friction", place, coefficient=(damping_of(m, h), viscous))
-        if h.b < 0:
-            continue
-        kind = "jnt" if is_joint else "tendon"
-        cubic = float(getattr(m, f"{kind}_stiffnesspoly")[at, 1]) * size**4
-        if cubic:
-            yield term("cubic_stiffness", place, coefficient=(cubic, f"{torque}/{length}³"))
-        limit = float(getattr(m, f"{kind}_springyield")[at])
-        if limit > 0.0:
-            k = float(getattr(m, f"{kind}_stiffness")[at]) * size**2
-            yield term("spring_hysteresis", place, stiffness=(k, stiff), torque=(k * limit / size, torque))
-        gap = gap_of(m, h)
-        if gap:
-            yield term("backlash", place, gap=(gap, length))
+        if h.b < 0 and h.friction and not dry_off:
+            yield term("coulomb_friction", place, torque=(h.friction, torque))
+        if h.b < 0 and h.damping:
+            yield term("viscous_friction", place, coefficient=(h.damping, viscous))
+        if h.b >= 0 and h.cubic:
+            yield term("cubic_stiffness", place, coefficient=(h.cubic, f"{torque}/{length}³"))
+        if h.b >= 0 and h.yields:
+            yield term("spring_hysteresis", place, stiffness=(h.spring, stiff), torque=(h.yields, torque))
+        if h.b >= 0 and h.gap:
+            yield term("backlash", place, gap=(h.gap, length))
     for k in plant.hidden:
         h = next(h for h in plant.handles if k in (h.a, h.b) and h.b >= 0)
         place = place_of(plant, h.a if h.b == k else h.b, -1)
         if place is not None:
-            mass, spring = float(plant.mass[k, k]), stiffness_of(m, h)
-            ratio = damping_of(m, h) / (2.0 * np.sqrt(mass * spring))
-            unit = "kg" if plant.linear_axes else "kg·m²"
-            yield term(
-                "extra_mode", place, mass=(mass, unit), stiffness=(spring, stiff), damping_ratio=(ratio, "1")
-            )
+            mass, unit = float(plant.mass[k, k]), "kg" if plant.linear_axes else "kg·m²"
+            ratio = h.damping / (2.0 * np.sqrt(mass * h.elastic))
+            own = {"mass": (mass, unit), "stiffness": (h.elastic, stiff), "damping_ratio": (ratio, "1")}
+            yield term("extra_mode", place, **own)
     for axis, element, size, angle in () if plant.linear_axes else _weights(plant):
         yield term("gravity", (axis, element), torque=(size, torque), angle=(angle, "rad"))
     for i, motor in enumerate(plant.motors):

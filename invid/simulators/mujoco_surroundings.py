@@ -13,6 +13,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from invid.numerics.arrays import Float64
+
 _SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FILE_SHAPES = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
 _PARALLEL = 0.999
@@ -59,16 +61,14 @@ def without_missing_shapes(spec: Any) -> list[str]:
     return ["shapes whose files are missing"] if gone else []
 
 
-def impossible_inertia(spec: Any) -> dict[str, Any]:
-    """Bodies whose stated moments of inertia no body has, and these: one is more than the others together."""
-    found = {}
-    for body in (b for b in spec.bodies if b.explicitinertial):
-        xx, yy, zz, xy, xz, yz = body.fullinertia
-        full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        own = np.linalg.eigvalsh(full) if np.isfinite(full).all() else np.sort(body.inertia)
-        if own[2] > (own[0] + own[1]) * (1.0 + 1e-9) + 1e-15:
-            found[body.name] = own
-    return found
+def tendon_row(m: Any, tendon: int) -> Float64 | None:
+    """(njnt,) coefficients of the joints in a tendon's length; ``None`` where it is no sum of them."""
+    at = slice(int(m.tendon_adr[tendon]), int(m.tendon_adr[tendon] + m.tendon_num[tendon]))
+    if (m.wrap_type[at] != int(mujoco.mjtWrap.mjWRAP_JOINT)).any():
+        return None
+    row = np.zeros(m.njnt)
+    np.add.at(row, m.wrap_objid[at], m.wrap_prm[at])
+    return row
 
 
 def belonging(m: Any, motors: Collection[int]) -> set[int]:
@@ -83,10 +83,9 @@ def belonging(m: Any, motors: Collection[int]) -> set[int]:
 
 def _tied(m: Any, kept: set[int]) -> Iterator[int]:
     for t in range(m.ntendon):
-        at = slice(int(m.tendon_adr[t]), int(m.tendon_adr[t] + m.tendon_num[t]))
-        if np.all(m.wrap_type[at] == int(mujoco.mjtWrap.mjWRAP_JOINT)):
-            joints = {int(k) for k in m.wrap_objid[at]}
-            yield from joints if joints & kept else ()
+        row = tendon_row(m, t)
+        joints = set() if row is None else {int(k) for k in np.flatnonzero(row)}
+        yield from joints if joints & kept else ()
     bodies = {int(m.jnt_bodyid[k]) for k in kept}
     for e in range(m.neq):
         ends = {int(m.eq_obj1id[e]), int(m.eq_obj2id[e])} - {-1}

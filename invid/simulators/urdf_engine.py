@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,6 +54,7 @@ class Transmission:
     reduction: float
     recorded: float
     rotor: float
+    element: Element
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ class UrdfSimulator(MujocoSimulator):
                 way_out=f"expand them first: xacro {path.name} > {path.name.split('.')[0]}.expanded.urdf",
                 code="xacro",
             )
-        self.drives = self._drives()
+        self.drives = self._drives(self.root)
         self.followers = _followers(self.root, self.drives, self.path)
         spec = _spec(self.root, self.drives, self.path)
         for f in self.followers:
@@ -104,16 +106,12 @@ class UrdfSimulator(MujocoSimulator):
         plant.remarks += (f"{', '.join(still)}: not recorded, locked at 0",) if still else ()
         return plant
 
-    def _drives(self) -> list[Transmission]:
+    def _drives(self, root: Element) -> list[Transmission]:
         """The transmission of each axis: by the actuators' names, else the joints', else in their order."""
-        joints = {j.get("name", ""): j.get("type") for j in self.root.findall("joint")}
-        found = list(_transmissions(self.root))
-        chosen = found
-        for key in (0, 1):
-            named = {t[key]: t for t in found}
-            if all(a in named for a in self.axes):
-                chosen = [named[a] for a in self.axes]
-                break
+        joints = {j.get("name", ""): j.get("type") for j in root.findall("joint")}
+        found = list(_transmissions(root))
+        named = [{t[key]: t for t in found} for key in (0, 1)]
+        chosen = next(([n[a] for a in self.axes] for n in named if {*self.axes} <= n.keys()), found)
         if len(chosen) != len(self.axes):
             has = ", ".join(f"{actuator} on {joint}" for actuator, joint, _ in found) or "none"
             raise InputError(
@@ -122,7 +120,7 @@ class UrdfSimulator(MujocoSimulator):
                 f"it counts the joint's own): {_example(self.axes[0], next(iter(joints), 'joint'))}"
             )
         for actuator, joint, _ in chosen:
-            if joints.get(joint) not in ("revolute", "continuous", "prismatic"):
+            if joints.get(joint) not in _TURNING:
                 kind = joints.get(joint) or "missing"
                 raise InputError(
                     f'{self.path}: <transmission> of {actuator}: joint "{joint}" is {kind}; a motor drives a '
@@ -146,7 +144,7 @@ class UrdfSimulator(MujocoSimulator):
             if reason:
                 made.lost.append(f"{effect_name(term)}: {reason}")
         root = copy.deepcopy(self.root)
-        _transfer(made, root, self.drives, self.followers)
+        _transfer(made, root, self._drives(root), self.followers)
         save_text(to, '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n")
         return UrdfSimulator(to, self.axes), made.lost
 
@@ -183,7 +181,7 @@ def _stated(actuator: str, joint: str, t: Element, source: str) -> Transmission:
     inertia = 0.0 if rotor is None else _number(rotor, f"{where}: <{ROTOR}>")
     if inertia < 0.0:
         raise InputError(f"{where}: <{ROTOR}> is {inertia:g}; an inertia is not below 0")
-    return Transmission(joint, actuator, reduction, reduction if recorded == "motor" else 1.0, inertia)
+    return Transmission(joint, actuator, reduction, reduction if recorded == "motor" else 1.0, inertia, t)
 
 
 def _rotor(transmission: Element) -> Element | None:
@@ -261,7 +259,7 @@ def _followers(root: Element, drives: list[Transmission], source: str) -> list[F
         if mimic.get("multiplier") is not None:
             said = Element("multiplier", {"value": mimic.get("multiplier", "")})
             ratio = _number(said, f"{source}: <mimic> of {name}: multiplier")
-        free = [Transmission(j, j, 1.0, 1.0, 0.0) for j in (master, name)]
+        free = [Transmission(j, j, 1.0, 1.0, 0.0, joint) for j in (master, name)]
         m = _spec(root, free, source, sprung=False).compile()
         mass = mass_matrix(m)
         a, b = (int(m.jnt_dofadr[m.joint(j).id]) for j in (master, name))
@@ -286,14 +284,13 @@ def _fastest(m: Any) -> float:
 
 def _write(made: SpecCopy, part: Part) -> str:
     """Puts one element of an effect into a joint's dynamics; why not, where URDF has no room for it."""
-    nothing = "URDF has no element for it"
     match part:
         case ForceLaw(Law.DRY, a, -1, p):
             along, b = made.joints_along(made.coordinate(a), -1), -1
         case AddedDamper(a, b, _):
             along = made.joints_along(made.coordinate(a), made.coordinate(b))
         case _:
-            return nothing
+            return "URDF has no element for it"
     if len(along) != 1:
         return "a URDF joint has friction and damping against the link before it alone, and this is no joint"
     joint, scale = made.spec.joint(along[0][0]), along[0][1]
@@ -301,56 +298,60 @@ def _write(made: SpecCopy, part: Part) -> str:
         joint.damping[0] += part.coefficient * scale**2
         return ""
     joint.frictionloss += 0.5 * (p[0] + p[1]) * abs(scale)
-    if not math.isclose(p[0], p[1], rel_tol=1e-3) or any(abs(x) > 1e-6 * abs(p[0]) for x in (p[2], p[4])):
-        return "the mean of its sliding friction stands in its joint; URDF has one level for all speeds"
-    return ""
+    is_plain = math.isclose(p[0], p[1], rel_tol=1e-3) and max(abs(p[2]), abs(p[4])) <= 1e-6 * abs(p[0])
+    return (
+        ""
+        if is_plain
+        else "the mean of its sliding friction stands in its joint; URDF has one level for all speeds"
+    )
 
 
 def _transfer(made: SpecCopy, root: Element, drives: list[Transmission], followers: list[Follower]) -> None:
     """Writes the numbers of a corrected spec that differ into the user's XML, less what followers add."""
     before, after = made.plant.compiled, made.spec.compile()
+    added: Counter[tuple[str, str]] = Counter()
+    for f in followers:
+        for key in ("damping", "friction", "armature"):
+            added[f.master, key] += getattr(f, key)
     for link in root.findall("link"):
         inertial = link.find("inertial")
         old, new = (m.body(link.get("name")) for m in (before, after))
-        if inertial is None or not old.mass[0] > 0.0:
-            continue
-        _scale(inertial.find("mass"), ("value",), float(new.mass[0] / old.mass[0]))
-        names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        if old.inertia.max() > 0.0:
-            _scale(inertial.find("inertia"), names, float(new.inertia.max() / old.inertia.max()))
+        if inertial is not None and old.mass[0] > 0.0:
+            _scale(inertial.find("mass"), ("value",), float(new.mass[0] / old.mass[0]))
+            if old.inertia.max() > 0.0:
+                _scale(inertial.find("inertia"), _MOMENTS, float(new.inertia.max() / old.inertia.max()))
     springs, joints = _springs(root), {e.get("name"): e for e in root.findall("joint")}
-    added = {"damping": dict[str, float](), "friction": dict[str, float](), "armature": dict[str, float]()}
-    for f in followers:
-        for key, of in added.items():
-            of[f.master] = of.get(f.master, 0.0) + float(getattr(f, key))
     for k in range(after.njnt):
         name = after.joint(k).name
-        pairs = (("damping", "dof_damping"), ("friction", "dof_frictionloss"))
-        for attribute, field in pairs:
+        for key, field in (("damping", "dof_damping"), ("friction", "dof_frictionloss")):
             old, new = (float(getattr(m, field)[k]) for m in (before, after))
-            if not math.isclose(old, new, rel_tol=1e-9):
+            if not _is_same(old, new):
                 here = joints[name].find("dynamics")
                 here = SubElement(joints[name], "dynamics") if here is None else here
-                here.set(attribute, repr(max(new - added[attribute].get(name, 0.0), 0.0)))
-        stiffness = float(after.jnt_stiffness[k])
-        if name in springs and not math.isclose(before.jnt_stiffness[k], stiffness, rel_tol=1e-9):
-            springs[name].text = repr(stiffness)
+                here.set(key, repr(max(new - added[name, key], 0.0)))
+        if name in springs and not _is_same(before.jnt_stiffness[k], after.jnt_stiffness[k]):
+            springs[name].text = repr(float(after.jnt_stiffness[k]))
             springs[name].attrib.pop("value", None)
-    places = {joint: t for _, joint, t in _transmissions(root)}
     for drive in drives:
-        armature = float(after.dof_armature[after.joint(drive.joint).id])
-        inertia = max(armature - added["armature"].get(drive.joint, 0.0), 0.0) / drive.reduction**2
-        if not math.isclose(inertia, drive.rotor, rel_tol=1e-9):
-            transmission = places[drive.joint]
-            actuator, rotor = transmission.find("actuator"), _rotor(transmission)
+        armature = float(after.dof_armature[after.joint(drive.joint).id]) - added[drive.joint, "armature"]
+        inertia = max(armature, 0.0) / drive.reduction**2
+        if not _is_same(inertia, drive.rotor):
+            actuator, rotor = drive.element.find("actuator"), _rotor(drive.element)
             if rotor is None:
-                rotor = SubElement(transmission if actuator is None else actuator, ROTOR)
+                rotor = SubElement(drive.element if actuator is None else actuator, ROTOR)
             rotor.set("value", repr(inertia))
             root.attrib.setdefault("xmlns:drake", "http://drake.mit.edu")
 
 
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+def _is_same(old: float, new: float) -> bool:
+    return math.isclose(old, new, rel_tol=1e-9)
+
+
 def _scale(element: Element | None, names: tuple[str, ...], factor: float) -> None:
-    if element is not None and not math.isclose(factor, 1.0, rel_tol=1e-9):
+    if element is not None and not _is_same(factor, 1.0):
         for name in names:
             element.set(name, repr(float(element.get(name, "0")) * factor))
 

@@ -3,13 +3,13 @@ named."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from invid.exchange.linear_plant import LinearPlant
-from invid.model.document import EffectTerm, Model, stds_by_name
+from invid.model.document import EffectTerm, Model
 from invid.numerics.arrays import Float64
 
 TURNOVER = 0.02
@@ -53,6 +53,21 @@ class Feedforward:
 
 
 NONE = Feedforward(0.0, None)
+ANSWERS: dict[str, Callable[[Callable[[str], float]], dict[str, float]]] = {
+    "coulomb_friction": lambda of: {"dry": of("torque"), "breakaway": of("torque")},
+    "presliding_friction": lambda of: {"dry": of("torque"), "breakaway": of("torque")},
+    "stribeck_friction": lambda of: {"dry": of("coulomb"), "breakaway": max(of("static"), of("coulomb"))},
+    "viscous_friction": lambda of: {"viscous": of("coefficient")},
+    "asymmetric_friction": lambda of: {
+        "dry": (of("coulomb_positive") + of("coulomb_negative")) / 2.0,
+        "breakaway": (of("coulomb_positive") + of("coulomb_negative")) / 2.0,
+        "offset": (of("coulomb_positive") - of("coulomb_negative")) / 2.0,
+        "viscous": (of("viscous_positive") + of("viscous_negative")) / 2.0,
+    },
+    "torque_offset": lambda of: {"offset": of("torque")},
+    "gravity": lambda of: {"weight": of("torque"), "angle": of("angle")},
+}
+"""What the parameters of a cause add to a feedforward; no other cause is answered by one."""
 
 
 def feedforward(
@@ -63,47 +78,16 @@ def feedforward(
     name, gain = model.axes[axis], float(plant.gain[axis])
     total = dict.fromkeys(("viscous", "dry", "breakaway", "offset", "weight", "angle"), 0.0)
     named, left_out = [], []
-    for term in model.effects:
-        if term.axis != name:
-            continue
-        share = _share(term)
-        if share is None:
-            continue
+    for term in (t for t in model.effects if t.axis == name and t.cause in ANSWERS):
         if term in doubtful and "friction" not in term.cause:
             left_out.append(f"{term.cause}: its cause is open")
-            continue
-        if term.cause == "gravity" and total["weight"]:
+        elif term.cause == "gravity" and total["weight"]:
             left_out.append(f"{term.cause} on {term.element}: one weight an axis")
-            continue
-        named.append(term.cause)
-        for key, value in share.items():
-            total[key] += value if key == "angle" else value / gain
-    stds = stds_by_name(model)
-    own = [stds[f"{name}.mass.{q + 1}"] for q in range(model.chains.masses[axis].size)]
-    std = float(np.linalg.norm(own)) / gain
+        else:
+            named.append(term.cause)
+            for key, value in ANSWERS[term.cause](term.value).items():
+                total[key] += value if key == "angle" else value / gain
+    std = float(np.linalg.norm(model.std.masses[axis])) / gain
     return Feedforward(
         inertia, std if np.isfinite(std) else None, **total, named=tuple(named), left_out=tuple(left_out)
     )
-
-
-def _share(term: EffectTerm) -> dict[str, float] | None:
-    """What an effect adds; ``None`` where no feedforward answers it."""
-    at = term.value
-    match term.cause:
-        case "coulomb_friction" | "presliding_friction":
-            return {"dry": at("torque"), "breakaway": at("torque")}
-        case "stribeck_friction":
-            return {"dry": at("coulomb"), "breakaway": max(at("static"), at("coulomb"))}
-        case "viscous_friction":
-            return {"viscous": at("coefficient")}
-        case "asymmetric_friction":
-            up, down = at("coulomb_positive"), at("coulomb_negative")
-            viscous = (at("viscous_positive") + at("viscous_negative")) / 2.0
-            mean = (up + down) / 2.0
-            return {"dry": mean, "breakaway": mean, "offset": (up - down) / 2.0, "viscous": viscous}
-        case "torque_offset":
-            return {"offset": at("torque")}
-        case "gravity":
-            return {"weight": at("torque"), "angle": at("angle")}
-        case _:
-            return None

@@ -5,8 +5,6 @@ Forms of drives come from above the core by the entry point group ``invid.drive_
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -18,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from invid.disk import not_written
 from invid.errors import InputError
-from invid.model.document import describe_validation_error, dump_json, save_text
+from invid.model.document import csv_text, describe_validation_error, dump_json, save_text
 from invid.tuning.document import tuning_table, tuning_to_json
 from invid.tuning.motor_scale import MotorScale
 from invid.tuning.page import tuning_page, tuning_picture
@@ -136,15 +134,11 @@ def plc_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
             rows += [(a.axis, name, a.backlash, unit, page) for name, page in _FREE_PLAY]
     if not rows:
         return Form({}, ("no notch filter and no free play: nothing for TwinCAT or CODESYS",))
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(("axis", "name", "value", "unit", "source"))
-    writer.writerows((axis, name, f"{value:.9g}", unit, source) for axis, name, value, unit, source in rows)
     lost = (
         "the notches of TwinCAT go down to nothing, these do not: they cost more phase than was counted",
         "free play is in units of the axis: scale it to the axis' own",
     )
-    return Form({"plc-names.csv": stream.getvalue()}, lost)
+    return Form({"plc-names.csv": csv_text(("axis", "name", "value", "unit", "source"), rows)}, lost)
 
 
 FORMS: dict[str, Callable[[Tuning, dict[str, MotorScale]], Form]] = {

@@ -19,7 +19,7 @@ from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
 from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.servo_loop import DriveTiming, speed_response
-from invid.tuning.simulated_loops import BAND, Command, run_loops
+from invid.tuning.simulated_loops import Command, run_loops
 
 SETTLED = 2
 """Periods of shaking that are simulated; the last counts."""
@@ -77,14 +77,3 @@ def lateness(ratio: Complex128, sure: Float64, omega: Float64, cycle: float) -> 
     tried = np.linspace(-LATEST_CYCLES * cycle, LATEST_CYCLES * cycle, 8001)
     score = (np.minimum(sure, SURE) * ratio * np.exp(1j * tried[:, None] * omega)).real.sum(axis=1)
     return float(tried[int(score.argmax())])
-
-
-def motor_figures(error: Float64, command: Command, axis: int, cycle: float) -> Float64:
-    """(2, D) of command less motor (D, n): rms [rad or m], and the time [s] after the first move until it
-    stays within ``BAND`` of the move, NaN where it does not in the rest."""
-    goal = float(command.position[command.arrived, axis])
-    away = np.abs(error[:, command.arrived : command.leaves]) > BAND * abs(goal)
-    last = away.shape[1] - np.argmax(away[:, ::-1], axis=1)
-    settling = np.where(away.any(axis=1), last * cycle, 0.0)
-    settling[away[:, -1]] = math.nan
-    return np.stack([np.sqrt((error**2).mean(axis=1)), settling])

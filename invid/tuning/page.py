@@ -1,23 +1,30 @@
-"""The tuning on one page: Bode plot of every loop, the reference move, values, margins, and what repair
-buys."""
+"""A tuning on one page (Bode plot of every loop, the reference move, values, margins, what repair buys);
+a verification as a document, a sentence an axis and a picture, measured beside predicted."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from invid.report.figures import plain_hz
 from invid.report.labels import label, printable
 from invid.report.style import AFTER, BEFORE, INK, svg
-from invid.tuning.document import repair_sentence, values_of
+from invid.tuning.document import finite, repair_sentence, values_of
 from invid.tuning.gains import PROMISE
-from invid.tuning.margins import Margins, drawn_plants
-from invid.tuning.tune import AxisTuning, Tuning
+from invid.tuning.margins import drawn_plants
+from invid.tuning.tune import SPREAD_DRAWS, AxisTuning, Tuning
+from invid.tuning.verification import AxisVerification, Verification
+from invid.wording.statement import ENGLISH, LANGUAGES, Statement, say_sentence
+from invid.wording.statement import Figure as Said
 
 SIDES = (("before", BEFORE, "--"), ("after", AFTER, "-"))
 
@@ -44,27 +51,18 @@ def bode_and_move(tuning: Tuning) -> str:
                     lw=1.1,
                     label=side if i == 0 else None,
                 )
-                turn = np.degrees(np.angle(-loop)) - 180.0
+                turn = _phase(loop)
                 turn[1:][np.abs(np.diff(turn)) > 180.0] = np.nan  # around the edge of the picture
                 phase.plot(hz, turn, line, color=colour, lw=1.1)
                 run = runs[side]
                 away = 1e3 * (run.load[:, i] - run.command[:, i])
                 move.plot(run.time, away, line, color=colour, lw=1.1)
-            gain.axhline(0.0, color=INK, lw=0.6)
-            phase.axhline(-180.0, color=INK, lw=0.6)
-            for ax in (gain, phase):
-                ax.set_xscale("log")
-                ax.set_xlim(hz[0], hz[-1])
-                plain_hz(ax)
-                ax.xaxis.set_major_locator(LogLocator(10))  # three narrow pictures side by side
-            gain.set_ylim(-60, 80)
-            phase.set_ylim(-360, 0)
-            phase.set_yticks(range(-360, 1, 90))
+            _loop_axes(gain, phase)
+            gain.set(xlim=(hz[0], hz[-1]), ylim=(-60, 80))
+            phase.set_xlim(hz[0], hz[-1])
             for at in (tuning.command.arrived, 2 * tuning.command.leaves - tuning.command.arrived):
                 move.axvline(at * tuning.settings.timing.cycle, color=INK, lw=0.6, ls=":")
             gain.set_title(label(axis.axis, 20), loc="left")
-            gain.set_ylabel("gain [dB]")
-            phase.set_ylabel("phase [°]")
             move.set_ylabel(f"load − command [{unit}]")
             calm = 1e3 * np.abs(tuning.run_after.load[:, i] - tuning.run_after.command[:, i])
             most = max(float(np.nanmax(calm, initial=1e-9)) * 2.5, 1e-9)
@@ -74,6 +72,20 @@ def bode_and_move(tuning: Tuning) -> str:
 
     size = (10.0, 0.9 + 2.1 * len(tuning.axes))
     return svg("tuning", fill, size=size, title="Loops and the reference move before and after tuning")
+
+
+def _loop_axes(gain: Axes, phase: Axes) -> None:
+    """Scales and lines of a loop's gain and phase over frequency."""
+    for ax, level, words in ((gain, 0.0, "loop gain [dB]"), (phase, -180.0, "loop phase [°]")):
+        ax.axhline(level, color=INK, lw=0.6)
+        ax.set(xscale="log", ylabel=words)
+        plain_hz(ax)
+        ax.xaxis.set_major_locator(LogLocator(10))  # three narrow pictures side by side
+    phase.set(ylim=(-360, 0), yticks=range(-360, 1, 90))
+
+
+def _phase(loop: Any) -> Any:
+    return np.degrees(np.angle(-loop)) - 180.0
 
 
 def tuning_picture(tuning: Tuning) -> str:
@@ -106,11 +118,9 @@ def tuning_page(tuning: Tuning, losses: Mapping[str, tuple[str, ...]]) -> str:
 
 def headline(tuning: Tuning) -> str:
     """One sentence: what the new values bring, and what they leave."""
-    peak = max(a.margins_after.sensitivity for a in tuning.axes)
+    peak = max(a.after.margins.sensitivity for a in tuning.axes)
     unit = "mm" if tuning.model.linear else "mrad"
-    old, new = (
-        max(1e3 * getattr(a, f"move_{side}").following for a in tuning.axes) for side in ("before", "after")
-    )
+    old, new = (max(1e3 * getattr(a, side).move.following for a in tuning.axes) for side, *_ in SIDES)
     return (
         f"following error at most {number(new)} {unit} rms in the reference move, before {number(old)}; "
         f"peak of sensitivity at most {peak:.2f} in {tuning.settings.draws} draws of the model"
@@ -122,29 +132,138 @@ def number(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.4g}"
 
 
-def _axis_rows(a: AxisTuning, unit: str) -> tuple[str, list[tuple[str, str, str]]]:
-    def margins(m: Margins) -> tuple[str, str, str]:
-        if m.unstable:
-            return (f"unstable in {m.unstable:.0%} of the draws", "–", "–")
-        return number(m.sensitivity), number(m.gain), number(m.phase)
+_ROWS = (
+    ("worst peak of sensitivity", "margins.sensitivity", 1.0),
+    ("worst gain margin (factor)", "margins.gain", 1.0),
+    ("worst phase margin [°]", "margins.phase", 1.0),
+    ("draws that are unstable [%]", "margins.unstable", 100.0),
+    ("rms following error [m{unit}]", "move.following", 1e3),
+    ("rms error at the load [m{unit}]", "move.at_load", 1e3),
+    ("settling of the load [s]", "move.settling", 1.0),
+    ("overshoot of the load [%]", "move.overshoot", 100.0),
+)
+"""Of either side of an axis, and by how much it is shown."""
 
-    before, after = margins(a.margins_before), margins(a.margins_after)
-    rows = [
-        ("worst peak of sensitivity", before[0], after[0]),
-        ("worst gain margin (factor)", before[1], after[1]),
-        ("worst phase margin [°]", before[2], after[2]),
+
+def _axis_rows(a: AxisTuning, unit: str) -> tuple[str, list[tuple[str, str, str]]]:
+    rows = [*_ROWS]
+    if math.isfinite(a.after.margins.ripple / a.rated_torque):
+        share = 100.0 / a.rated_torque
+        rows.append(("torque that counts make, rms [% of rated]", "margins.ripple", share))
+    shown = [
+        (
+            name.format(unit=unit),
+            number(times * attrgetter(of)(a.before)),
+            number(times * attrgetter(of)(a.after)),
+        )
+        for name, of, times in rows
     ]
-    if math.isfinite(a.margins_after.ripple) and math.isfinite(a.rated_torque):
-        was, now = (number(100 * m.ripple / a.rated_torque) for m in (a.margins_before, a.margins_after))
-        rows.append(("torque that counts make, rms [% of rated]", was, now))
-    old, new = a.move_before, a.move_after
-    rows += [
-        (f"rms following error [m{unit}]", number(1e3 * old.following), number(1e3 * new.following)),
-        (f"rms error at the load [m{unit}]", number(1e3 * old.at_load), number(1e3 * new.at_load)),
-        ("settling of the load [s]", number(old.settling), number(new.settling)),
-        ("overshoot of the load [%]", number(100 * old.overshoot), number(100 * new.overshoot)),
+    span = " … ".join(number(1e3 * x) for x in a.spread["at_load"])
+    many = f"the same in {SPREAD_DRAWS} machines of the covariance, at the load [m{unit}]"
+    return a.axis, [*shown, (many, "–", span)]
+
+
+# --- verification -----------------------------------------------------------------------------------
+VERIFICATION_FORMAT = "invid-verification"
+_FIGURES = ("sensitivity", "gain_margin", "phase_margin", "ripple", "following", "settling", "wander")
+
+
+def verification_to_json(found: Verification) -> dict[str, Any]:
+    """The ``invid-verification`` document."""
+    return finite(
+        {
+            "format": VERIFICATION_FORMAT,
+            "format_version": 1,
+            "robot": found.robot,
+            "verdict": str(found.verdict),
+            "sentences": {lang: [sentence(a, lang) for a in found.axes] for lang in LANGUAGES},
+            "axes": [_axis_to_json(a) for a in found.axes],
+        }
+    )
+
+
+def _axis_to_json(a: AxisVerification) -> dict[str, Any]:
+    loop, foretold = 1.0 / a.measured - 1.0, 1.0 / a.predicted - 1.0
+    return {
+        "axis": a.axis,
+        "verdict": str(a.verdict),
+        "worst_at_hz": a.worst_at,
+        "read_late_s": a.late,
+        "rated_torque": a.rated,
+        "unit": a.unit,
+        **{k: asdict(getattr(a, k)) for k in _FIGURES},
+        "response": {
+            "frequency_hz": a.frequency.tolist(),
+            "sensitivity": {
+                "measured": np.abs(a.measured).tolist(),
+                "std": a.std.tolist(),
+                "predicted": np.abs(a.predicted).tolist(),
+                "low": a.low.tolist(),
+                "high": a.high.tolist(),
+            },
+            "loop": {
+                side: {"gain": np.abs(x).tolist(), "phase_deg": _phase(x).tolist()}
+                for side, x in (("measured", loop), ("predicted", foretold))
+            },
+        },
+    }
+
+
+def sentence(a: AxisVerification, language: str = ENGLISH) -> str:
+    """One axis: verdict, peak of sensitivity, phase margin and following error as measured and predicted,
+    ripple, the undo where the values stand on what was not found."""
+    peak, phase = a.sensitivity, a.phase_margin
+    parts = [
+        Statement(
+            "verify.axis",
+            {
+                "axis": a.axis,
+                "verdict": Statement(f"verify.{a.verdict}"),
+                "peak": Said(f"{peak.measured:.2f} ± {peak.std:.2f}"),
+                "foretold": Said(f"{peak.low:.2f} … {peak.high:.2f}"),
+                "phase": Said(f"{phase.measured:.0f}"),
+                "phases": Said(f"{phase.low:.0f} … {phase.high:.0f}"),
+            },
+        )
     ]
-    drawn = [1e3 * m.at_load for m in a.moves_drawn]
-    span = f"{number(min(drawn))} … {number(max(drawn))}"
-    rows.append((f"the same in {len(drawn)} machines of the covariance, at the load [m{unit}]", "–", span))
-    return a.axis, rows
+    if a.verdict.asks_for_undo:
+        parts.append(Statement("verify.at", {"frequency": Said(f"{a.worst_at:.1f}")}))
+    share = 100.0 * a.ripple.measured / a.rated
+    if math.isfinite(share):
+        parts.append(Statement("verify.ripple", {"share": Said(f"{share:.2f}")}))
+    missed, wander = Said(f"{1e3 * a.following.measured:.2g}"), Said(f"{1e3 * a.wander.measured:.2g}")
+    foretold = Said(f"{1e3 * a.following.low:.2g} … {1e3 * a.following.high:.2g}")
+    parts.append(Statement("verify.move", {"error": missed, "foretold": foretold, "unit": f"m{a.unit}"}))
+    if a.wander.measured > a.following.high:
+        parts.append(Statement("verify.wander", {"error": wander, "unit": f"m{a.unit}"}))
+    if a.verdict.asks_for_undo:
+        parts.append(Statement("verify.undo"))
+    return say_sentence(parts, language)
+
+
+def verification_picture(found: Verification) -> str:
+    """SVG: a row an axis with |S|, and gain and phase of its loop, measured points on the predicted line."""
+
+    def fill(canvas: Figure) -> None:
+        rows = canvas.subplots(len(found.axes), 3, squeeze=False)
+        canvas.subplots_adjust(wspace=0.35, hspace=0.5)
+        for i, (a, (size, gain, phase)) in enumerate(zip(found.axes, rows, strict=True)):
+            loops = 1.0 / a.measured - 1.0, 1.0 / a.predicted - 1.0
+            named = ("measured", "predicted") if i == 0 else (None, None)
+            size.fill_between(a.frequency, a.low, a.high, color=BEFORE, alpha=0.3, lw=0)
+            for ax, seen, foretold in (
+                (size, np.abs(a.measured), np.abs(a.predicted)),
+                (gain, *(20 * np.log10(np.abs(x)) for x in loops)),
+                (phase, *(_phase(x) for x in loops)),
+            ):
+                ax.plot(a.frequency, seen, ".", color=AFTER, ms=3, label=named[0] if ax is size else None)
+                ax.plot(a.frequency, foretold, color=BEFORE, lw=1.1, label=named[1] if ax is size else None)
+            _loop_axes(gain, phase)
+            size.axhline(1.0, color=INK, lw=0.6)
+            size.set_title(label(a.axis, 20), loc="left")
+            size.set(xscale="log", ylabel="sensitivity |S|")
+            plain_hz(size)
+        canvas.legend(loc="upper right", ncols=2)
+
+    size = (10.0, 0.9 + 2.1 * len(found.axes))
+    return svg("verification", fill, size=size, title="Loops as measured and as predicted")

@@ -12,7 +12,6 @@ from invid.errors import ModelError, NotIdentifiableError
 from invid.exchange.linear_plant import LINEAR, parameter_spread
 from invid.model.diagnosis_document import Diagnosis, Finding
 from invid.model.document import EffectTerm, Estimate, Model, with_parameters
-from invid.numerics.arrays import Float64
 from invid.wording.clauses import cause_name
 from invid.wording.statement import Listed, Statement, Value
 
@@ -57,15 +56,19 @@ def candidates(source: Model | Diagnosis) -> Candidates:
         terms.append(finding.effect)
         others = Listed(tuple(cause_name(a.cause) for a in finding.alternatives), "comma")
         said: dict[str, Value] = {"axis": finding.axis, "cause": cause_name(finding.cause), "others": others}
-        if finding.cause not in LOOP_CAUSES and not {a.cause for a in finding.alternatives} & set(
-            LOOP_CAUSES
-        ):
+        if {finding.cause, *(a.cause for a in finding.alternatives)}.isdisjoint(LOOP_CAUSES):
             remarks.append(Statement("tune.forces", said))
             continue
         for alternative in _alternatives(finding):
-            models.append(_exchanged(model, finding.effect, alternative))
+            place = _place(finding.effect)
+            kept = [e for e in model.effects if _place(e) != place]
+            models.append(replace(model, effects=(*kept, alternative)))
         remarks.append(Statement("tune.worse", said))
     return Candidates(tuple(models), tuple(terms), tuple(remarks))
+
+
+def _place(term: EffectTerm) -> tuple[str | None, ...]:
+    return term.cause, term.axis, term.element, term.other_axis
 
 
 def _alternatives(finding: Finding) -> list[EffectTerm]:
@@ -84,12 +87,6 @@ def _alternatives(finding: Finding) -> list[EffectTerm]:
                 way_out=f"tell them apart first: {experiment}",
             )
     return out
-
-
-def _exchanged(model: Model, old: EffectTerm, new: EffectTerm) -> Model:
-    place = (old.cause, old.axis, old.element, old.other_axis)
-    kept = [e for e in model.effects if (e.cause, e.axis, e.element, e.other_axis) != place]
-    return replace(model, effects=(*kept, new))
 
 
 def drawn_models(models: Sequence[Model], count: int, rng: np.random.Generator) -> list[Model]:
@@ -118,11 +115,12 @@ def _drawn(model: Model, rng: np.random.Generator) -> Model:
             f"{', '.join(lost)}: the data cannot tell its value, so no margin can be promised",
             way_out="the model's warnings say what measurement would tell it",
         )
-    root = _root(spread.covariance[np.ix_(known, known)])
+    within = spread.covariance[np.ix_(known, known)]
     for _ in range(_TRIES):
-        delta = np.zeros(spread.values.size)
-        delta[known] = root @ rng.standard_normal(root.shape[1])
-        values = {}
+        delta, values = np.zeros(spread.values.size), {}
+        delta[known] = rng.multivariate_normal(
+            np.zeros(within.shape[0]), within, check_valid="ignore", method="eigh"
+        )
         for name, value, step, is_known in zip(spread.names, spread.values, delta, known, strict=True):
             if ".damper." in name:
                 values[name] = max(0.0, value + step) if is_known else value * rng.uniform()
@@ -139,12 +137,6 @@ def _drawn(model: Model, rng: np.random.Generator) -> Model:
         "hardly any draw of the covariance is a possible machine; the couplings are too uncertain",
         way_out="measure longer, or with more amplitude",
     )
-
-
-def _root(covariance: Float64) -> Float64:
-    sizes, vectors = np.linalg.eigh(covariance)
-    result: Float64 = vectors * np.sqrt(np.maximum(sizes, 0.0))
-    return result
 
 
 def _drawn_term(term: EffectTerm, rng: np.random.Generator) -> EffectTerm:

@@ -195,22 +195,28 @@ class _Drives:
         return np.asarray(torque, dtype=float)
 
 
+def settling_times(error: Float64, command: Command, axis: int, cycle: float) -> Float64:
+    """(D,) [s] after the first move until command less motion (D, n) stays within ``BAND`` of the move; NaN
+    where it does not in the rest."""
+    most = BAND * abs(float(command.position[command.arrived, axis]))
+    away = ~(np.abs(error[:, command.arrived : command.leaves]) <= most)
+    late = away.shape[1] - np.argmax(away[:, ::-1], axis=1)
+    settled = np.where(away.any(axis=1), late * cycle, 0.0)
+    return np.where(away[:, -1], np.nan, settled)
+
+
 def move_figures(run: LoopRun, command: Command) -> tuple[MoveFigures, ...]:
     """How well each axis made ``reference_move``."""
-    out = []
-    rest = slice(command.arrived, command.leaves)
-    for i in range(run.motor.shape[1]):
-        goal = float(command.position[command.arrived, i])
-        away = np.abs(run.load[rest, i] - goal) > BAND * abs(goal)
-        late = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
-        cycle = float(run.time[1] - run.time[0])
-        settled = np.isfinite(run.load).all() and late < away.size
-        out.append(
-            MoveFigures(
-                float(np.sqrt(np.mean((run.command[:, i] - run.motor[:, i]) ** 2))),
-                float(np.sqrt(np.mean((run.command[:, i] - run.load[:, i]) ** 2))),
-                late * cycle if settled else float("nan"),
-                max(0.0, float(np.max((run.load[rest, i] - goal) / goal))),
-            )
+    rest, cycle = slice(command.arrived, command.leaves), float(run.time[1] - run.time[0])
+    goal = command.position[command.arrived]
+    following, at_load = (np.sqrt(((run.command - x) ** 2).mean(axis=0)) for x in (run.motor, run.load))
+    overshoot = ((run.load[rest] - goal) / goal).max(axis=0)
+    return tuple(
+        MoveFigures(
+            float(following[i]),
+            float(at_load[i]),
+            float(settling_times((command.position - run.load)[None, :, i], command, i, cycle)[0]),
+            max(0.0, float(overshoot[i])),
         )
-    return tuple(out)
+        for i in range(goal.size)
+    )

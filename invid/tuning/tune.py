@@ -30,7 +30,7 @@ from invid.tuning.simulated_loops import (
     run_loops,
 )
 from invid.wording.clauses import cause_name
-from invid.wording.statement import Figure, Statement, Value, say
+from invid.wording.statement import Figure, Statement, say
 
 DESIGN_DRAWS = 40
 KEPT = 0.98
@@ -97,28 +97,32 @@ def sensors_of(model: Model) -> Sensors:
     return Sensors(column("encoder_resolution"), column("rated_torque"))
 
 
+@dataclass(frozen=True, kw_only=True)
+class TunedLoop(AxisLoop):
+    """A loop with the margins that it leaves and how it makes the reference move."""
+
+    margins: Margins
+    move: MoveFigures
+
+
 @dataclass(frozen=True)
 class AxisTuning:
-    """One axis. Inertias [kg·m² or kg]: ``total`` is all that the motor moves, ``motor`` its own side;
-    ``antiresonance`` and ``resonance`` [Hz] at the motor, the other motors held, ``None`` where nothing
-    swings; ``backlash`` is full free play [rad or m], 0 where none was named."""
+    """One axis, as the document has it. ``inertia`` is all that the motor moves, ``motor_inertia`` its own
+    side [kg·m² or kg]; antiresonance and resonance at the motor, the other motors held, ``None`` where
+    nothing swings; ``backlash`` is full free play [rad or m], 0 where none was named; ``rated_torque`` NaN
+    where the model does not say. ``spread``: least and most of the figures of the move with the new values in
+    ``SPREAD_DRAWS`` machines drawn from the covariance."""
 
     axis: str
-    total: Estimate
-    motor: Estimate
-    antiresonance: float | None
-    resonance: float | None
+    inertia: Estimate
+    motor_inertia: Estimate
+    antiresonance_hz: float | None
+    resonance_hz: float | None
     backlash: float
-    before: AxisLoop
-    after: AxisLoop
-    margins_before: Margins
-    margins_after: Margins
-    move_before: MoveFigures
-    move_after: MoveFigures
-    moves_drawn: tuple[MoveFigures, ...]
-    """With the new values in machines drawn from the covariance."""
     rated_torque: float
-    """NaN where the model does not say."""
+    spread: Mapping[str, tuple[float, float]]
+    before: TunedLoop
+    after: TunedLoop
 
 
 @dataclass(frozen=True)
@@ -205,23 +209,38 @@ def tune_model(
     drawn = drawn_models(known, SPREAD_DRAWS, rng)
     spread = [move_figures(run_loops(m, after, command, timing, sensors.counts), command) for m in drawn]
     moves_before, moves_after = move_figures(run_before, command), move_figures(run_after, command)
-    axes = tuple(
-        AxisTuning(
-            name, *_inertias(model, i, forward[i].inertia_std), *seen_modes(plant, i), _backlash(model, name),
-            old[i], after[i], margins_before[i], margins[i], moves_before[i], moves_after[i],
-            tuple(s[i] for s in spread), float(sensors.rated[i]),
+    unit = "kg" if model.linear else "kg·m²"
+    axes = []
+    for i, name in enumerate(model.axes):
+        masses, std = model.chains.masses[i], float(model.std.masses[i][0])
+        figures = [vars(moves[i]) for moves in spread]
+        axes.append(
+            AxisTuning(
+                name,
+                Estimate(float(masses.sum()), forward[i].inertia_std, unit),
+                Estimate(float(masses[0]), std if math.isfinite(std) else None, unit),
+                *seen_modes(plant, i),
+                sum(e.value("gap") for e in model.effects if e.cause == "backlash" and e.axis == name),
+                float(sensors.rated[i]),
+                {key: (min(f[key] for f in figures), max(f[key] for f in figures)) for key in figures[0]},
+                TunedLoop(**vars(old[i]), margins=margins_before[i], move=moves_before[i]),
+                TunedLoop(**vars(after[i]), margins=margins[i], move=moves_after[i]),
+            )
         )
-        for i, name in enumerate(model.axes)
-    )  # fmt: skip
-    remarks = [*found.remarks, *_left_out(lost, forward, model.axes), *_held_badly(axes)]
-    remarks += _ripples(axes, settings.ripple)
-    repairs = _repairs(model, after, command, timing, moves_after)
     unknown = [name for name in model.axes if name not in (before or {})]
     said = f"{before_source}; {', '.join(unknown)}: {STAND_IN}" if unknown else before_source
     return Tuning(
-        model, settings, axes, repairs, tuple(remarks), said if before else STAND_IN, command,
-        run_before, run_after, plant,
-    )  # fmt: skip
+        model,
+        settings,
+        tuple(axes),
+        _repairs(model, after, command, timing, moves_after),
+        (*found.remarks, *_left_out(lost, forward, model.axes), *_remarks(axes, settings.ripple)),
+        said if before else STAND_IN,
+        command,
+        run_before,
+        run_after,
+        plant,
+    )
 
 
 def _require_hold(
@@ -261,7 +280,6 @@ def _kept(
     ripple: float,
 ) -> tuple[tuple[Gains, ...], tuple[Margins, ...]]:
     """Gains slowed down until margins and ripple hold in ``KEPT`` of draws that the design has not seen."""
-    margins: tuple[Margins, ...] = ()
     for _ in range(_ROUNDS):
         margins = worst_margins(fresh, gains, timing, PROMISE, sensors.counts)
         short = [m.kept < KEPT or m.unstable > 0 for m in margins]
@@ -275,8 +293,9 @@ def _kept(
             slower(g, _SLOWER) if unstable or s or n else g
             for g, s, n in zip(gains, short, loud, strict=True)
         )
+    margins = worst_margins(fresh, gains, timing, PROMISE, sensors.counts)
     if all(m.kept >= KEPT and m.unstable == 0 for m in margins):  # such encoders leave no quieter loop: said
-        return gains, worst_margins(fresh, gains, timing, PROMISE, sensors.counts)
+        return gains, margins
     raise NotIdentifiableError(
         f"no gains keep a peak of sensitivity of {PROMISE:g} in {KEPT:.0%} of the machines drawn",
         way_out="measure longer, or with more amplitude, until the model is surer",
@@ -294,67 +313,48 @@ def softened(model: Model) -> Model | None:
 
 
 def _shapers(loop: ClosedLoop, drawn: Sequence[ClosedLoop]) -> list[Shaper | None]:
-    out = []
+    """Of every axis for the lowest mode of its load, and the nearest mode of each machine drawn."""
+    modes = [d.modes() for d in drawn]
+    out: list[Shaper | None] = []
     for i in range(loop.load_compliance.ninputs):
-        mode = load_mode(loop, i)
-        out.append(None if mode is None else choose_shaper(mode, [_nearest(d, mode[0]) for d in drawn]))
+        if (mode := load_mode(loop, i)) is None:
+            out.append(None)
+            continue
+        nearest = [int(np.argmin(np.abs(np.log(hz / mode[0])))) for hz, _ in modes]
+        out.append(choose_shaper(mode, [(hz[k], d[k]) for (hz, d), k in zip(modes, nearest, strict=True)]))
     return out
-
-
-def _nearest(loop: ClosedLoop, frequency: float) -> tuple[float, float]:
-    frequencies, dampings = loop.modes()
-    k = int(np.argmin(np.abs(np.log(frequencies / frequency))))
-    return float(frequencies[k]), float(dampings[k])
-
-
-def _inertias(model: Model, axis: int, std: float | None) -> tuple[Estimate, Estimate]:
-    unit = "kg" if model.linear else "kg·m²"
-    own = float(model.std.masses[axis][0])
-    return (
-        Estimate(float(model.chains.masses[axis].sum()), std, unit),
-        Estimate(float(model.chains.masses[axis][0]), own if math.isfinite(own) else None, unit),
-    )
-
-
-def _backlash(model: Model, axis: str) -> float:
-    return sum(e.value("gap") for e in model.effects if e.cause == "backlash" and e.axis == axis)
 
 
 def _left_out(
     lost: Sequence[LeftOut], forward: Sequence[Feedforward], axes: Sequence[str]
 ) -> list[Statement]:
-    out = []
-    for left in lost:
-        said: dict[str, Value] = {
-            "axis": left.term.axis,
-            "cause": cause_name(left.term.cause),
-            "why": left.reason,
-        }
-        out.append(Statement("tune.not_simulated", said))
+    out = [
+        Statement(
+            "tune.not_simulated",
+            {"axis": left.term.axis, "cause": cause_name(left.term.cause), "why": left.reason},
+        )
+        for left in lost
+    ]
     for name, f in zip(axes, forward, strict=True):
         out += [Statement("tune.no_feedforward", {"axis": name, "what": text}) for text in f.left_out]
     return out
 
 
-def _held_badly(axes: Sequence[AxisTuning]) -> list[Statement]:
-    return [
+def _remarks(axes: Sequence[AxisTuning], ripple: float) -> list[Statement]:
+    """What of free play and of the encoders' counts these values leave."""
+    out = [
         Statement("tune.free_play", {"axis": a.axis, "size": Figure(f"{a.backlash:.3g}")})
         for a in axes
         if a.backlash
     ]
-
-
-def _ripples(axes: Sequence[AxisTuning], most: float) -> list[Statement]:
-    unknown = [a.axis for a in axes if math.isnan(a.margins_after.ripple) or math.isnan(a.rated_torque)]
-    said = []
-    for a in axes:
-        share = a.margins_after.ripple / a.rated_torque
-        if share > _RIPPLE_SLACK * most:
-            sizes = {"share": Figure(f"{share:.2g}"), "most": Figure(f"{most:g}")}
-            said.append(Statement("tune.loud", {"axis": a.axis, **sizes}))
-    if unknown:
-        said.append(Statement("tune.ripple_unknown", {"axes": ", ".join(unknown)}))
-    return said
+    shares = {a.axis: a.after.margins.ripple / a.rated_torque for a in axes}
+    for axis, share in shares.items():
+        if share > _RIPPLE_SLACK * ripple:
+            sizes = {"share": Figure(f"{share:.2g}"), "most": Figure(f"{ripple:g}")}
+            out.append(Statement("tune.loud", {"axis": axis, **sizes}))
+    if unknown := [axis for axis, share in shares.items() if math.isnan(share)]:
+        out.append(Statement("tune.ripple_unknown", {"axes": ", ".join(unknown)}))
+    return out
 
 
 def _repairs(
@@ -372,14 +372,10 @@ def _repairs(
             for i, loop in enumerate(loops)
         ]
         then = move_figures(run_loops(without, free, command, timing), command)
-        k = int(
-            np.argmax(
-                [
-                    max(a.following - b.following, a.at_load - b.at_load)
-                    for a, b in zip(now, then, strict=True)
-                ]
-            )
-        )
+        bought = [
+            max(a.following - b.following, a.at_load - b.at_load) for a, b in zip(now, then, strict=True)
+        ]
+        k = int(np.argmax(bought))
         pairs = [(getattr(now[k], key), getattr(then[k], key)) for key in ("following", "at_load")]
         out.append(Repair(term, model.axes[k], *pairs))
     return tuple(sorted(out, key=lambda r: -r.bought))

@@ -24,10 +24,10 @@ from invid.recording import Experiment, Recording
 from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.gains import own_inertias
 from invid.tuning.margins import DrawnPlants, axis_margins, drawn_plants
-from invid.tuning.measured_moves import asked_torque, lateness, motor_figures, shaken_motion
+from invid.tuning.measured_moves import asked_torque, lateness, shaken_motion
 from invid.tuning.plant_draws import drawn_models
-from invid.tuning.servo_loop import DriveTiming, held_plant_response
-from invid.tuning.simulated_loops import Command, reference_move, run_loops
+from invid.tuning.servo_loop import DriveTiming, Gains, held_plant_response
+from invid.tuning.simulated_loops import Command, reference_move, run_loops, settling_times
 from invid.tuning.tune import SPREAD_DRAWS, bearable, sensors_of, softened
 
 DRAWS, SEED = 60, 0
@@ -142,12 +142,18 @@ def verify(
     if missing:
         raise InputError(f"the tuning has no values of axis {missing[0]}")
     rng = np.random.default_rng(SEED)
-    drawn = [linear_plant(m) for m in drawn_models((model,), DRAWS, rng)]
-    loose = softened(model)
-    plants = [linear_plant(model), *drawn, *([] if loose is None else [linear_plant(loose)])]
-    cell = _Cell(
-        (model, *drawn_models((model,), SPREAD_DRAWS, rng)), plants, [loops[a] for a in model.axes], timing
+    drawn, loose = drawn_models((model,), DRAWS, rng), softened(model)
+    plants = tuple(linear_plant(m) for m in (model, *drawn, *([] if loose is None else [loose])))
+    counts, command = (
+        sensors_of(model).counts,
+        reference_move(plants[0], timing, bearable(model, own_inertias(plants[0]))),
     )
+    own = [loops[a] for a in model.axes]
+    moved = [
+        run_loops(m, own, command, timing, counts)
+        for m in (model, *drawn_models((model,), SPREAD_DRAWS, rng))
+    ]
+    cell = _Cell(model, plants, own, timing, command, [r.command - r.motor for r in moved])
     found = [
         cell.axis(axis, shaken, rng)
         for axis in range(len(model.axes))
@@ -219,27 +225,25 @@ def _own_lines(e: Experiment, axis: int) -> Int64:
     return lines[(own > 0.05 * own.max(initial=0.0)) & (own > 20.0 * others)] if own.any() else none
 
 
+@dataclass(frozen=True, eq=False)
 class _Cell:
-    """Machines drawn under their loops, and what each axis should show of them."""
+    """Machines drawn under their loops, the model's own first, and what their motors miss of the reference
+    move (n, M)."""
 
-    def __init__(
-        self,
-        models: Sequence[Model],
-        plants: Sequence[LinearPlant],
-        loops: Sequence[AxisLoop],
-        timing: DriveTiming,
-    ) -> None:
-        self._plants, self._loops, self._timing = plants, loops, timing
-        self._gains = [loop.gains for loop in loops]
-        self._model, self._sensors = models[0], sensors_of(models[0])
-        self._command: Command = reference_move(
-            plants[0], timing, bearable(models[0], own_inertias(plants[0]))
-        )
-        self._moves = [run_loops(m, loops, self._command, timing, self._sensors.counts) for m in models]
+    model: Model
+    plants: tuple[LinearPlant, ...]
+    loops: Sequence[AxisLoop]
+    timing: DriveTiming
+    command: Command
+    foretold: Sequence[Float64]
+
+    @property
+    def gains(self) -> list[Gains]:
+        return [loop.gains for loop in self.loops]
 
     def axis(self, index: int, seen: _Shaken, rng: np.random.Generator) -> AxisVerification:
         """One axis as measured, beside what the machines drawn show."""
-        omega = 2 * math.pi * seen.frequency
+        omega, sensors = 2 * math.pi * seen.frequency, sensors_of(self.model)
         predicted = self._drawn(omega)[0][:, :, index]
         mean, std = (seen.torque / seen.added).mean(axis=0), _deviation(seen)
         late = _late(mean, predicted[0], omega, seen.cycle)
@@ -251,9 +255,9 @@ class _Cell:
         beyond = (size - (1.0 + ALLOWED) * np.maximum(high, 1.0)) / std
         astray = np.abs(measured - predicted[0]) > 3.0 * std + OTHER_BY * np.abs(predicted[0])
         is_other = bool(astray[np.abs(predicted[0]) > FAR].mean() > OTHER_SHARE)
-        quiet = drawn_plants(self._plants[:RIPPLES], self._timing).ripple(self._gains, self._sensors.counts)
+        quiet = drawn_plants(self.plants[:RIPPLES], self.timing).ripple(self.gains, sensors.counts)
         following, settling = self._move(index, seen, rng)
-        count = float(np.nan_to_num(self._sensors.counts[index])) / math.sqrt(12.0)
+        count = float(np.nan_to_num(sensors.counts[index])) / math.sqrt(12.0)
         wander = _figure(np.array([count]), _unrepeated(seen.left[1]), math.nan)
         moves_worse = (
             following.measured - 3.0 * following.std > WORSE_MOVE * following.high
@@ -264,40 +268,46 @@ class _Cell:
             seen.axis, seen.frequency, measured, std, predicted[0], low, high, late,
             figures[0], figures[1], figures[2],
             _figure(quiet[:, index], _ripple(seen), math.nan), following, settling, wander,
-            "m" if self._model.linear else "rad", float(self._sensors.rated[index]), verdict,
+            "m" if self.model.linear else "rad", float(sensors.rated[index]), verdict,
             float(seen.frequency[int(np.argmax(np.abs(np.log(size / np.clip(size, low, high)))))]),
         )  # fmt: skip
 
     def _drawn(self, omega: Float64, count: int | None = None) -> tuple[Complex128, DrawnPlants]:
         """S (D, F, M) of the first ``count`` machines, and the machines."""
-        plants = self._plants[:count]
-        response = np.stack([held_plant_response(p, self._timing, omega) for p in plants])
-        drawn = DrawnPlants(tuple(plants), self._timing, np.tile(omega, (len(plants), 1)), response)
-        return 1.0 / (1.0 + drawn.loops(self._gains)), drawn
+        plants = self.plants[:count]
+        response = np.stack([held_plant_response(p, self.timing, omega) for p in plants])
+        drawn = DrawnPlants(tuple(plants), self.timing, np.tile(omega, (len(plants), 1)), response)
+        return 1.0 / (1.0 + drawn.loops(self.gains)), drawn
 
     def _move(self, index: int, seen: _Shaken, rng: np.random.Generator) -> tuple[Figure, Figure]:
         """Following error and settling of the motor as the loops measured make the reference move."""
-        omega, n, cycle = 2 * math.pi * seen.frequency, len(seen.period), self._timing.cycle
-        motion = shaken_motion(self._model, self._loops, self._timing, self._sensors.counts, seen.period)
+        omega, n, cycle = 2 * math.pi * seen.frequency, len(seen.period), self.timing.cycle
+        motion = shaken_motion(
+            self.model, self.loops, self.timing, sensors_of(self.model).counts, seen.period
+        )
         told = (np.fft.rfft(motion[:, index]) / n)[seen.lines] / seen.added.mean(axis=0)
         each = seen.position / seen.added / told
         std = np.maximum(np.sqrt(each.var(axis=0, ddof=1) / len(each)), 1e-9)
         mean = each.mean(axis=0)
         ratio = mean * np.exp(1j * omega * lateness(mean / np.abs(mean), 1.0 / std, omega, cycle))
-        asked = asked_torque(self._command, index, self._loops[index], self._timing, float(omega.max()))
+        asked = asked_torque(self.command, index, self.loops[index], self.timing, float(omega.max()))
         sensitivity, drawn = self._drawn(asked.omega, 1)
-        compliance = sensitivity[0, :, index] * drawn.behind_axis(index, self._gains)[0]
+        compliance = sensitivity[0, :, index] * drawn.behind_axis(index, self.gains)[0]
+
+        def moved(error: Float64) -> Float64:
+            """(2, D) rms and settling time of command less motor (D, n)."""
+            settling = settling_times(error, self.command, index, cycle)
+            return np.stack([np.sqrt((error**2).mean(axis=1)), settling])
 
         def figures(found: Complex128, missed: Float64) -> Float64:
             between = [np.interp(asked.omega, omega, r.real) + 1j * np.interp(asked.omega, omega, r.imag)
                        for r in found]  # fmt: skip
-            error = missed + asked.missed(compliance * (1.0 - np.array(between)))
-            return motor_figures(error, self._command, index, cycle)
+            return moved(missed + asked.missed(compliance * (1.0 - np.array(between))))
 
-        foretold = np.stack([(run.command - run.motor)[:, index] for run in self._moves])
+        foretold = np.stack([missed[:, index] for missed in self.foretold])
         shown = figures(ratio[None], foretold[:1])
         spread = figures(ratio + _noise(std, rng), foretold[:1]).std(axis=1)
-        rows = zip(motor_figures(foretold, self._command, index, cycle), shown[:, 0], spread, strict=True)
+        rows = zip(moved(foretold), shown[:, 0], spread, strict=True)
         following, settling = (_figure(f, m, s) for f, m, s in rows)
         return following, settling
 

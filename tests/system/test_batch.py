@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 
 import invid
-from invid.batch.analysis import Helper, Options
-from invid.batch.results import COLUMNS, Results
+from invid.batch.analysis import COLUMNS, Options, Results, analyse_apart
 from invid.cli import app
 from invid.model.diagnosis_document import diagnosis_to_json
 from invid.model.document import dump_json, model_to_json
+from invid.processes import Helper
 
 sys.path.insert(0, str(Path(__file__).parent))
 from test_contract_surface import write_recording
@@ -183,11 +183,11 @@ def test_a_recording_whose_process_always_dies_is_listed_and_tried_again_next_ti
     (tmp_path / "python").chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     helper = Helper()
-    outcome = helper.ask(tmp_path / "r.h5", "r.h5", Options())
+    outcome = analyse_apart(helper, tmp_path / "r.h5", "r.h5", Options())
     helper.close()
     assert (tmp_path / "tries").read_text() == "x\nx\n"
     assert (outcome.status, outcome.exit_status) == ("failed", "")
-    assert "by signal 9" in outcome.error
+    assert "by SIGKILL" in outcome.error
     with Results(tmp_path / "results", Options()) as store:
         store.store(outcome, "sum")
         assert store.kept("r.h5", "sum") is None

@@ -12,8 +12,8 @@ from invid.config import load_config
 from invid.model.document import dump_json, load_json, save_text
 from invid.recording import read_recording
 from invid.tuning.axis_loop import prediction_from_json
+from invid.tuning.page import verification_picture, verification_to_json
 from invid.tuning.verification import verify
-from invid.tuning.verification_document import verification_picture, verification_to_json
 from invid.wording.statement import ENGLISH
 from invid_drivers.cli.confirmation import confirm
 from invid_drivers.measurement import measure_to_file

@@ -5,13 +5,13 @@ Whoever loads a DCF decides, nothing here writes to a drive (``applying`` does, 
 
 from __future__ import annotations
 
-import csv
 import io
 from typing import Any
 
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
 from canopen.objectdictionary.eds import export_eds
 
+from invid.model.document import csv_text
 from invid.tuning.forms import Form
 from invid.tuning.motor_scale import MotorScale
 from invid.tuning.tune import Tuning
@@ -43,22 +43,10 @@ def drive_values_form(name: str, tuning: Tuning, motors: dict[str, MotorScale]) 
         files[f"{a.axis}-{name}.dcf"] = dcf(drive, values, motor.node_id)
         for row, after in values.items():
             old = row.value(a.before, motor)
-            rows.append(
-                (
-                    a.axis,
-                    row.at.address,
-                    row.at.name,
-                    row.count(old),
-                    row.count(after),
-                    row.unit,
-                    row.source,
-                )
-            )
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(("axis", "object", "name", "before", "after", "unit", "source"))
-    writer.writerows(rows)
-    files[f"{name}-changes.csv"] = stream.getvalue()
+            counts = row.count(old), row.count(after)
+            rows.append((a.axis, row.at.address, row.at.name, *counts, row.unit, row.source))
+    head = ("axis", "object", "name", "before", "after", "unit", "source")
+    files[f"{name}-changes.csv"] = csv_text(head, rows)
     losses = (*drive.losses, f"before is {tuning.before_source}")
     return Form(files, losses)
 

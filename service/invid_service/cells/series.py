@@ -12,9 +12,9 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel
 
 from invid.comparison.causes import main_parameter
-from invid.comparison.pairs import name_of
+from invid.comparison.numbers import name_of, numbers_of
 from invid.errors import InvidError
-from invid.model.document import Estimate, Model, parameter_vector, stds_by_name, units
+from invid.model.document import Estimate, Model
 from invid_service.dependencies import CellInPath, Context, Reader
 from invid_service.jobs.results import load
 from invid_service.problems import EVERYWHERE, Problem
@@ -23,13 +23,6 @@ from invid_service.store.store import StoredModel
 router = APIRouter(tags=["cells"], responses=EVERYWHERE)
 MOST = 200
 """Models looked at, the newest first."""
-_KINDS = {
-    "mass": "mass",
-    "spring": "stiffness",
-    "ground_spring": "stiffness",
-    "damper": "damping",
-    "coupling": "mass",
-}
 
 
 class Point(BaseModel):
@@ -55,15 +48,8 @@ class Series(BaseModel):
 
 def sizes_of(model: Model) -> dict[str, Estimate]:
     """Return all of a model that has a history, by name: parameters, causes, and parameters of causes."""
-    stds, unit = stds_by_name(model), units(model.linear)
-    found: dict[str, Estimate] = {}
-    for name, value in zip(*parameter_vector(model.chains), strict=True):
-        std = stds.get(name, math.nan)
-        kind = name.split(".")[1]
-        found[name] = Estimate(float(value), std if math.isfinite(std) else None, unit[_KINDS[kind]])
+    found = {name: row.new for name, row in numbers_of(model).items() if row.new is not None}
     for term in model.effects:
-        for parameter, estimate in term.parameters.items():
-            found[f"{name_of(term)}.{parameter}"] = estimate
         main = main_parameter(term)
         if main is not None:
             found[name_of(term)] = term.parameters[main]

@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from invid.api import diagnose, identify, screen
-from invid.comparison.news import with_stated_inertia
+from invid.comparison.answers import with_stated_inertia
 from invid.config import CellConfig
 from invid.errors import InputError, NotIdentifiableError, RecordingError
 from invid.identification.stated_inertia import against_stated
@@ -23,8 +23,8 @@ from invid.report import render_report
 from invid.report.data import figure_data
 from invid.simulators.open import masses_of
 from invid.tuning.axis_loop import prediction_from_json
+from invid.tuning.page import verification_picture, verification_to_json
 from invid.tuning.verification import Verdict, verify
-from invid.tuning.verification_document import verification_picture, verification_to_json
 from invid.wording.statement import ENGLISH
 from invid_drivers.protocol import Line, Read
 from invid_service.jobs.progress import AnalysisProgress

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse
 
-from invid.comparison.pairs import name_of
+from invid.comparison.numbers import name_of
 from invid.errors import InvidError
 from invid.model.diagnosis_document import Diagnosis, load_diagnosis, load_model
 from invid.report.branch_drawing import branch_drawing

@@ -13,10 +13,9 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from invid.comparison.answers import answer_expectation, judge_screening
 from invid.comparison.changes import Comparison
 from invid.comparison.compare import compare
-from invid.comparison.expectation import answer_expectation
-from invid.comparison.screening import judge_screening
 from invid.diagnosis.headline import Beside, with_headline
 from invid.errors import InvidError
 from invid.model.diagnosis_document import Diagnosis, diagnosis_to_json, load_diagnosis

@@ -7,17 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stated_models import model_of
 
 from invid.batch.fleet import compare_fleet, find_baselines, write_changes
 from invid.errors import InputError
-from invid.model.chains import CoupledChains, case_study
-from invid.model.document import (
-    Model,
-    chains_by_name,
-    parameter_vector,
-    save_model,
-    std_by_name,
-)
+from invid.model.chains import case_study
+from invid.model.document import Model, parameter_vector, save_model
 
 STD = 0.01
 NAMES, VALUES = parameter_vector(case_study(damping_ratio=0.01))
@@ -28,10 +23,8 @@ def measured(rng: np.random.Generator, **factors: float) -> Model:
     change of the machine."""
     truth = VALUES * np.array([factors.get(n.replace(".", "_"), 1.0) for n in NAMES])
     found = truth + STD * np.abs(VALUES) * rng.standard_normal(VALUES.size)
-    plain: CoupledChains = case_study(damping_ratio=0.01)
-    chains = chains_by_name(plain, dict(zip(NAMES, found, strict=True)))
-    std = std_by_name(chains, dict(zip(NAMES, STD * np.abs(VALUES), strict=True)))
-    return Model("r", "refined", chains, std, covariance=np.diag((STD * VALUES) ** 2), parameter_names=NAMES)
+    std = STD * np.abs(VALUES)
+    return model_of(case_study(damping_ratio=0.01), found, std, covariance=np.diag(std**2))
 
 
 def saved(folder: Path, model: Model) -> None:

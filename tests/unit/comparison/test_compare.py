@@ -8,41 +8,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stated_models import model_of, term
 
 from invid.cli.app import run
-from invid.comparison.baseline import pool_models
 from invid.comparison.changes import Comparison, Status
 from invid.comparison.compare import compare
+from invid.comparison.numbers import mean_model
 from invid.errors import InputError
 from invid.model.chains import CoupledChains
-from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector, save_model
+from invid.model.document import ChainStd, EffectTerm, Model, parameter_vector, save_model
 
 MASSES = [[0.7, 2.0, 3.0], [4.0, 5.0, 6.0]]
 SPRINGS = [[1000.0, 2000.0], [3000.0, 4000.0]]
 
 
 def model(
-    masses: list[list[float]] = MASSES,
-    springs: list[list[float]] = SPRINGS,
-    coupling: float = 1.0,
-    *,
-    relative: float = 0.002,
-    axes: tuple[str, ...] = ("A1", "A2"),
-    effects: tuple[EffectTerm, ...] = (),
+    masses: list[list[float]] = MASSES, springs: list[list[float]] = SPRINGS, *effects: EffectTerm
 ) -> Model:
-    count = len(masses)
-    couplings = np.full((count, count), coupling) - np.diag([coupling] * count)
-    chains = CoupledChains.build(
-        masses, springs, [[0.5 for _ in k] for k in springs], couplings, axes=axes[:count]
-    )
-    std = ChainStd(
-        masses=tuple(relative * m for m in chains.masses),
-        springs=tuple(relative * k for k in chains.springs),
-        dampers=tuple(relative * d for d in chains.dampers),
-        couplings=np.full((count, count), relative * 3),
-        ground_springs=np.full(count, np.nan),
-    )
-    return Model("cell", "refined", chains, std, effects=effects)
+    dampers = [[0.5 for _ in k] for k in springs]
+    return model_of(CoupledChains.build(masses, springs, dampers, 1.0 - np.eye(2)), None, 0.002, *effects)
 
 
 def by_name(c: Comparison, name: str) -> Status:
@@ -93,11 +77,8 @@ def test_another_number_of_masses_compares_the_whole_inertia() -> None:
 
 def rippled(phase: float) -> Model:
     """A model with cogging whose phase is known to 0.02 rad."""
-    values = {
-        "torque": Estimate(0.5, 0.01, "N·m"), "cycles_per_rev": Estimate(24.0, 0.01, "1"),
-        "phase": Estimate(phase, 0.02, "rad"),
-    }  # fmt: skip
-    return model(effects=(EffectTerm("cogging", "A1", values, "mass 1"),))
+    sizes = {"torque": (0.5, 0.01), "cycles_per_rev": (24.0, 0.01), "phase": (phase, 0.02)}
+    return model(MASSES, SPRINGS, term("cogging", "A1", "mass 1", **sizes))
 
 
 def test_a_phase_that_went_past_half_a_turn_changed_by_the_short_way_round() -> None:
@@ -105,13 +86,13 @@ def test_a_phase_that_went_past_half_a_turn_changed_by_the_short_way_round() -> 
     (phase,) = (c for c in result.effects if c.name.endswith(".phase"))
     assert phase.difference == pytest.approx(2 * np.pi - 6.26)
     assert phase.status is not Status.CHANGED
-    (mean,) = pool_models([rippled(3.13), rippled(-3.13)]).effects
+    (mean,) = mean_model([rippled(3.13), rippled(-3.13)]).effects
     assert abs(mean.value("phase")) == pytest.approx(np.pi, abs=1e-3)
 
 
 def test_models_of_different_robots_are_refused_with_the_reason() -> None:
     with pytest.raises(InputError, match="no axis in common"):
-        compare(model(), model(axes=("X", "Y")))
+        compare(model(), replace(model(), chains=replace(model().chains, axes=("X", "Y"))))
     with pytest.raises(InputError, match=r"kg·m²"):
         compare(model(), replace(model(), linear=True))
     with pytest.raises(InputError, match="tolerance"):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_joint_test import NAMES, VALUES, covariance, drawn, model_of
+from stated_models import term
+from test_joint_test import NAMES, VALUES, believed, covariance, drawn
 
-from invid.comparison.baseline import pool_agreeing, pool_models
+from invid.comparison.baseline import pool_agreeing
 from invid.comparison.compare import compare
-from invid.model.document import EffectTerm, Estimate, Model
+from invid.comparison.numbers import mean_model
+from invid.model.document import Model
 
 STD = 2e-3 * np.abs(VALUES)
 ALONE = np.diag(STD**2)
@@ -40,13 +42,14 @@ def test_a_change_of_the_size_called_detectable_is_found_nine_times_in_ten() -> 
 
 def test_a_run_whose_friction_differs_is_not_averaged_and_one_without_it_neither() -> None:
     def rubbing(torque: float) -> Model:
-        value = {"torque": Estimate(torque, 0.01, "N·m")}
-        return model_of(VALUES, ALONE).extended(EffectTerm("coulomb_friction", "A1", value, "mass 1"))
+        return believed(VALUES, ALONE).extended(
+            term("coulomb_friction", "A1", "mass 1", torque=(torque, 0.01))
+        )
 
     same = pool_agreeing(rubbing(1.0), [rubbing(1.01)], 1.0)
     assert len(same) == 2
-    mean = pool_models(same).effects[0].parameters["torque"]
+    mean = mean_model(same).effects[0].parameters["torque"]
     assert mean.value == pytest.approx(1.005)
     assert mean.std == pytest.approx(0.01 / np.sqrt(2))
     assert len(pool_agreeing(rubbing(1.0), [rubbing(1.2)], 1.0)) == 1
-    assert len(pool_agreeing(rubbing(1.0), [model_of(VALUES, ALONE)], 1.0)) == 1
+    assert len(pool_agreeing(rubbing(1.0), [believed(VALUES, ALONE)], 1.0)) == 1

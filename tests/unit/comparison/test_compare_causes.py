@@ -3,72 +3,39 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from stated_models import again, model_of, term
 
-from invid.comparison.causes import CHANGED, compare_causes
-from invid.comparison.changes import CauseChange, CauseStatus, Comparison
+from invid.comparison.causes import compare_causes
+from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.compare import ALPHA, TOLERANCE, compare
 from invid.model.chains import CoupledChains
-from invid.model.document import ChainStd, EffectTerm, Estimate, Model
+from invid.model.document import EffectTerm, Model
 
 AXES = ("A1", "A2", "A3")
 TORQUE, GAP = 0.4, 3e-4
 STD = {"coulomb_friction": 0.01, "viscous_friction": 0.02, "backlash": 1e-5}
 
 
-def friction(axis: str, torque: float = TORQUE, std: float = 0.01) -> EffectTerm:
-    return EffectTerm("coulomb_friction", axis, {"torque": Estimate(torque, std, "N·m")}, "mass 1")
+CHAINS = CoupledChains.build([[1.0, 2.0]] * 3, [[1000.0]] * 3, [[0.5]] * 3, 1e-9 * (1 - np.eye(3)), axes=AXES)
 
 
-def viscous(axis: str, coefficient: float = 0.2) -> EffectTerm:
-    return EffectTerm(
-        "viscous_friction", axis, {"coefficient": Estimate(coefficient, 0.02, "N·m·s/rad")}, "mass 1"
-    )
+def friction(axis: str) -> EffectTerm:
+    return term("coulomb_friction", axis, "mass 1", torque=(TORQUE, STD["coulomb_friction"]))
 
 
-def play(gap: float = GAP, std: float = 1e-5) -> EffectTerm:
-    return EffectTerm("backlash", "A2", {"gap": Estimate(gap, std, "rad")}, "spring 1")
+def viscous(axis: str) -> EffectTerm:
+    return term("viscous_friction", axis, "mass 1", coefficient=(0.2, STD["viscous_friction"]))
+
+
+def play(gap: float = GAP, std: float = STD["backlash"]) -> EffectTerm:
+    return term("backlash", "A2", "spring 1", gap=(gap, std))
 
 
 def model(*effects: EffectTerm, verdict: str | None = "explained", relative: float = 1e-3) -> Model:
-    chains = CoupledChains.build([[1.0, 2.0]] * 3, [[1000.0]] * 3, [[0.5]] * 3, np.zeros((3, 3)), axes=AXES)
-    std = ChainStd(
-        masses=tuple(relative * m for m in chains.masses),
-        springs=tuple(relative * k for k in chains.springs),
-        dampers=tuple(0.05 * d for d in chains.dampers),
-        couplings=np.full((3, 3), 1e-3),
-        ground_springs=np.full(3, np.nan),
-    )
-    fit = {} if verdict is None else {"verdict": verdict}
-    return Model("cell", "refined", chains, std, effects=effects, fit=fit)
-
-
-def drawn(base: Model, rng: np.random.Generator) -> Model:
-    """Another estimate of the same robot: every number off by its own standard deviation."""
-
-    def off(values: tuple, stds: tuple) -> list:
-        return [v + s * rng.standard_normal(v.size) for v, s in zip(values, stds, strict=True)]
-
-    chains = CoupledChains.build(
-        off(base.chains.masses, base.std.masses),
-        off(base.chains.springs, base.std.springs),
-        off(base.chains.dampers, base.std.dampers),
-        base.chains.couplings,
-        axes=AXES,
-    )
-    effects = tuple(
-        replace(
-            t,
-            parameters={
-                n: replace(e, value=e.value + e.std * rng.standard_normal()) for n, e in t.parameters.items()
-            },
-        )
-        for t in base.effects
-    )
-    return replace(base, chains=chains, effects=effects)
+    return model_of(CHAINS, None, relative, *effects, verdict=verdict)
 
 
 def usual() -> tuple[EffectTerm, ...]:
@@ -76,18 +43,16 @@ def usual() -> tuple[EffectTerm, ...]:
     return (*(friction(a) for a in AXES), *(viscous(a) for a in AXES))
 
 
-def of(c: Comparison, name: str) -> CauseChange:
+def of(c: Comparison, name: str) -> Change:
     return next(x for x in c.causes if x.name == name)
 
 
 def test_no_more_than_two_in_a_hundred_pairs_of_runs_call_an_unchanged_cause_changed() -> None:
-    rng = np.random.default_rng(20261124)
-    base, trials = model(*usual(), play()), 200
-    false = 0
+    rng, base, trials, false = np.random.default_rng(20261124), model(*usual(), play()), 200, 0
     for _ in range(trials):
-        causes = compare(drawn(base, rng), drawn(base, rng)).causes
+        causes = compare(again(base, rng), again(base, rng)).causes
         assert len(causes) == 7
-        false += any(c.status in CHANGED for c in causes)
+        false += any(c.status.is_change for c in causes)
     assert false / trials <= 0.02
 
 
@@ -97,13 +62,13 @@ def test_a_cause_that_grew_or_shrank_by_five_deviations_is_found_and_no_other(si
     base, trials = model(*usual(), play()), 1000
     other = GAP + side * 5 * math.sqrt(2) * STD["backlash"]
     changed = model(*usual(), play(other))
-    name, word = "A2.backlash.spring 1", CauseStatus.GREW if side > 0 else CauseStatus.SHRANK
+    name, word = "A2.backlash.spring 1", Status.GREW if side > 0 else Status.SHRANK
     found = others = 0
     for _ in range(trials):
-        pair = drawn(base, rng), drawn(changed, rng)
-        causes = compare_causes(*pair, AXES, alpha=ALPHA, tolerance=TOLERANCE)
+        pair = again(base, rng), again(changed, rng)
+        causes = compare_causes(*pair, AXES, alpha=ALPHA, tolerance=TOLERANCE, scatter=Repeatability())
         found += any(c.status is word and c.name == name for c in causes)
-        others += any(c.status in CHANGED and c.name != name for c in causes)
+        others += any(c.status.is_change and c.name != name for c in causes)
     assert found / trials >= 0.95
     assert others / trials <= 0.03
 
@@ -124,18 +89,18 @@ def test_a_cause_at_the_edge_of_what_is_named_does_not_appear_and_vanish_from_ru
         c = compare(reported(size, 1e-5, rng), reported(size, 1e-5, rng))
         causes = [x for x in c.causes if x.cause == "backlash"]
         one_sided += any(x.old is None or x.new is None for x in causes)
-        wrong += any(x.status in CHANGED for x in causes)
+        wrong += any(x.status.is_change for x in causes)
     assert one_sided > 50  # the case that matters did occur
     assert wrong / 400 <= 0.02
 
 
 def test_a_cause_that_was_nothing_and_is_large_has_appeared_and_the_other_way_round_gone() -> None:
     came = compare(model(*usual()), model(*usual(), play()))
-    assert of(came, "A2.backlash.spring 1").status is CauseStatus.APPEARED
+    assert of(came, "A2.backlash.spring 1").status is Status.APPEARED
     said = "New: free play in the transmission on A2 at spring 1, 0.30 ± 0.01 mrad; check the gear's wear"
     assert any(s.startswith(said) for s in came.sentences)
     went = compare(model(*usual(), play()), model(*usual()))
-    assert of(went, "A2.backlash.spring 1").status is CauseStatus.GONE
+    assert of(went, "A2.backlash.spring 1").status is Status.GONE
     assert came.headlines["en"] == (
         "New: free play in the transmission on A2 at spring 1, 0.30 ± 0.01 mrad. "
         "Before accepting: check the gear's wear, keys and couplings."
@@ -156,5 +121,5 @@ def test_a_cause_that_was_nothing_and_is_large_has_appeared_and_the_other_way_ro
 )
 def test_a_run_that_could_not_have_seen_a_cause_says_nothing_about_it(old: Model, why: str) -> None:
     found = of(compare(old, model(*usual(), play())), "A2.backlash.spring 1")
-    assert found.status is CauseStatus.CANNOT_TELL
+    assert found.status is Status.CANNOT_TELL
     assert why in found.reason

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from stated_models import model_of
 
+from invid.comparison.answers import answer_expectation
 from invid.comparison.compare import compare
-from invid.comparison.expectation import answer_expectation
 from invid.diagnosis.headline import Facts, headline
 from invid.model.chains import case_study
 from invid.model.diagnosis_document import Verdict
-from invid.model.document import ChainStd, Model, model_from_json, model_to_json
+from invid.model.document import Model, parameter_vector
 from invid.model.expectation import Agreement, Answer, Expectation, Subject
 
 TOOL = Expectation(Subject.TOOL, "A2", 1.3)
@@ -22,19 +23,14 @@ def model(relative: float = 1e-3, **parts: float) -> Model:
     """The case study with its masses, springs and couplings known to ``relative``; ``parts`` are added to the
     final mass of an axis ("A2") or to its first spring ("A2_spring")."""
     chains = case_study(damping_ratio=0.01)
-    masses = [np.array(m, dtype=float) for m in chains.masses]
-    springs = [np.array(s, dtype=float) for s in chains.springs]
+    names, values = parameter_vector(chains)
+    found = dict(zip(names, values, strict=True))
     for name, by in parts.items():
-        axis, _, spring = name.partition("_")
-        (springs if spring else masses)[chains.axes.index(axis)][0 if spring else -1] += by
-    chains = replace(chains, masses=tuple(masses), springs=tuple(springs))
-    document = model_to_json(Model("r", "refined", chains, ChainStd.unknown(chains)))
-    estimates = [
-        e for b in document["branches"] for kind in ("masses", "springs", "dampers") for e in b[kind]
-    ]
-    for estimate in [*estimates, *document["couplings"]]:
-        estimate["std"] = relative * max(abs(estimate["value"]), 0.1)
-    return model_from_json(document, source="test")
+        axis, _, is_spring = name.partition("_")
+        found[
+            f"{axis}.spring.1" if is_spring else f"{axis}.mass.{len(chains.masses[chains.axes.index(axis)])}"
+        ] += by
+    return model_of(chains, found, relative * np.maximum(np.abs(values), 0.1))
 
 
 def answer(said: Expectation, relative: float = 1e-3, **parts: float) -> Answer:

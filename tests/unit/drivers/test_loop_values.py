@@ -17,9 +17,9 @@ from invid.recording import read_recording
 from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.feedforward import NONE
 from invid.tuning.motor_scale import MotorScale
+from invid.tuning.page import sentence
 from invid.tuning.servo_loop import DriveTiming, Gains, Notch
 from invid.tuning.verification import Verdict, Verification, verify
-from invid.tuning.verification_document import sentence
 from invid_drivers.connect import connect
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.values.applying import Proposal, apply, propose, undo, written_entries

@@ -13,8 +13,8 @@ from service_doubles import CELL, Director, model_document, running, wait_for
 
 import invid
 from invid.cli.app import run
+from invid.comparison.answers import judge_screening
 from invid.comparison.compare import compare
-from invid.comparison.screening import judge_screening
 from invid.config import load_config
 from invid.errors import InputError, InvidError
 from invid.model.diagnosis_document import diagnosis_from_json

@@ -115,8 +115,8 @@ def test_the_tuned_values_follow_better_than_the_timid_ones():
 
 def test_both_simulators_see_the_same_errors():
     for loop, figures in (
-        (axis(OLD_LOAD).before, axis(OLD_LOAD).move_before),
-        (axis(OLD_LOAD).after, axis(OLD_LOAD).move_after),
+        (axis(OLD_LOAD).before, axis(OLD_LOAD).before.move),
+        (axis(OLD_LOAD).after, axis(OLD_LOAD).after.move),
     ):
         there = run_in_mujoco(loop, OLD_LOAD)
         assert there.following == pytest.approx(figures.following, rel=0.15)
@@ -142,5 +142,5 @@ def test_invids_own_plant_says_the_same_of_the_stale_values():
     command = reference_move(tuned(NEW_LOAD).plant, TuneSettings().timing)
     run = run_loops(model(NEW_LOAD), [axis(OLD_LOAD).after], command, TuneSettings().timing)
     stale = move_figures(run, command)[0]
-    assert stale.following > axis(NEW_LOAD).move_after.following
+    assert stale.following > axis(NEW_LOAD).after.move.following
     assert stale.following == pytest.approx(run_in_mujoco(axis(OLD_LOAD).after, NEW_LOAD).following, rel=0.15)

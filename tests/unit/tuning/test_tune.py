@@ -30,9 +30,9 @@ def test_margins_hold_in_machines_drawn_anew():
 
 def test_the_move_is_better_than_with_the_timid_gains():
     for axis in tuned().axes:
-        assert axis.move_after.following < 0.3 * axis.move_before.following
-        assert axis.move_after.at_load < axis.move_before.at_load
-        assert np.isfinite(axis.move_after.settling)
+        assert axis.after.move.following < 0.3 * axis.before.move.following
+        assert axis.after.move.at_load < axis.before.move.at_load
+        assert np.isfinite(axis.after.move.settling)
 
 
 def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_the_findings():
@@ -45,7 +45,7 @@ def test_what_repair_buys_is_what_the_machine_without_the_cause_shows_and_ranks_
     loops = [a.after for a in tuning.axes]
     run = run_loops(whole, loops, tuning.command, tuning.settings.timing)
     then = move_figures(run, tuning.command)[1]
-    assert play.at_load == pytest.approx((tuning.axes[1].move_after.at_load, then.at_load))
+    assert play.at_load == pytest.approx((tuning.axes[1].after.move.at_load, then.at_load))
     assert play.bought > 0
 
 
@@ -67,7 +67,7 @@ def test_coarse_encoders_bound_the_gains_and_the_torque_they_make_is_the_one_for
     ideal = run_loops(coarse, loops, tuning.command, timing)
     shown = run_loops(coarse, loops, tuning.command, timing, np.full(2, count))
     for i, axis in enumerate(tuning.axes):
-        foretold = axis.margins_after.ripple
+        foretold = axis.after.margins.ripple
         assert foretold <= 1.15 * 0.01 * rated
         assert np.std((shown.torque - ideal.torque)[move, i]) == pytest.approx(foretold, rel=0.3)
         assert axis.after.gains.velocity_gain < 0.8 * tuned().axes[i].after.gains.velocity_gain
