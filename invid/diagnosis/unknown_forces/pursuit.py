@@ -133,7 +133,7 @@ def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Motion, shapes and numbers in turn until the value stands."""
     for number in range(rounds):
         moved = now.with_agreed_motors() if number < MOTORS_AGREED else now
-        if any(p.needs_fit for p in now.hypothesis.laws):
+        if now.follows_fit:
             ways = (True,) if moved.motions.is_agreed else moved.ways
             moved = min((moved.renewed(agreed=a) for a in ways), key=lambda f: f.total)
         moved = reshape(moved)
@@ -142,7 +142,7 @@ def settle(now: Supposed, rounds: int = 5) -> Supposed:
             now = moved
         if gained < 4.0:
             break
-    return now.kept_settled()
+    return now
 
 
 def try_channels(now: Supposed) -> list[Trial]:

@@ -113,7 +113,7 @@ def _rivals_of(end: Supposed, worth: Worth, pursued: Pursued, *, linear: bool) -
         # One of many laws that have no name: it has to do as well as the cause that has one.
         more += COMPETES if isinstance(placed.law, SmoothLaw) else 0.0
         found = with_law(less, placed)
-        rivals.append((placed.law.cause, placed.spot, more, found.kept_settled()))
+        rivals.append((placed.law.cause, placed.spot, more, found))
     if isinstance(worth.key, tuple) and isinstance(worth.key[0], Channel):
         channel, axis = worth.key
         other = next(c for c in Channel if c is not channel)

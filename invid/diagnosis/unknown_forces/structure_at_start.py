@@ -14,18 +14,16 @@ from invid.identification.contest import (
     astray,
     bent_axes,
     brought_home,
+    home_beside_springs,
+    is_lost,
     is_settled,
     lowest_fit,
-    torque_rms,
 )
 from invid.identification.own_time import tones_of
 from invid.likelihood.unknown_forces.price import price
 from invid.likelihood.unknown_forces.supposition import Bench, Supposed
 from invid.model.plant import Structure
 
-LOST = 0.1
-"""Unknown force behind the motors over the torque's rms from which a chain may lack a mode: what is weaker a
-law explains from where the fit stands (empirical: 0.6 and more on cells of another hand that lacked one)."""
 LEADERS = 2
 """Structures that are fitted to the end of those that a scan shows."""
 
@@ -39,19 +37,17 @@ def begin_with_structure(
     the same.
     """
     lowest = lowest_fit(bench, structure, kept, known)
-    shown = _with_what_scan_shows(lowest) if _is_lost(lowest) else lowest
+    tied = home_beside_springs(lowest, frozenset())
+    if tied is not None:
+        return tied
+    shown = _with_what_scan_shows(lowest) if is_lost(lowest) else lowest
     starts = [shown, lowest] if is_settled(shown) or not tones_of(lowest) else [lowest]
     ends: list[Supposed] = []
     for start in dict.fromkeys(starts):
         ends.append(brought_home(start, bent_axes(start)))
-        if not _is_lost(ends[-1]):
+        if not is_lost(ends[-1]):
             break
     return min(ends, key=_priced)
-
-
-def _is_lost(now: Supposed) -> bool:
-    """Whether so much acts behind the motors that a chain may lack a mode."""
-    return now.inner_strength > LOST * torque_rms(now.bench)
 
 
 def _with_what_scan_shows(now: Supposed) -> Supposed:

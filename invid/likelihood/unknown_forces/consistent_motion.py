@@ -28,7 +28,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from invid.effects.supposed.law import SpotMotion
 from invid.likelihood.unknown_forces.smoother import SmoothedStack
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.numerics.newton_descent import ARRIVED
 from invid.signals.record import Record
 
@@ -109,11 +109,12 @@ def agree(stack: SmoothedStack, place: int, vector: Float64, law: LawOfMotion) -
 
 
 def _from_afar(start: _At) -> _At:
-    """The motion that is followed from laws averaged over wide offsets to the laws themselves."""
-    law, now = start.law, start
+    """The motion that is followed from laws averaged over wide offsets to the laws themselves, on the lines
+    of the record's period until there."""
+    law, now = start.law, start.on(start.at.repeating)
     for share in BLURS:
         now = _descend(now.by(law.averaged(share, start.at.stack.stride)), STEPS_ON_THE_WAY)
-    return _descend(now.by(law), STEPS)
+    return _descend(now.on(start.at).by(law), STEPS)
 
 
 def _descend(now: _At, steps: int) -> _At:
@@ -144,7 +145,7 @@ class _Place:
 
     ``missing`` (R, A, M), ``reach`` (A, M), ``jumps`` (A, M, 2n): r, H and E, whitened. ``receptance`` (A,):
     X. ``by_ends``: motion by each end alone; ``ends``, ``ends_rate`` (2n, k + 1): B, position and velocity by
-    it. ``force`` (R, A): F. ``unknown``: lines on which F does not follow the law.
+    it. ``force`` (R, A): F. ``unknown`` (L,): lines on which F does not follow the law; it does ``beyond``.
     """
 
     stack: SmoothedStack
@@ -160,7 +161,8 @@ class _Place:
     ends: Float64
     ends_rate: Float64
     force: Complex128
-    unknown: int
+    unknown: Int64
+    beyond: int
 
     @classmethod
     def of(cls, stack: SmoothedStack, place: int, vector: Float64, law: LawOfMotion) -> _Place:
@@ -175,6 +177,7 @@ class _Place:
         by_ends = stack.motion_by_ends()
         receptance = stack.condensed.receptance @ vector @ vector
         moving = np.flatnonzero(np.abs(receptance) * (law.smoothed[0].own or 0.0) > FOLLOWING)
+        beyond = min(MOST_LINES, int(moving.max(initial=0)) + 1)
         return cls(
             stack,
             place,
@@ -188,14 +191,21 @@ class _Place:
             by_ends,
             *by_ends.over_time(vector),
             np.array(was) + unknown,
-            min(MOST_LINES, int(moving.max(initial=0)) + 1),
+            np.arange(beyond),
+            beyond,
         )
+
+    @cached_property
+    def repeating(self) -> _Place:
+        """The same with the lines of the records' period alone unknown."""
+        periods = max(1, self.stack.stack.records[0].periods)
+        return replace(self, unknown=self.unknown[self.unknown % periods == 0])
 
     @cached_property
     def told(self) -> Float64:
         """(2L + 2n, 2L + 2n) squares of whitened torque and of the ends, by real and imaginary F on the
         unknown lines and by the ends."""
-        some, weight = slice(self.unknown), self.stack.weight
+        some, weight = self.unknown, self.stack.weight
         reach = self.reach.conj() * weight[:, None]
         own = np.tile((reach[some] * self.reach[some]).real.sum(axis=1), 2)
         cross = (reach[some, :, None] * self.jumps[some]).sum(axis=1)
@@ -246,6 +256,10 @@ class _At:
         """The same motion with other laws."""
         return _At.of(self.at, self.record, law, self.change)
 
+    def on(self, at: _Place) -> _At:
+        """The same where other lines are unknown."""
+        return replace(self, at=at)
+
     @cached_property
     def slopes(self) -> tuple[Float64, Float64]:
         """(k,) derivatives of the laws by position and by velocity on the coarse grid."""
@@ -276,22 +290,22 @@ class _At:
 
     def stepped(self, damping: float) -> _At:
         """The motion after a damped step on the unknown lines, beyond them as the law there has it."""
-        at, lines = self.at, self.at.unknown
+        at, lines, count = self.at, self.at.unknown, self.at.unknown.size
         matrix, pull = self._normal
         unit = np.sqrt(np.diag(matrix)) + 1e-300
         scaled = matrix / unit[:, None] / unit
         scaled[np.diag_indices_from(scaled)] += damping
         step = -cho_solve(cho_factor(scaled, check_finite=False), pull / unit) / unit
         force = self.change.force.copy()
-        force[:lines] += step[:lines] + 1j * step[lines : 2 * lines]
-        found = _At.of(at, self.record, self.law, _Change(force, self.change.ends + step[2 * lines :]))
-        followed = np.concatenate((force[:lines], force[lines:] - found.apart[lines:]))
+        force[lines] += step[:count] + 1j * step[count : 2 * count]
+        found = _At.of(at, self.record, self.law, _Change(force, self.change.ends + step[2 * count :]))
+        followed = np.concatenate((force[: at.beyond], (force - found.apart)[at.beyond :]))
         return _At.of(at, self.record, self.law, replace(found.change, force=followed))
 
     @cached_property
     def _normal(self) -> tuple[Float64, Float64]:
         """The matrix of a step without damping, and half the gradient."""
-        at, some, weight = self.at, slice(self.at.unknown), self.at.stack.weight
+        at, some, weight = self.at, self.at.unknown, self.at.stack.weight
         share = np.sqrt(weight / at.power)[some]
         by_law = self._drift * np.tile(share, 2)[:, None]
         away = self.apart[some] * share
@@ -305,27 +319,27 @@ class _At:
         """(2L, 2L + 2n) how far force and laws part on the unknown lines by real and imaginary force on them,
         and by the ends."""
         at, stack, lines = self.at, self.at.stack, self.at.unknown
-        answers = at.receptance[:lines], 1j * stack.omega[:lines] * at.receptance[:lines]
-        straight, turned = np.eye(lines, dtype=complex), np.zeros((lines, lines), dtype=complex)
-        swung = np.zeros((lines, at.ends.shape[0]), dtype=complex)
-        halved = np.where(np.arange(lines) == 0, 0.5, 1.0)  # a wave's mean is half its line
+        answers = at.receptance[lines], 1j * stack.omega[lines] * at.receptance[lines]
+        straight, turned = np.eye(lines.size, dtype=complex), np.zeros((lines.size,) * 2, dtype=complex)
+        swung = np.zeros((lines.size, at.ends.shape[0]), dtype=complex)
+        halved = np.where(lines == 0, 0.5, 1.0)  # a wave's mean is half its line
         for factor, answer, ends in zip(self.slopes, answers, (at.ends, at.ends_rate), strict=True):
             toeplitz, hankel = _product(factor, lines)
             straight += toeplitz * answer * halved
             turned += hankel * answer.conj() * halved
-            swung -= stack.coarse_lines(factor * ends[:, : -1 : stack.stride])[:, :lines].T
+            swung -= stack.coarse_lines(factor * ends[:, : -1 : stack.stride])[:, lines].T
         real, imaginary = straight + turned, straight - turned
         return np.block([[real.real, -imaginary.imag, swung.real], [real.imag, imaginary.real, swung.imag]])
 
 
-def _product(factor: Float64, lines: int) -> tuple[Complex128, Complex128]:
-    """(L, L) T and K with which a wave of lines u, times a factor (k,) in time, has lines T·u + K·u*."""
+def _product(factor: Float64, lines: Int64) -> tuple[Complex128, Complex128]:
+    """(L, L) T and K with which a wave of ``lines`` (L,) u, times a factor (k,) in time, has on them
+    T·u + K·u*."""
     found = np.fft.rfft(factor) / factor.size
-    found = np.pad(found, (0, max(0, 2 * lines - found.size)))
-    line = np.arange(lines)
-    apart = line[:, None] - line
+    found = np.pad(found, (0, max(0, 2 * int(lines.max()) + 1 - found.size)))
+    apart = lines[:, None] - lines
     toeplitz = np.where(apart >= 0, found[np.abs(apart)], found[np.abs(apart)].conj())
-    return toeplitz, found[line[:, None] + line]
+    return toeplitz, found[lines[:, None] + lines]
 
 
 def _slopes(resistance: Law, at: SpotMotion) -> tuple[Float64, Float64]:

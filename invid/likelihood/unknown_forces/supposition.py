@@ -12,7 +12,7 @@ import numpy as np
 from invid.effects.supposed.law import Shape, SpotMotion
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import TO_THE_END, Fit, fit
-from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours, missing_noise
+from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, missing_noise
 from invid.likelihood.unknown_forces.motions import Motions, PlacedLaw, axis_of, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws, Part
 from invid.likelihood.unknown_forces.motor_motion import Friction, agreed_records
@@ -142,6 +142,19 @@ def _wide(placed: PlacedLaw, motions: Motions, coefficient: int, number: int) ->
 
 
 @dataclass(frozen=True, eq=False)
+class _OnKept:
+    """Records kept out at what was fitted to others."""
+
+    motions: Motions
+    problem: Problem
+    value: Value
+
+    def smoothed(self, laws: Sequence[PlacedLaw], *, agreed: bool) -> Motions:
+        """Their motion smoothed anew."""
+        return self.motions.renewed(self.problem, self.value, laws, agreed=agreed)
+
+
+@dataclass(frozen=True, eq=False)
 class Supposed:
     """A hypothesis with its fit, the motions its laws were evaluated on, and the same of the records kept
     out."""
@@ -175,17 +188,41 @@ class Supposed:
         is_bent = any(p.spot.where is Where.SPRING for p in self.hypothesis.laws)
         return (False, True) if is_bent else (False,)
 
-    @cached_property
+    @property
     def kept_value(self) -> Value | None:
-        """−2 ln L of the records kept out, at the numbers, strengths and coefficients that were fitted."""
+        """−2 ln L of the records kept out, at the numbers, strengths and coefficients that were fitted, and
+        on inner motion that is smoothed at them until it stands."""
+        return None if self._kept_at_rest is None else self._kept_at_rest.value
+
+    @cached_property
+    def _kept_at_rest(self) -> _OnKept | None:
         if self.kept is None or self.kept_motions is None:
             return None
-        problem = replace(
-            self.fit.problem,
-            stacks=self.kept.stacks,
-            columns=self.kept.columns(self.hypothesis, self.kept_motions),
-        )
-        return evaluate(problem, self.numbers, self.fit.value.coefficients)
+        known = self._on_kept(self.kept, self.kept_motions)
+        for _ in range(KEPT_ROUNDS if self.follows_fit else 0):
+            before = known.value
+            known = self._on_kept(
+                self.kept, known.smoothed(self.hypothesis.laws, agreed=self.motions.is_agreed)
+            )
+            if abs(float(known.value.share.sum() - before.share.sum())) < 1.0:
+                break
+        return known
+
+    def _on_kept(self, kept: Bench, motions: Motions) -> _OnKept:
+        columns = kept.columns(self.hypothesis, motions)
+        problem = replace(self.fit.problem, stacks=kept.stacks, columns=columns)
+        return _OnKept(motions, problem, evaluate(problem, self.numbers, self.fit.value.coefficients))
+
+    @property
+    def _kept_known(self) -> Motions | None:
+        """Motion of the records kept out as far as it was smoothed."""
+        known: _OnKept | None = vars(self).get("_kept_at_rest")
+        return self.kept_motions if known is None else known.motions
+
+    @property
+    def follows_fit(self) -> bool:
+        """Whether a law is on motion that a fit has said."""
+        return any(p.needs_fit for p in self.hypothesis.laws)
 
     @property
     def kept_total(self) -> float:
@@ -208,7 +245,8 @@ class Supposed:
         if start.plant.structure == self.numbers.plant.structure:
             problem = replace(problem, centre=self.fit.problem.centre)
         start, problem = bounded(start, problem, changed)
-        return replace(self, hypothesis=changed, fit=fit(problem, start, iterations, target))
+        found = fit(problem, start, iterations, target)
+        return replace(self, hypothesis=changed, fit=found, kept_motions=self._kept_known)
 
     def renewed(self, iterations: int = TO_THE_END, *, agreed: bool = False) -> Supposed:
         """The same with inner motion smoothed anew."""
@@ -227,7 +265,10 @@ class Supposed:
             self.hypothesis.laws,
             agreed=agreed or self.motions.is_agreed,
         )
-        return replace(self._kept_smoothed(agreed=motions.is_agreed), motions=motions)
+        kept = self._kept_known
+        if not self.follows_fit and self._kept_at_rest is not None:  # where a law will start from
+            kept = self._kept_at_rest.smoothed((), agreed=False)
+        return replace(self, motions=motions, kept_motions=kept)
 
     def with_agreed_motors(self) -> Supposed:
         """The same on motor motion that agrees with friction as it is found."""
@@ -240,36 +281,11 @@ class Supposed:
             return self
         stacks = _agreed(smooth(self.fit.problem, self.fit.value), friction)
         now = replace(self, bench=Bench(stacks), motions=self.motions.on(stacks))
-        known = self._kept_problem
-        if known is not None and self.kept_motions is not None:
-            stacks = _agreed(smooth(*known), friction)
-            now = replace(now, kept=Bench(stacks), kept_motions=self.kept_motions.on(stacks))
+        if self.kept is not None and self._kept_known is not None:
+            known = self._on_kept(self.kept, self._kept_known)
+            stacks = _agreed(smooth(known.problem, known.value), friction)
+            now = replace(now, kept=Bench(stacks), kept_motions=known.motions.on(stacks))
         return now.refit()
-
-    @property
-    def _kept_problem(self) -> tuple[Problem, Value] | None:
-        if self.kept is None or self.kept_motions is None or self.kept_value is None:
-            return None
-        columns = self.kept.columns(self.hypothesis, self.kept_motions)
-        return replace(self.fit.problem, stacks=self.kept.stacks, columns=columns), self.kept_value
-
-    def _kept_smoothed(self, *, agreed: bool) -> Supposed:
-        known, kept = self._kept_problem, self.kept_motions
-        if known is None or kept is None:
-            return self
-        return replace(self, kept_motions=kept.renewed(*known, self.hypothesis.laws, agreed=agreed))
-
-    def kept_settled(self) -> Supposed:
-        """The same with inner motion of the records kept out smoothed until their value stands: no fit does
-        it."""
-        now = self
-        for _ in range(KEPT_ROUNDS if any(p.needs_fit for p in self.hypothesis.laws) else 0):
-            moved = now._kept_smoothed(agreed=self.motions.is_agreed)
-            stands = abs(moved.kept_total - now.kept_total) < 1.0
-            now = moved
-            if stands:
-                break
-        return now
 
     def in_structure(
         self, moved: Correspondence, added: Mapping[Element, float], iterations: int = TO_THE_END
@@ -279,8 +295,8 @@ class Supposed:
 
         Laws at places that are gone go too.
         """
-        kept, known = self.kept_motions, self.fit.problem.spots.number
-        first = np.full(2, np.median(self.numbers.strength))
+        kept, known = self._kept_known, self.fit.problem.spots.number
+        first = np.full(self.numbers.strength.shape[1], np.median(self.numbers.strength))
         strength = {moved.spot(spot): self.numbers.strength[k] for spot, k in known.items()}
         numbers = replace(
             self.numbers,
@@ -305,7 +321,7 @@ class Supposed:
         """Rms of the unknown force at every place [N·m], the strongest first."""
         problem = self.fit.problem
         power = sum(
-            (colours(s.omega, problem.corner) * s.weight[:, None]).sum(axis=0) @ self.numbers.strength.T
+            (s.colours(problem.corner) * s.weight[:, None]).sum(axis=0) @ self.numbers.strength.T
             for s in problem.stacks
         ) / len(problem.stacks)
         rms = np.sqrt(power / 2.0)
@@ -380,6 +396,6 @@ def suppose(
 
 
 def first_strength(stacks: Sequence[Stack], structure: Structure) -> Float64:
-    """(P, 2) small strengths to start from."""
-    noise = float(np.mean([s.torque_noise.mean() for s in stacks]))
-    return np.full((len(Spots.of(structure).spots), 2), FIRST * noise)
+    """(P, K) small strengths to start from."""
+    noise, kinds = float(np.mean([s.torque_noise.mean() for s in stacks])), stacks[0].colours(1.0).shape[1]
+    return np.full((len(Spots.of(structure).spots), kinds), FIRST * noise)
