@@ -53,17 +53,28 @@ def read_holds(records: Sequence[Record]) -> list[Record]:
     """
     out = list(records)
     for m in range(records[0].hold.size if records else 0):
-        seen = [_normal_of_hold(r, m) for r in records]
-        normal = np.sum([n for n, _ in seen], axis=0)
-        if not normal[1, 1]:
-            continue
-        stiffness, damping = np.linalg.solve(normal, np.sum([p for _, p in seen], axis=0))
-        if stiffness <= 0.0 or np.sqrt(np.linalg.inv(normal)[0, 0]) > SURE_HOLD * stiffness:
-            continue
-        for k, record in enumerate(out):
-            if np.isnan(record.hold[m]):
-                out[k] = record.with_hold(m, stiffness, damping)
+        # An axis may be held otherwise while it is driven; where that shows nothing it is held as else.
+        seen = [(bool(r.driven[m]), _normal_of_hold(r, m)) for r in records]
+        laws = {state: _law_of([found for d, found in seen if d is state]) for state in (False, True)}
+        for k, (driven, _) in enumerate(seen):
+            law = laws[driven] or laws[not driven]
+            if law is not None and np.isnan(out[k].hold[m]):
+                out[k] = out[k].with_hold(m, *law)
     return out
+
+
+def _law_of(seen: Sequence[tuple[Float64, Float64]]) -> tuple[float, float] | None:
+    """Stiffness and damping of a hold by normal equations of several records; ``None`` where they are not
+    sure."""
+    normal, pull = (
+        (np.sum(part, axis=0) for part in zip(*seen, strict=True)) if seen else (np.zeros((2, 2)),) * 2
+    )
+    if not normal[1, 1]:
+        return None
+    stiffness, damping = np.linalg.solve(normal, pull)
+    if stiffness <= 0.0 or np.sqrt(np.linalg.inv(normal)[0, 0]) > SURE_HOLD * stiffness:
+        return None
+    return float(stiffness), float(damping)
 
 
 def _normal_of_hold(record: Record, axis: int) -> tuple[Float64, Float64]:
