@@ -86,15 +86,15 @@ def begin_elastic(
     begun = _begin(recording, sizes, before, start)
     tones = tones_of(begun.first)
     if not tones or budget.is_left_out("torque that keeps its own time"):
-        return _between_periods(begun)
+        return _each_period(begun)
     hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
     again = _begin(remove_tones(recording, hz), sizes, before, start)
     worse = _whole(again.first) - _whole(begun.first)
     if worse > 3 * NUMBER * len(hz):
-        return _between_periods(
+        return _each_period(
             begun
         )  # a part of the motion was taken out: what keeps its own time is on no line of a period
-    return _between_periods(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
+    return _each_period(replace(again, tones=sized(tones, recording, again.first.numbers.plant)))
 
 
 def _whole(found: Supposed) -> float:
@@ -102,20 +102,18 @@ def _whole(found: Supposed) -> float:
     return found.total + found.kept_total
 
 
-def _between_periods(begun: Begun) -> Begun:
-    """The same with the lines between those of a period where the machine changes within a record: a period's
-    show the mean of what it was.
+def _each_period(begun: Begun) -> Begun:
+    """The same with every period on its own where the machine changes within a record: a period's lines show
+    the mean of what it was.
 
     Of a torque that went through a low-pass nobody knows what its noise is within the band.
     """
     if any(roll_off(e, torque) for e in begun.recording.experiments for torque in e.torque.T):
         return begun
-    if not changes_within(begun.first) or budget.is_left_out("what changes from period to period"):
+    if not changes_within(begun.first) or budget.is_left_out("each period on its own"):
         return begun
-    benches = _benches(records_of(begun.recording, changing=True))
-    numbers = begun.first.numbers
-    strength = np.tile(numbers.strength, 2)  # between the lines as on them, until a fit knows better
-    first = suppose(benches, begun.first.hypothesis, replace(numbers, strength=strength))
+    benches = _benches(records_of(begun.recording, by_period=True))
+    first = suppose(benches, begun.first.hypothesis, begun.first.numbers)
     return replace(begun, first=reshape(scan_friction(first)))
 
 
@@ -152,7 +150,7 @@ def _begin(recording: Recording, sizes: Sequence[int] | None, known: Known, star
 
 def on_all_records(now: Supposed, recording: Recording) -> Supposed:
     """A hypothesis without laws fitted to every record of a recording, none kept out."""
-    bench = _bench(all_records(recording, changing=now.bench.stacks[0].records[0].changes))
+    bench = _bench(all_records(recording))
     return reshape(suppose((bench, None), now.hypothesis, now.numbers))
 
 

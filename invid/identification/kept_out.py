@@ -39,11 +39,11 @@ class Split:
     stopgap: tuple[str, ...] = ()
 
 
-def records_of(recording: Recording, *, changing: bool = False) -> Split:
+def records_of(recording: Recording, *, by_period: bool = False) -> Split:
     """The experiments as records on lines up to one frequency for all, split in those to fit and those kept
     out.
 
-    ``changing``: of a machine that changes from one period to the next.
+    ``by_period``: every period is a record of its own.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def records_of(recording: Recording, *, changing: bool = False) -> Split:
         Records too short for a plant.
     """
     experiments, warnings = _with_true_periods(recording)
-    parts = _Parts(recording, experiments, changing)
+    parts = _Parts(recording, experiments, by_period)
     if not parts.train:
         raise InputError(f"{recording.source}: no experiment with role 'identify'")
     fitted, kept, said = _split(parts)
@@ -71,11 +71,10 @@ def records_of(recording: Recording, *, changing: bool = False) -> Split:
     return Split(tuple(fitted), tuple(kept), tuple(warnings), (said,) if said else ())
 
 
-def all_records(recording: Recording, *, changing: bool = False) -> list[Record]:
-    """Every experiment as a record, none kept out; ``changing``: of a machine that changes from one period to
-    the next."""
+def all_records(recording: Recording) -> list[Record]:
+    """Every experiment as a record, none kept out."""
     experiments, _ = _with_true_periods(recording)
-    parts = _Parts(recording, experiments, changing)
+    parts = _Parts(recording, experiments, False)
     return _with_holds(parts.records(parts.experiments), parts)
 
 
@@ -113,7 +112,7 @@ def _with_true_periods(recording: Recording) -> tuple[tuple[Experiment, ...], li
 class _Parts:
     recording: Recording
     experiments: tuple[Experiment, ...]
-    changing: bool
+    by_period: bool
 
     @cached_property
     def train(self) -> list[Experiment]:
@@ -146,14 +145,23 @@ class _Parts:
         """The experiments as records."""
         origin = min(float(e.time[0]) for e in self.experiments)
         resolution = self.recording.encoder_resolution
-        records = [replace(make_record(e, resolution, self.band), origin=origin) for e in experiments]
-        return [r.changing() for r in records] if self.changing else records
+        if self.by_period:
+            experiments = [part for e in experiments for part in _periods_of(e)]
+        return [replace(make_record(e, resolution, self.band), origin=origin) for e in experiments]
 
     @cached_property
     def band(self) -> float:
         """Highest frequency of interest in any of them [Hz]."""
         resolution = self.recording.encoder_resolution
         return self.top or max(make_record(e, resolution).top_hz for e in self.shaken or self.train)
+
+
+def _periods_of(e: Experiment) -> list[Experiment]:
+    """Every whole period on its own, with the sample before it where there is one."""
+    if e.periods < 2:
+        return [e]
+    starts = [e.samples - e.period_samples * k for k in range(e.periods, 0, -1)]
+    return [e.cut(slice(max(first - 1, 0), first + e.period_samples)) for first in starts]
 
 
 def _last_period_apart(e: Experiment) -> tuple[Experiment, Experiment]:

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.numerics.arrays import Bool, Complex128, Float64, Int64
+from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording.model import Experiment, Role
 from invid.signals.band import elastic_band, excited_band, sparse_lines
 from invid.signals.demand import command_within
@@ -102,8 +102,6 @@ class Record:
         Time by which the torque is recorded after it acted, where the command tells [s].
     is_hold_sampled
         Whether the holds are computed once a sample and act with the command.
-    changes
-        Whether the machine changes from one period to the next.
     """
 
     key: str
@@ -130,18 +128,6 @@ class Record:
     command: Complex128 | None = None
     late: float = 0.0
     is_hold_sampled: bool = False
-    changes: bool = False
-
-    def changing(self) -> Record:
-        """The record of a machine that changes from period to period: with the lines between as well."""
-        number = np.flatnonzero(self.wide <= 2 * np.pi * DENSE * self.top_hz)
-        return replace(self, used=np.union1d(self.used, number), changes=True)
-
-    def between(self, omega: Float64) -> Bool | None:
-        """(F,) which lines [rad/s] lie between those of a period, where the machine changes; else none."""
-        if not self.changes:
-            return None
-        return np.asarray(np.round(omega * self.span / (2 * np.pi)) % max(self.periods, 1) != 0)
 
     @cached_property
     def omega(self) -> Float64:

@@ -31,7 +31,7 @@ from invid.effects.supposed.law import Shape, SupposedLaw
 from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
 from invid.likelihood.unknown_forces.descent import fit
-from invid.likelihood.unknown_forces.forces import Spot, Where
+from invid.likelihood.unknown_forces.forces import Spot, Where, colours
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.price import FITTED, KEPT, PARTS, price, price_at_motors
@@ -180,11 +180,11 @@ class Screen:
 
     @cached_property
     def rises(self) -> tuple[list[tuple[Complex128, Float64]], Float64]:
-        """Of each stack the whitened reach (F, M, P) of the unknown forces and the share (F, P, K, Q) of a
-        torque along it that risen strengths take up; what they cost (P, K, Q)."""
+        """Of each stack the whitened reach (F, M, P) of the unknown forces and the share (F, P, 2, Q) of a
+        torque along it that risen strengths take up; what they cost (P, 2, Q)."""
         problem, value = self.end.fit.problem, self.end.fit.value
         reach = [w.noise.whitener @ w.noise.reach for w in value.work]
-        colour = [w.stack.colours(problem.corner)[:, None] for w in value.work]
+        colour = [colours(w.stack.omega, problem.corner)[:, None] for w in value.work]
         felt = [(np.abs(h) ** 2).sum(axis=1)[..., None] * g for h, g in zip(reach, colour, strict=True)]
         risen = RISES / np.maximum(np.max([f.max(axis=0) for f in felt], axis=0), 1e-300)[..., None]
         taken, cost = [], np.zeros(risen.shape)

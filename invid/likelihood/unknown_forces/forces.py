@@ -14,13 +14,15 @@ from functools import cached_property
 import numpy as np
 
 from invid.model.plant import Structure
-from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.numerics.arrays import Complex128, Float64
 
 CORNER = 0.4
 """Corner of the coloured force over the highest excited line: friction and play fall off with frequency, a
 torque that ripples does not (empirical: 5 Hz for a band of 12)."""
 LEAST, FIRST = 1e-9, 1e-3
 """Least and first strength over the torque noise of a line: a strength of zero could not grow again."""
+COLOURS = 2
+"""Kinds of unknown force at each place: one that falls off with frequency, one that does not."""
 
 
 class Where(Enum):
@@ -66,16 +68,10 @@ class Spots:
         return {spot: k for k, spot in enumerate(self.spots)}
 
 
-def colours(omega: Float64, corner: float, between: Bool | None = None) -> Float64:
-    """(F, 2) power of the kinds of unknown force over frequency, one that falls off from ``corner`` [rad/s]
-    on and one that does not; (F, 4) with others on lines ``between`` (F,) those of a period.
-
-    What returns with the period is one force, whatever the number of periods; what does not is another.
-    """
-    kinds = np.stack((1.0 / (1.0 + (omega / corner) ** 2), np.ones(omega.size)), axis=1)
-    if between is None:
-        return kinds
-    return np.concatenate((kinds * ~between[:, None], kinds * between[:, None]), axis=1)
+def colours(omega: Float64, corner: float) -> Float64:
+    """(F, 2) power of the two kinds of unknown force over frequency; ``corner`` [rad/s]."""
+    out: Float64 = np.stack((1.0 / (1.0 + (omega / corner) ** 2), np.ones(omega.size)), axis=1)
+    return out
 
 
 @dataclass(frozen=True, eq=False)

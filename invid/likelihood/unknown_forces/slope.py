@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.likelihood.unknown_forces.forces import COLOURS, colours
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import (
     NEARLY_SINGULAR,
@@ -73,7 +74,7 @@ def slope(problem: Problem, value: Value) -> Slope:
     joint[np.arange(size), np.arange(size)] += prior
     curvature = _profiled(joint, size)
     moving = np.flatnonzero((pull < 0.0) | (numbers.strength > problem.least))
-    moving = moving[~np.isin(moving // numbers.strength.shape[1], problem.shut)]
+    moving = moving[~np.isin(moving // COLOURS, problem.shut)]
     whole = np.zeros((size + moving.size, size + moving.size))
     whole[:size, :size] = curvature
     for work in value.work:
@@ -237,10 +238,10 @@ def _prior_slope(problem: Problem, value: Value, work: StackWork, steep: Float64
 
 
 def _strength_slope(problem: Problem, work: StackWork, left: _Left) -> Float64:
-    """(P, K) half the gradient by each strength, in the quadratic form and in ln|S|."""
+    """(P, 2) half the gradient by each strength, in the quadratic form and in ln|S|."""
     reach = work.noise.reach
     pull = (reach.conj() * (left.balance @ reach)).real.sum(axis=1) / 2.0
-    out: Float64 = pull.T @ work.stack.colours(problem.corner)
+    out: Float64 = pull.T @ colours(work.stack.omega, problem.corner)
     return out
 
 
@@ -262,9 +263,8 @@ def _covariance_columns(problem: Problem, value: Value, work: StackWork, moving:
     right = gains @ whitener.conj().transpose(0, 2, 1)
     half = terms.by_parameter(left[:, :, None] * right.transpose(0, 2, 1)[:, None])
     by_plant = half + half.conj().transpose(0, 2, 1, 3)
-    place, kind = np.divmod(moving, value.numbers.strength.shape[1])
-    reach = (whitener @ noise.reach)[:, :, place]
-    power = work.stack.colours(problem.corner)[:, kind]
+    reach = (whitener @ noise.reach)[:, :, moving // COLOURS]
+    power = colours(work.stack.omega, problem.corner)[:, moving % COLOURS]
     by_strength = reach[:, :, None] * reach.conj()[:, None] * power[:, None, None]
     both = np.concatenate((by_plant, by_strength), axis=3).reshape(lines * motors**2, -1)
     return np.concatenate((both.real, both.imag))

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.likelihood.unknown_forces.forces import MissingNoise, missing_noise
+from invid.likelihood.unknown_forces.forces import MissingNoise, colours, missing_noise
 from invid.likelihood.unknown_forces.slope import ends_numbers
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.value import Problem, Value, along, torque_scales
@@ -142,7 +142,7 @@ def _smooth_stack(problem: Problem, value: Value, number: int) -> SmoothedStack:
     stiffness, motion = condensed.stiffness, condensed.motion
     wide = stack.wide
     reach = along(motion, problem.spots.vectors)
-    power = wide.colours(problem.corner) @ numbers.strength.T
+    power = colours(omega, problem.corner) @ numbers.strength.T
     noise = missing_noise(stiffness, reach, power, (position_noise, torque_noise))
     root, deviations = work.ends.root, ends_numbers(value, number)
     ends = deviations @ root.T

@@ -17,7 +17,6 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.likelihood.unknown_forces.forces import colours
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.signals.record import Record
 
@@ -52,10 +51,6 @@ class Stack:
     def weight(self) -> Float64:
         """(F,) of the lines in the likelihood."""
         return self.records[0].weight
-
-    def colours(self, corner: float) -> Float64:
-        """(F, K) power of the kinds of unknown force; ``corner`` [rad/s]."""
-        return colours(self.omega, corner, self.records[0].between(self.omega))
 
     @property
     def span(self) -> float:
@@ -100,15 +95,7 @@ def stack_records(records: Sequence[Record], damping: Float64) -> tuple[Stack, .
     groups: dict[tuple[float, ...], list[Record]] = {}
     for record in records:
         instants = record.motion.position.shape[0]
-        key = (
-            record.span,
-            record.step,
-            record.periods,
-            record.used.size,
-            record.changes,
-            record.top_hz,
-            instants,
-        )
+        key = (record.span, record.step, record.periods, record.used.size, record.top_hz, instants)
         groups.setdefault(key, []).append(record)
     return tuple(_stack(group, damping) for group in groups.values())
 

@@ -12,7 +12,7 @@ import numpy as np
 from invid.effects.supposed.law import Shape, SpotMotion
 from invid.likelihood.unknown_forces.correspondence import Correspondence
 from invid.likelihood.unknown_forces.descent import TO_THE_END, Fit, fit
-from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, missing_noise
+from invid.likelihood.unknown_forces.forces import FIRST, Spot, Spots, Where, colours, missing_noise
 from invid.likelihood.unknown_forces.motions import Motions, PlacedLaw, axis_of, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, MotorLaws, Part
 from invid.likelihood.unknown_forces.motor_motion import Friction, agreed_records
@@ -296,7 +296,7 @@ class Supposed:
         Laws at places that are gone go too.
         """
         kept, known = self._kept_known, self.fit.problem.spots.number
-        first = np.full(self.numbers.strength.shape[1], np.median(self.numbers.strength))
+        first = np.full(2, np.median(self.numbers.strength))
         strength = {moved.spot(spot): self.numbers.strength[k] for spot, k in known.items()}
         numbers = replace(
             self.numbers,
@@ -321,7 +321,7 @@ class Supposed:
         """Rms of the unknown force at every place [N·m], the strongest first."""
         problem = self.fit.problem
         power = sum(
-            (s.colours(problem.corner) * s.weight[:, None]).sum(axis=0) @ self.numbers.strength.T
+            (colours(s.omega, problem.corner) * s.weight[:, None]).sum(axis=0) @ self.numbers.strength.T
             for s in problem.stacks
         ) / len(problem.stacks)
         rms = np.sqrt(power / 2.0)
@@ -396,6 +396,6 @@ def suppose(
 
 
 def first_strength(stacks: Sequence[Stack], structure: Structure) -> Float64:
-    """(P, K) small strengths to start from."""
-    noise, kinds = float(np.mean([s.torque_noise.mean() for s in stacks])), stacks[0].colours(1.0).shape[1]
-    return np.full((len(Spots.of(structure).spots), kinds), FIRST * noise)
+    """(P, 2) small strengths to start from."""
+    noise = float(np.mean([s.torque_noise.mean() for s in stacks]))
+    return np.full((len(Spots.of(structure).spots), 2), FIRST * noise)

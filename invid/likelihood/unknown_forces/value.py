@@ -26,7 +26,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.likelihood.unknown_forces.forces import CORNER, LEAST, MissingNoise, Spots, missing_noise
+from invid.likelihood.unknown_forces.forces import CORNER, LEAST, MissingNoise, Spots, colours, missing_noise
 from invid.likelihood.unknown_forces.stack import Stack
 from invid.likelihood.unknown_forces.timing import Timing
 from invid.model.plant import Condensed, Plant
@@ -58,7 +58,7 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """What a fit moves: plant, timing of the torque, strengths (P, K) [(N·m)² on a line]."""
+    """What a fit moves: plant, timing of the torque, strengths (P, 2) [(N·m)² on a line]."""
 
     plant: Plant
     timing: Timing
@@ -302,7 +302,7 @@ def _work(problem: Problem, numbers: Numbers, number: int, scales: Scales) -> St
     noise = missing_noise(
         stiffness,
         along(motion, problem.spots.vectors),
-        stack.colours(problem.corner) @ numbers.strength.T,
+        colours(omega, problem.corner) @ numbers.strength.T,
         (position_noise, torque_noise),
     )
     whitener = noise.whitener * np.sqrt(2.0 * stack.weight)[:, None, None]

@@ -43,19 +43,13 @@ def true_values(plant: ChainPlant) -> np.ndarray:
 
 @cache
 def fitted(
-    gap: float = 0.0,
-    seed: int = 3,
-    *,
-    lead: float = 0.0,
-    dry: tuple[float, float] = (0.4, 0.6),
-    changing: bool = False,
+    gap: float = 0.0, seed: int = 3, lead: float = 0.0, dry: tuple[float, float] = (0.4, 0.6)
 ) -> tuple[ChainPlant, Supposed]:
-    """The first fit, from a start a tenth off in every number; ``changing``: as of a machine that is another
-    one from period to period."""
+    """The first fit, from a start a tenth off in every number."""
     plant = ChainPlant(gaps={0: gap} if gap else {}, lead=(lead, lead), dry=dry)
     recording = plant.recording(seed)
     records = [make_record(e, recording.encoder_resolution) for e in recording.experiments]
-    fitted_ones = [r.changing() if changing else r for r in records if r.role is Role.IDENTIFY]
+    fitted_ones = [r for r in records if r.role is Role.IDENTIFY]
     stacks = stack_records(fitted_ones, hold_damping(records))
     structure = Structure(plant.sizes)
     off = np.exp(0.1 * np.random.default_rng(seed).standard_normal(true_values(plant).size))
@@ -74,9 +68,8 @@ def errors(plant: ChainPlant, found: Supposed) -> np.ndarray:
     return (found.numbers.plant.x[:size] - true) / np.sqrt(np.diag(found.fit.covariance))[:size]
 
 
-@pytest.mark.parametrize("changing", [False, True])
-def test_the_gradient_is_that_of_the_value(changing: bool):
-    _, found = fitted(changing=changing)
+def test_the_gradient_is_that_of_the_value():
+    _, found = fitted()
     rng = np.random.default_rng(0)
     numbers = found.numbers.moved(found.numbers.x + 1e-3 * rng.standard_normal(found.numbers.x.size))
     problem = found.fit.problem
@@ -87,19 +80,6 @@ def test_the_gradient_is_that_of_the_value(changing: bool):
         step[k] = 1e-5
         up, down = (evaluate(problem, numbers.moved(numbers.x + s)).total for s in (step, -step))
         assert exact[k] == pytest.approx((up - down) / 4e-5, rel=2e-3, abs=0.05 + 1e-5 * np.abs(exact).max())
-
-
-def test_what_returns_with_the_period_counts_once_however_many_periods_there_are():
-    """Of play in a spring, as a force of unknown strength at its place."""
-    rises = []
-    for changing in (False, True):
-        _, found = fitted(gap=3e-3, changing=changing)
-        problem = found.fit.problem
-        number = problem.spots.number[Spot(Where.SPRING, 0)]
-        strength = found.numbers.strength.copy()
-        strength[number, :2] *= 0.25
-        rises.append(evaluate(problem, replace(found.numbers, strength=strength)).total - found.total)
-    assert rises[1] == pytest.approx(rises[0], rel=0.3)
 
 
 def test_ends_are_integrated_out_with_their_prior():
