@@ -12,6 +12,16 @@ from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, STIFF_CELL, serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.service]
+NOTHING_LEFT = """
+const now = {run: "0", state: "analysing", progress: 0.8, phase: "identifying", eta_s: 0, found: []};
+const clock = Date.now, done = arguments[0];
+import("/static/progress.js").then(({showProgress}) => {
+  Date.now = () => 1e12;
+  try { showProgress(now); } finally { Date.now = clock; }
+  return document.getElementById("bar").value;
+}).then(done, (error) => done(String(error)));
+"""
+"""A word that no time is left, in the instant in which it comes."""
 
 
 @pytest.mark.campaign
@@ -22,6 +32,7 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         page = Page(driver)
         driver.get(service.url + "/")
         page.wait_text("ready-title", "Ready to measure")
+        assert driver.execute_async_script(NOTHING_LEFT) == pytest.approx(0.8), "the bar stands for good"
         assert page.shown("simulated").text == "SIMULATED: no hardware"
         page.unfold("facts")
         assert "57.3°" in page.text("drives"), "limits are said as the plan says them"

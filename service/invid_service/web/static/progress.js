@@ -24,7 +24,8 @@ function moving(c) {
   if (shown.run !== c.run) Object.assign(shown, { run: c.run, progress: c.progress, since: now, value: 0 });
   if (c.progress !== shown.progress) Object.assign(shown, { progress: c.progress, since: now });
   const rest = c.eta_s ?? c.motion_left_s, passed = now - shown.since;
-  const on = rest == null || blind() ? 0 : (1 - c.progress) * passed / (passed + rest);
+  // a word this very instant that nothing is left is no share: the bar would stand at NaN for good
+  const on = rest == null || blind() || passed + rest <= 0 ? 0 : (1 - c.progress) * passed / (passed + rest);
   shown.value = Math.max(shown.value, c.progress + 0.8 * on);
   return shown.value;
 }
