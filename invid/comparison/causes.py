@@ -29,7 +29,13 @@ from scipy import special
 
 from invid.comparison.changes import Change, Repeatability, Status
 from invid.comparison.joint_test import two_sided
-from invid.comparison.numbers import friction_widths, name_of, other_friction, terms_by_name, with_difference
+from invid.comparison.numbers import (
+    change_of,
+    friction_widths,
+    other_friction,
+    terms_by_name,
+    with_difference,
+)
 from invid.comparison.sentences import bound_phrase
 from invid.effects.registry import BY_CAUSE
 from invid.model.document import EffectTerm, Model
@@ -80,18 +86,8 @@ def _row(term: EffectTerm, was: EffectTerm | None, now: EffectTerm | None) -> Ch
     parameter = main_parameter(term) or ""
     old, new = (None if t is None else t.parameters.get(parameter) for t in (was, now))
     known = new or old
-    return Change(
-        ChangeKind.CAUSE,
-        term.axis,
-        name_of(term),
-        other_axis=term.other_axis,
-        cause=term.cause,
-        element=term.element,
-        parameter=parameter,
-        old=old,
-        new=new,
-        unit=None if known is None else known.unit,
-    )
+    unit = None if known is None else known.unit
+    return replace(change_of(term, ChangeKind.CAUSE), parameter=parameter, old=old, new=new, unit=unit)
 
 
 def _without_deviation(c: Change) -> Change:

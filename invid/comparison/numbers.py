@@ -29,6 +29,18 @@ def name_of(term: EffectTerm) -> str:
     return f"{term.axis}.{'.'.join(p for p in (term.cause, term.element, term.other_axis) if p)}"
 
 
+def change_of(term: EffectTerm, kind: ChangeKind) -> Change:
+    """What may have changed of an effect, without its sizes."""
+    return Change(
+        kind,
+        term.axis,
+        name_of(term),
+        other_axis=term.other_axis,
+        cause=term.cause,
+        element=term.element,
+    )
+
+
 def terms_by_name(model: Model, axes: Sequence[str]) -> dict[str, EffectTerm]:
     """The effects of a model on ``axes`` by name."""
     return {name_of(t): t for t in model.effects if t.axis in axes}
@@ -77,14 +89,7 @@ def numbers_of(model: Model, axes: Sequence[str] = ()) -> dict[str, Change]:
         other = p.axes[1] if len(p.axes) > 1 else None
         found[p.name] = Change(kind, axis, p.name, p.number or None, other, new=size, unit=p.unit)
     for term in model.effects:
-        whole = Change(
-            ChangeKind.EFFECT,
-            term.axis,
-            name_of(term),
-            other_axis=term.other_axis,
-            cause=term.cause,
-            element=term.element,
-        )
+        whole = change_of(term, ChangeKind.EFFECT)
         for parameter, size in term.parameters.items():
             name = f"{whole.name}.{parameter}"
             found[name] = replace(whole, name=name, parameter=parameter, new=size, unit=size.unit)

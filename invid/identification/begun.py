@@ -24,7 +24,7 @@ from invid.model.chains import CoupledChains
 from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.recording.model import Recording
-from invid.recording.roll_off import roll_off
+from invid.recording.roll_off import low_passed_axes
 from invid.signals.record import Record
 from invid.signals.tones import refine_tones, remove_tones
 
@@ -108,9 +108,9 @@ def _each_period(begun: Begun) -> Begun:
 
     Of a torque that went through a low-pass nobody knows what its noise is within the band.
     """
-    if any(roll_off(e, torque) for e in begun.recording.experiments for torque in e.torque.T):
+    if not changes_within(begun.first) or low_passed_axes(begun.recording.experiments):
         return begun
-    if not changes_within(begun.first) or budget.is_left_out("each period on its own"):
+    if budget.is_left_out("each period on its own"):
         return begun
     benches = _benches(records_of(begun.recording, by_period=True))
     first = suppose(benches, begun.first.hypothesis, begun.first.numbers)

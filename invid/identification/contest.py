@@ -159,7 +159,9 @@ def brought_home(now: Supposed, bent: Axes) -> Supposed:
     Those of ``bent`` axes stay.
     """
     end = _with_splits(now, bent)
-    return min(end, _with_splits(_beside_springs(now), bent), key=_total) if acts_between_loads(end) else end
+    if not acts_between_loads(end):
+        return end
+    return min(end, _with_splits(_beside_springs(now), bent), key=lambda f: f.total)
 
 
 def home_beside_springs(now: Supposed, bent: Axes) -> Supposed | None:
@@ -168,11 +170,7 @@ def home_beside_springs(now: Supposed, bent: Axes) -> Supposed | None:
     if not acts_between_loads(now):
         return None
     tied = _with_splits(_beside_springs(now), bent)
-    return None if astray(tied) else min(now, tied, key=_total)
-
-
-def _total(found: Supposed) -> float:
-    return found.total
+    return None if astray(tied) else min(now, tied, key=lambda f: f.total)
 
 
 def acts_between_loads(now: Supposed) -> bool:

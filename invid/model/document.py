@@ -13,7 +13,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -312,12 +312,22 @@ class _ModelJson(_Open):
     covariance: _CovarianceJson | None = None
 
 
-def _null_nan(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
+    """A number as JSON has it: ``None`` where it is none."""
     return float(value) if math.isfinite(value) else None
 
 
+def with_numbers(value: Any, number: Callable[[float], float | None] = finite_or_none) -> Any:
+    """Plain dicts and lists of a document, every number as ``number`` has it."""
+    if isinstance(value, Mapping):
+        return {k: with_numbers(v, number) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [with_numbers(v, number) for v in value]
+    return number(value) if isinstance(value, float) else value
+
+
 def _estimate(value: float, std: float) -> dict[str, Any]:
-    return {"value": float(value), "std": _null_nan(float(std))}
+    return {"value": float(value), "std": finite_or_none(float(std))}
 
 
 def effect_to_json(term: EffectTerm) -> dict[str, Any]:
@@ -330,7 +340,7 @@ def effect_to_json(term: EffectTerm) -> dict[str, Any]:
         "parameters": {
             name: {
                 "value": p.value,
-                "std": None if p.std is None else _null_nan(p.std),
+                "std": None if p.std is None else finite_or_none(p.std),
                 "unit": p.unit,
                 **({} if p.name is None else {"name": p.name}),
             }

@@ -19,7 +19,7 @@ from invid.identification.fitted_model import chains_covariance
 from invid.identification.open_holds import open_masses
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.chains import CoupledChains
-from invid.model.document import parameter_vector
+from invid.model.document import finite_or_none, parameter_vector
 from invid.numerics.arrays import Bool, Float64, frozen_float
 from invid.planning.belief import Belief
 from invid.planning.model import Plan, PlannedExperiment
@@ -94,13 +94,13 @@ class Expected:
             "belief": self.belief,
             "guessed": self.guessed,
             "noise": self.noise,
-            "worst": {"name": self.worst[0], "relative_std": _finite_or_none(self.worst[1])},
+            "worst": {"name": self.worst[0], "relative_std": finite_or_none(self.worst[1])},
             "parameters": [
                 {
                     "name": n,
                     "value": float(v),
-                    "std": _finite_or_none(s),
-                    "relative_std": _finite_or_none(s / c),
+                    "std": finite_or_none(s),
+                    "relative_std": finite_or_none(s / c),
                     "in_goal": bool(g),
                 }
                 for n, v, s, c, g in zip(
@@ -109,10 +109,6 @@ class Expected:
             ],
             **self.facts,
         }
-
-
-def _finite_or_none(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def assumed_noise(config: CellConfig) -> Noise:

@@ -7,6 +7,7 @@ rounding that came after it, one stands between the sensor and the file.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,12 @@ def roll_off(e: Experiment, values: Float64) -> RollOff | None:
         return None  # rounding of a value that hardly changes is not white
     power = np.sum(np.abs(np.fft.rfft(noise, axis=1)) ** 2, axis=0)
     return _fitted(*_bands(power, 1.0 / (period * slots.step), count - 2))
+
+
+def low_passed_axes(experiments: Sequence[Experiment]) -> tuple[int, ...]:
+    """Axes whose torque went through a low-pass in any of the experiments."""
+    axes = range(experiments[0].torque.shape[1]) if experiments else ()
+    return tuple(m for m in axes if any(roll_off(e, e.torque[:, m]) is not None for e in experiments))
 
 
 def _lattice(values: Float64) -> float:

@@ -66,9 +66,9 @@ def read_holds(records: Sequence[Record]) -> list[Record]:
 def _law_of(seen: Sequence[tuple[Float64, Float64]]) -> tuple[float, float] | None:
     """Stiffness and damping of a hold by normal equations of several records; ``None`` where they are not
     sure."""
-    normal, pull = (
-        (np.sum(part, axis=0) for part in zip(*seen, strict=True)) if seen else (np.zeros((2, 2)),) * 2
-    )
+    if not seen:
+        return None
+    normal, pull = (np.sum(part, axis=0) for part in zip(*seen, strict=True))
     if not normal[1, 1]:
         return None
     stiffness, damping = np.linalg.solve(normal, pull)

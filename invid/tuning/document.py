@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -12,6 +12,7 @@ from invid.model.document import (
     csv_text,
     effect_to_json,
     model_to_json,
+    with_numbers,
 )
 from invid.tuning.axis_loop import FORMAT, FORMAT_VERSION
 from invid.tuning.tune import Repair, Tuning
@@ -99,23 +100,8 @@ def tuning_to_json(tuning: Tuning) -> dict[str, Any]:
         "remarks": list(tuning.remarks),
         "said": {lang: [say(s, lang) for s in tuning.statements] for lang in LANGUAGES},
     }
-    return finite(document)
-
-
-def finite(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain values with ``None`` for numbers that are none."""
-    clean: dict[str, Any] = _finite(document)
-    return clean
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value
+    plain: dict[str, Any] = with_numbers(document)
+    return plain
 
 
 def _repair_to_json(r: Repair, unit: str) -> dict[str, Any]:

@@ -15,10 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from invid.model.document import with_numbers
 from invid.report.figures import plain_hz
 from invid.report.labels import label, printable
 from invid.report.style import AFTER, BEFORE, INK, svg
-from invid.tuning.document import finite, repair_sentence, values_of
+from invid.tuning.document import repair_sentence, values_of
 from invid.tuning.gains import PROMISE
 from invid.tuning.margins import drawn_plants
 from invid.tuning.tune import SPREAD_DRAWS, AxisTuning, Tuning
@@ -170,7 +171,7 @@ _FIGURES = ("sensitivity", "gain_margin", "phase_margin", "ripple", "following",
 
 def verification_to_json(found: Verification) -> dict[str, Any]:
     """The ``invid-verification`` document."""
-    return finite(
+    document: dict[str, Any] = with_numbers(
         {
             "format": VERIFICATION_FORMAT,
             "format_version": 1,
@@ -180,6 +181,7 @@ def verification_to_json(found: Verification) -> dict[str, Any]:
             "axes": [_axis_to_json(a) for a in found.axes],
         }
     )
+    return document
 
 
 def _axis_to_json(a: AxisVerification) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from invid.diagnosis.thresholds import UNSIZED
 from invid.model.diagnosis_document import Diagnosis
 from invid.recording.model import Experiment, Kind, Recording
-from invid.recording.roll_off import roll_off
+from invid.recording.roll_off import low_passed_axes
 
 LEAST_LINES = 100
 """Excited lines of a single period that tell a cause from its rivals (empirical: from 48 lines of the case
@@ -24,11 +24,7 @@ def doubt_floors(result: Diagnosis, recording: Recording) -> Diagnosis:
             "from its rivals and noise from what repeats; record more and longer periods"
         )
         return _without_floors(result, recording.axes, said)
-    filtered = [
-        axis
-        for i, axis in enumerate(recording.axes)
-        if any(roll_off(e, e.torque[:, i]) is not None for e in shaken)
-    ]
+    filtered = [recording.axes[m] for m in low_passed_axes(shaken)]
     if not filtered:
         return result
     said = (

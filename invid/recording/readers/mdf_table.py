@@ -1,15 +1,12 @@
 """Tables from MDF 4 (ASAM measurement data: CANape, INCA, Vector and CSS loggers), through asammdf.
 
 asammdf reads in C. A damaged file makes it print, and one in a few hundred corrupts memory ("malloc():
-invalid size"), so it works in a process of its own, where nothing else can be lost:
-``python -m invid.recording.readers.mdf_table FILE OUT``.
+invalid size"), so it works in a process of its own, where nothing else can be lost.
 """
 
 from __future__ import annotations
 
 import pickle
-import subprocess
-import sys
 import tempfile
 from importlib import import_module
 from importlib.util import find_spec
@@ -19,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InputError
+from invid.processes import Helper, ProcessEnded
 from invid.recording.import_map import Source
 from invid.recording.readers.arrays import table_of
 from invid.recording.readers.kinds import first_line, kind_named, limit_numbers
@@ -34,27 +32,36 @@ def read_mdf(path: Path, source: Source, *, beside: Path | None = None) -> Table
     if find_spec("asammdf") is None:
         raise ModuleNotFoundError("asammdf", name="asammdf")
     with tempfile.TemporaryDirectory(prefix="invid-mdf-") as folder:
-        out = Path(folder) / "table"
-        command = [sys.executable, "-m", "invid.recording.readers.mdf_table", str(path.resolve()), str(out)]
+        out, helper = Path(folder) / "table", Helper()
         try:
-            subprocess.run(
-                command, check=True, timeout=TIME_LIMIT, capture_output=True, stdin=subprocess.DEVNULL
-            )
+            damage = helper.call(_write_table, path.resolve(), out, timeout=TIME_LIMIT)
+            if damage is not None:
+                raise InputError(f"{path}: cannot be read as MDF: {damage}", code="unreadable")
             with out.open("rb") as stream:
-                found = pickle.load(stream)
-        except subprocess.TimeoutExpired:
+                found: Table = pickle.load(stream)
+        except TimeoutError:
             raise InputError(f"{path}: reading it as MDF took more than {TIME_LIMIT:.0f} s") from None
-        except (subprocess.CalledProcessError, OSError):
+        except (ProcessEnded, OSError):
             raise InputError(
                 f"{path}: cannot be read as MDF: asammdf broke off on it; it is damaged", code="unreadable"
             ) from None
-    if isinstance(found, str):
-        raise InputError(f"{path}: cannot be read as MDF: {found}", code="unreadable")
+        finally:
+            helper.close()
     if source.kind != "mdf" and any(n.startswith("CAN_DataFrame") for n in found.columns):
         return kind_named("can_log")(path, source, beside=beside)
     return Table(
         str(path), found.columns, units=found.units, clocks=found.clocks, reasons=("the file is ASAM MDF",)
     )
+
+
+def _write_table(path: Path, out: Path) -> str | None:
+    """Write the pickled table of a file; what is damaged of it, where it has none."""
+    try:
+        found = _table(path)
+    except Exception as error:  # by kind of damage: MdfException, struct.error, ValueError, …
+        return first_line(error)
+    out.write_bytes(pickle.dumps(found, protocol=5))
+    return None
 
 
 def _table(path: Path) -> Table:
@@ -81,11 +88,3 @@ def _table(path: Path) -> Table:
                 columns[name], clocks[name] = values.astype(np.float64), clock
                 units |= {name: signal.unit} if signal.unit else {}
     return Table(str(path), table_of(path, columns, {}).columns, units=units, clocks=clocks)
-
-
-if __name__ == "__main__":
-    try:
-        result: Table | str = _table(Path(sys.argv[1]))
-    except Exception as error:  # by kind of damage: MdfException, struct.error, ValueError, …
-        result = first_line(error)
-    Path(sys.argv[2]).write_bytes(pickle.dumps(result, protocol=5))

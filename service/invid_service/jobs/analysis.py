@@ -14,7 +14,7 @@ from invid.config import CellConfig
 from invid.errors import InputError, NotIdentifiableError, RecordingError
 from invid.identification.stated_inertia import against_stated
 from invid.model.diagnosis_document import Diagnosis, Finding, Grade, diagnosis_to_json
-from invid.model.document import Model, dump_json, model_from_json, model_to_json, save_text
+from invid.model.document import Model, dump_json, model_from_json, model_to_json, save_text, with_numbers
 from invid.model.doubts import doubts_of
 from invid.planning.separating_experiments import to_separate
 from invid.recording import Recording, read_recording
@@ -208,15 +208,9 @@ def _marked(report: str, simulated: bool) -> str:
 def plot_data(recording: Recording, model: Model, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return ``figure_data`` rounded, no NaN: page and report show the same."""
     recording, _ = moving_part(recording, diagnosis.model.axes)
-    document: dict[str, Any] = _rounded(figure_data(recording, model, diagnosis))
+    document: dict[str, Any] = with_numbers(figure_data(recording, model, diagnosis), _rounded)
     return {"axes": list(recording.axes), **document}
 
 
-def _rounded(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _rounded(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(v) for v in value]
-    if isinstance(value, float):
-        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
-    return value
+def _rounded(value: float) -> float | None:
+    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
