@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.recording.model import Experiment, Role
@@ -321,12 +322,14 @@ def make_record(experiment: Experiment, resolution: Float64 | None, top_hz: floa
 
 
 def _span(experiment: Experiment, samples: int) -> tuple[int, int]:
-    """Periods in the span, and its number of samples: whole periods, or all but one sample."""
+    """Periods in the span, and its number of samples: whole periods, else nearly all, of a number that is
+    transformed fast (with a large prime factor it takes ten times as long)."""
     period = experiment.period_samples
     periods = samples // period if 0 < period <= samples else 0
     if periods:
         return periods, periods * period
-    return 0, samples - 1 - ((samples - 1) % SHARED if samples > LONG else 0)
+    shared = SHARED if samples > LONG else 1
+    return 0, shared * scipy.fft.prev_fast_len((samples - 1) // shared)
 
 
 def _driven(experiment: Experiment, motors: int) -> np.ndarray:

@@ -81,6 +81,7 @@ LAST_PERIOD = {
     "cause": "payload_change", "place": (0, 2), "size": {"mass": 0.15, "time": 60.0}, "seed": 3,
     "masses": (2,), **SHORT, "drive": "smooth",
 }  # fmt: skip
+SHORT_LAG: dict[str, Any] = {"cause": "torque_lag", "masses": (2, 2), "place": (1, 1), **QUIET}
 LINEAR = {"linear": True, "target_db": 25.0}
 IN_CHIRP = {**strong("cogging", 5, 25.0), **STILL, "masses": (2,), "excitation": "chirp"}
 # What, the largest error of its size, and of the floor what may be left.
@@ -109,6 +110,12 @@ ALONE = [
     pytest.param(720061, None, None, id="a gear error beside a wrong minimum"),
     pytest.param(720016, 0.05, None, id="a mode above the band beside a gear error"),
     pytest.param(750055, None, None, id="a limit that cuts the last two per cent of the peak"),
+    pytest.param(
+        {**SHORT_LAG, "seed": 8, "size": {"time_constant": 0.0056}},
+        0.02,
+        None,
+        id="a lag whose delay is within conventions",
+    ),
     pytest.param({"cause": "cogging", "seed": 2, **LINEAR}, 0.02, None, id="a magnet's pitch in metres"),
     pytest.param({"cause": "transmission_error", "seed": 12, **LINEAR}, 0.02, None, id="a screw's in metres"),
     pytest.param(IN_CHIRP, 0.02, None, id="cogging in a chirp"),

@@ -30,12 +30,13 @@ from invid.effects.registry import effects
 from invid.effects.supposed.law import Shape, SupposedLaw
 from invid.effects.supposed_laws import supposed_laws
 from invid.effects.units import unit_of
+from invid.identification.late_drives import LAGS, lag_rows
 from invid.likelihood.unknown_forces.descent import fit
 from invid.likelihood.unknown_forces.forces import Spot, Where, colours
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import Part
 from invid.likelihood.unknown_forces.price import FITTED, KEPT, PARTS, price, price_at_motors
-from invid.likelihood.unknown_forces.slope import inner_motion, whitened_rows
+from invid.likelihood.unknown_forces.slope import inner_motion
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.timing import COMMAND, CONVENTION, EXPECTED_DELAY, HOLD
 from invid.likelihood.unknown_forces.value import Value
@@ -62,8 +63,6 @@ STANDS = 2.0
 """Counts of its encoder within which an axis never moved."""
 MODE_BANDS, MODE_DAMPING = (0.3, 0.45, 0.6, 0.8), 0.02
 """Frequencies of a mode over the highest excited one at which its limit is asked for, its damping ratio."""
-LAGS = tuple(0.25 * 2.0**k for k in range(9))
-"""Lags that are tried [samples]."""
 RISES = np.concatenate(([0.0], np.logspace(-4.0, 8.0, 49)))
 """Power of an unknown force that rises, over the noise on the line that shows it best."""
 HIDDEN = CONVENTION - EXPECTED_DELAY[COMMAND]
@@ -297,7 +296,7 @@ class Screen:
         """Limit of a drive's delay beyond conventions, or of its lag."""
         step = self.end.numbers.timing.step
         if channel is Channel.LAG:
-            falls = [(lag * step, self._fall_of_lag(lag * step, axis)) for lag in LAGS]
+            falls = [(lag * step, self._fall_of_lag(lag, axis)) for lag in LAGS]
             limit = _crossing(parameter, falls)
             return limit and replace(limit, size=max(limit.size, HIDDEN * step))
         driven = any(r.driven[axis] for s in self.end.bench.stacks for r in s.records)
@@ -307,14 +306,8 @@ class Screen:
         return Limit(parameter, (self.size_seen(left) + HIDDEN) * step, {}) if left.any() else None
 
     def _fall_of_lag(self, lag: float, axis: int) -> float:
-        """Fall of a lag [s] over what is asked for: in the logarithm, where delays and lags add up."""
-        out = []
-        for work in self.end.fit.value.work:
-            acting = self.end.numbers.timing.acting(work.stack)
-            column = np.zeros((*acting.shape, 1), dtype=complex)
-            column[..., axis, 0] = np.log(1.0 + 1j * work.stack.omega * lag) * acting[..., axis]
-            out.append(whitened_rows(work, column).reshape(-1, 1))
-        return self._fall(self.rows.project(np.concatenate(out)))
+        """Fall of a lag [samples] over what is asked for: in the logarithm, where delays and lags add up."""
+        return self._fall(self.rows.project(np.concatenate(lag_rows(self.end, axis, lag))))
 
     def _fall(self, left: Float64) -> float:
         left = left.ravel()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.diagnosis.unknown_forces.resonances import Scan
-from invid.diagnosis.unknown_forces.scoring import ALIKE, candidates, own_share, score
+from invid.diagnosis.unknown_forces.scoring import candidates, own_share, score
 from invid.diagnosis.unknown_forces.structures import (
     LEAST_FALL,
     Addition,
@@ -23,6 +23,7 @@ from invid.effects.catalogue.backlash import BacklashLaw
 from invid.effects.supposed.law import SupposedLaw
 from invid.effects.supposed_laws import SUPPOSED
 from invid.identification.late_drives import late_drives
+from invid.likelihood.unknown_forces.background import ALIKE
 from invid.likelihood.unknown_forces.forces import Spot, Where
 from invid.likelihood.unknown_forces.motions import PlacedLaw
 from invid.likelihood.unknown_forces.price import FITTED, NUMBER, pays, price

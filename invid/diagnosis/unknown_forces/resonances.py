@@ -13,7 +13,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from invid.diagnosis.unknown_forces.scoring import Background
+from invid.likelihood.unknown_forces.background import Background
 from invid.likelihood.unknown_forces.slope import inner_motion, solve_scaled, whitened_rows
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.numerics.arrays import Complex128, Float64

@@ -25,7 +25,8 @@ class SpotMotion:
 
     Of a spring the position is its deflection. ``time`` is the recording's clock [s], which began at
     ``origin``; ``torque`` the torque that acts there, of motors alone; ``own`` the stiffness of the spring
-    or the mass at the place, where a fit has said it.
+    or the mass at the place, where a fit has said it. ``repeats``: of several periods that are seen as their
+    mean, so that what changes from one to the next is not seen.
     """
 
     position: Float64
@@ -35,6 +36,7 @@ class SpotMotion:
     torque: Float64 | None = None
     own: float | None = None
     origin: float = 0.0
+    repeats: bool = False
 
     @cached_property
     def fastest(self) -> float:

@@ -169,7 +169,7 @@ class Motions:
                 torque = np.interp(
                     clock - r.start, np.arange(r.torque_wave.shape[0]) * r.step, r.torque_wave[:, i]
                 )
-                out.append(SpotMotion(q, v, q, clock, torque, own=own, origin=r.origin))
+                out.append(SpotMotion(q, v, q, clock, torque, own, r.origin, r.periods > 1))
             return out
         vector = vector_of(self.structure, spot)
         unit = np.eye(self.structure.coordinates)
@@ -179,7 +179,7 @@ class Motions:
         kind = {Where.SPRING: Kind.SPRING, Where.MASS: Kind.MASS}.get(spot.where)
         own = None if kind is None else float(self.smoothed[number].plant.of_kind(kind)[spot.number])
         return [
-            SpotMotion(q, v, a, t, own=own, origin=r.origin)
+            SpotMotion(q, v, a, t, own=own, origin=r.origin, repeats=r.periods > 1)
             for q, v, a, t, r in zip(position, velocity, angle, clocks, records, strict=True)
         ]
 
