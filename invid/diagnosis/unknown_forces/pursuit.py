@@ -43,6 +43,9 @@ UNBENT = 0.2
 """Relative deviation of a spring's stiffness from which on no record bends it (empirical)."""
 MOTORS_AGREED = 2
 """Rounds in which motor motion is made to agree with friction: the third moves nothing (empirical)."""
+ALONE = 6
+"""Most rounds in which motion is made to agree with laws of springs where nothing unknown acts beside
+them."""
 NEAR_END = 20.0
 """Rise of −2 ln L up to which motion that is smoothed anew is that of the same end: numbers moved with it."""
 MOST = 0.5
@@ -130,8 +133,26 @@ def _is_at_bound(found: Supposed, placed: PlacedLaw) -> bool:
     return not all(found.fit.value.free[names.index((*placed.key, i))] for i in range(len(placed.law.low)))
 
 
+def _agreed_alone(now: Supposed) -> Supposed:
+    """The fit on motion across springs that agrees with their laws, followed where nothing unknown acts
+    beside them.
+
+    What the law misses while its motion is not yet right a force at a neighbouring place takes up; motion
+    that is smoothed with that force needs it, and the two hold each other.
+    """
+    found = lowest = now.with_forces_at_laws()
+    for number in range(ALONE):
+        found = reshape(found.renewed(agreed=True), 2)
+        if number and found.total > lowest.total:
+            break
+        lowest = found
+    return lowest.with_forces_anywhere()
+
+
 def settle(now: Supposed, rounds: int = 5) -> Supposed:
     """Motion, shapes and numbers in turn until the value stands."""
+    if True in now.ways and not now.motions.is_agreed:
+        now = min(now, _agreed_alone(now), key=lambda f: f.total)
     for number in range(rounds):
         moved = now.with_agreed_motors() if number < MOTORS_AGREED else now
         if now.follows_fit:

@@ -243,10 +243,24 @@ class Supposed:
         columns = self.bench.columns(changed, self.motions)
         problem = Problem.about(self.bench.stacks, columns, start)
         if start.plant.structure == self.numbers.plant.structure:
-            problem = replace(problem, centre=self.fit.problem.centre)
+            problem = replace(problem, centre=self.fit.problem.centre, shut=self.fit.problem.shut)
         start, problem = bounded(start, problem, changed)
         found = fit(problem, start, iterations, target)
         return replace(self, hypothesis=changed, fit=found, kept_motions=self._kept_known)
+
+    def with_forces_at_laws(self) -> Supposed:
+        """The fit where behind the motors nothing unknown acts but at the places of laws."""
+        problem, laws = self.fit.problem, {placed.spot for placed in self.hypothesis.laws}
+        shut = [k for k, s in enumerate(problem.spots.spots) if s not in laws and s.where is not Where.MOTOR]
+        strength = self.numbers.strength.copy()
+        strength[shut] = problem.least
+        numbers = replace(self.numbers, strength=strength)
+        return replace(self, fit=fit(replace(problem, shut=np.array(shut, dtype=int)), numbers))
+
+    def with_forces_anywhere(self) -> Supposed:
+        """The fit where something unknown may act at every place."""
+        problem = replace(self.fit.problem, shut=np.zeros(0, dtype=int))
+        return replace(self, fit=fit(problem, self.numbers))
 
     def renewed(self, iterations: int = TO_THE_END, *, agreed: bool = False) -> Supposed:
         """The same with inner motion smoothed anew."""
