@@ -14,13 +14,14 @@ import numpy as np
 from invid.errors import ChoiceNeeded, InputError
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.clock import count_slots
-from invid.recording.hdf5 import FORMAT, read_recording
+from invid.recording.hdf5 import read_recording
 from invid.recording.import_map import ImportMap, Source
 from invid.recording.importer import Import, import_files
 from invid.recording.model import Experiment, Recording
 from invid.recording.readers.kinds import read_table
 from invid.recording.record_files import assign, files_inside, named_files
 from invid.recording.spool import is_spool
+from invid.recording.stored import FORMAT
 from invid.recording.suggest import Found, Suggestion, suggest_for_all, together
 
 
