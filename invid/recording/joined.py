@@ -10,11 +10,10 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64, frozen_float
-from invid.recording.clock import StampsRead, read_stamps
+from invid.recording.clock import read_stamps
 from invid.recording.import_map import JoinedSource, TimeMap
 from invid.recording.readers.kinds import read_table
 from invid.recording.tables import Table
-from invid.recording.units import MachineConstants, factor
 
 
 def read_joined(
@@ -45,7 +44,8 @@ def read_joined(
 
 def _join(group: Sequence[Path], sources: Sequence[JoinedSource], beside: Path | None) -> Table:
     columns: dict[str, Float64] = {}
-    clocks, units, aliases, remarks = dict[str, str](), dict[str, str](), dict[str, str](), list[str]()
+    clocks, units, remarks = dict[str, str](), dict[str, str](), list[str]()
+    aliases: dict[str, str | int] = {}
     for path, source in zip(group, sources, strict=True):
         table, clock = read_table(path, source, beside=beside), f"{source.name}:time"
         instants, said = _instants(table, source.time, path)
@@ -86,11 +86,6 @@ def _instants(table: Table, said: TimeMap, path: Path) -> tuple[Float64, tuple[s
     if said.column is None:
         size = max(c.size for c in table.columns.values())
         return np.arange(size) / (said.sample_rate_hz or 1.0), ()
-    unit = factor("time", said.unit, MachineConstants(), f"{path}: time")
-    wraps = None if said.wraps_at is None else said.wraps_at * unit
-    stamps = read_stamps(
-        table.column(said.column) * unit,
-        StampsRead(str(said.column), unit, wraps, said.differences),
-        str(path),
-    )
+    how = said.reading(f"{path}: time")
+    stamps = read_stamps(table.column(said.column) * how.unit, how, str(path))
     return stamps.instants, stamps.remarks
