@@ -103,12 +103,12 @@ def suggest_map(
     path, proposal = suggest_for_all([_found(f, source, beside) for f in files[:MOST_FILES]])
     if len(files) > MOST_FILES:
         rest = f"{len(files) - MOST_FILES} of {len(files)} files were not looked at"
-        proposal = replace(proposal, unsure=(rest, *proposal.unsure))
+        proposal.unsure.insert(0, rest)
     if not proposal.asked:
         # Which columns are a guess; what they cannot tell is said before anything is fitted to them.
         with suppress(InputError):
             read = import_files([path], proposal.as_map(), created="1970-01-01T00:00:00+00:00")
-            proposal = replace(proposal, cannot_tell=together([lack.text for lack in read.cannot_tell]))
+            proposal.cannot_tell.extend(together([lack.text for lack in read.cannot_tell]))
     return path, proposal
 
 
