@@ -19,7 +19,7 @@ from invid.errors import DiskFullError, InputError, RecordingError
 from invid.model.document import save_bytes
 from invid.recording.check import check_recording
 from invid.recording.model import Recording
-from invid.recording.spool import SUFFIX, is_spool, read_spool
+from invid.recording.spool import MAGIC, SUFFIX, is_spool, read_spool
 from invid.recording.stored import DATASETS, StoredExperiment, StoredRecording, stored
 
 MAX_VALUES = 200_000_000
@@ -53,19 +53,21 @@ def read_recording(path: str | Path) -> Recording:
     try:
         if path.is_dir():
             raise RecordingError(f"{path}: is a directory; give the HDF5 file of a recording")
-        if not path.stat().st_size:
-            raise RecordingError(f"{path}: the file is empty; it is not a recording")
+        with path.open("rb") as raw:
+            head = raw.read(len(MAGIC))
     except (OSError, ValueError) as error:
         if isinstance(error, RecordingError):
             raise
-        rows = path.with_name(path.name + SUFFIX) if path.name else path
+        rows = Path(f"{path}{SUFFIX}")
         said = "; its measurement was cut off, or still goes on: what it measured so far is in "
         beside = f"{said}{rows}" if is_spool(rows) else ""
         raise RecordingError(
             f"{path}: cannot be opened: {getattr(error, 'strerror', None) or error}{beside}"
         ) from None
+    if not head:
+        raise RecordingError(f"{path}: the file is empty; it is not a recording")
     try:
-        if is_spool(path):
+        if head == MAGIC:
             found = read_spool(path)
         else:
             with h5py.File(path, "r") as file:
@@ -74,21 +76,17 @@ def read_recording(path: str | Path) -> Recording:
     except RecordingError:
         raise
     except _DAMAGED as error:
-        raise RecordingError(f"{path}: {_damage(path, error)}") from None
+        raise RecordingError(f"{path}: {_damage(head, error)}") from None
     check_recording(recording)
     return recording
 
 
-def _damage(path: Path, error: BaseException) -> str:
+def _damage(head: bytes, error: BaseException) -> str:
+    """What is wrong with a file that begins with ``head``, by what HDF5 said of it."""
     first = " ".join(str(error).split())[:200]
     if "unable to lock" in first.lower():  # "block" is in most of what HDF5 says of damage
         return "another program is writing this file; wait until it is done"
-    try:
-        with path.open("rb") as raw:
-            signed = raw.read(8) == b"\x89HDF\r\n\x1a\n"
-    except OSError as refused:
-        return f"cannot be opened: {refused.strerror}"
-    if not signed:
+    if not head.startswith(b"\x89HDF\r\n\x1a\n"):
         return "is not an HDF5 file; 'invid import' reads CSV, MAT, Parquet and CAN logs"
     if "truncated" in first.lower():
         return "the HDF5 file is truncated; copy it again from where it was written"

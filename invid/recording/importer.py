@@ -17,11 +17,10 @@ from invid.recording.cannot_tell import Lack, what_it_cannot_tell
 from invid.recording.check import check_recording
 from invid.recording.clock import count_slots
 from invid.recording.import_map import QUANTITIES, AxisMap, Controller, ExperimentMap, ImportMap
-from invid.recording.joined import read_joined
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs
 from invid.recording.readers.kinds import read_table
-from invid.recording.record_files import all_inside, assign, named_files
+from invid.recording.record_files import all_inside, assign, named_files, read_joined
 from invid.recording.record_rows import RecordRows, find_records
 from invid.recording.tables import BrokenRow, Table
 from invid.recording.units import BY_MACHINE, LINEAR, normal_unit

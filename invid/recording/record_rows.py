@@ -10,7 +10,7 @@ import numpy as np
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, Int64, frozen_float
 from invid.recording.clock import find_restarts, read_stamps
-from invid.recording.import_map import QUANTITIES, AxisMap, ExperimentMap, ImportMap
+from invid.recording.import_map import QUANTITIES, AxisMap, ExperimentMap, ImportMap, TimeMap
 from invid.recording.meaning import EPISODE
 from invid.recording.plausibility import held_rows, with_sign
 from invid.recording.tables import BrokenRow, Table, at_slowest, good_rows, on_clock
@@ -96,7 +96,7 @@ def find_records(
     records = []
     for first, stop in spans:
         inside: Bool = (slow.rows >= first) & (slow.rows < stop) & ((slow.rows - first) % entry.every == 0)
-        instants, origin, remarks = _instants(slow.table, slow.rows, inside, chart, str(path))
+        instants, origin, remarks = read_clock(slow.table, chart.time, slow.rows, str(path), inside)
         good, skipped = good_rows(slow.table, needed, instants, inside, path)
         use = np.flatnonzero(good)
         records.append(
@@ -173,14 +173,13 @@ def _record_starts(table: Table, chart: ImportMap, size: int) -> tuple[list[int]
     return find_restarts(table.column(chart.time.column) * how.unit, how), starts_anew
 
 
-def _instants(
-    table: Table, rows: Int64, inside: Bool, chart: ImportMap, where: str
+def read_clock(
+    table: Table, said: TimeMap, rows: Int64, where: str, inside: Bool | None = None
 ) -> tuple[Float64, float, tuple[str, ...]]:
-    """Instants [s] of the rows ``inside`` from the origin [s], the origin, and what was done about them.
+    """Instants (n,) [s] of the rows ``inside`` from an origin [s], the origin, and what was done about them.
 
-    ``rows`` (n,) of the file, which count at the map's rate where there is no column.
+    ``rows`` (n,) are numbers in the file, which count at the map's rate where there is no column.
     """
-    said = chart.time
     if said.column is None:
         return rows / (said.sample_rate_hz or 1.0), 0.0, ()
     name = table.name_of(said.column)
@@ -189,9 +188,10 @@ def _instants(
             f"{where}: time {said.column!r} holds dates or times of day, which are read as seconds; "
             f"its unit is {said.unit!r}, write 's'"
         )
+    raw = table.columns[name]
+    inside = np.ones(raw.size, dtype=np.bool_) if inside is None else inside
     sums = table.sums.get(name)
     how = said.reading(f"{where}: time", None if sums is None else sums[inside])
-    raw = table.columns[name]
     first = raw[inside & np.isfinite(raw)][:1]
     # Seconds since 1970 leave 0.2 µs in a float64: the start is taken out before anything is computed.
     origin = float(first[0]) if first.size and abs(first[0] * how.unit) > 1e6 else 0.0
