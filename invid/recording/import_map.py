@@ -16,7 +16,7 @@ from invid.numerics.arrays import Float64
 from invid.recording.clock import StampsRead
 from invid.recording.model import Kind, Role
 from invid.recording.text_encoding import decode_text
-from invid.recording.units import MachineConstants, Quantity, factor
+from invid.recording.units import Quantity, factor
 
 FORMAT = "invid-import-map"
 MAX_BYTES = 1_000_000
@@ -128,7 +128,7 @@ class TimeMap(Strict):
         InputError
             A unit that is none of time.
         """
-        unit = factor("time", self.unit, MachineConstants(), where)
+        unit = factor("time", self.unit, {}, where)
         wraps = None if self.wraps_at is None else self.wraps_at * unit
         return StampsRead(
             str(self.column), unit, wraps, self.differences, None if sums is None else sums * unit

@@ -23,7 +23,7 @@ from invid.recording.readers.kinds import read_table
 from invid.recording.record_files import all_inside, assign, named_files, read_joined
 from invid.recording.record_rows import RecordRows, find_records
 from invid.recording.tables import BrokenRow, Table
-from invid.recording.units import BY_MACHINE, LINEAR, normal_unit
+from invid.recording.units import BY_CONSTANT, LINEAR, normal_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ def _is_linear(chart: ImportMap) -> bool:
             unit = normal_unit(channel.unit)
             if unit in LINEAR[quantity]:
                 said[True] = f"{quantity} of {axis.name} in {channel.unit}"
-            elif unit not in ("raw", *BY_MACHINE):
+            elif unit not in ("raw", *BY_CONSTANT):
                 said[False] = f"{quantity} of {axis.name} in {channel.unit}"
     if len(said) == 2:
         raise InputError(

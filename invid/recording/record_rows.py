@@ -14,7 +14,7 @@ from invid.recording.import_map import QUANTITIES, AxisMap, ExperimentMap, Impor
 from invid.recording.meaning import EPISODE
 from invid.recording.plausibility import held_rows, with_sign
 from invid.recording.tables import BrokenRow, Table, at_slowest, good_rows, on_clock
-from invid.recording.units import MachineConstants, factor
+from invid.recording.units import factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +51,7 @@ class RecordRows:
         # A feedforward may be logged in some of the files only.
         if channel is None or (field == "torque_feedforward" and not self.table.holds(channel.column)):
             return None
-        constants = MachineConstants(
-            torque_constant=getattr(channel, "torque_constant", None),
-            rated_torque=axis.rated_torque,
-            per_count=channel.per_count,
-        )
+        constants = {**channel.model_dump(), "rated_torque": axis.rated_torque}
         quantity = QUANTITIES[field]
         unit = factor(quantity, channel.unit, constants, f"{where}: {quantity} of {axis.name}")
         raw = self.table.column(channel.column) - channel.offset

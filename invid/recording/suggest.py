@@ -21,7 +21,7 @@ from invid.recording.meaning import EPISODE, WORDS, Meaning, is_current, meaning
 from invid.recording.period import find_period
 from invid.recording.plausibility import doubt_of_sides
 from invid.recording.tables import Table, on_clock, shorten
-from invid.recording.units import BY_MACHINE, BY_RATED_TORQUE, BY_TORQUE_CONSTANT, FACTORS, LINEAR
+from invid.recording.units import BY_CONSTANT, BY_TORQUE_CONSTANT, FACTORS, LINEAR
 
 _FROM_1970 = (946_684_800.0, 4_102_444_800.0)
 """Seconds since 1970 of 2000 and of 2100: a number between them is a date, and so its unit."""
@@ -175,7 +175,7 @@ def suggest(table: Table, path: Path, source: Mapping[str, Any] = MappingProxyTy
     rest = [n for n in table.columns if n != time_column and json.dumps(n, ensure_ascii=False) not in named]
     notes.reasons.extend(["left out: " + ", ".join(rest[:30])] * bool(rest))
     told = [a[q]["unit"] for a in document["axes"] for q in ("position", "velocity", "torque") if q in a]
-    if all(u in BY_MACHINE for u in told):
+    if all(u in BY_CONSTANT for u in told):
         document["motion"] = "rotary"
         notes.unsure.append("no unit tells a rotary from a linear machine: 'motion: rotary' is a guess")
     return replace(notes, reasons=together(notes.reasons), unsure=together(notes.unsure))
@@ -400,7 +400,7 @@ def _axis(
         notes.unsure.append(
             f"{torque!r} is in {channel['unit']}: with torque_constant 1 all comes out per that constant"
         )
-    if channel["unit"] in BY_RATED_TORQUE:
+    if channel["unit"] in ("%", "permille"):
         entry["rated_torque"] = None
         notes.asked[f"axes {name} rated_torque"] = f"{torque!r} is in {channel['unit']} of it; N·m (or N)"
     entry["torque"] = channel
