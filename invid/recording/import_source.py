@@ -60,15 +60,9 @@ def recording_as_it_is(sources: Sequence[Path]) -> Recording | None:
     """The recording that the one file already is; ``None`` where it is none."""
     if len(sources) != 1 or not sources[0].is_file():
         return None
-    if is_spool(sources[0]):
-        return read_recording(sources[0])
-    if not h5py.is_hdf5(sources[0]):
-        return None
-    try:
-        with h5py.File(sources[0], "r") as file:
-            named = file.attrs.get("format")
-    except (OSError, RuntimeError, ValueError, TypeError):
-        return None
+    named: Any = FORMAT if is_spool(sources[0]) else None
+    with suppress(OSError, RuntimeError, ValueError, TypeError), h5py.File(sources[0], "r") as file:
+        named = file.attrs.get("format")
     named = named.decode("latin-1") if isinstance(named, bytes) else named
     return read_recording(sources[0]) if isinstance(named, str) and named == FORMAT else None
 

@@ -143,17 +143,13 @@ def _resolution(axis: AxisMap) -> float | None:
 
 
 def _is_linear(chart: ImportMap) -> bool:
-    said: dict[bool, str] = {}
-    for axis in chart.axes:
-        for quantity in ("position", "velocity", "torque"):
-            channel = getattr(axis, quantity)
-            if channel is None:
-                continue
-            unit = normal_unit(channel.unit)
-            if unit in LINEAR[quantity]:
-                said[True] = f"{quantity} of {axis.name} in {channel.unit}"
-            elif unit not in ("raw", *BY_CONSTANT):
-                said[False] = f"{quantity} of {axis.name} in {channel.unit}"
+    said = {
+        normal_unit(channel.unit) in LINEAR[quantity]: f"{quantity} of {axis.name} in {channel.unit}"
+        for axis in chart.axes
+        for quantity in ("position", "velocity", "torque")
+        if (channel := getattr(axis, quantity)) is not None
+        and normal_unit(channel.unit) not in ("raw", *BY_CONSTANT)
+    }
     if len(said) == 2:
         raise InputError(
             f"map: {said[True]} is linear but {said[False]} is rotary; one recording is one or the other"

@@ -79,24 +79,25 @@ def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tu
     """Each entry of the map with each file that it takes."""
     pairs: list[tuple[ExperimentMap, Path]] = []
     for entry in entries:
-        found = False
-        for source in sources:
-            if source.is_dir():
-                inside = files_inside(source) if entry.file in _ANY else all_inside(source)
-                names = [(p, p.relative_to(source).as_posix()) for p in inside]
-            else:
-                names = [(source, source.as_posix())]
-            taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
-            pairs += taken
-            found = found or bool(taken)
-        if not found and any(s.is_dir() for s in sources):
+        names = [pair for source in sources for pair in _with_names(source, entry.file)]
+        taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
+        if not taken and any(s.is_dir() for s in sources):
             raise InputError(f"map: no file matches {entry.file!r} below {', '.join(map(str, sources))}")
+        pairs += taken
     if not pairs:
         raise InputError(
             f"map: no experiment takes {', '.join(map(str, sources))}; the map's 'file' patterns are "
             f"{[e.file for e in entries]}"
         )
     return pairs
+
+
+def _with_names(source: Path, pattern: str) -> list[tuple[Path, str]]:
+    """A file, or those inside a folder, each with the name that a pattern is compared with."""
+    if not source.is_dir():
+        return [(source, source.as_posix())]
+    inside = files_inside(source) if pattern in _ANY else all_inside(source)
+    return [(path, path.relative_to(source).as_posix()) for path in inside]
 
 
 _ANY = ("*", "**", "**/*")
