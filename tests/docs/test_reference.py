@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 
 from invid.recording import import_map, read_recording
-from invid.recording.attributes import ExperimentAttributes, RootAttributes
+from invid.recording.stored import ExperimentAttributes, RootAttributes
 from invid_drivers.cia402.axis_state import RULES, AxisState, Command, longest_way_out
 from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.relay import STOP_S
