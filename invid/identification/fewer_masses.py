@@ -15,6 +15,7 @@ from invid.likelihood.unknown_forces.price import price
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.plant import Element, Kind
 from invid.numerics import budget
+from invid.wording.sentence import sentence
 
 LOOSE = 0.1
 """Deviation of a mass' or spring's logarithm from which on its chain may have a mass too many."""
@@ -37,7 +38,7 @@ def with_masses_seen(now: Supposed) -> Supposed:
     taken.
     """
     best, fewer = now, now
-    while not budget.is_left_out("fewer masses than declared"):
+    while not budget.is_left_out(sentence("fewer masses than declared")):
         tried = (shortened(fewer, axis) for axis in range(now.hypothesis.structure.motors))
         known = [s for s in tried if s is not None]
         if not known:

@@ -26,6 +26,7 @@ from invid.numerics.arrays import frozen_float
 from invid.recording.hdf5 import experiment_attributes, root_attributes
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
 from invid.recording.spool import Spool, as_hdf5, sync_folder
+from invid.wording.sentence import sentence
 
 _FLUSH_S = 0.9
 """Data gathered before a burst [s]; below the promised second by one slow append."""
@@ -170,7 +171,7 @@ class RecordingWriter:
             "status": status,
         }
         if self._full:
-            self._require_room("the recording so far is kept")
+            self._require_room(sentence("the recording so far is kept"))
             self._full = False
         instants = np.atleast_1d(np.asarray(time, dtype=np.float64))
         rows: list[npt.NDArray[Any]] = [instants]
@@ -205,7 +206,7 @@ class RecordingWriter:
         if not self._inside or not self._rows:
             return
         try:
-            self._require_room("the recording so far is kept")
+            self._require_room(sentence("the recording so far is kept"))
             block = [np.concatenate([r[i] for r in self._rows]) for i in range(len(self._names))]
             self._guarded(lambda spool: spool.rows(block))
         except RecordingError:
@@ -220,7 +221,7 @@ class RecordingWriter:
         try:
             write(spool)
         except OSError as error:
-            kept = "the recording so far is kept"
+            kept = sentence("the recording so far is kept")
             raise not_written(self.path, error, kept=kept, otherwise=RecordingError) from None
 
     def _require_room(self, kept: str) -> None:

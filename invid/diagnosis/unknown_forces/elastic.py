@@ -44,6 +44,7 @@ from invid.model.document import EffectTerm, model_to_json
 from invid.model.doubts import DoubtCode, doubts_of
 from invid.numerics import budget
 from invid.recording.model import Recording
+from invid.wording.sentence import sentence
 
 SURE = Contest(1.0, ())
 BESIDE_MORE = "Something without a name acts at the same place: it may be a part of it."
@@ -197,9 +198,12 @@ def _hold_doubts(end: Supposed, key: Hashable, axes: Sequence[str]) -> list[str]
     if not any(np.isnan(r.hold[axis]) for r in records):
         return []
     return [
-        f"viscous friction of {axes[axis]}: a hold works while the axis is driven, nothing says when it "
-        "acts, and half a sample of it looks like such friction: record the demanded torque over "
-        "whole periods, or drive the axis without a hold"
+        sentence(
+            "viscous friction of {axes}: a hold works while the axis is driven, nothing says "
+            "when it acts, and half a sample of it looks like such friction: record the "
+            "demanded torque over whole periods, or drive the axis without a hold",
+            axes=axes[axis],
+        )
     ]
 
 

@@ -20,6 +20,7 @@ from invid.model.place import Place
 from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
+from invid.wording.sentence import sentence
 
 ALIKE = 1e-4
 """Share of a law's power that nothing else in the fit explains, below which it is none of its own: motion is
@@ -106,7 +107,7 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
     background = Background.of(now)
     out = []
     for placed in laws:
-        if budget.is_left_out("further causes"):
+        if budget.is_left_out(sentence("further causes")):
             out.append(0.0)
             continue
         own, pull = background.beside(law_rows(now, placed))
