@@ -72,10 +72,10 @@ def open_adapter(bus: BusConfig) -> can.BusABC:
         if isinstance(error, _MISSING) or (isinstance(error, OSError) and "library" in said):
             raise BusError(
                 sentence(
-                    "{who}: the driver of this interface is not there ({said}); {value}",
+                    "{who}: the driver of this interface is not there ({said}); {way_out}",
                     who=who,
                     said=said,
-                    value=needs or sentence("install it"),
+                    way_out=needs or sentence("install it"),
                 )
             ) from None
         beside = sentence(". Where its driver is missing: {needs}", needs=needs) if needs else ""

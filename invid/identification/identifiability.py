@@ -71,7 +71,7 @@ def _direction_sentences(
             error = _percent(np.sqrt(covariance[m, m]) / scale[m])
             out.append(
                 sentence(
-                    "{labels}: known to ±{error} only; {advice}", labels=labels[0], error=error, advice=advice
+                    "{label}: known to ±{error} only; {advice}", label=labels[0], error=error, advice=advice
                 )
             )
         elif len(members) == 2:
@@ -79,9 +79,9 @@ def _direction_sentences(
             relation = sentence("ratio") if is_ratio else sentence("product")
             out.append(
                 sentence(
-                    "{labels} and {labels_2}: only as a {relation} (±{error} each); {advice}",
-                    labels=labels[0],
-                    labels_2=labels[1],
+                    "{first} and {other}: only as a {relation} (±{error} each); {advice}",
+                    first=labels[0],
+                    other=labels[1],
                     relation=relation,
                     error=error,
                     advice=advice,
@@ -108,10 +108,10 @@ def _advice(chains: CoupledChains, band_hz: tuple[float, float]) -> str:
     if above.size:
         return sentence(
             "no excitation above {band_hz:.3g} Hz, and the model has resonances up to "
-            "{most:.3g} Hz: excite up to {max:.3g} Hz, or use fewer masses",
+            "{highest_hz:.3g} Hz: excite up to {wanted_hz:.3g} Hz, or use fewer masses",
             band_hz=band_hz[1],
-            most=above.max(),
-            max=1.3 * above.max(),
+            highest_hz=above.max(),
+            wanted_hz=1.3 * above.max(),
         )
     return sentence("raise the amplitude or measure longer; if that does not help, use fewer masses")
 

@@ -191,11 +191,11 @@ def _friction(config: CellConfig, plan: Plan, belief: Belief) -> list[str]:
         if coulomb > 0 and peak < FRICTION_FACTOR * coulomb:
             said.append(
                 sentence(
-                    "axis {axis}: the peak torque of {peak:.3g} is only {peak_2:.1f} times the Coulomb "
+                    "axis {axis}: the peak torque of {peak:.3g} is only {times:.1f} times the Coulomb "
                     "friction of {coulomb:.3g}; allow a creep_velocity in the config",
                     axis=plan.axes[i],
                     peak=peak,
-                    peak_2=peak / coulomb,
+                    times=peak / coulomb,
                     coulomb=coulomb,
                 )
             )

@@ -272,12 +272,12 @@ class StoppingBudget:
         elif case.deceleration < facts.deceleration and not facts.stays:
             found.append(
                 sentence(
-                    "axis {axis}: its torque limit of {torque:.3g} {value} does not reach its ramp "
+                    "axis {axis}: its torque limit of {torque:.3g} {unit} does not reach its ramp "
                     "({ramp}): the drive may switch off before the axis stands, and let it coast; "
                     "raise the torque limit",
                     axis=case.axis,
                     torque=case.torque,
-                    value="N" if linear else "N·m",
+                    unit="N" if linear else "N·m",
                     ramp=facts.ramp,
                 )
             )

@@ -191,9 +191,9 @@ class Bounds:
                 if skipped > self._most_skipped:
                     raise SafetyStop(
                         sentence(
-                            "the computer was late for {skipped} SYNC slots in a row ({skipped_2:.0f} ms)",
-                            skipped=skipped,
-                            skipped_2=skipped * self._cycle * 1e3,
+                            "the computer was late for {slots} SYNC slots in a row ({ms:.0f} ms)",
+                            slots=skipped,
+                            ms=skipped * self._cycle * 1e3,
                         ),
                         way_out="stop other programs on it or lengthen bus.cycle_s",
                         code="computer_late",
@@ -265,11 +265,11 @@ class Bounds:
             raise SafetyStop(
                 sentence(
                     "axis {axis}: position left its window: {travel:.4g} {unit} from the start, limit "
-                    "{position:g}",
+                    "{limit:g}",
                     axis=limit.name,
                     travel=travel,
                     unit=limit.unit,
-                    position=limit.position,
+                    limit=limit.position,
                 ),
                 way_out="lower the amplitude or widen the window",
                 code="position_window",
@@ -294,11 +294,12 @@ class Bounds:
         if abs(position - home) > most:
             raise SafetyStop(
                 sentence(
-                    "axis {axis}: moved by {value:.3g} {unit} before it is shaken, {most:.3g} was announced",
+                    "axis {axis}: moved by {travel:.3g} {unit} before it is shaken, "
+                    "{announced:.3g} was announced",
                     axis=limit.name,
-                    value=abs(position - home),
+                    travel=abs(position - home),
                     unit=limit.unit,
-                    most=most,
+                    announced=most,
                 ),
                 way_out="a sign is wrong in the drive, somebody moves it, or it is lighter than stated. "
                 "Where it carries a load, 0x6077 may not show what holds it: compare 0x6076 and 0x6075 "
@@ -324,11 +325,11 @@ class Bounds:
             if speed * dt > limit.velocity * (dt + STAMP_CYCLES * self._cycle):
                 raise SafetyStop(
                     sentence(
-                        "axis {axis}: velocity {speed:.4g} {unit}/s, limit {velocity:g}",
+                        "axis {axis}: velocity {speed:.4g} {unit}/s, limit {limit:g}",
                         axis=limit.name,
                         speed=speed,
                         unit=limit.unit,
-                        velocity=limit.velocity,
+                        limit=limit.velocity,
                     ),
                     way_out="lower the amplitude, or look at the encoder if the axis did not move so fast",
                     code="velocity",
@@ -343,12 +344,12 @@ class Bounds:
         if torque > TORQUE_MARGIN * limit.torque + TORQUE_NOISE * limit.rated_torque:
             raise SafetyStop(
                 sentence(
-                    "axis {axis}: torque {torque:.4g} {torque_unit}, limit {torque_2:g}: the drive "
+                    "axis {axis}: torque {torque:.4g} {unit}, limit {limit:g}: the drive "
                     "gives more than it was asked for",
                     axis=limit.name,
                     torque=torque,
-                    torque_unit=limit.torque_unit,
-                    torque_2=limit.torque,
+                    unit=limit.torque_unit,
+                    limit=limit.torque,
                 ),
                 way_out="check rated_torque and the drive's tuning",
                 code="torque",

@@ -256,13 +256,13 @@ class Yielding:
             if sample.time - since[0] >= YIELD_S and abs(speed) > fast:
                 raise SafetyStop(
                     sentence(
-                        "axis {axis}: gets faster against the torque limit: {value:.3g} {unit}/s, "
-                        "{since:.3g} {time:.0f} ms before",
+                        "axis {axis}: gets faster against the torque limit: {speed:.3g} {unit}/s, "
+                        "{before:.3g} {ms:.0f} ms before",
                         axis=limits.name,
-                        value=abs(speed),
+                        speed=abs(speed),
                         unit=limits.unit,
-                        since=since[1],
-                        time=1e3 * (sample.time - since[0]),
+                        before=since[1],
+                        ms=1e3 * (sample.time - since[0]),
                     ),
                     way_out="somebody pushes it, a sign is wrong in the drive, or its load is beyond the "
                     "limit: compare 0x6076 with the motor's plate, or raise the limit",

@@ -126,12 +126,12 @@ class Drive(Access):
         if timer is not None and timer < 2 * self._cycle_s * 1000:
             raise DriveError(
                 sentence(
-                    "{who}: 0x1400:5 of the drive stops it after {timer} ms without its RPDO, and is "
-                    "not loosened; set bus.cycle_s to {timer_2:g} at most, or 0x1400:5 with the "
+                    "{who}: 0x1400:5 of the drive stops it after {ms} ms without its RPDO, and is "
+                    "not loosened; set bus.cycle_s to {cycle_s:g} at most, or 0x1400:5 with the "
                     "drive's tool",
                     who=self.who,
-                    timer=timer,
-                    timer_2=timer / 2000,
+                    ms=timer,
+                    cycle_s=timer / 2000,
                 ),
                 axis=self.name,
             )

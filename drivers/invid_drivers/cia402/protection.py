@@ -294,10 +294,10 @@ class Protection:
             raise DriveError(
                 sentence(
                     "{who}: 0x1016 of the drive watches this master for {ms} ms, and is not loosened; "
-                    "set safety.heartbeat_s to {ms_2:g} at most: three heartbeats must fit",
+                    "set safety.heartbeat_s to {heartbeat_s:g} at most: three heartbeats must fit",
                     who=drive.who,
                     ms=ms,
-                    ms_2=ms // 3 / 1000,
+                    heartbeat_s=ms // 3 / 1000,
                 ),
                 axis=drive.name,
             )

@@ -295,10 +295,10 @@ class Supervisor:
         if trouble in (Trouble.FAULT, Trouble.LEFT):
             raise DriveError(
                 sentence(
-                    "axis {axis}: the drive left operation enabled (statusword 0x{status:04X}{value})",
+                    "axis {axis}: the drive left operation enabled (statusword 0x{status:04X}{fault})",
                     axis=a.name,
                     status=a.status,
-                    value=sentence(", fault") if a.status & 0x08 else "",
+                    fault=sentence(", fault") if a.status & 0x08 else "",
                 ),
                 way_out=sentence("read its error memory, find the cause, reset it there"),
                 code="drive_left",

@@ -63,16 +63,15 @@ def agreed(axis: AxisConfig, scale: Statement, *, drives: bool) -> tuple[float |
         return (found if drives else stated), ""
     names = listed(scale.objects)
     both = sentence(
-        "{who}: {key} is {stated:.6g} {unit}, but {names} of the drive {value} {found:.6g} "
-        "({stated_2:.3g} times)",
+        "{who}: {key} is {stated:.6g} {unit}, but {names} of the drive {say} {found:.6g} ({times:.3g} times)",
         who=_who(axis),
         key=scale.key,
         stated=stated,
         unit=scale.unit,
         names=names,
-        value="say" if len(scale.objects) > 1 else "says",
+        say="say" if len(scale.objects) > 1 else "says",
         found=found,
-        stated_2=stated / found,
+        times=stated / found,
     )
     reasons = [f"{name}: {axis.overrides[name]}" for name in scale.objects if name in axis.overrides]
     if reasons:
