@@ -227,16 +227,21 @@ def small_remainder(residual: Sequence[AxisResidual], recording: Recording) -> s
     worst = int(np.argmax(shares))
     if not 0.0 <= shares[worst] < SMALL:
         return None
-    return (
-        f"What is left is small: at most {100 * shares[worst]:.2g} % of rated torque, on "
-        f"{residual[worst].axis}; less than {100 * SMALL:.2g} % counts as explained."
+    return sentence(
+        "What is left is small: at most {shares:.2g} % of rated torque, on {axis}; less "
+        "than {small:.2g} % counts as explained.",
+        shares=100 * shares[worst],
+        axis=residual[worst].axis,
+        small=100 * SMALL,
     )
 
 
 def _with_law(left: Unexplained | None, law: Finding) -> Unexplained:
     """What is left in words, a law without a name with it."""
     if left is None:
-        left = Unexplained(law.axis, (), (), f"{law.axis}: what acts there has no name in the catalogue")
+        left = Unexplained(
+            law.axis, (), (), sentence("{axis}: what acts there has no name in the catalogue", axis=law.axis)
+        )
     quantities = () if law.effect.table is None else law.effect.table.quantities
     follows = [dependent_on(q) for q in quantities]
     return replace(left, character=tuple(dict.fromkeys([*left.character, *follows])))

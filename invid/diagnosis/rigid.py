@@ -156,7 +156,7 @@ def _plain_effect(a: Analysis, cause: search.Cause) -> tuple[EffectTerm, tuple[s
     effect = effect_in(a.final, cause)
     if isinstance(cause.terms[0].law, LoadFrictionLaw):
         counted = "weight and inertia" if effect.value("inertia_counts") else "weight"
-        return effect, (f"The load is the joint's {counted}.",)
+        return effect, (sentence("The load is the joint's {counted}.", counted=counted),)
     bend = {n: p for n, p in effect.parameters.items() if n.startswith("low_speed")}
     if not bend:
         return effect, ()
@@ -166,9 +166,14 @@ def _plain_effect(a: Analysis, cause: search.Cause) -> tuple[EffectTerm, tuple[s
     whole = settled(a.rows, [*bare.terms, *plain.terms])
     up, down, speed = (p.value for p in bend.values())
     unit, force = bend["low_speed_velocity"].unit, effect.parameters["coulomb_positive"].unit
-    said = (
-        f"Below about {speed:.3g} {unit} it changes by {up:.3g} (forward) and {down:.3g} {force} "
-        "(backward): see the model."
+    said = sentence(
+        "Below about {speed:.3g} {unit} it changes by {up:.3g} (forward) and {down:.3g} "
+        "{force} (backward): see the model.",
+        speed=speed,
+        unit=unit,
+        up=up,
+        down=down,
+        force=force,
     )
     return effect_in(whole, plain), (said,)
 

@@ -57,7 +57,7 @@ def finished_fit(begun: Begun) -> tuple[Supposed, Sequence[Worth]]:
     # would as well, but a hold's time takes it up.
     dry = [(Part.DRY, m) for m in range(now.hypothesis.structure.motors)]
     worths, end = prune(without_loose_springs(now), _deletions_of, dry)
-    if not budget.is_left_out("the records that judged the model"):
+    if not budget.is_left_out(sentence("the records that judged the model")):
         end = on_all_records(end, begun.recording)
     return end, worths
 

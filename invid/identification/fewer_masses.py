@@ -83,6 +83,11 @@ def fewer_masses_warnings(declared: Sequence[int] | None, found: Sequence[int]) 
         return []
     said, seen = (", ".join(str(n) for n in each) for each in (declared, found))
     return [
-        f"masses {said} were declared, but {seen} explain the records and no further one is seen, so these "
-        "are what the model has: declare them, or excite higher frequencies to see more"
+        sentence(
+            "masses {said} were declared, but {seen} explain the records and no further one is "
+            "seen, so these are what the model has: declare them, or excite higher frequencies "
+            "to see more",
+            said=said,
+            seen=seen,
+        )
     ]

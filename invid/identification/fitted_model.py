@@ -173,11 +173,15 @@ def _unmoved_motors(end: Supposed, recording: Recording) -> list[Doubt]:
         own = np.sqrt(spring[structure.links.index((motor, motor + 1))] / mass[motor])
         if share < LIGHT and own > BEYOND * top:
             unit = unit_of("mass", recording.linear)
-            said = (
-                f"{recording.axes[i]}: the torque hardly moves the motor: its mass comes out as "
-                f"{mass[motor]:.2g} {unit}, {100 * share:.2g} % of its chain. The torque is measured behind "
-                "the spring, where its load alone answers, or the motor is that light; these data cannot "
-                "tell: record the motor's current beside it, or the position behind the spring"
+            said = sentence(
+                "{axes}: the torque hardly moves the motor: its mass comes out as {mass:.2g} "
+                "{unit}, {share:.2g} % of its chain. The torque is measured behind the spring, "
+                "where its load alone answers, or the motor is that light; these data cannot tell: "
+                "record the motor's current beside it, or the position behind the spring",
+                axes=recording.axes[i],
+                mass=mass[motor],
+                unit=unit,
+                share=100 * share,
             )
             out.append(Doubt(DoubtCode.TORQUE_BEHIND_SPRING, said, {"share": share}))
     return out

@@ -80,12 +80,19 @@ class GoalPlan:
                 worst=worst,
             )
         if not np.isfinite(worst):
-            return (
-                f"{self.goal:.2g} is not expected: {name} is not seen by this plan at all; excite every axis"
+            return sentence(
+                "{goal:.2g} is not expected: {name} is not seen by this plan at all; excite every axis",
+                goal=self.goal,
+                name=name,
             )
-        return (
-            f"{self.goal:.2g} is not expected within the limits: {name} would reach "
-            f"{worst:.2g} in {self.plan.shaking_s:.0f} s; what binds: {', '.join(self.binding)}"
+        return sentence(
+            "{goal:.2g} is not expected within the limits: {name} would reach {worst:.2g} in "
+            "{shaking_s:.0f} s; what binds: {names}",
+            goal=self.goal,
+            name=name,
+            worst=worst,
+            shaking_s=self.plan.shaking_s,
+            names=", ".join(self.binding),
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -256,7 +256,7 @@ def without_harm(rows: Rows, current: Fit) -> Fit:
             left = missing_torque(rows, fewer), after
             trials += [(chance_of_gain(rows, left, cause.terms[0].axis), fewer)]
         chance, fewer = max(trials, key=lambda t: t[0])
-        if chance < MOST_CHANCE or budget.is_left_out("causes that help no row kept out"):
+        if chance < MOST_CHANCE or budget.is_left_out(sentence("causes that help no row kept out")):
             break
         current = fewer
     return current

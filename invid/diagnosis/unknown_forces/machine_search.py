@@ -70,12 +70,16 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     named = named.with_motion()  # there was no time for any, where the first cause was cut
     bare = without_causes(named)
     nothing: tuple[PlaceForce, ...] = ()
-    forces_named = budget.or_else("what is left at each place", lambda: place_forces(named, bare), nothing)
+    forces_named = budget.or_else(
+        sentence("what is left at each place"), lambda: place_forces(named, bare), nothing
+    )
     end, forces = named, forces_named
     with_law = budget.or_else(sentence("a law without a name"), lambda: add_laws(named, forces_named), None)
     if with_law is not None:
         found, end = prune(with_law, deletions_of)
-        forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), nothing)
+        forces = budget.or_else(
+            sentence("what is left at each place"), lambda: place_forces(end, bare), nothing
+        )
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 
