@@ -6,6 +6,7 @@ No warning or refusal goes by them.
 from __future__ import annotations
 
 import ast
+import json
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -18,6 +19,7 @@ from invid.wording.sentence import LANGUAGES, catalogue
 
 ROOT = Path(__file__).parents[3]
 SPEAKERS = ["invid", "drivers/invid_drivers", "service/invid_service"]
+PAGE = "service/invid_service/web/texts.json"
 MAKERS = {"sentence": 0, "marked": 0, "Experiment": 1}
 """Calls that are given a template, and as which argument."""
 WARNERS = [
@@ -78,6 +80,7 @@ def templates() -> dict[str, str]:
                 found[plain(argument.value)] = place
                 name = argument.value.partition(" (")[0]
                 found |= {t: place for t in (name, bare(name)) if "title" in named}
+    found |= dict.fromkeys(json.loads((ROOT / PAGE).read_text(encoding="utf-8")).values(), PAGE)
     return {t: place for t, place in found.items() if has_words(t)}
 
 
