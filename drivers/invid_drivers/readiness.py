@@ -11,6 +11,7 @@ from invid.planning import Plan, make_plan
 from invid.planning.budget import RoundTrip, tolerable_share
 from invid.planning.forecast import fit_to_limits
 from invid.planning.hold_laws import master_hold
+from invid.wording.sentence import sentence
 from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import journal_path
@@ -109,9 +110,11 @@ def loads_to_support(config: CellConfig) -> tuple[str, ...]:
 
 def support_sentence(axes: Sequence[str]) -> str:
     """What a person does about these axes before anything moves."""
-    return (
-        f"how {', '.join(axes)} is held after a stop was not seen yet; where it carries a load, that is "
-        "tried first, at rest. Support it so that it cannot fall far and still hangs on its drive"
+    return sentence(
+        "how {names} is held after a stop was not seen yet; where it carries a load, that "
+        "is tried first, at rest. Support it so that it cannot fall far and still hangs on "
+        "its drive",
+        names=", ".join(axes),
     )
 
 

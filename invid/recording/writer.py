@@ -27,6 +27,7 @@ from invid.recording.hdf5 import hdf5_image
 from invid.recording.model import Kind, Outcome, Recording, Role
 from invid.recording.spool import Spool, read_spool, sync_folder
 from invid.recording.stored import stored
+from invid.wording.sentence import sentence
 
 _FLUSH_S = 0.9
 """Data gathered before a burst [s]; below the promised second by one slow append."""
@@ -159,7 +160,7 @@ class RecordingWriter:
         if not self._inside:
             raise RecordingError(f"{self.path}: rows appended outside an experiment; call begin first")
         if self._full:
-            self._require_room("the recording so far is kept")
+            self._require_room(sentence("the recording so far is kept"))
             self._full = False
         given = {"position": position, "torque": torque, "torque_demand": demand, "status": status}
         block: list[npt.NDArray[Any]] = [np.array(time, dtype=np.float64, ndmin=1)]
@@ -188,7 +189,7 @@ class RecordingWriter:
         if not self._inside or not self._rows:
             return
         try:
-            self._require_room("the recording so far is kept")
+            self._require_room(sentence("the recording so far is kept"))
             block = [np.concatenate(parts) for parts in zip(*self._rows, strict=True)]
             self._guarded(lambda spool: spool.rows(block))
         except RecordingError:
@@ -203,7 +204,7 @@ class RecordingWriter:
         try:
             write(spool)
         except OSError as error:
-            kept = "the recording so far is kept"
+            kept = sentence("the recording so far is kept")
             raise not_written(self.path, error, kept=kept, otherwise=RecordingError) from None
 
     def _require_room(self, kept: str) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Bool, Float64
 from invid.planning.phases import SLOW_S
+from invid.wording.sentence import sentence
 
 AGREES = 3.0
 """Stated and measured inertia may differ by this factor. "Roughly" in a config, a tool that was changed, and
@@ -168,7 +169,12 @@ def compare(
         )
     if branch is None or not branch.rigid or abs(branch.inertia - stated) <= NOTED * stated:
         return ""
-    return (
-        f"axis {axis}: the trial moved it like {branch.inertia:.3g} {unit}, {source} says {stated:.3g}; "
-        "what was measured is used"
+    return sentence(
+        "axis {axis}: the trial moved it like {inertia:.3g} {unit}, {source} says "
+        "{stated:.3g}; what was measured is used",
+        axis=axis,
+        inertia=branch.inertia,
+        unit=unit,
+        source=source,
+        stated=stated,
     )

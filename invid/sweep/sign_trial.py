@@ -31,6 +31,7 @@ from invid.sweep.inertia import AGREES, ELASTIC, ELASTIC_S, Branch, compare, rig
 from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.motion import Feedback, Log, Motion
 from invid.sweep.ports import Mode, Procedure
+from invid.wording.sentence import sentence
 
 TRIAL_CLIMB, TRIAL_AGAIN_S = 2.0, 0.08
 """Where the longest doublet does not move an axis, its torque is doubled, up to what is planned, and it
@@ -113,7 +114,8 @@ class SignTrial:
         """Try one axis, and return whether it moves as a model foretells; SafetyStop where signs or scales
         are wrong, or nothing moves."""
         motion, axis = self._motion, self._axis
-        motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
+        motion.phase = sentence("trying the signs of {axis}", axis=self._settings.name)
+        motion.experiment = None
         self._home = motion.place[axis]
         motion.watching.bounds.near = motion.announced({axis})
         yield from motion.change(self._modes, self._others)
@@ -339,9 +341,16 @@ class SignTrial:
             return
         self._motion.watching.bounds.blind.add(self._axis)
         raise SafetyStop(
-            f"axis {self._settings.name}: {amplitude:.3g} {self._torque_unit} for {length:.2g} s moved the "
-            f"encoder by {found.displacement / self._count:.0f} counts: the brake is closed, the encoder is "
-            "stuck, or friction takes all of the planned torque",
+            sentence(
+                "axis {axis}: {amplitude:.3g} {torque_unit} for {length:.2g} s moved the encoder "
+                "by {displacement:.0f} counts: the brake is closed, the encoder is stuck, or "
+                "friction takes all of the planned torque",
+                axis=self._settings.name,
+                amplitude=amplitude,
+                torque_unit=self._torque_unit,
+                length=length,
+                displacement=found.displacement / self._count,
+            ),
             way_out="see that the brake opens and turn the axis by hand" + self._ignored(),
             code="stands",
             axis=self._settings.name,
@@ -360,8 +369,12 @@ class SignTrial:
             if sum(r.late_edges for r in seen) > sum(r.edges for r in seen):
                 raise trials.too_late(name, [*seen, *self._spoilt])
             self._warnings.append(
-                f"axis {name}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
-                "deviations); the encoder is coarse or the torque small"
+                sentence(
+                    "axis {axis}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
+                    "deviations); the encoder is coarse or the torque small",
+                    axis=name,
+                    sign=sign,
+                )
             )
         trials.judge(name, found, sign, amplitude=amplitude, unit=self._unit, torque_unit=self._torque_unit)
 

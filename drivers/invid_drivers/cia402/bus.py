@@ -17,6 +17,7 @@ from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetySt
 from invid.sweep.bounds import Bounds, bounds_of
 from invid.sweep.motion import FADE_S
 from invid.sweep.ports import Clock, Loop, Mode, Procedure, Sample, T, Want, Wish
+from invid.wording.sentence import joined, sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import procedures
 from invid_drivers.cia402.axis import Drive, DriveReport, ModeSet
@@ -35,7 +36,7 @@ from invid_drivers.cia402.states import OperationMode, is_energised
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
 from invid_drivers.cia402.supervisor import STOPPING, Supervisor
 
-ENABLING = "stopped on request while the drives were being enabled"
+ENABLING = sentence("stopped on request while the drives were being enabled")
 RAMP_MARGIN = 1.25
 """On the time of a ramp from the speed limit: the axis may be faster, the drive settles at its end."""
 RESTORE_S = 30.0
@@ -113,7 +114,7 @@ class Cia402Cell:
         try:
             self.reports = tuple(d.check(found) for d, found in zip(self._drives, left, strict=True))
         except DriveError as error:  # what was left as somebody set it is said once
-            raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
+            raise DriveError(joined([str(error), *(s for found in left for s in found)], ". ")) from None
         for drive in self._drives:
             self._refuse_owned(drive)
         self.held.find(self.reports, powered)
@@ -183,9 +184,14 @@ class Cia402Cell:
         producer = watched >> 16 & 0x7F
         if watched & 0xFFFF and any(f.node == producer for f in self._link.others.values()):
             raise BusError(
-                f"axis {drive.name} (node {drive.node_id}): it watches the heartbeat of node {producer} "
-                "(0x1016), which is on this bus: it belongs to that master. Switch that off, or clear 0x1016 "
-                "if it is none",
+                sentence(
+                    "axis {axis} (node {node_id}): it watches the heartbeat of node {producer} "
+                    "(0x1016), which is on this bus: it belongs to that master. Switch that off, or "
+                    "clear 0x1016 if it is none",
+                    axis=drive.name,
+                    node_id=drive.node_id,
+                    producer=producer,
+                ),
                 axis=drive.name,
             )
 
@@ -298,12 +304,12 @@ class Cia402Cell:
         for wish in procedure:
             yield wish
             if self.cancelled():
-                raise SafetyStop(f"{asked}; nothing was recorded yet", code="asked")
+                raise SafetyStop(sentence("{asked}; nothing was recorded yet", asked=asked), code="asked")
 
     @property
     def _supervised(self) -> Supervisor:
         if self._supervisor is None:
-            raise DriveError("the cell was not energised: no axis is supervised")
+            raise DriveError(sentence("the cell was not energised: no axis is supervised"))
         return self._supervisor
 
     def _look_first(self) -> Procedure[None]:
@@ -324,15 +330,26 @@ class Cia402Cell:
         if self._late_share is not None and max(late) > self._late_share[0] * count:
             names = ", ".join(name for name, n in zip(self.axes, late, strict=True) if n == max(late))
             raise ConfigError(
-                f"bus: cycle_s is {cycle:g}, and of {count} answers to SYNC without power {max(late)} "
-                f"of axis {names} "
-                f"came too late or not at all; set bus.cycle_s to {self._late_share[1]:g} or longer"
+                sentence(
+                    "bus: cycle_s is {cycle:g}, and of {count} answers to SYNC without power {most} of "
+                    "axis {axis} came too late or not at all; set bus.cycle_s to {late_share:g} or "
+                    "longer",
+                    cycle=cycle,
+                    count=count,
+                    most=max(late),
+                    axis=names,
+                    late_share=self._late_share[1],
+                )
             )
         silent = [d.name for d, n in zip(self._drives, answers.came, strict=True) if not n]
         if silent:
             raise DriveError(
-                f"axis {', '.join(silent)}: silence (no TPDO comes) after {seconds:.2g} s of SYNC; check its "
-                "supply and its PDOs",
+                sentence(
+                    "axis {axis}: silence (no TPDO comes) after {seconds:.2g} s of SYNC; check its "
+                    "supply and its PDOs",
+                    axis=", ".join(silent),
+                    seconds=seconds,
+                ),
                 axes=silent,
             )
         self._watch.start(sample.position)
@@ -347,15 +364,22 @@ class Cia402Cell:
         restarted = [p.name for p in self._link.peers.values() if p.booted]
         if restarted:
             raise DriveError(
-                f"axis {', '.join(restarted)} has restarted while its protection was written, and may have "
-                "lost it; look at its supply, then start again",
+                sentence(
+                    "axis {axis} has restarted while its protection was written, and may have lost it; "
+                    "look at its supply, then start again",
+                    axis=", ".join(restarted),
+                ),
                 axes=restarted,
             )
         for peer in self._link.peers.values():
             for code in peer.own_errors(since=peer.recovered):
                 raise DriveError(
-                    f"axis {peer.name} reported error 0x{code:04X} before it was enabled; find out why, then "
-                    "start again",
+                    sentence(
+                        "axis {axis} reported error 0x{code:04X} before it was enabled; find out why, then "
+                        "start again",
+                        axis=peer.name,
+                        code=code,
+                    ),
                     axis=peer.name,
                 )
 
@@ -377,7 +401,7 @@ class Cia402Cell:
         before = [len(a.story) for a in supervisor.axes]
         try:
             test = procedures.test_stops(self._stage, 3 * self._config.safety.heartbeat_s)
-            yield from self._unless_asked(test, "stopped on request in the stop test")
+            yield from self._unless_asked(test, sentence("stopped on request in the stop test"))
         finally:
             for i, velocity in enumerate(permitted):
                 self._watch.permit(i, velocity)
@@ -394,7 +418,7 @@ class Cia402Cell:
     @property
     def _watch(self) -> Bounds:
         if self.bounds is None:
-            raise DriveError("the cell was not checked: nothing is known of its drives")
+            raise DriveError(sentence("the cell was not checked: nothing is known of its drives"))
         return self.bounds
 
     def set_loops(self, loops: Sequence[Loop | None]) -> None:

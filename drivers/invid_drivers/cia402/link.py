@@ -19,6 +19,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoEr
 
 from invid.errors import BusError, SafetyStop
 from invid.sweep.ports import Clock, Event, Severity
+from invid.wording.sentence import sentence
 from invid_drivers.cia402.gate import Gate, Known
 from invid_drivers.cia402.others import LISTEN_BEATS, LISTEN_S, MASTER_ID, Foreign, foreign
 
@@ -143,8 +144,13 @@ class Link:
             self.bus.send(message)
         except can.CanError as error:
             raise BusError(
-                f"bus {self.bus.channel_info}: frame 0x{message.arbitration_id:03X} was not taken ({error}); "
-                "check cable, termination and bit rate"
+                sentence(
+                    "bus {channel_info}: frame 0x{arbitration_id:03X} was not taken ({error}); check "
+                    "cable, termination and bit rate",
+                    channel_info=self.bus.channel_info,
+                    arbitration_id=message.arbitration_id,
+                    error=error,
+                )
             ) from None
         except (OSError, ValueError) as error:
             raise BusError(f"bus {self.bus.channel_info}: {error}") from None
@@ -172,7 +178,7 @@ class Link:
         SafetyStop where a stop was asked for, within ``HEARD_S``.
         """
         if self.cancelled():
-            raise SafetyStop("stopped on request; nothing was recorded yet", code="asked")
+            raise SafetyStop(sentence("stopped on request; nothing was recorded yet"), code="asked")
         if self.attend is not None:
             self.attend()
             return
@@ -295,7 +301,7 @@ class Link:
         """BusError where the controller reports bus-off."""
         state = getattr(self.bus, "state", None)
         if state is can.BusState.ERROR:
-            raise BusError("the CAN controller is bus-off; check cable, termination and bit rate")
+            raise BusError(sentence("the CAN controller is bus-off; check cable, termination and bit rate"))
 
     # --- services ------------------------------------------------------------------------------
     def add_peer(self, node_id: int, name: str) -> Peer:
@@ -310,7 +316,9 @@ class Link:
     def nmt(self, command: int, node_id: int) -> None:
         """NMT command to one of our nodes; never to all, who may be others'."""
         if node_id not in self.peers:
-            raise BusError(f"node {node_id} is not in the config: it gets no NMT command")
+            raise BusError(
+                sentence("node {node_id} is not in the config: it gets no NMT command", node_id=node_id)
+            )
         self.send(0x000, bytes((command, node_id)))
 
     def sdo(self, node_id: int) -> SdoClient:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from invid.errors import DriveError, InvidError, SafetyStop
 from invid.sweep.bounds import Bounds
 from invid.sweep.ports import Event, Loop, Mode, Sample, Severity, Want, Wish
+from invid.wording.sentence import marked, sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import ModeSet
@@ -27,7 +28,7 @@ from invid_drivers.cia402.supervised_axis import DEAF_S, DRIVEN_LOOK_S, Supervis
 CYCLIC = OperationMode.CYCLIC_POSITION
 STOPPING = "stopping"
 MOVES = "moved by itself"
-UNSEEN = "support the load of {}: it is not seen to stand"
+UNSEEN = marked("support the load of {axes}: it is not seen to stand")
 """Phases that are told."""
 SWITCHABLE = (AxisState.LED, AxisState.STOPPING, AxisState.SWITCHING)
 """States in which an axis may be switched off for a mode that its drive takes without power only."""
@@ -85,7 +86,9 @@ class Supervisor:
             except InvidError as found:
                 error = error or found
             except Exception as fault:  # a fault of this program at one axis: the others are attended to
-                error = error or DriveError(f"axis {axis.name}: a fault of this program: {fault!r}")
+                error = error or DriveError(
+                    sentence("axis {axis}: a fault of this program: {fault!r}", axis=axis.name, fault=fault)
+                )
         if error is not None and not self.is_leaving:
             raise error
         return sample
@@ -234,7 +237,7 @@ class Supervisor:
             self._told.add(a.name)
             names = [x.name for x in self.axes if x.name in self._told]
             with contextlib.suppress(Exception):  # whoever listens may have gone
-                self.tell(UNSEEN.format(", ".join(names)))
+                self.tell(sentence(UNSEEN, axes=", ".join(names)))
 
     # --- one axis -----------------------------------------------------------------------------------
     def _attend(self, a: SupervisedAxis) -> None:
@@ -291,9 +294,13 @@ class Supervisor:
             return
         if trouble in (Trouble.FAULT, Trouble.LEFT):
             raise DriveError(
-                f"axis {a.name}: the drive left operation enabled (statusword 0x{a.status:04X}"
-                f"{', fault' if a.status & 0x08 else ''})",
-                way_out="read its error memory, find the cause, reset it there",
+                sentence(
+                    "axis {axis}: the drive left operation enabled (statusword 0x{status:04X}{fault})",
+                    axis=a.name,
+                    status=a.status,
+                    fault=sentence(", fault") if a.status & 0x08 else "",
+                ),
+                way_out=sentence("read its error memory, find the cause, reset it there"),
                 code="drive_left",
                 axis=a.name,
             )
@@ -486,8 +493,13 @@ class Supervisor:
         if a.shows(Fact.ENABLED):
             what = f"enabled, but without its mode (0x6060) after {seconds:g} s"
         return DriveError(
-            f"axis {a.name} (node {node}): {what}; check its supply, its enable input, safe torque off and "
-            "the brake",
+            sentence(
+                "axis {axis} (node {node}): {what}; check its supply, its enable input, safe "
+                "torque off and the brake",
+                axis=a.name,
+                node=node,
+                what=what,
+            ),
             axis=a.name,
         )
 
