@@ -102,9 +102,7 @@ def loads_to_support(config: CellConfig) -> tuple[str, ...]:
 
     None where no hardware stands behind the config.
     """
-    if config.simulated:
-        return ()
-    return to_support(config, _memory(config))
+    return () if config.simulated else to_support(config, _memory(config))
 
 
 def support_sentence(axes: Sequence[str]) -> str:

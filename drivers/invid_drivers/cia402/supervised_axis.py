@@ -33,9 +33,10 @@ slower by then was none."""
 CREEPS = 2.0
 """Of the tolerance within which an axis stands: one that is further from its place in quick stop within the
 look is not held, however slowly it goes."""
-READY_S = 0.25
-"""Ready to switch on needs no power: a drive that does not go there within this is inhibited from outside,
-by an emergency stop or safe torque off, and is not enabled again."""
+READY_S, READY_SPARE_S = 0.25, 0.03
+"""Ready to switch on needs no power: a drive that is not there within the time that it took when it was
+enabled, and this to spare, is inhibited from outside, by an emergency stop or safe torque off, and is not
+enabled again. The first counts where it was not enabled in this run."""
 CATCH_TIME_S = 0.02
 """Ten cycles of 2 ms: slower than a torque loop and its dead time (empirical: foreign drives with 0.8 ms)."""
 MOST_CATCHES = 3
@@ -109,6 +110,10 @@ class SupervisedAxis:
     parks: bool | None = None
     """Whether its drive was seen to hold it in quick stop active, out of position mode."""
     support_was_awaited: bool = False
+    asked: int = 0
+    """Cycles in its state in which its drive was asked to be ready to switch on."""
+    ready_s: float | None = None
+    """Longest that its drive took for it on its way to being enabled."""
     is_stopped_by_nmt: bool = False
     silence_was_tried: bool = False
     takes_mode: ModeSet = ModeSet.SHOWN
@@ -128,6 +133,8 @@ class SupervisedAxis:
     was_ready: bool = False
     """It has gone a step towards operation enabled in this state."""
     mode_is_there: bool = False
+    changing_s: float = 0.0
+    """Of its state, until its drive had taken another mode under power."""
     supported_since: float | None = None
     moved_at: float = 0.0
     """When it was last seen to move, in its state."""
@@ -195,8 +202,9 @@ class SupervisedAxis:
             self._note_weight()
         if rule.command is not before or state is AxisState.CATCHING:
             self.was_enabled, self.samples = False, 0
-        self.was_ready = False
-        if state is AxisState.CATCHING or (state is AxisState.STOPPING and self.on_trial):
+        self.was_ready, self.asked, self.changing_s = False, 0, 0.0
+        damped = (AxisState.CATCHING, AxisState.SLOWING)
+        if state in damped or (state is AxisState.STOPPING and self.on_trial):
             self.damping = self._catching_damping()
         if state is AxisState.CATCHING:
             self.catches += 1
@@ -222,11 +230,15 @@ class SupervisedAxis:
             inertia = 2 * abs(self.support) * self.drop / speed**2 if speed**2 > SEEN * self.drop else 0.0
         return inertia / CATCH_TIME_S
 
+    def within_limit(self, torque: float) -> float:
+        """The torque, or as much of it as its limit permits [N·m or N]."""
+        limit = self.estimator.limits.torque
+        return max(-limit, min(limit, torque))
+
     @property
     def catching_torque(self) -> float:
         """Torque that carries its load and brakes its fall [N·m or N]."""
-        limit = self.estimator.limits.torque
-        return max(-limit, min(limit, self.support - self.damping * self.speed))
+        return self.within_limit(self.support - self.damping * self.speed)
 
     @property
     def speed(self) -> float:
@@ -249,6 +261,8 @@ class SupervisedAxis:
         self.samples += 1
         self.was_enabled |= self.drive is DriveState.OPERATION_ENABLED
         self.was_ready |= self.drive in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON)
+        if self.was_ready and self.asked and self.state is AxisState.ENABLING:
+            self.ready_s = max(self.ready_s or 0.0, self.asked * self.cycle_s)
         self.was_powered |= self.is_energised
         if not self.is_energised:
             self.torque_off = sample.torque[i]
@@ -302,7 +316,8 @@ class SupervisedAxis:
         if command is Command.ENABLE and not enabled and (self.was_enabled or went_back):
             return Trouble.LEFT
         if self.state is AxisState.CATCHING and drive is DriveState.SWITCH_ON_DISABLED:
-            return Trouble.LEFT if self.seconds > READY_S else None
+            most = READY_S if self.ready_s is None else self.ready_s + READY_SPARE_S
+            return Trouble.LEFT if self.asked * self.cycle_s > most else None
         if command is not Command.QUICK_STOP:
             return None
         if self.carries and not self.is_energised:
@@ -327,9 +342,9 @@ class SupervisedAxis:
         if state in (AxisState.OFF, AxisState.LETTING_GO):
             far = self.drop > self.most_drop and estimator.fall is not None
             return Trouble.FALLS if far and not self.is_energised and len(self.story) > 1 else None
-        if state is AxisState.STOPPING and self.is_damped and self._runs_away():
+        if state is AxisState.STOPPING and self.is_damped and self.runs_away():
             return Trouble.FALLS
-        if state is AxisState.PARKING and not self.carries and self._runs_away():
+        if state is AxisState.PARKING and not self.carries and self.runs_away():
             return Trouble.DRIVEN
         parked = state in (AxisState.PARKING, AxisState.STANDS)
         if parked and self.on_trial and self.carries and self._has_dropped():
@@ -354,7 +369,8 @@ class SupervisedAxis:
         """Whether it got its speed on its way by more than ``SEEN``."""
         return self.estimator.speed**2 > 2 * SEEN * self.drop
 
-    def _runs_away(self) -> bool:
+    def runs_away(self) -> bool:
+        """Whether what brings it to rest does the opposite."""
         limits = self.estimator.limits
         noise = max(NOISE_COUNTS * abs(limits.resolution), NOISE_DEVIATIONS * self.estimator.noise)
         least = max(RUNAWAY_SHARE * limits.velocity, noise / (4 * self.cycle_s))

@@ -78,12 +78,14 @@ class Supervisor:
         error = error or self._judge_bounds(sample)
         for axis in self.axes:
             axis.see(sample)
-        self._cycle.asking = {a.index for a in self.axes if self.is_mute or self._must_be_asked(a)}
+        unseen = [a for a in self.axes if self.is_leaving and a.state is not AxisState.OFF and a.is_unseen()]
+        self._cycle.asking = {a.index for a in (self.axes if self.is_mute else unseen)}
         for axis in self.axes:
             try:
                 self._attend(axis)
-            except InvidError as found:
-                error = error or found
+            except InvidError as found:  # what a drive did explains what its axis does
+                explains = isinstance(error, SafetyStop) and error.axis == axis.name
+                error = found if explains else error or found
             except Exception as fault:  # a fault of this program at one axis: the others are attended to
                 error = error or DriveError(f"axis {axis.name}: a fault of this program: {fault!r}")
         if error is not None and not self.is_leaving:
@@ -105,7 +107,9 @@ class Supervisor:
             if self.is_mute:
                 return self._cycle.silent_cycle(), None
             sample = self._cycle.exchange([self._command(a) for a in self.axes])
-            self._note_pause()
+            if self._cycle.paused:
+                self.bounds.pause()
+                self._cycle.paused = False
             return sample, None
         except InvidError as error:
             sample, clock = self._cycle.sample, self._link.clock
@@ -113,18 +117,11 @@ class Supervisor:
             sample.time, sample.fresh[:] = clock.now(), [False] * len(self.axes)
             return sample, error
 
-    def _must_be_asked(self, a: SupervisedAxis) -> bool:
-        return self.is_leaving and a.state is not AxisState.OFF and a.is_unseen()
-
-    def _note_pause(self) -> None:
-        if self._cycle.paused:
-            self.bounds.pause()
-            self._cycle.paused = False
-
     def _judge_bounds(self, sample: Sample) -> InvidError | None:
         """What leaves its bounds, and which axes are to blame."""
         bounds = self.bounds
-        bounds.led = {a.index for a in self.axes if a.state in (AxisState.LED, AxisState.STOPPING)}
+        led = (AxisState.LED, AxisState.STOPPING, AxisState.SLOWING)
+        bounds.led = {a.index for a in self.axes if a.state in led}
         if self._link.clock.now() < self._missed_until:
             self._hear_who_missed_us(sample)
         if self.is_leaving or self.is_mute:
@@ -318,7 +315,11 @@ class Supervisor:
 
     def _react_to_driven(self, a: SupervisedAxis, *, is_sure: bool) -> None:
         """A quick stop first: a load that falls looks the same for a moment; then cut off. Of a led axis it
-        is known by what was asked of it, and what carries nothing does not fall."""
+        is known by what was asked of it, and what carries nothing does not fall.
+
+        One that goes against this master's torque is slowed by its opposite, whether motor or encoder has
+        turned: no other torque is left, and where that is wrong it gets faster and is cut off, too."""
+        turned = a.state is AxisState.LED and a.takes_torque
         if a.driven_since is None:
             a.driven_since, a.entry_speed = a.now, abs(a.estimator.speed)
             if a.state is not AxisState.PARKING:
@@ -326,7 +327,8 @@ class Supervisor:
         looked = a.now - a.driven_since >= DRIVEN_LOOK_S and abs(a.estimator.speed) >= a.entry_speed
         if is_sure or looked:
             a.is_cut = True
-            self.enter(a, AxisState.BRAKING if a.has_brake and a.carries else AxisState.LETTING_GO)
+            cut = AxisState.SLOWING if turned else AxisState.LETTING_GO
+            self.enter(a, AxisState.BRAKING if a.has_brake and a.carries else cut)
 
     def _react_to_deaf(self, a: SupervisedAxis) -> None:
         """It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop. A drive that
@@ -364,6 +366,11 @@ class Supervisor:
             a.power_is_useless = True
             self.enter(a, AxisState.BRAKING)
             return
+        if a.state is AxisState.ENABLING and not a.mode_is_there:
+            error = self._late_error(a)
+            self.enter(a, AxisState.PARKING)  # a quick stop needs no mode
+            a.estimator.begin()  # how it fell until now says nothing of that
+            raise error
         a.power_is_useless |= a.is_energised
         a.in_vain |= RULES[a.state].command is Command.ENABLE and a.state is not AxisState.CATCHING
         if a.state in (AxisState.BRAKING, AxisState.BRAKED):
@@ -406,11 +413,15 @@ class Supervisor:
         rule = RULES[a.state]
         a.mode_is_there = self._mode_is_there(a, rule.mode)
         change = self._cycle.change_of(a.index)
+        if change is not None and a.is_energised:
+            a.changing_s = a.seconds
         if a.state in SWITCHABLE and change is not None and change.without_power:
             self._switch_mode(a, change)
             rule = RULES[a.state]
         if a.state is AxisState.PARKING and not a.carries and a.shows(Fact.UNPOWERED):
             self.enter(a, AxisState.LETTING_GO)  # it switches itself off when its ramp has ended
+        elif a.state is AxisState.SLOWING and a.runs_away():
+            self.enter(a, AxisState.LETTING_GO)
         elif a.state is AxisState.LETTING_GO and a.is_cut and a.shows(Fact.UNPOWERED):
             if a.seconds > CUT_LOOK_S:
                 self.enter(a, AxisState.FAULT)
@@ -433,11 +444,9 @@ class Supervisor:
         elif a.fresh and not a.is_energised and a.seconds > rest_s:
             change.ask_again(a.now)
 
-    def _within(self, a: SupervisedAxis, within_s: float) -> float:
-        if a.state is AxisState.PARKING:
-            return a.quick_stop_s
-        changing = self._cycle.change_of(a.index) is not None and a.shows(Fact.ENABLED)
-        return within_s + (CHANGING_S if changing else 0.0)
+    @staticmethod
+    def _within(a: SupervisedAxis, within_s: float) -> float:
+        return a.quick_stop_s if a.state is AxisState.PARKING else within_s + min(a.changing_s, CHANGING_S)
 
     def _finish(self, a: SupervisedAxis, then: AxisState) -> None:
         match a.state:
@@ -452,7 +461,7 @@ class Supervisor:
 
     def _be_late(self, a: SupervisedAxis, late: AxisState | None) -> None:
         """A deadline has passed."""
-        before = a.state
+        before, error = a.state, self._late_error(a)
         match before:
             case AxisState.PARKING if not a.carries or a.is_cut:
                 self.enter(a, AxisState.LETTING_GO)
@@ -475,21 +484,18 @@ class Supervisor:
         if a.on_trial:
             a.verdict = a.verdict or f"it was still {before.value}"
         elif not self.is_leaving and before in (AxisState.ENABLING, AxisState.SWITCHING, AxisState.STOPPING):
-            raise self._late_error(a, before)
+            raise error
 
     @staticmethod
-    def _late_error(a: SupervisedAxis, before: AxisState) -> DriveError:
-        node = a.holding.config.node_id
-        seconds = RULES[before].within_s
+    def _late_error(a: SupervisedAxis) -> DriveError:
+        node, seconds = a.holding.config.node_id, f"{a.seconds:.2g}"
         seen = a.drive.words if a.fresh else "silence (no TPDO comes)"
-        what = f"not enabled after {seconds:g} s, the drive shows {seen}"
+        what = f"not enabled after {seconds} s, the drive shows {seen}"
+        way_out = "check its supply, its enable input, safe torque off and the brake"
         if a.shows(Fact.ENABLED):
-            what = f"enabled, but without its mode (0x6060) after {seconds:g} s"
-        return DriveError(
-            f"axis {a.name} (node {node}): {what}; check its supply, its enable input, safe torque off and "
-            "the brake",
-            axis=a.name,
-        )
+            what = f"enabled, but without its mode (0x6060) after {seconds} s, and it went {a.drop:.2g} away"
+            way_out = "see in its manual when it takes a mode, and in 0x6502 whether it has that"
+        return DriveError(f"axis {a.name} (node {node}): {what}; {way_out}", axis=a.name)
 
     # --- modes --------------------------------------------------------------------------------------
     def _operation(self, a: SupervisedAxis, mode: Mode | None) -> OperationMode | None:
@@ -497,9 +503,7 @@ class Supervisor:
             return None
         if a.state is AxisState.ENABLING and a.target is AxisState.LED:
             return a.torque_mode
-        if mode is Mode.TORQUE or not a.holding.has_position_mode:
-            return a.torque_mode
-        return CYCLIC
+        return a.torque_mode if mode is Mode.TORQUE or not a.holding.has_position_mode else CYCLIC
 
     def _mode_is_there(self, a: SupervisedAxis, mode: Mode | None) -> bool:
         if a.state is AxisState.SWITCHING:
@@ -548,6 +552,8 @@ class Supervisor:
             return a.torque
         if a.state is AxisState.STOPPING:
             return self._rest_torque(a)
+        if a.state is AxisState.SLOWING:
+            return a.within_limit(a.damping * a.speed)
         if a.state is AxisState.CATCHING and a.takes_torque:
             return a.catching_torque
         return a.support if a.holding.has_position_mode else 0.0
@@ -568,7 +574,9 @@ class Supervisor:
                     # one that stopped by itself goes on only from a command to stop
                     waits |= a.seconds < EDGE_CYCLES * a.cycle_s
                     return states.QUICK_STOP if waits else states.ENABLE_OPERATION
-                return self._cycle.control[a.index] if waits else states.towards_enabled(a.drive)
+                word = self._cycle.control[a.index] if waits else states.towards_enabled(a.drive)
+                a.asked += word == states.SHUTDOWN
+                return word
 
     def _waits_for_mode(self, a: SupervisedAxis) -> bool:
         """Whether an axis goes no further before its drive has taken the mode it is to hold it in."""
@@ -595,8 +603,7 @@ class Supervisor:
             return a.torque
         if loop is None:
             return a.support
-        limit = a.estimator.limits.torque
-        return max(-limit, min(limit, loop.torque - loop.damping * a.speed))
+        return a.within_limit(loop.torque - loop.damping * a.speed)
 
     def _tell_by_sdo(self, a: SupervisedAxis) -> None:
         if a.is_energised and self._cycle.is_free_for_sdo(a.index):
