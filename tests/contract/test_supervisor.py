@@ -355,6 +355,18 @@ def test_an_axis_whose_torque_has_turned_is_slowed_by_its_opposite_and_cut_off_w
     assert max(abs(t[0]) for t in rig.torques) <= 20.0
 
 
+@pytest.mark.parametrize(("stopped_in", "silent"), [(READY, False), (READY, True), (ENABLED, False)])
+def test_a_load_that_never_had_power_is_not_said_to_be_let_go(stopped_in: int, silent: bool) -> None:
+    rig = Rig()
+    drive = rig.drives[0]
+    while drive.status != stopped_in:
+        rig.run(CYCLE, W.HOLD)
+    drive.propped, drive.lets_go, rig.silent = True, True, [silent]
+    rig.run(0.02 * silent)
+    rig.leave(9.0)
+    assert rig.axes[0].was_let_go is (silent or stopped_in == ENABLED)
+
+
 @pytest.mark.parametrize("gap", [0.3, 2.0])
 def test_an_axis_that_lets_go_within_a_second_of_another_that_was_cut_off_was_cut_off_too(gap: float) -> None:
     rig = Rig([True, True])

@@ -486,19 +486,7 @@ class Cia402Cell:
         self.not_off = tuple(a.name for a in axes if a.deaf or not a.is_final or a.state is AxisState.UNHEARD)
         on = [a for a in axes if a.is_energised and a.name not in self.not_off]
         self.held_at_end = tuple(a.name for a in on)
-        holds = (AxisState.STANDS, AxisState.BRAKED)
-        self.not_held = tuple(
-            a.name
-            for a in axes
-            if a.story
-            and a.carries
-            and (
-                a.state not in holds
-                or a.blind
-                or a.brake_failed
-                or (a.is_energised and (a.parks is False or a.driven_since is not None))
-            )
-        )
+        self.not_held = tuple(a.name for a in axes if a.was_let_go)
         self.held.note_end(self.held_at_end, self.not_off)
 
     @property

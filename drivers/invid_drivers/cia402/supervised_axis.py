@@ -178,6 +178,15 @@ class SupervisedAxis:
         return (RULES[self.state].is_final and rests) or late
 
     @property
+    def was_let_go(self) -> bool:
+        """Whether it carries a load, may have had power, and was not seen to be held in the end."""
+        doubted = self.is_energised and (self.parks is False or self.driven_since is not None)
+        held = self.state in (AxisState.STANDS, AxisState.BRAKED) and not (
+            doubted or self.blind or self.brake_failed
+        )
+        return self.carries and not held and (self.was_powered or (bool(self.story) and self.is_unseen()))
+
+    @property
     def has_brake(self) -> bool:
         """Whether a brake is left that was not seen to fail."""
         h = self.holding
