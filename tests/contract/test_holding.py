@@ -336,7 +336,7 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     again.check()
     assert {r.code for r in again.not_ready} == {"axis_suspect", "axis_energised"}
     assert not any("A2" in r.text for r in again.not_ready)
-    with pytest.raises(DriveError, match="--cleared A1"):
+    with pytest.raises(DriveError, match=r"Find the cause; .*--cleared A1`\. axis A1 .* is energised: "):
         energise(again, held(again))
     again.close()
     cleared = bench.connect()

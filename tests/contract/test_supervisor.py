@@ -27,7 +27,7 @@ from invid_drivers.cia402.supervisor import Supervisor
 
 S, F, W = AxisState, Fact, Want
 CYCLE, G, WEIGHT = 0.002, 8.0, 8.0
-OFF, READY, ON, ENABLED, STOPPED, FAULT = 0x50, 0x31, 0x33, 0x37, 0x17, 0x18
+OFF, READY, ON, ENABLED, STOPPED, FAULT, REACTS = 0x50, 0x31, 0x33, 0x37, 0x17, 0x18, 0x1F
 
 
 class Drive:
@@ -353,6 +353,24 @@ def test_an_axis_whose_torque_has_turned_is_slowed_by_its_opposite_and_cut_off_w
     rig.leave(1.0)
     assert rig.states == [S.FAULT]
     assert max(abs(t[0]) for t in rig.torques) <= 20.0
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_fault_is_the_end_where_its_drive_reacts_no_more_and_else_it_may_be_on(ends: bool) -> None:
+    rig = Rig([False])
+    rig.bring(S.HELD)
+    (axis,), (drive,) = rig.axes, rig.drives
+    drive.status, drive.obeys_not = REACTS, True
+    with pytest.raises(DriveError):
+        rig.run(0.1)
+    rig.leave(0.5)
+    assert rig.states == [S.FAULT]
+    assert not axis.is_final
+    if ends:
+        drive.status = FAULT
+    rig.leave(0.1 if ends else axis.quick_stop_s)
+    assert axis.is_final
+    assert axis.may_be_on is not ends
 
 
 @pytest.mark.parametrize(("stopped_in", "silent"), [(READY, False), (READY, True), (ENABLED, False)])

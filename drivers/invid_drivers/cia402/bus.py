@@ -192,14 +192,13 @@ class Cia402Cell:
     @property
     def notes(self) -> tuple[str, ...]:
         """Who else is on the bus, and is left alone; what turned out when protection was written."""
-        slaves = sorted({f.node for f in self._link.others.values() if f.node is not None})
-        others = [f.text for f in self._link.others.values() if not f.master and f.node is None]
-        said = [f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves]
+        others = self._link.others.values()
+        slaves = sorted({f.node for f in others if f.node is not None})
         protection = (note for d in self._drives for note in d.protection.notes)
         holds = (s for h in self.holdings if (s := h.said(f"axis {h.config.name}")))
         return (
-            *said,
-            *(f"{text} are on the bus too" for text in others),
+            *(f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves),
+            *(f"{f.text} are on the bus too" for f in others if not f.master and f.node is None),
             *protection,
             *holds,
         )
@@ -209,9 +208,9 @@ class Cia402Cell:
         if not self.reports:
             self.check()
         self._hear_stops()
-        for reason in self.not_ready:
-            if reason.code == "axis_suspect":
-                raise DriveError(f"{reason.text}; {reason.fix}")
+        if any(reason.code == "axis_suspect" for reason in self.not_ready):
+            said = [s for r in self.not_ready for s in (r.text, r.fix[0].upper() + r.fix[1:])]
+            raise DriveError(". ".join(said))
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)
@@ -253,7 +252,12 @@ class Cia402Cell:
 
     def _supervise(self) -> Supervisor:
         cycle = self._config.bus.cycle_s
-        quick_stop = min(max(QUICK_STOP_S, RAMP_MARGIN * self._ramp_s), LONGEST_RAMP_S)
+        ramps_s = [
+            RAMP_MARGIN * a.limits.velocity / r.stopping.deceleration
+            for a, r in zip(self._config.axes, self.reports, strict=False)
+            if r.stopping.deceleration
+        ]
+        quick_stop = min(max([QUICK_STOP_S, *ramps_s]), LONGEST_RAMP_S)
         axes = [
             SupervisedAxis(i, holding, self._watch.estimators[i], report.torque_mode, cycle, quick_stop)
             for i, (holding, report) in enumerate(zip(self.holdings, self.reports, strict=True))
@@ -483,23 +487,11 @@ class Cia402Cell:
             if a.brake_failed:
                 a.holding.note(self.held.memory, brake_drop=a.holding.config.limits.position)
                 a.holding.brake_failed = a.state is AxisState.STANDS
-        self.not_off = tuple(a.name for a in axes if a.deaf or not a.is_final or a.state is AxisState.UNHEARD)
+        self.not_off = tuple(a.name for a in axes if a.deaf or not a.is_final or a.may_be_on)
         on = [a for a in axes if a.is_energised and a.name not in self.not_off]
         self.held_at_end = tuple(a.name for a in on)
         self.not_held = tuple(a.name for a in axes if a.was_let_go)
         self.held.note_end(self.held_at_end, self.not_off)
-
-    @property
-    def _ramp_s(self) -> float:
-        """Longest quick stop from a velocity limit, by what the drives say of their ramps."""
-        return max(
-            (
-                a.limits.velocity / r.stopping.deceleration
-                for a, r in zip(self._config.axes, self.reports, strict=False)
-                if r.stopping.deceleration
-            ),
-            default=0.0,
-        )
 
     def close(self) -> list[str]:
         """Stop, restore every object that was written, look at what is left held, close the bus; what could

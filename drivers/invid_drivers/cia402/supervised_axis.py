@@ -174,8 +174,15 @@ class SupervisedAxis:
     def is_final(self) -> bool:
         """Whether the way out may end here."""
         late = self.state is AxisState.UNHEARD and self.seconds > RULES[AxisState.UNHEARD].within_s
-        rests = self.state is not AxisState.STANDS or (self.carries and not self.is_unseen())
-        return (RULES[self.state].is_final and rests) or late
+        waits = (self.state is AxisState.STANDS and (self.is_unseen() or not self.carries)) or (
+            self.state is AxisState.FAULT and self.is_energised and self.seconds < self.quick_stop_s
+        )
+        return (RULES[self.state].is_final and not waits) or late
+
+    @property
+    def may_be_on(self) -> bool:
+        """Whether it does not obey, or its drive still reacts to a fault."""
+        return self.state is AxisState.UNHEARD or (self.state is AxisState.FAULT and self.is_energised)
 
     @property
     def was_let_go(self) -> bool:
