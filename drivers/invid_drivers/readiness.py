@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from invid.config import CellConfig
-from invid.errors import DriveError, InvidError
+from invid.errors import DriveError, InvidError, note_left
 from invid.planning import Plan, make_plan
 from invid.planning.budget import RoundTrip, tolerable_share
 from invid.planning.forecast import fit_to_limits
@@ -134,6 +134,10 @@ class Asked:
     prepared: Prepared | None = None
     reports: tuple[DriveReport, ...] = ()
     holdings: tuple[AxisHolding, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.refusal is not None:  # whoever is refused hears of what is under power, too
+            note_left(self.refusal, (s for r in self.reasons for s in r.sentences))
 
     @property
     def can_start(self) -> bool:

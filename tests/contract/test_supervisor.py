@@ -38,8 +38,8 @@ class Drive:
         self.g = G if load else 0.0
         self.brake_s, self.closes = brake_s, 0.0
         self.lets_go = self.holds_not = self.obeys_not = self.inhibited = False
-        self.limp, self.turned, self.asked = False, False, 0.0
-        """Gives no torque where it is enabled; follows its master's torque the opposite way."""
+        self.limp, self.follows, self.asked = False, 0.0, 0.0
+        """Gives no torque where it is enabled; follows its master's torque, with this sign."""
         self.ready_after = 1
         """Times that it is told to be ready to switch on."""
         self.propped, self.supported = True, False
@@ -75,8 +75,8 @@ class Drive:
         braked = self.brake_s is not None and self.status not in (ENABLED, STOPPED) and now >= self.closes
         if self.propped or self.supported or braked:
             self.speed = 0.0
-        elif self.turned and self.status == ENABLED:
-            self.speed -= (self.g + self.asked) * CYCLE
+        elif self.follows and self.status == ENABLED:
+            self.speed += (self.follows * self.asked - self.g) * CYCLE
         elif self.holds:
             self.speed -= math.copysign(min(abs(self.speed), 100.0 * CYCLE), self.speed)
         else:
@@ -330,7 +330,7 @@ def test_an_axis_whose_torque_has_turned_is_slowed_by_its_opposite_and_cut_off_w
     rig = Rig([False])
     rig.bring(S.LED)
     drive, bounds = rig.drives[0], rig.supervisor.bounds
-    drive.turned, drive.speed = True, -1.0
+    drive.follows, drive.speed = -1.0, -1.0
     rig.run(0.02)
 
     def disobeys(sample: Sample, asked: Sequence[float]) -> None:
@@ -383,6 +383,21 @@ def test_a_load_that_never_had_power_is_not_said_to_be_let_go(stopped_in: int, s
     rig.run(0.02 * silent)
     rig.leave(9.0)
     assert rig.axes[0].was_let_go is (silent or stopped_in == ENABLED)
+
+
+@pytest.mark.parametrize("follows", [1.0, 0.5, -0.5, -1.0])
+def test_a_led_axis_that_its_torque_has_sped_up_the_opposite_way_is_not_left_to_its_drives_loop(
+    follows: float,
+) -> None:
+    """Half as much is another mass than the stated one: then nobody knows."""
+    rig = Rig([False])
+    rig.bring(S.LED)
+    drive = rig.drives[0]
+    drive.follows = follows
+    for k in range(100):
+        rig.supervisor.tick(Wish([W.STAY], [12.0 * math.exp(10.0 * (k - 99) * CYCLE)]))
+    rig.leave(CYCLE)
+    assert rig.states == [S.SLOWING if follows == -1.0 else S.PARKING]
 
 
 @pytest.mark.parametrize("gap", [0.3, 2.0])

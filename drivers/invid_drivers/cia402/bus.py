@@ -101,7 +101,7 @@ class Cia402Cell:
     # --- before motion -------------------------------------------------------------------------
     def check(self) -> tuple[DriveReport, ...]:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
-        self._hear_stops()
+        self._link.cancelled = lambda: self.cancelled()
         self._link.require_bus()
         for drive in self._drives:
             drive.refuse_declared()
@@ -135,9 +135,6 @@ class Cia402Cell:
         if not self._link.gate.listened:
             self._link.listen()
         self._link.refuse_others()
-
-    def _hear_stops(self) -> None:
-        self._link.cancelled = lambda: self.cancelled()
 
     def _pre_operational(self) -> None:
         """But for drives under power: leaving operational may make one of them let go."""
@@ -180,10 +177,10 @@ class Cia402Cell:
     def _refuse_owned(self, drive: Drive) -> None:
         """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
         watched = drive.find(od.CONSUMER_HEARTBEAT) or 0
-        producer = watched >> 16 & 0x7F
-        if watched & 0xFFFF and any(f.node == producer for f in self._link.others.values()):
+        if watched & 0xFFFF and any(f.node == watched >> 16 & 0x7F for f in self._link.others.values()):
             raise BusError(
-                f"axis {drive.name} (node {drive.node_id}): it watches the heartbeat of node {producer} "
+                f"axis {drive.name} (node {drive.node_id}): it watches the heartbeat of node "
+                f"{watched >> 16 & 0x7F} "
                 "(0x1016), which is on this bus: it belongs to that master. Switch that off, or clear 0x1016 "
                 "if it is none",
                 axis=drive.name,
@@ -194,23 +191,20 @@ class Cia402Cell:
         """Who else is on the bus, and is left alone; what turned out when protection was written."""
         others = self._link.others.values()
         slaves = sorted({f.node for f in others if f.node is not None})
-        protection = (note for d in self._drives for note in d.protection.notes)
-        holds = (s for h in self.holdings if (s := h.said(f"axis {h.config.name}")))
         return (
             *(f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves),
             *(f"{f.text} are on the bus too" for f in others if not f.master and f.node is None),
-            *protection,
-            *holds,
+            *(note for d in self._drives for note in d.protection.notes),
+            *(s for h in self.holdings if (s := h.said(f"axis {h.config.name}"))),
         )
 
     def energise(self, modes: Sequence[Mode]) -> Procedure[None]:
         """Protect, map, start and enable every drive at rest where it stands."""
         if not self.reports:
             self.check()
-        self._hear_stops()
+        self._link.cancelled = lambda: self.cancelled()
         if any(reason.code == "axis_suspect" for reason in self.not_ready):
-            said = [s for r in self.not_ready for s in (r.text, r.fix[0].upper() + r.fix[1:])]
-            raise DriveError(". ".join(said))
+            raise DriveError(". ".join(s for r in self.not_ready for s in r.sentences))
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)

@@ -208,7 +208,9 @@ class Link:
     def sort(self, message: can.Message) -> None:
         """Heartbeat, boot-up, EMCY of any length, SDO answers, error frames; the rest is ignored."""
         if message.is_error_frame:
-            self._error_frame(message)
+            if message.arbitration_id & 0x40:  # Linux error class bit 6: controller went bus-off
+                text = "the CAN controller went bus-off; check cable and bit rate"
+                self.events.append(Event(Severity.BUS, text))
             return
         if message.is_remote_frame or message.is_extended_id:
             self._look_for_others(message)
@@ -301,13 +303,6 @@ class Link:
                 node.name,
             )
         )
-
-    def _error_frame(self, message: can.Message) -> None:
-        # Linux error class bit 6: controller went bus-off
-        if message.arbitration_id & 0x40:
-            self.events.append(
-                Event(Severity.BUS, "the CAN controller went bus-off; check cable and bit rate")
-            )
 
     def require_bus(self) -> None:
         """BusError where the controller reports bus-off."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -39,6 +40,10 @@ enabled, and this to spare, is inhibited from outside, by an emergency stop or s
 enabled again. The first counts where it was not enabled in this run."""
 CATCH_TIME_S = 0.02
 """Ten cycles of 2 ms: slower than a torque loop and its dead time (empirical: foreign drives with 0.8 ms)."""
+TURNED, LED_CYCLES, LAG_CYCLES = 0.3, 50, 6
+"""Of the impulse of its torque over so many cycles: within that its momentum has changed by the opposite
+where a sign has turned. Its speed is that of half of ``SPEED_SAMPLES`` ago, and torque acts two cycles
+later."""
 MOST_CATCHES = 3
 """From quick stop out of torque mode, from quick stop out of position mode, and until it is supported."""
 
@@ -143,6 +148,8 @@ class SupervisedAxis:
     """How far it went in its state."""
     torque_off: float | None = None
     """What its drive shows without voltage."""
+    led: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LED_CYCLES + LAG_CYCLES))
+    """Speed, and impulse of the torque that it was asked for in its state, in each cycle [N·m·s or N·s]."""
     story: list[tuple[float, AxisState]] = field(default_factory=list)
 
     @property
@@ -202,8 +209,8 @@ class SupervisedAxis:
     @property
     def is_catchable(self) -> bool:
         """Whether its drive may be given it again."""
-        able = self.holding.has_position_mode and not (self.blind or self.is_cut or self.weak)
-        return able and self.catches < MOST_CATCHES and not self.support_was_awaited
+        unable = self.blind or self.is_cut or self.weak or self.support_was_awaited
+        return self.holding.has_position_mode and not unable and self.catches < MOST_CATCHES
 
     @property
     def most_drop(self) -> float:
@@ -214,8 +221,8 @@ class SupervisedAxis:
     def enter(self, state: AxisState) -> None:
         """Come into a state: what is seen from here on counts for it."""
         before, rule = RULES[self.state].command, RULES[state]
-        if self.state is AxisState.HELD and self.estimator.stands and self.carries:
-            self._note_weight()
+        if self.state is AxisState.HELD and self.estimator.stands and self.carries and self.takes_torque:
+            self.support = self.estimator.torque  # an offset would add to its drive's loop
         if rule.command is not before or state is AxisState.CATCHING:
             self.was_enabled, self.samples = False, 0
         self.was_ready, self.asked, self.changing_s = False, 0, 0.0
@@ -230,11 +237,9 @@ class SupervisedAxis:
         self.entry_speed = abs(self.estimator.speed)
         self.supported_since = None
         self.estimator.look_anew()
+        self.led.clear()
+        self.is_cut |= state is AxisState.SLOWING  # no loop of its drive's holds it
         self.story.append((self.now, state))
-
-    def _note_weight(self) -> None:
-        if self.takes_torque:
-            self.support = self.estimator.torque  # an offset would add to its loop
 
     def _catching_damping(self) -> float:
         """Damping that stops a fall in ``CATCH_TIME_S``.
@@ -245,6 +250,19 @@ class SupervisedAxis:
         if inertia is None:
             inertia = 2 * abs(self.support) * self.drop / speed**2 if speed**2 > SEEN * self.drop else 0.0
         return inertia / CATCH_TIME_S
+
+    @property
+    def has_turned(self) -> bool:
+        """Whether what it was asked for while it is led has moved its mass the opposite way, to most of the
+        speed that it has."""
+        mass, led = self.holding.config.inertia, self.led
+        if mass is None or len(led) < LED_CYCLES + LAG_CYCLES:
+            return False
+        impulse = led[-1 - LAG_CYCLES][1] - led[0][1]
+        change = mass * (led[-1][0] - led[LAG_CYCLES][0])
+        return (
+            abs(change + impulse) < TURNED * abs(impulse) and 2 * change * led[-1][0] > mass * led[-1][0] ** 2
+        )
 
     def within_limit(self, torque: float) -> float:
         """The torque, or as much of it as its limit permits [N·m or N]."""
@@ -275,6 +293,12 @@ class SupervisedAxis:
             return
         self.heard, self.status, self.shown_torque = sample.time, sample.status[i], sample.torque[i]
         self.samples += 1
+        self.led.append(
+            (
+                self.estimator.speed,
+                (self.led[-1][1] if self.led else 0.0) + self.within_limit(self.torque) * self.cycle_s,
+            )
+        )
         self.was_enabled |= self.drive is DriveState.OPERATION_ENABLED
         self.was_ready |= self.drive in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON)
         if self.was_ready and self.asked and self.state is AxisState.ENABLING:

@@ -190,6 +190,8 @@ class Supervisor:
 
     def _grant_end(self, a: SupervisedAxis) -> None:
         match a.state:
+            case AxisState.LED if a.has_turned and a.takes_torque and not (a.carries or a.is_unseen()):
+                self.enter(a, AxisState.SLOWING)
             case AxisState.LED if a.carries and a.holding.has_position_mode and not a.is_unseen():
                 self.enter(a, AxisState.STOPPING)
             case AxisState.STOPPING if a.is_unseen():  # no loop of this master's closes, its drive's may
@@ -327,8 +329,12 @@ class Supervisor:
         looked = a.now - a.driven_since >= DRIVEN_LOOK_S and abs(a.estimator.speed) >= a.entry_speed
         if is_sure or looked:
             a.is_cut = True
-            cut = AxisState.SLOWING if turned else AxisState.LETTING_GO
-            self.enter(a, AxisState.BRAKING if a.has_brake and a.carries else cut)
+            self.enter(
+                a,
+                AxisState.BRAKING
+                if a.has_brake and a.carries
+                else (AxisState.SLOWING if turned else AxisState.LETTING_GO),
+            )
 
     def _react_to_deaf(self, a: SupervisedAxis) -> None:
         """It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop. A drive that
@@ -350,9 +356,8 @@ class Supervisor:
 
     def _tell_by_nmt(self, a: SupervisedAxis) -> None:
         """A drive whose process data are lost may hear NMT: then it does what it does without a master."""
-        ending = a.state in (AxisState.PARKING, AxisState.LETTING_GO)
+        ending = a.state in (AxisState.PARKING, AxisState.LETTING_GO) and not self._holds_by_itself(a)
         unheard = a.now - a.heard > DEAF_S  # not by SDO either
-        ending = ending and not self._holds_by_itself(a)
         if self.is_leaving and ending and unheard and not a.is_stopped_by_nmt:
             a.is_stopped_by_nmt = True
             self._stop_by_nmt(a)
