@@ -385,6 +385,25 @@ def test_a_load_that_never_had_power_is_not_said_to_be_let_go(stopped_in: int, s
     assert rig.axes[0].was_let_go is (silent or stopped_in == ENABLED)
 
 
+def test_a_load_without_a_brake_whose_torque_has_turned_sinks_slowly_until_it_rests_on_something() -> None:
+    rig = Rig()
+    rig.bring(S.LED)
+    (axis,), (drive,) = rig.axes, rig.drives
+    drive.follows = -1.0
+    told: list[str] = []
+    rig.supervisor.tell = told.append
+    rig.supervisor.enter(axis, S.SLOWING)
+    rig.leave(5.0)
+    assert rig.states == [S.SLOWING]
+    assert -1.0 < drive.position < -0.1
+    assert abs(drive.speed) < 0.2
+    assert told == ["support the load of A1: it is not seen to stand"]
+    drive.supported = True
+    rig.leave(1.0)
+    assert rig.states == [S.FAULT]
+    assert axis.was_let_go
+
+
 @pytest.mark.parametrize("follows", [1.0, 0.5, -0.5, -1.0])
 def test_a_led_axis_that_its_torque_has_sped_up_the_opposite_way_is_not_left_to_its_drives_loop(
     follows: float,
@@ -655,7 +674,7 @@ FACTS = {
     S.STOPPING: ({F.ENABLED, F.MODE, F.STANDING}, S.HELD), S.PARKING: ({F.STOPPED, F.STANDING}, S.STANDS),
     S.BRAKING: ({F.UNPOWERED, F.STANDING}, S.BRAKED), S.CATCHING: ({F.ENABLED, F.MODE, F.STANDING}, S.CAUGHT),
     S.CAUGHT: ({F.SUPPORTED}, S.PARKING), S.LETTING_GO: ({F.UNPOWERED, F.STANDING}, S.OFF),
-    S.UNHEARD: ({F.UNPOWERED}, S.OFF),
+    S.UNHEARD: ({F.UNPOWERED}, S.OFF), S.SLOWING: ({F.STANDING}, S.LETTING_GO),
 }  # fmt: skip
 
 

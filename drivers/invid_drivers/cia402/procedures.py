@@ -75,9 +75,7 @@ class Stage:
 
     def wait(self, seconds: float, wish: Wish) -> Procedure[None]:
         """Go on wishing the same for a while."""
-        end = self.now() + seconds
-        while self.now() < end:
-            yield wish
+        return self.until(self.axes, (), wish, seconds)
 
     def until(
         self, axes: Sequence[SupervisedAxis], states: Collection[AxisState], wish: Wish, longest: float

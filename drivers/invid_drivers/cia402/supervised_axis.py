@@ -40,7 +40,7 @@ enabled, and this to spare, is inhibited from outside, by an emergency stop or s
 enabled again. The first counts where it was not enabled in this run."""
 CATCH_TIME_S = 0.02
 """Ten cycles of 2 ms: slower than a torque loop and its dead time (empirical: foreign drives with 0.8 ms)."""
-TURNED, LED_CYCLES, LAG_CYCLES = 0.3, 50, 6
+TURNED, LED_CYCLES, LAG_CYCLES = 0.3, 30, 6
 """Of the impulse of its torque over so many cycles: within that its momentum has changed by the opposite
 where a sign has turned. Its speed is that of half of ``SPEED_SAMPLES`` ago, and torque acts two cycles
 later."""
@@ -234,7 +234,9 @@ class SupervisedAxis:
         self.state, self.since = state, self.now
         self.place = self.moved_from = self.estimator.position
         self.moved_at, self.drop = self.now, 0.0
-        self.entry_speed = abs(self.estimator.speed)
+        # a load that damping alone lowers gets as fast as that
+        sinks = abs(self.support) / self.damping if state is AxisState.SLOWING and self.damping else 0.0
+        self.entry_speed = max(abs(self.estimator.speed), sinks)
         self.supported_since = None
         self.estimator.look_anew()
         self.led.clear()
@@ -253,16 +255,15 @@ class SupervisedAxis:
 
     @property
     def has_turned(self) -> bool:
-        """Whether what it was asked for while it is led has moved its mass the opposite way, to most of the
-        speed that it has."""
+        """Whether what it was asked for while it is led has moved its mass the opposite way, to a third at
+        least of the speed that it has; its weight did the rest."""
         mass, led = self.holding.config.inertia, self.led
         if mass is None or len(led) < LED_CYCLES + LAG_CYCLES:
             return False
         impulse = led[-1 - LAG_CYCLES][1] - led[0][1]
         change = mass * (led[-1][0] - led[LAG_CYCLES][0])
-        return (
-            abs(change + impulse) < TURNED * abs(impulse) and 2 * change * led[-1][0] > mass * led[-1][0] ** 2
-        )
+        off = abs(change + impulse + self.support * (LED_CYCLES - 1) * self.cycle_s)
+        return off < TURNED * abs(impulse) and 3 * change * led[-1][0] > mass * led[-1][0] ** 2
 
     def within_limit(self, torque: float) -> float:
         """The torque, or as much of it as its limit permits [N·m or N]."""

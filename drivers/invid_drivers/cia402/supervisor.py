@@ -17,7 +17,16 @@ from invid.sweep.ports import Event, Loop, Mode, Sample, Severity, Want, Wish
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import ModeSet
-from invid_drivers.cia402.axis_state import CHANGING_S, NEXT, RULES, UNHEARD_S, AxisState, Command, Fact
+from invid_drivers.cia402.axis_state import (
+    CHANGING_S,
+    NEXT,
+    RULES,
+    SUPPORT_S,
+    UNHEARD_S,
+    AxisState,
+    Command,
+    Fact,
+)
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_requests import Change
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link
@@ -31,6 +40,8 @@ UNSEEN = "support the load of {}: it is not seen to stand"
 """Phases that are told."""
 SWITCHABLE = (AxisState.LED, AxisState.STOPPING, AxisState.SWITCHING)
 """States in which an axis may be switched off for a mode that its drive takes without power only."""
+UNHELD = (AxisState.CATCHING, AxisState.CAUGHT, AxisState.SLOWING, AxisState.LOST, AxisState.FAULT)
+"""States in which a load must be supported."""
 SAME_CAUSE_S = 1.0
 """An axis that lets go so soon after another was cut off from outside was cut off, too: relays of one
 emergency stop open within tenths of a second."""
@@ -185,13 +196,11 @@ class Supervisor:
                 self.enter(a, AxisState.PARKING)
             case Want.BRAKE if a.state is AxisState.HELD and a.has_brake:
                 self.enter(a, AxisState.BRAKING)
-            case _:
-                pass
 
     def _grant_end(self, a: SupervisedAxis) -> None:
         match a.state:
-            case AxisState.LED if a.has_turned and a.takes_torque and not (a.carries or a.is_unseen()):
-                self.enter(a, AxisState.SLOWING)
+            case AxisState.LED if a.has_turned and a.takes_torque and not a.is_unseen():
+                self._react_to_driven(a, is_sure=True)
             case AxisState.LED if a.carries and a.holding.has_position_mode and not a.is_unseen():
                 self.enter(a, AxisState.STOPPING)
             case AxisState.STOPPING if a.is_unseen():  # no loop of this master's closes, its drive's may
@@ -208,8 +217,6 @@ class Supervisor:
                 self.enter(a, AxisState.LETTING_GO)
             case AxisState.CAUGHT if a.parks is not False:
                 self.enter(a, AxisState.PARKING)
-            case _:
-                pass
 
     def enter(self, a: SupervisedAxis, state: AxisState) -> None:
         """Bring an axis into a state."""
@@ -222,9 +229,7 @@ class Supervisor:
         a.mode_is_there = False
         with contextlib.suppress(Exception):  # whoever listens may have gone
             self.changed()
-        if state in (AxisState.CATCHING, AxisState.CAUGHT, AxisState.LOST) or (
-            state is AxisState.FAULT and a.carries
-        ):
+        if state in UNHELD:
             self._tell_support(a)
 
     def _tell_support(self, a: SupervisedAxis) -> None:
@@ -451,7 +456,8 @@ class Supervisor:
 
     @staticmethod
     def _within(a: SupervisedAxis, within_s: float) -> float:
-        return a.quick_stop_s if a.state is AxisState.PARKING else within_s + min(a.changing_s, CHANGING_S)
+        own = {AxisState.PARKING: a.quick_stop_s, AxisState.SLOWING: SUPPORT_S if a.carries else within_s}
+        return own.get(a.state, within_s + min(a.changing_s, CHANGING_S))
 
     def _finish(self, a: SupervisedAxis, then: AxisState) -> None:
         match a.state:
@@ -460,8 +466,6 @@ class Supervisor:
                 a.target = AxisState.HELD
             case AxisState.PARKING:
                 a.parks = True
-            case _:
-                pass
         self.enter(a, then)
 
     def _be_late(self, a: SupervisedAxis, late: AxisState | None) -> None:
