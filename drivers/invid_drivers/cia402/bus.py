@@ -525,7 +525,7 @@ class Cia402Cell:
         """See what is left held without its master, and say what was seen."""
         self._link.attend = None
         supervisor = self._supervisor
-        if supervisor is None or not any(a.state is AxisState.STANDS for a in supervisor.axes):
+        if supervisor is None:
             return
         self._link.until = math.inf
         self._leave_by(procedures.look_after(self._stage))
