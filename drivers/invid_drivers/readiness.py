@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from invid.config import CellConfig
-from invid.errors import DriveError, InvidError
+from invid.errors import DriveError, InvidError, note_left
 from invid.planning import Plan, make_plan
 from invid.planning.budget import RoundTrip, tolerable_share
 from invid.planning.forecast import fit_to_limits
@@ -103,9 +103,7 @@ def loads_to_support(config: CellConfig) -> tuple[str, ...]:
 
     None where no hardware stands behind the config.
     """
-    if config.simulated:
-        return ()
-    return to_support(config, _memory(config))
+    return () if config.simulated else to_support(config, _memory(config))
 
 
 def support_sentence(axes: Sequence[str]) -> str:
@@ -139,6 +137,10 @@ class Asked:
     prepared: Prepared | None = None
     reports: tuple[DriveReport, ...] = ()
     holdings: tuple[AxisHolding, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.refusal is not None:  # whoever is refused hears of what is under power, too
+            note_left(self.refusal, (s for r in self.reasons for s in r.sentences))
 
     @property
     def can_start(self) -> bool:

@@ -4,6 +4,7 @@ inertia?
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,9 +129,8 @@ class SignTrial:
             name, rated, unit = self._settings.name, self._rated, self._torque_unit
             trials.judge_scale(name, self._seen, rated=rated, torque_unit=unit)
         shown = self._shown_over_foretold(last.response, length)
-        if shown is not None:
-            branch = self._branch(last.log)
-        else:
+        branch = None if motion.by_offset(axis) else self._branch(last.log)
+        if shown is None:
             branch = yield from self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         # what swings behind it moves an axis as well: no axis is lighter than its first mass
@@ -376,7 +376,11 @@ class SignTrial:
                     sign=sign,
                 )
             )
-        trials.judge(name, found, sign, amplitude=amplitude, unit=self._unit, torque_unit=self._torque_unit)
+        self._judge(found, sign, amplitude)
+
+    def _judge(self, found: trials.Response, sign: float, amplitude: float) -> None:
+        name, unit, torque_unit = self._settings.name, self._unit, self._torque_unit
+        trials.judge(name, found, sign, amplitude=amplitude, unit=unit, torque_unit=torque_unit)
 
     # --- inertia -------------------------------------------------------------------------------
     def _weigh(self, last: Trial, amplitude: float, length: float) -> Procedure[Branch | None]:
@@ -464,6 +468,8 @@ class SignTrial:
             return None
         fresh = kept.fresh[:, self._axis]
         found = rigid_branch(kept.time, self._demand(kept), position, fresh, count=self._count)
+        if found.is_opposed:  # steps of a coarse encoder may leave that open
+            self._judge(self._seen[-1], -math.inf, found.torque)
         return found if found.fits else None
 
     def _compare(self, branch: Branch | None, found: trials.Response) -> None:

@@ -483,10 +483,8 @@ class Drive(Access):
 
     def _pdos(self, kind: str) -> int:
         """How many PDOs of a kind the EDS lists; at most the eight that are switched off one by one."""
-        declared = self.declared
-        if declared is None:
-            return 8
-        return min(8, declared.rpdos if kind == "RPDO" else declared.tpdos)
+        listed = self.declared
+        return 8 if listed is None else min(8, listed.rpdos if kind == "RPDO" else listed.tpdos)
 
     def set_mode(self, mode: OperationMode, longest_s: float) -> ModeSet:
         """Write 0x6060 without power, wait until 0x6061 shows it, and return what came of it.

@@ -102,7 +102,7 @@ class Cia402Cell:
     # --- before motion -------------------------------------------------------------------------
     def check(self) -> tuple[DriveReport, ...]:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
-        self._hear_stops()
+        self._link.cancelled = lambda: self.cancelled()
         self._link.require_bus()
         for drive in self._drives:
             drive.refuse_declared()
@@ -136,9 +136,6 @@ class Cia402Cell:
         if not self._link.gate.listened:
             self._link.listen()
         self._link.refuse_others()
-
-    def _hear_stops(self) -> None:
-        self._link.cancelled = lambda: self.cancelled()
 
     def _pre_operational(self) -> None:
         """But for drives under power: leaving operational may make one of them let go."""
@@ -181,8 +178,7 @@ class Cia402Cell:
     def _refuse_owned(self, drive: Drive) -> None:
         """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
         watched = drive.find(od.CONSUMER_HEARTBEAT) or 0
-        producer = watched >> 16 & 0x7F
-        if watched & 0xFFFF and any(f.node == producer for f in self._link.others.values()):
+        if watched & 0xFFFF and any(f.node == watched >> 16 & 0x7F for f in self._link.others.values()):
             raise BusError(
                 sentence(
                     "axis {axis} (node {node_id}): it watches the heartbeat of node {producer} "
@@ -190,7 +186,7 @@ class Cia402Cell:
                     "clear 0x1016 if it is none",
                     axis=drive.name,
                     node_id=drive.node_id,
-                    producer=producer,
+                    producer=watched >> 16 & 0x7F,
                 ),
                 axis=drive.name,
             )
@@ -198,26 +194,22 @@ class Cia402Cell:
     @property
     def notes(self) -> tuple[str, ...]:
         """Who else is on the bus, and is left alone; what turned out when protection was written."""
-        slaves = sorted({f.node for f in self._link.others.values() if f.node is not None})
-        others = [f.text for f in self._link.others.values() if not f.master and f.node is None]
-        said = [f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves]
-        protection = (note for d in self._drives for note in d.protection.notes)
-        holds = (s for h in self.holdings if (s := h.said(f"axis {h.config.name}")))
+        others = self._link.others.values()
+        slaves = sorted({f.node for f in others if f.node is not None})
         return (
-            *said,
-            *(f"{text} are on the bus too" for text in others),
-            *protection,
-            *holds,
+            *(f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves),
+            *(f"{f.text} are on the bus too" for f in others if not f.master and f.node is None),
+            *(note for d in self._drives for note in d.protection.notes),
+            *(s for h in self.holdings if (s := h.said(f"axis {h.config.name}"))),
         )
 
     def energise(self, modes: Sequence[Mode]) -> Procedure[None]:
         """Protect, map, start and enable every drive at rest where it stands."""
         if not self.reports:
             self.check()
-        self._hear_stops()
-        for reason in self.not_ready:
-            if reason.code == "axis_suspect":
-                raise DriveError(f"{reason.text}; {reason.fix}")
+        self._link.cancelled = lambda: self.cancelled()
+        if any(reason.code == "axis_suspect" for reason in self.not_ready):
+            raise DriveError(". ".join(s for r in self.not_ready for s in r.sentences))
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)
@@ -259,7 +251,12 @@ class Cia402Cell:
 
     def _supervise(self) -> Supervisor:
         cycle = self._config.bus.cycle_s
-        quick_stop = min(max(QUICK_STOP_S, RAMP_MARGIN * self._ramp_s), LONGEST_RAMP_S)
+        ramps_s = [
+            RAMP_MARGIN * a.limits.velocity / r.stopping.deceleration
+            for a, r in zip(self._config.axes, self.reports, strict=False)
+            if r.stopping.deceleration
+        ]
+        quick_stop = min(max([QUICK_STOP_S, *ramps_s]), LONGEST_RAMP_S)
         axes = [
             SupervisedAxis(i, holding, self._watch.estimators[i], report.torque_mode, cycle, quick_stop)
             for i, (holding, report) in enumerate(zip(self.holdings, self.reports, strict=True))
@@ -507,35 +504,11 @@ class Cia402Cell:
             if a.brake_failed:
                 a.holding.note(self.held.memory, brake_drop=a.holding.config.limits.position)
                 a.holding.brake_failed = a.state is AxisState.STANDS
-        self.not_off = tuple(a.name for a in axes if a.deaf or not a.is_final or a.state is AxisState.UNHEARD)
+        self.not_off = tuple(a.name for a in axes if a.deaf or not a.is_final or a.may_be_on)
         on = [a for a in axes if a.is_energised and a.name not in self.not_off]
         self.held_at_end = tuple(a.name for a in on)
-        holds = (AxisState.STANDS, AxisState.BRAKED)
-        self.not_held = tuple(
-            a.name
-            for a in axes
-            if a.story
-            and a.carries
-            and (
-                a.state not in holds
-                or a.blind
-                or a.brake_failed
-                or (a.is_energised and (a.parks is False or a.driven_since is not None))
-            )
-        )
+        self.not_held = tuple(a.name for a in axes if a.was_let_go)
         self.held.note_end(self.held_at_end, self.not_off)
-
-    @property
-    def _ramp_s(self) -> float:
-        """Longest quick stop from a velocity limit, by what the drives say of their ramps."""
-        return max(
-            (
-                a.limits.velocity / r.stopping.deceleration
-                for a, r in zip(self._config.axes, self.reports, strict=False)
-                if r.stopping.deceleration
-            ),
-            default=0.0,
-        )
 
     def close(self) -> list[str]:
         """Stop, restore every object that was written, look at what is left held, close the bus; what could
@@ -575,7 +548,7 @@ class Cia402Cell:
         """See what is left held without its master, and say what was seen."""
         self._link.attend = None
         supervisor = self._supervisor
-        if supervisor is None or not any(a.state is AxisState.STANDS for a in supervisor.axes):
+        if supervisor is None:
             return
         self._link.until = math.inf
         self._leave_by(procedures.look_after(self._stage))

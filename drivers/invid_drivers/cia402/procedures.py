@@ -16,7 +16,7 @@ from invid.errors import BusError, DriveError, SafetyStop
 from invid.sweep.loads import CONFIRM_S, LOAD_SHARE
 from invid.sweep.ports import Procedure, Want, Wish
 from invid.wording.sentence import sentence
-from invid_drivers.cia402.axis_state import BRAKE_S, ENABLE_S, AxisState
+from invid_drivers.cia402.axis_state import BRAKE_S, CHANGING_S, ENABLE_S, AxisState
 from invid_drivers.cia402.states import DriveState
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
 from invid_drivers.cia402.supervisor import MOVES
@@ -76,9 +76,7 @@ class Stage:
 
     def wait(self, seconds: float, wish: Wish) -> Procedure[None]:
         """Go on wishing the same for a while."""
-        end = self.now() + seconds
-        while self.now() < end:
-            yield wish
+        return self.until(self.axes, (), wish, seconds)
 
     def until(
         self, axes: Sequence[SupervisedAxis], states: Collection[AxisState], wish: Wish, longest: float
@@ -170,7 +168,7 @@ def test_stops(stage: Stage, silence_s: float) -> Procedure[None]:
 
 
 def _await_rest(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
-    """Wait until axes rest: one that moved before the test says nothing of its brake or drive."""
+    """Wait until axes rest, and begin a test: one that moved before says nothing of its brake or drive."""
     for a in axes:
         a.estimator.look_anew()
     end = stage.now() + SETTLE_S
@@ -187,6 +185,8 @@ def _await_rest(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
                 axes=moving,
             )
         yield stage.everyone(Want.STAY)
+    for a in axes:
+        a.on_trial = True
 
 
 def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
@@ -194,8 +194,6 @@ def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
     yield from _await_rest(stage, axes)
     began = stage.now()
     seen: dict[int, tuple[float, float, float]] = {}  # way, when it moved last, speeding up
-    for a in axes:
-        a.on_trial = True
     closed = (AxisState.BRAKED, *CAUGHT)
     end = stage.now() + 2 * BRAKE_S
     while stage.now() < end and not all(a.state in closed for a in axes):
@@ -243,8 +241,6 @@ def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
 
 def _try_quick_stop(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     yield from _await_rest(stage, axes)
-    for a in axes:
-        a.on_trial = True
     parked = (AxisState.STANDS, *CAUGHT)
     yield from stage.until(axes, parked, stage.only(axes, Want.PARK), SETTLE_S)
     end = stage.now() + (HOLD_S if all(a.holding.seen.holds for a in axes) else AFTER_S)
@@ -257,13 +253,11 @@ def _try_quick_stop(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[N
 def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -> Procedure[None]:
     """Say nothing for as long as the drives' heartbeat watch is, and more; then look."""
     yield from _await_rest(stage, axes)
-    for a in axes:
-        a.on_trial = True
     if watch_s <= DRIFT_S:
         led = [a for a in axes if a.takes_torque]
         for a in led:
             a.torque = a.support if a.carries else 0.0
-        end = stage.now() + ENABLE_S
+        end = stage.now() + ENABLE_S + CHANGING_S
         while stage.now() < end and not all(a.state is AxisState.LED and a.mode_is_there for a in led):
             yield stage.only(led, Want.LEAD)
         yield from stage.wait(TORQUE_S, stage.only(led, Want.LEAD))
@@ -361,11 +355,16 @@ def _lets_go(a: SupervisedAxis, what: str) -> SafetyStop:
 def _resume(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     """Every axis held again, from quick stop by transition 16, from its brake, or from off."""
     there = (AxisState.HELD, AxisState.LED)
-    yield from stage.until(stage.axes, there, stage.everyone(Want.HOLD), ENABLE_S)
-    missing = [a for a in stage.axes if a.state not in there]
+    for a in axes:
+        a.verdict = ""
+    end = stage.now() + ENABLE_S + CHANGING_S
+    missing = list(stage.axes)
+    while missing and stage.now() < end and not any(a.verdict for a in axes):
+        yield stage.everyone(Want.HOLD)
+        missing = [a for a in stage.axes if a.state not in there]
     if not missing:
         for a in axes:
-            a.on_trial, a.verdict = False, ""
+            a.on_trial = False
         return
     held = [a for a in missing if a.drive is DriveState.QUICK_STOP_ACTIVE and a.carries]
     for a in held:

@@ -91,17 +91,13 @@ class AxisHolding:
     @property
     def stays(self) -> bool:
         """Whether the drive must go on holding it when the master lets go."""
-        if self.taken_over:
-            return True
-        if self.loaded is False:
-            return False
-        return self.config.brake != "drive" or self.brake_in_time is False
+        by_drive = self.config.brake != "drive" or self.brake_in_time is False
+        return self.taken_over or (self.loaded is not False and by_drive)
 
     @property
     def first_option(self) -> int:
         """0x605A before the axis is weighed: its drive may have to hold it, also where a brake did once."""
-        sure = self.loaded is False
-        return SWITCH_OFF if sure or not self.can_stay else STAY
+        return SWITCH_OFF if self.loaded is False or not self.can_stay else STAY
 
     @property
     def needs_brake_test(self) -> bool:
@@ -279,6 +275,11 @@ class Reason:
     """Nothing to wait for: the next measurement takes it over without letting go, or finds it off."""
     at: float | None = None
     """When that was seen [s since 1970]; ``None``: now."""
+
+    @property
+    def sentences(self) -> tuple[str, str]:
+        """What is the matter, and what to do."""
+        return self.text, self.fix[0].upper() + self.fix[1:]
 
 
 def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool | None) -> Reason:
