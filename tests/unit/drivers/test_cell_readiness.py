@@ -57,7 +57,6 @@ def test_an_axis_that_was_left_held_is_said_and_taken_over_by_the_service_as_by_
     assert "axis A2 (node 2) is energised" in note.text
     assert "takes it over without letting go" in note.text
     assert "support its load" in note.fix
-    assert note.values == {"axis": "A2", "node": "2"}
     assert readiness(situation(cell, "simulate")).notes == []
     memory.keep("drive of A2", Seen(2, loaded=True, holds=True, resumes=True))
     assert [n.code for n in readiness(situation(cell)).notes] == ["drives_not_asked"]
