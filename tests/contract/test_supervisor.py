@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -383,6 +384,20 @@ def test_a_load_that_never_had_power_is_not_said_to_be_let_go(stopped_in: int, s
     rig.run(0.02 * silent)
     rig.leave(9.0)
     assert rig.axes[0].was_let_go is (silent or stopped_in == ENABLED)
+
+
+def test_a_load_that_comes_to_its_brake_in_motion_has_the_time_that_the_brake_was_seen_to_take() -> None:
+    """Given it again, a drive that gives too little would open the brake."""
+    rig = Rig(brake_s=0.05)
+    (axis,), (drive,) = rig.axes, rig.drives
+    axis.holding.seen = replace(axis.holding.seen, brake_s=0.05, brake_drop=0.009)
+    rig.bring(S.STANDS)
+    drive.holds_not = True
+    drive.heard.clear()
+    rig.leave(1.0)
+    assert rig.states == [S.BRAKED]
+    assert 15 not in drive.heard
+    assert drive.position > -0.05
 
 
 def test_a_load_without_a_brake_whose_torque_has_turned_sinks_slowly_until_it_rests_on_something() -> None:

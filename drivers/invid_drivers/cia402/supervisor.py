@@ -236,9 +236,8 @@ class Supervisor:
         """Say at once which loads a person must support: it may last a minute."""
         if a.name not in self._told and a.carries:
             self._told.add(a.name)
-            names = [x.name for x in self.axes if x.name in self._told]
             with contextlib.suppress(Exception):  # whoever listens may have gone
-                self.tell(UNSEEN.format(", ".join(names)))
+                self.tell(UNSEEN.format(", ".join(x.name for x in self.axes if x.name in self._told)))
 
     # --- one axis -----------------------------------------------------------------------------------
     def _attend(self, a: SupervisedAxis) -> None:
@@ -414,9 +413,8 @@ class Supervisor:
 
     def _see_cut(self, a: SupervisedAxis) -> None:
         """Tell a load beyond the limit from a wrong sign, once the torque is gone: the load gets faster."""
-        fall = a.estimator.fall
-        if a.full is not None and fall is not None and not a.is_energised:
-            a.too_heavy |= fall.acceleration > a.full.acceleration
+        if a.full is not None and a.estimator.fall is not None and not a.is_energised:
+            a.too_heavy |= a.estimator.fall.acceleration > a.full.acceleration
 
     def _advance(self, a: SupervisedAxis) -> None:
         """Transitions by what is seen, and by deadline."""
