@@ -420,18 +420,23 @@ def test_a_load_without_a_brake_whose_torque_has_turned_sinks_slowly_until_it_re
 
 
 @pytest.mark.parametrize("follows", [1.0, 0.5, -0.5, -1.0])
+@pytest.mark.parametrize("is_held", [False, True])
 def test_a_led_axis_that_its_torque_has_sped_up_the_opposite_way_is_not_left_to_its_drives_loop(
-    follows: float,
+    follows: float, is_held: bool
 ) -> None:
     """Half as much is another mass than the stated one: then nobody knows."""
+    turned = follows == -1.0
     rig = Rig([False])
     rig.bring(S.LED)
     drive = rig.drives[0]
     drive.follows = follows
     for k in range(100):
         rig.supervisor.tick(Wish([W.STAY], [12.0 * math.exp(10.0 * (k - 99) * CYCLE)]))
+    if is_held and turned:
+        with pytest.raises(SafetyStop, match="A1: its torque moved it the opposite way"):
+            rig.run(CYCLE, W.HOLD)
     rig.leave(CYCLE)
-    assert rig.states == [S.SLOWING if follows == -1.0 else S.PARKING]
+    assert rig.states == [S.SLOWING if turned else S.PARKING]
 
 
 @pytest.mark.parametrize("gap", [0.3, 2.0])
@@ -703,6 +708,7 @@ def test_a_state_ends_when_every_fact_of_it_is_seen_and_not_before(state: AxisSt
         axis.shows = lambda fact, missing=missing: fact is not missing  # type: ignore[method-assign,misc]
         rig.run(CYCLE)
         axis.state, axis.since = state, rig.time
+        rig.supervisor.is_leaving = state is S.SLOWING  # else it ends the run
         rig.run(CYCLE)
         assert axis.state is (then if missing is None else state)
 
@@ -796,6 +802,7 @@ def test_what_falls_goes_to_the_best_means_that_was_not_tried(
     axis.shows = lambda fact: False  # type: ignore[method-assign]
     axis.trouble = lambda: Trouble.FALLS  # type: ignore[method-assign]
     axis.state, axis.since = state, rig.time
+    rig.supervisor.is_leaving = state is S.SLOWING  # else it ends the run
     rig.run(CYCLE)
     assert axis.state is after.get(state, state)
     assert axis.brake_failed is (state in (S.BRAKING, S.BRAKED))

@@ -40,8 +40,6 @@ UNSEEN = "support the load of {}: it is not seen to stand"
 """Phases that are told."""
 SWITCHABLE = (AxisState.LED, AxisState.STOPPING, AxisState.SWITCHING)
 """States in which an axis may be switched off for a mode that its drive takes without power only."""
-UNHELD = (AxisState.CATCHING, AxisState.CAUGHT, AxisState.SLOWING, AxisState.LOST, AxisState.FAULT)
-"""States in which a load must be supported."""
 SAME_CAUSE_S = 1.0
 """An axis that lets go so soon after another was cut off from outside was cut off, too: relays of one
 emergency stop open within tenths of a second."""
@@ -95,8 +93,7 @@ class Supervisor:
             try:
                 self._attend(axis)
             except InvidError as found:  # what a drive did explains what its axis does
-                explains = isinstance(error, SafetyStop) and error.axis == axis.name
-                error = found if explains else error or found
+                error = found if isinstance(error, SafetyStop) and error.axis == axis.name else error or found
             except Exception as fault:  # a fault of this program at one axis: the others are attended to
                 error = error or DriveError(f"axis {axis.name}: a fault of this program: {fault!r}")
         if error is not None and not self.is_leaving:
@@ -185,9 +182,10 @@ class Supervisor:
                 self._grant_end(a)
             case Want.LEAD if a.state is AxisState.HELD:
                 self.enter(a, AxisState.LED)
-            case Want.HOLD if a.state is AxisState.LED:
-                if a.holding.has_position_mode:
-                    self.enter(a, AxisState.STOPPING)
+            case Want.HOLD if a.state is AxisState.LED and a.has_turned and a.takes_torque:
+                self._react_to_driven(a, is_sure=True)  # no loop of its drive's would hold it
+            case Want.HOLD if a.state is AxisState.LED and a.holding.has_position_mode:
+                self.enter(a, AxisState.STOPPING)
             case Want.HOLD if a.state in (AxisState.OFF, AxisState.STANDS, AxisState.BRAKED):
                 self.enter(a, AxisState.ENABLING)
             case Want.HOLD if a.state is AxisState.CAUGHT and a.on_trial:
@@ -229,7 +227,13 @@ class Supervisor:
         a.mode_is_there = False
         with contextlib.suppress(Exception):  # whoever listens may have gone
             self.changed()
-        if state in UNHELD:
+        if state in (
+            AxisState.CATCHING,
+            AxisState.CAUGHT,
+            AxisState.SLOWING,
+            AxisState.LOST,
+            AxisState.FAULT,
+        ):
             self._tell_support(a)
 
     def _tell_support(self, a: SupervisedAxis) -> None:
@@ -242,6 +246,13 @@ class Supervisor:
     # --- one axis -----------------------------------------------------------------------------------
     def _attend(self, a: SupervisedAxis) -> None:
         """See what is wrong with an axis and move it on."""
+        if a.state is AxisState.SLOWING and not self.is_leaving:
+            raise SafetyStop(
+                f"axis {a.name}: its torque moved it the opposite way",
+                way_out="a sign has turned in motor or encoder: find out before anything moves again",
+                code="disobeys",
+                axis=a.name,
+            )
         a.blind |= a.index in self.bounds.blind
         self._tell_by_nmt(a)
         trouble = self._restarted(a) or self._given_away(a) or a.trouble()
