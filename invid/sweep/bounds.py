@@ -77,7 +77,7 @@ class Bounds:
         self._shortfall = Shortfall(
             [a.name for a in limits], [a.rated_torque for a in limits], limits[0].torque_unit, cycle_s
         )
-        self._held_torque = HeldTorque(
+        self.held_torque = HeldTorque(
             [a.rated_torque for a in limits], [a.resolution for a in limits], cycle_s
         )
         self.unmoved = Unmoved(
@@ -150,7 +150,7 @@ class Bounds:
     def uncarried(self, sample: Sample, axes: Collection[int]) -> list[int]:
         """Loaded ones of these axes that their drives do not carry, though their encoders show no motion."""
         held = {i for i in axes if sample.fresh[i] and is_energised(sample.status[i])}
-        return self._held_torque.missing(sample, self.weights, held)
+        return self.held_torque.missing(sample, self.weights, held)
 
     def check(self, sample: Sample, asked: Sequence[float] | None = None) -> None:
         """Raise SafetyStop, DriveError or BusError where the motion must stop.

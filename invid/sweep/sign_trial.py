@@ -140,7 +140,10 @@ class SignTrial:
         friction = amplitude
         if branch is not None:  # as the fit shows it, but no less than a drive's friction at rest may be
             friction = min(amplitude, max(FIT_MOST * branch.friction, LOAD_SHARE * self._rated))
-        motion.watching.bounds.unmoved.moved_by(axis, friction, self._ways(last.log))
+        ways, bounds = self._ways(last.log), motion.watching.bounds
+        bounds.unmoved.moved_by(axis, friction, ways)
+        grip = amplitude if branch is None else branch.friction
+        bounds.held_torque.grips[axis] = grip if all(ways) else math.inf
         yield from self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             yield from motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -385,6 +386,20 @@ def test_a_load_that_never_had_power_is_not_said_to_be_let_go(stopped_in: int, s
     assert rig.axes[0].was_let_go is (silent or stopped_in == ENABLED)
 
 
+def test_a_load_that_comes_to_its_brake_in_motion_has_the_time_that_the_brake_was_seen_to_take() -> None:
+    """Given it again, a drive that gives too little would open the brake."""
+    rig = Rig(brake_s=0.05)
+    (axis,), (drive,) = rig.axes, rig.drives
+    axis.holding.seen = replace(axis.holding.seen, brake_s=0.05, brake_drop=0.009)
+    rig.bring(S.STANDS)
+    drive.holds_not = True
+    drive.heard.clear()
+    rig.leave(1.0)
+    assert rig.states == [S.BRAKED]
+    assert 15 not in drive.heard
+    assert drive.position > -0.05
+
+
 def test_a_load_without_a_brake_whose_torque_has_turned_sinks_slowly_until_it_rests_on_something() -> None:
     rig = Rig()
     rig.bring(S.LED)
@@ -405,18 +420,23 @@ def test_a_load_without_a_brake_whose_torque_has_turned_sinks_slowly_until_it_re
 
 
 @pytest.mark.parametrize("follows", [1.0, 0.5, -0.5, -1.0])
+@pytest.mark.parametrize("is_held", [False, True])
 def test_a_led_axis_that_its_torque_has_sped_up_the_opposite_way_is_not_left_to_its_drives_loop(
-    follows: float,
+    follows: float, is_held: bool
 ) -> None:
     """Half as much is another mass than the stated one: then nobody knows."""
+    turned = follows == -1.0
     rig = Rig([False])
     rig.bring(S.LED)
     drive = rig.drives[0]
     drive.follows = follows
     for k in range(100):
         rig.supervisor.tick(Wish([W.STAY], [12.0 * math.exp(10.0 * (k - 99) * CYCLE)]))
+    if is_held and turned:
+        with pytest.raises(SafetyStop, match="A1: its torque moved it the opposite way"):
+            rig.run(CYCLE, W.HOLD)
     rig.leave(CYCLE)
-    assert rig.states == [S.SLOWING if follows == -1.0 else S.PARKING]
+    assert rig.states == [S.SLOWING if turned else S.PARKING]
 
 
 @pytest.mark.parametrize("gap", [0.3, 2.0])
@@ -688,6 +708,7 @@ def test_a_state_ends_when_every_fact_of_it_is_seen_and_not_before(state: AxisSt
         axis.shows = lambda fact, missing=missing: fact is not missing  # type: ignore[method-assign,misc]
         rig.run(CYCLE)
         axis.state, axis.since = state, rig.time
+        rig.supervisor.is_leaving = state is S.SLOWING  # else it ends the run
         rig.run(CYCLE)
         assert axis.state is (then if missing is None else state)
 
@@ -781,6 +802,7 @@ def test_what_falls_goes_to_the_best_means_that_was_not_tried(
     axis.shows = lambda fact: False  # type: ignore[method-assign]
     axis.trouble = lambda: Trouble.FALLS  # type: ignore[method-assign]
     axis.state, axis.since = state, rig.time
+    rig.supervisor.is_leaving = state is S.SLOWING  # else it ends the run
     rig.run(CYCLE)
     assert axis.state is after.get(state, state)
     assert axis.brake_failed is (state in (S.BRAKING, S.BRAKED))

@@ -415,8 +415,8 @@ def _until_final(stage: Stage, end: float) -> Procedure[None]:
 
 
 def _is_seen_final(a: SupervisedAxis) -> bool:
-    without_torque = a.state in (AxisState.OFF, AxisState.BRAKED) and a.was_powered
-    return a.is_final and (a.seconds >= SEEN_OFF_S or not without_torque)
+    looks = a.state in (AxisState.OFF, AxisState.BRAKED) and a.was_powered and a.seconds < SEEN_OFF_S
+    return a.is_final and not looks
 
 
 def _weigh(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:

@@ -11,7 +11,7 @@ from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.ports import Sample
 from invid_drivers.cia402.axis import ModeSet
 from invid_drivers.cia402.axis_state import RULES, AxisState, Command, Fact
-from invid_drivers.cia402.standing.holding import AxisHolding
+from invid_drivers.cia402.standing.holding import BRAKE_MARGIN, CLOSES_S, AxisHolding
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 
 DEAF_S = 0.2
@@ -402,8 +402,14 @@ class SupervisedAxis:
     def _has_dropped(self) -> bool:
         """Whether an axis that was at rest has gone too far, or half of that and is faster than a loop that
         sags."""
-        if self.in_vain or self.entry_speed**2 > 2 * SEEN * self.most_drop:  # it came in motion
-            return self.drop > self.estimator.limits.position
+        brake_s = self.holding.seen.brake_s if self.state is AxisState.BRAKING else None
+        tolerance = self.most_drop if brake_s is None else self.estimator.tolerance
+        if self.in_vain or self.entry_speed**2 > 2 * SEEN * tolerance:  # it came in motion
+            # a brake that closed under torque in its test was not seen to take its time
+            late = brake_s is not None and self.seconds > max(BRAKE_MARGIN * brake_s, CLOSES_S[0])
+            return self.drop > self.estimator.limits.position or (
+                late and self.runs_away() and not self.in_vain
+            )
         return (self.drop > self.most_drop / 2 and self._speeds_up()) or self.drop > self.most_drop
 
     def _speeds_up(self) -> bool:

@@ -41,8 +41,6 @@ UNSEEN = marked("support the load of {axes}: it is not seen to stand")
 """Phases that are told."""
 SWITCHABLE = (AxisState.LED, AxisState.STOPPING, AxisState.SWITCHING)
 """States in which an axis may be switched off for a mode that its drive takes without power only."""
-UNHELD = (AxisState.CATCHING, AxisState.CAUGHT, AxisState.SLOWING, AxisState.LOST, AxisState.FAULT)
-"""States in which a load must be supported."""
 SAME_CAUSE_S = 1.0
 """An axis that lets go so soon after another was cut off from outside was cut off, too: relays of one
 emergency stop open within tenths of a second."""
@@ -96,8 +94,7 @@ class Supervisor:
             try:
                 self._attend(axis)
             except InvidError as found:  # what a drive did explains what its axis does
-                explains = isinstance(error, SafetyStop) and error.axis == axis.name
-                error = found if explains else error or found
+                error = found if isinstance(error, SafetyStop) and error.axis == axis.name else error or found
             except Exception as fault:  # a fault of this program at one axis: the others are attended to
                 error = error or DriveError(
                     sentence("axis {axis}: a fault of this program: {fault!r}", axis=axis.name, fault=fault)
@@ -188,9 +185,10 @@ class Supervisor:
                 self._grant_end(a)
             case Want.LEAD if a.state is AxisState.HELD:
                 self.enter(a, AxisState.LED)
-            case Want.HOLD if a.state is AxisState.LED:
-                if a.holding.has_position_mode:
-                    self.enter(a, AxisState.STOPPING)
+            case Want.HOLD if a.state is AxisState.LED and a.has_turned and a.takes_torque:
+                self._react_to_driven(a, is_sure=True)  # no loop of its drive's would hold it
+            case Want.HOLD if a.state is AxisState.LED and a.holding.has_position_mode:
+                self.enter(a, AxisState.STOPPING)
             case Want.HOLD if a.state in (AxisState.OFF, AxisState.STANDS, AxisState.BRAKED):
                 self.enter(a, AxisState.ENABLING)
             case Want.HOLD if a.state is AxisState.CAUGHT and a.on_trial:
@@ -232,20 +230,35 @@ class Supervisor:
         a.mode_is_there = False
         with contextlib.suppress(Exception):  # whoever listens may have gone
             self.changed()
-        if state in UNHELD:
+        if state in (
+            AxisState.CATCHING,
+            AxisState.CAUGHT,
+            AxisState.SLOWING,
+            AxisState.LOST,
+            AxisState.FAULT,
+        ):
             self._tell_support(a)
 
     def _tell_support(self, a: SupervisedAxis) -> None:
         """Say at once which loads a person must support: it may last a minute."""
         if a.name not in self._told and a.carries:
             self._told.add(a.name)
-            names = [x.name for x in self.axes if x.name in self._told]
             with contextlib.suppress(Exception):  # whoever listens may have gone
-                self.tell(sentence(UNSEEN, axes=", ".join(names)))
+                names = ", ".join(x.name for x in self.axes if x.name in self._told)
+                self.tell(sentence(UNSEEN, axes=names))
 
     # --- one axis -----------------------------------------------------------------------------------
     def _attend(self, a: SupervisedAxis) -> None:
         """See what is wrong with an axis and move it on."""
+        if a.state is AxisState.SLOWING and not self.is_leaving:
+            raise SafetyStop(
+                sentence("axis {axis}: its torque moved it the opposite way", axis=a.name),
+                way_out=sentence(
+                    "a sign has turned in motor or encoder: find out before anything moves again"
+                ),
+                code="disobeys",
+                axis=a.name,
+            )
         a.blind |= a.index in self.bounds.blind
         self._tell_by_nmt(a)
         trouble = self._restarted(a) or self._given_away(a) or a.trouble()
@@ -421,9 +434,8 @@ class Supervisor:
 
     def _see_cut(self, a: SupervisedAxis) -> None:
         """Tell a load beyond the limit from a wrong sign, once the torque is gone: the load gets faster."""
-        fall = a.estimator.fall
-        if a.full is not None and fall is not None and not a.is_energised:
-            a.too_heavy |= fall.acceleration > a.full.acceleration
+        if a.full is not None and a.estimator.fall is not None and not a.is_energised:
+            a.too_heavy |= a.estimator.fall.acceleration > a.full.acceleration
 
     def _advance(self, a: SupervisedAxis) -> None:
         """Transitions by what is seen, and by deadline."""
