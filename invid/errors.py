@@ -22,6 +22,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from invid.wording.sentence import joined
+
 
 class InvidError(Exception):
     """Base of every error raised on purpose; ``exit_code`` is the command's exit status.
@@ -57,7 +59,7 @@ class InvidError(Exception):
         axes: Iterable[str] = (),
         values: Mapping[str, Any] | None = None,
     ) -> None:
-        super().__init__(f"{reason}; {way_out}" if way_out else reason)
+        super().__init__(joined([reason, way_out], "; ") if way_out else reason)
         self.reason, self.way_out, self.code = reason, way_out, code
         self.values = dict(values or {})
         self.axes = tuple(axes) if axis is None else (axis,)
@@ -76,8 +78,8 @@ class InvidError(Exception):
         return self.axes[0] if len(self.axes) == 1 else None
 
     def __str__(self) -> str:
-        """The text for a person."""
-        return ". ".join((super().__str__(), *self.left))
+        """The text for a person, a ``Sentence`` where its parts are."""
+        return joined([*self.args[:1], *self.left], ". ")
 
 
 def note_left(error: BaseException, left: Iterable[str]) -> None:

@@ -8,6 +8,7 @@ import can
 
 from invid.config.schema import BusConfig
 from invid.errors import BusError, ConfigError
+from invid.wording.sentence import sentence
 
 logging.getLogger("can").addHandler(logging.NullHandler())
 """What python-can logs while it looks for libraries is in the error; else Python would print it as well."""
@@ -58,7 +59,7 @@ def open_adapter(bus: BusConfig) -> can.BusABC:
             f"bus.interface {bus.interface!r} is not known to python-can; known are "
             + ", ".join(sorted(can.VALID_INTERFACES))
         )
-    who = f"bus {bus.interface} {bus.channel}"
+    who = sentence("bus {interface} {channel}", interface=bus.interface, channel=bus.channel)
     try:
         return can.Bus(
             interface=bus.interface,
@@ -70,10 +71,20 @@ def open_adapter(bus: BusConfig) -> can.BusABC:
         needs = NEEDS.get(bus.interface, "")
         if isinstance(error, _MISSING) or (isinstance(error, OSError) and "library" in said):
             raise BusError(
-                f"{who}: the driver of this interface is not there ({said}); {needs or 'install it'}"
+                sentence(
+                    "{who}: the driver of this interface is not there ({said}); {way_out}",
+                    who=who,
+                    said=said,
+                    way_out=needs or sentence("install it"),
+                )
             ) from None
+        beside = sentence(". Where its driver is missing: {needs}", needs=needs) if needs else ""
         raise BusError(
-            f"{who}: cannot be opened ({said}); check that the interface is there, up and not in use, and "
-            "bus.channel and bus.options in the config"
-            + (f". Where its driver is missing: {needs}" if needs else "")
+            sentence(
+                "{who}: cannot be opened ({said}); check that the interface is there, up and not in use, and "
+                "bus.channel and bus.options in the config{beside}",
+                who=who,
+                said=said,
+                beside=beside,
+            )
         ) from None

@@ -15,10 +15,11 @@ import numpy as np
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, Int64, frozen_float
 from invid.recording.import_map import Pdo, Source
+from invid.recording.readers.text_dialect import roughness
 from invid.recording.tables import BrokenRow, Table
 from invid_drivers.can_log_fields import Field, fields_of_database, fields_of_pdo, listed
 from invid_drivers.can_log_frames import Frames, read_frames
-from invid_drivers.can_log_guess import LOOKED_AT, SMOOTH, Guess, guess_pdos, roughness
+from invid_drivers.can_log_guess import LOOKED_AT, SMOOTH, Guess, guess_pdos
 from invid_drivers.can_log_mapping import pdos_of_eds
 from invid_drivers.can_log_traffic import chosen_frames
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +124,7 @@ def fields_of_database(path: Path, identifiers: Collection[int]) -> dict[int, li
             found[message.frame_id] = [
                 field
                 if not s.multiplexer_ids
-                else _in_group(field, plain[s.multiplexer_signal], s.multiplexer_ids)
+                else replace(field, mux=(plain[s.multiplexer_signal], frozenset(s.multiplexer_ids)))
                 for s, field in zip(message.signals, plain.values(), strict=True)
             ]
     if not found:
@@ -144,10 +144,6 @@ def _field(message: str, signal: Any) -> Field:
     return Field(
         f"{message}.{signal.name}", start, signal.length, big, kind, scale, offset, signal.unit or ""
     )
-
-
-def _in_group(field: Field, selector: Field, groups: Sequence[int]) -> Field:
-    return Field(**{**field.__dict__, "mux": (selector, frozenset(groups))})
 
 
 def listed(identifiers: Collection[int]) -> str:

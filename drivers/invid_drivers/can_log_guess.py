@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from invid.numerics.arrays import Float64
 from invid.recording.import_map import Pdo, Signal
+from invid.recording.readers.text_dialect import roughness
 from invid_drivers.can_log_fields import fields_of_pdo
 from invid_drivers.can_log_frames import Frames
 
@@ -189,10 +189,4 @@ def _is_long(four: np.typing.NDArray[np.uint8]) -> bool:
     return roughness(whole) < SMOOTH and (sign or carried)
 
 
-def roughness(values: Float64) -> float:
-    """Mean square of a step over the variance."""
-    spread = float(np.var(values))
-    return float(np.mean(np.diff(values) ** 2)) / spread if spread > 0 and values.size > 2 else 0.0
-
-
-__all__ = ["LAYOUTS", "LOOKED_AT", "SMOOTH", "Guess", "guess_pdos", "roughness"]
+__all__ = ["LAYOUTS", "LOOKED_AT", "SMOOTH", "Guess", "guess_pdos"]

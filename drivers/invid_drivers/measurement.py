@@ -20,6 +20,7 @@ from invid.recording import Outcome, Recording, RecordingWriter
 from invid.recording.writer import require_room
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
+from invid.wording.sentence import sentence
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.filing import Judge, Judged
@@ -253,14 +254,27 @@ def _result(
     warnings = [*result.warnings, *complaints, *cell.notes]
     for report in cell.reports:
         warnings += report.warnings
-        warnings += [f"axis {report.axis}: the drive lacks {what}" for what in report.lacks]
+        warnings += [
+            sentence("axis {axis}: the drive lacks {what}", axis=report.axis, what=what)
+            for what in report.lacks
+        ]
     rows = seen.cycles * len(axes)
     lost = sum(seen.missed_tpdos or [])
     if lost > 0.001 * rows:
-        warnings.append(f"{lost} of {rows} samples did not arrive and were filled from their neighbours")
+        warnings.append(
+            sentence(
+                "{lost} of {rows} samples did not arrive and were filled from their neighbours",
+                lost=lost,
+                rows=rows,
+            )
+        )
     if seen.skipped_slots > 0.001 * max(seen.cycles, 1):
         warnings.append(
-            f"{seen.skipped_slots} of {seen.cycles} SYNC slots were skipped: the computer was late"
+            sentence(
+                "{skipped_slots} of {cycles} SYNC slots were skipped: the computer was late",
+                skipped_slots=seen.skipped_slots,
+                cycles=seen.cycles,
+            )
         )
     return MeasurementResult(
         path=out,

@@ -24,6 +24,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from invid.planning.model import PlannedExperiment
 from invid.recording import Recording
+from invid.wording.fields import Text
+from invid.wording.sentence import sentence
 from invid_drivers.stop_flag import StopFlag
 
 PROGRESS_PERIOD_S, MOST_WAITING = 0.2, 200
@@ -70,9 +72,11 @@ class LastSeen:
     def sentence(self) -> str:
         """In words."""
         if self.state is None:
-            return f"axis {self.axis} was not seen under power"
+            return sentence("axis {axis} was not seen under power", axis=self.axis)
         when = time.strftime("%H:%M:%S", time.localtime(self.at))
-        return f"axis {self.axis} was last seen {self.state}, at {when}"
+        return sentence(
+            "axis {axis} was last seen {state}, at {time}", axis=self.axis, state=self.state, time=when
+        )
 
 
 @dataclass(frozen=True)
@@ -163,7 +167,7 @@ class RunProgress(BaseModel):
 
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
     progress: float = Field(default=0.0, ge=0, le=1)
-    phase: str = ""
+    phase: Text = ""
     axis: str | None = None
     frequency: float | None = None
     """[Hz]"""
@@ -208,13 +212,13 @@ class ErrorInfo(BaseModel):
 
     model_config = ConfigDict(extra="allow", frozen=True)
     code: str
-    text: str
-    fix: str
-    values: dict[str, str] | None = None
-    """What stands in the text, where the service itself says it by the code."""
+    text: Text
+    what: Text = ""
+    """What kind of end it is, in general; empty where ``text`` says it."""
+    fix: Text
     axes: list[LastSeen] | None = None
     """Of a run whose axes nobody saw at rest: what each was seen to be last."""
-    known: list[str] | None = None
+    known: list[Text] | None = None
     """What else is known of them."""
 
 

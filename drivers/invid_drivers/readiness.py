@@ -6,11 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from invid.config import CellConfig
-from invid.errors import DriveError, InvidError
+from invid.errors import DriveError, InvidError, note_left
 from invid.planning import Plan, make_plan
 from invid.planning.budget import RoundTrip, tolerable_share
 from invid.planning.forecast import fit_to_limits
 from invid.planning.hold_laws import master_hold
+from invid.wording.sentence import sentence
 from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import journal_path
@@ -102,16 +103,16 @@ def loads_to_support(config: CellConfig) -> tuple[str, ...]:
 
     None where no hardware stands behind the config.
     """
-    if config.simulated:
-        return ()
-    return to_support(config, _memory(config))
+    return () if config.simulated else to_support(config, _memory(config))
 
 
 def support_sentence(axes: Sequence[str]) -> str:
     """What a person does about these axes before anything moves."""
-    return (
-        f"how {', '.join(axes)} is held after a stop was not seen yet; where it carries a load, that is "
-        "tried first, at rest. Support it so that it cannot fall far and still hangs on its drive"
+    return sentence(
+        "how {names} is held after a stop was not seen yet; where it carries a load, that "
+        "is tried first, at rest. Support it so that it cannot fall far and still hangs on "
+        "its drive",
+        names=", ".join(axes),
     )
 
 
@@ -136,6 +137,10 @@ class Asked:
     prepared: Prepared | None = None
     reports: tuple[DriveReport, ...] = ()
     holdings: tuple[AxisHolding, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.refusal is not None:  # whoever is refused hears of what is under power, too
+            note_left(self.refusal, (s for r in self.reasons for s in r.sentences))
 
     @property
     def can_start(self) -> bool:

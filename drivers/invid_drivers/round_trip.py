@@ -13,6 +13,7 @@ from invid.config import CellConfig
 from invid.errors import BusError
 from invid.planning import Plan
 from invid.planning.budget import SHARE, RoundTrip, bound, judge
+from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link
 from invid_drivers.timing import priority
@@ -71,7 +72,10 @@ def sample(
     answered = [t for t in took.values() if t]
     if not answered:
         raise BusError(
-            f"bus {link.bus.channel_info}: no node answers SDO; check power, cable, termination and bit rate"
+            sentence(
+                "bus {channel_info}: no node answers SDO; check power, cable, termination and bit rate",
+                channel_info=link.bus.channel_info,
+            )
         )
     fullest = max(len(t) for t in answered)
     return min((t for t in answered if len(t) == fullest), key=lambda t: bound(t, SHARE))

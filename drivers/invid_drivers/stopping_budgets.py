@@ -26,6 +26,7 @@ from invid.planning.stopping_distance import (
     permitted,
     torque_shares,
 )
+from invid.wording.sentence import sentence
 from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.limits import tighten, tightened_limits
 from invid_drivers.foretelling import sensor_noise
@@ -143,9 +144,17 @@ def lowered_torque(config: CellConfig, shares: Sequence[float], peaks: Sequence[
     """Which axes are shaken less than was asked for so that they come to rest, in words."""
     unit = "N" if config.linear else "N·m"
     return tuple(
-        f"axis {a.name}: it is shaken with {share:.0%} of the torque that was asked for, {peak:.3g} {unit}, "
-        f"so that it comes to rest in its room when nobody commands it any more (not below "
-        f"{LEAST_EXCITATION:.0%} of the torque limit); what is found is less certain by as much"
+        sentence(
+            "axis {axis}: it is shaken with {share:.0%} of the torque that was asked for, "
+            "{peak:.3g} {unit}, so that it comes to rest in its room when nobody commands it "
+            "any more (not below {least_excitation:.0%} of the torque limit); what is found is "
+            "less certain by as much",
+            axis=a.name,
+            share=share,
+            peak=peak,
+            unit=unit,
+            least_excitation=LEAST_EXCITATION,
+        )
         for a, share, peak in zip(config.axes, shares, peaks, strict=True)
         if share < 1.0
     )

@@ -12,6 +12,7 @@ from typing import Any
 
 from invid.config import CellConfig
 from invid.planning import Plan
+from invid.wording.sentence import sentence
 from invid_drivers.cia402.cycle import CLOSEST_CYCLES
 from invid_drivers.cia402.link import RealClock
 from invid_drivers.connect import is_virtual
@@ -68,9 +69,15 @@ class Timing:
         if planned <= self.highest_hz:
             return []
         return [
-            f"lines up to {planned:.3g} Hz are planned, but a cycle of {self.cycle_s * 1e3:g} ms and a "
-            f"computer that sends SYNC {(self.jitter_s or 0.0) * 1e6:.0f} µs late (rms) carry only those up "
-            f"to {self.highest_hz:.3g} Hz; shorten bus.cycle_s, stop other programs, or lower the band"
+            sentence(
+                "lines up to {planned:.3g} Hz are planned, but a cycle of {cycle_s:g} ms and a "
+                "computer that sends SYNC {jitter_s:.0f} µs late (rms) carry only those up to "
+                "{highest_hz:.3g} Hz; shorten bus.cycle_s, stop other programs, or lower the band",
+                planned=planned,
+                cycle_s=self.cycle_s * 1e3,
+                jitter_s=(self.jitter_s or 0.0) * 1e6,
+                highest_hz=self.highest_hz,
+            )
         ]
 
 

@@ -42,7 +42,7 @@ class FleetRow:
     @property
     def headline(self) -> str:
         """What changed, for a person."""
-        return self.why if self.comparison is None else self.comparison.headlines["en"]
+        return self.why if self.comparison is None else self.comparison.headline
 
     @property
     def named(self) -> tuple[NamedChange, ...]:

@@ -9,6 +9,7 @@ import typer
 from invid.api import compare, load_model
 from invid.cli.options import SpokenLanguage
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
+from invid.wording.sentence import say
 
 
 def register(app: typer.Typer) -> None:
@@ -52,9 +53,9 @@ def register(app: typer.Typer) -> None:
             document,
             "\n".join(
                 [
-                    result.headlines[language],
+                    say(result.headline, language),
                     "",
-                    *result.sentences_in(language),
+                    *(say(s, language) for s in result.sentences),
                     "",
                     table(result.parameters + result.effects),
                 ]

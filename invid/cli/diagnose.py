@@ -14,6 +14,7 @@ from invid.cli.options import BUDGET, Budget, Effects, SpokenLanguage, use_effec
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.disk import not_written
 from invid.errors import InputError, ModelError
+from invid.wording.sentence import say
 
 if TYPE_CHECKING:
     from invid.model.diagnosis_document import Diagnosis
@@ -132,7 +133,7 @@ def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
     from invid.diagnosis.headline import verdict_line
     from invid.planning.separating_experiments import is_measurable
 
-    headline = diagnosis.headlines.get(language, diagnosis.headline)
+    headline = say(diagnosis.headline, language)
     lines = [headline, ""] if headline else []
     lines += diagnosis.sentences
     lines.append("")

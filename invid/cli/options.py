@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from invid.errors import InputError
-from invid.wording.statement import LANGUAGES
+from invid.wording.sentence import LANGUAGES
 
 BUDGET = 60.0
 """Processor seconds that a command may take where nothing else is asked for: what a technician waits beside a

@@ -27,6 +27,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
+from invid.clauses import cause_name
 from invid.comparison.changes import Change, Repeatability, Status
 from invid.comparison.joint_test import two_sided
 from invid.comparison.numbers import (
@@ -41,9 +42,8 @@ from invid.effects.registry import BY_CAUSE
 from invid.model.document import EffectTerm, Model
 from invid.model.named_change import ChangeKind
 from invid.numerics.distributions import chi2_isf, normal_isf
-from invid.wording.clauses import cause_name
 from invid.wording.figures import differing_number
-from invid.wording.statement import Figure, Statement
+from invid.wording.sentence import Figure, sentence
 
 NAMED_FROM = math.sqrt(chi2_isf(1e-5, 1))
 """Size, in standard deviations, from which a diagnosis names a cause: a chance of one in a thousand over
@@ -73,7 +73,7 @@ def compare_causes(
             spoken = with_difference(row, row.old, row.new, widths=widths, relative=scatter.relative)
             found.append(_two_sided(spoken, scatter))
         elif name in after and (twins := other_friction(term, before, after)):
-            why = Statement("why.described", {"cause": cause_name(twins[0].cause)})
+            why = sentence("it was described as {cause} before", cause=cause_name(twins[0].cause))
             found.append(replace(row, why=why))
         elif name in after or not other_friction(term, after, before):
             found.append(_one_sided(row, (old, new), scatter))
@@ -95,7 +95,9 @@ def _without_deviation(c: Change) -> Change:
     sizes = [e for e in (c.old, c.new) if e is not None]
     if sizes and all(e.std is not None and e.std > 0 for e in sizes):
         return c
-    return replace(c, difference=None, std=None, p_value=None, why=Statement("why.cause_no_std"))
+    return replace(
+        c, difference=None, std=None, p_value=None, why=sentence("a model gives no uncertainty for it")
+    )
 
 
 def _two_sided(c: Change, scatter: Repeatability) -> Change:
@@ -122,7 +124,7 @@ def _one_sided(change: Change, models: tuple[Model, Model], scatter: Repeatabili
     why = _not_looked_for(other, which)
     ratio = noise_ratio(mine, other, change.axis)
     if why is not None or ratio is None:
-        return replace(change, why=why or Statement(f"why.sight_unknown_{which}"))
+        return replace(change, why=why or _UNKNOWN_SIGHT[which])
     own = scatter.factor * math.hypot(found.std, scatter.relative * found.value)
     theirs = max(ratio, 1e-9) * scatter.factor * found.std
     size = abs(found.value - _nothing(change))
@@ -137,14 +139,32 @@ def _one_sided(change: Change, models: tuple[Model, Model], scatter: Repeatabili
     )
 
 
-def _not_looked_for(model: Model, which: str) -> Statement | None:
+_UNKNOWN_SIGHT = {
+    "old": sentence("what the old run could have seen is not known"),
+    "new": sentence("what the new run could have seen is not known"),
+}
+_CUT_SHORT = {
+    "old": sentence("the search of the old run ran out of time"),
+    "new": sentence("the search of the new run ran out of time"),
+}
+_NOT_LOOKED = {
+    "old": sentence("the old model does not say that causes were looked for"),
+    "new": sentence("the new model does not say that causes were looked for"),
+}
+_NAMELESS = {
+    "old": sentence("something in the old run had no name; it may have been this"),
+    "new": sentence("something in the new run had no name; it may have been this"),
+}
+
+
+def _not_looked_for(model: Model, which: str) -> str | None:
     """Why a cause may be missing in a model without being absent; ``None`` where nothing says so."""
     verdict = model.fit.get("verdict")
     if model.fit.get("search_cut_short"):
-        return Statement(f"why.cut_short_{which}")
+        return _CUT_SHORT[which]
     if verdict in ("consistent", "explained") or (verdict is None and model.effects):
         return None
-    return Statement(f"why.not_looked_{which}" if verdict is None else f"why.nameless_{which}")
+    return (_NOT_LOOKED if verdict is None else _NAMELESS)[which]
 
 
 def noise_ratio(mine: Model, other: Model, axis: str) -> float | None:
@@ -189,15 +209,19 @@ def _with_status(c: Change, is_significant: bool, alpha: float, tolerance: float
             return _became(c, Status.APPEARED if c.old is None else Status.GONE)
         unit = f" {c.unit}" if c.unit and c.unit != "1" else ""
         text = Figure(f"{differing_number(seen, seen / 20)}{unit}")
-        return replace(c, why=Statement(f"why.would_see_{'old' if c.old is None else 'new'}", {"size": text}))
+        if c.old is None:
+            return replace(c, why=sentence("the old run would have seen it from {size} on", size=text))
+        return replace(c, why=sentence("the new run would have seen it from {size} on", size=text))
     if is_significant:
         return _became(c, Status.GREW if size >= 0 else Status.SHRANK)
     if not c.scale:
-        return replace(c, why=Statement("why.cause_was_zero"))
+        return replace(c, why=sentence("it was 0"))
     bound = (abs(size) + normal_isf(alpha) * (c.std or 0.0)) / c.scale
     if bound <= tolerance:
         return replace(c, status=Status.UNCHANGED, bound=bound)
-    return replace(c, why=Statement("why.unseen", {"bound": bound_phrase(bound)}), bound=bound)
+    return replace(
+        c, why=sentence("a change of up to {bound} would not be seen", bound=bound_phrase(bound)), bound=bound
+    )
 
 
 def _became(c: Change, status: Status) -> Change:

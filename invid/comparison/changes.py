@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from invid.clauses import label, row_sentence
 from invid.diagnosis.headline import changes_headline
 from invid.model.document import Estimate
 from invid.model.named_change import ChangeKind, NamedChange
-from invid.wording.clauses import label, row_statement
-from invid.wording.statement import ENGLISH, LANGUAGES, Statement, say, upper_first
+from invid.wording.sentence import capital
 
 
 class Status(StrEnum):
@@ -46,8 +46,8 @@ class Change(NamedChange):
     """
 
     status: Status = Status.CANNOT_TELL
-    why: Statement | None = None
-    """Why nothing can be told."""
+    why: str = ""
+    """Why nothing can be told; empty where something can."""
     p_value: float | None = None
     p_adjusted: float | None = None
     bound: float | None = None
@@ -56,14 +56,9 @@ class Change(NamedChange):
     rivals: tuple[str, ...] = ()
 
     @property
-    def reason(self) -> str:
-        """Why nothing can be told, in English; empty where something can."""
-        return "" if self.why is None else say(self.why)
-
-    @property
     def label(self) -> str:
-        """What a person calls it, in English."""
-        return say(label(self))
+        """What a person calls it."""
+        return label(self)
 
     @property
     def family(self) -> str:
@@ -90,7 +85,7 @@ class Change(NamedChange):
             "old": _estimate_to_json(self.old),
             "new": _estimate_to_json(self.new),
             "status": str(self.status),
-            "reason": self.reason,
+            "reason": self.why,
             "difference": self.difference,
             "std": self.std,
             "p": self.p_value,
@@ -136,7 +131,7 @@ class Comparison:
     """Numbers of causes that both sides have."""
     joint_p: float | None
     joint_dof: int
-    statements: tuple[Statement, ...] = ()
+    sentences: tuple[str, ...] = ()
     """All that can be said, what changed first."""
     warnings: tuple[str, ...] = ()
     shape: tuple[NamedChange, ...] = ()
@@ -151,22 +146,13 @@ class Comparison:
 
     @property
     def structure(self) -> tuple[str, ...]:
-        """What differs in structure, in English."""
-        return tuple(upper_first(say(row_statement(c))) for c in self.shape)
+        """What differs in structure."""
+        return tuple(capital(row_sentence(c)) for c in self.shape)
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """All that can be said, in English."""
-        return self.sentences_in(ENGLISH)
-
-    def sentences_in(self, language: str) -> tuple[str, ...]:
-        """All that can be said in a language."""
-        return tuple(upper_first(say(s, language)).strip() for s in self.statements)
-
-    @property
-    def headlines(self) -> dict[str, str]:
-        """What changed, what it looks like and what now, by language."""
-        return {language: changes_headline(self.named, language) for language in LANGUAGES}
+    def headline(self) -> str:
+        """What changed, what it looks like and what now."""
+        return changes_headline(self.named)
 
     @property
     def told(self) -> bool:
@@ -188,8 +174,7 @@ class Comparison:
             "joint": {"p": self.joint_p, "dof": self.joint_dof},
             "repeatability": {"factor": self.repeatability.factor, "pairs": self.repeatability.pairs},
             "runs": {"old": self.runs[0], "new": self.runs[1]},
-            "headline": self.headlines[ENGLISH],
-            "headlines": self.headlines,
+            "headline": self.headline,
             "structure": list(self.structure),
             "sentences": list(self.sentences),
             "warnings": list(self.warnings),

@@ -16,19 +16,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from invid.clauses import label
 from invid.comparison.baseline import MINIMUM_RUNS, pool_agreeing
 from invid.comparison.baseline import repeatability as measured_repeatability
 from invid.comparison.causes import compare_causes, variance_factors, with_cause_verdicts
 from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Whitened, detectable, joint_p, select
 from invid.comparison.numbers import covariance_of_differences, mean_model, paired_numbers
-from invid.comparison.sentences import PRACTICAL, bound_phrase, named_changes, statements
+from invid.comparison.sentences import PRACTICAL, bound_phrase, named_changes, sentences
 from invid.errors import InputError
 from invid.model.document import Estimate, Model, units
 from invid.model.named_change import ChangeKind, NamedChange
 from invid.numerics.distributions import normal_isf
-from invid.wording.clauses import label
-from invid.wording.statement import Listed, Statement
+from invid.wording.sentence import listed, sentence
 
 ALPHA = 0.01
 """Probability of calling anything changed where nothing did (family-wise), of parameters and of causes each:
@@ -85,14 +85,19 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
         )
     warnings = []
     if old.robot != new.robot:
-        warnings.append(f"the models name different robots: {old.robot!r} and {new.robot!r}")
+        robots = sentence("{old!r} and {new!r}", old=old.robot, new=new.robot)
+        warnings.append(sentence("the models name different robots: {robots}", robots=robots))
     scatter = Repeatability()
     if history is not None:
         scatter = measured_repeatability(history, spanning=(old, new))
         if scatter.pairs < MINIMUM_RUNS:
             warnings.append(
-                f"repeatability of this cell is not known yet ({scatter.pairs} earlier repetition(s), "
-                f"{MINIMUM_RUNS} needed): the test rests on the covariance of the two fits alone"
+                sentence(
+                    "repeatability of this cell is not known yet ({pairs} earlier repetition(s), "
+                    "{minimum_runs} needed): the test rests on the covariance of the two fits alone",
+                    pairs=scatter.pairs,
+                    minimum_runs=MINIMUM_RUNS,
+                )
             )
     scatter = replace(scatter, relative=repeatability)
     # A factor below 1 sharpens the comparison; runs of one state are not torn apart on it, as a run that is
@@ -113,8 +118,10 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
         white, is_sound = Whitened.of(np.array([c.difference for c in known], dtype=float), covariance)
         if not is_sound:
             warnings.append(
-                "the joint covariance of the parameters is not positive definite, so their correlation is "
-                "left out of the test"
+                sentence(
+                    "the joint covariance of the parameters is not positive definite, so their "
+                    "correlation is left out of the test"
+                )
             )
         p_all = joint_p(white, scatter.dof)
         found = _judge(known, white, (scatter.dof, runs), tolerance, alpha)
@@ -138,7 +145,7 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
         causes=causes,
     )
     comparison = replace(comparison, named=named_changes(comparison, joint_alpha))
-    return replace(comparison, statements=statements(comparison, joint_alpha))
+    return replace(comparison, sentences=sentences(comparison, joint_alpha))
 
 
 def _structure(old: Model, new: Model, common: Sequence[str]) -> list[NamedChange]:
@@ -171,21 +178,24 @@ def _judge(
     out = []
     for k, c in enumerate(changes):
         difference, spread = c.difference or 0.0, float(white.std[k])
-        status, why = Status.CANNOT_TELL, None
+        status, why = Status.CANNOT_TELL, ""
         others = [changes[o] for o in sorted(set(doubtful.get(k, ())))]
         if k in doubtful:
-            why = Statement("why.rivals", {"labels": Listed(tuple(map(label, others)), "or")})
+            why = sentence(
+                "this or {labels} changed; the data do not separate them",
+                labels=listed([label(c) for c in others], alternatives=True),
+            )
         elif k in selection.chosen:
             at = selection.chosen.index(k)
             difference, spread, status = float(values[at]), float(stds[at]), Status.CHANGED
         bound = (abs(difference) + reach * spread) / c.scale if c.scale > 0 else None
-        if why is None and status is not Status.CHANGED:
+        if not why and status is not Status.CHANGED:
             if bound is None:
-                why = Statement("why.was_zero")
+                why = sentence("no value to compare with: it was 0")
             elif bound <= tolerance:
                 status = Status.UNCHANGED
             else:
-                why = Statement("why.unseen", {"bound": bound_phrase(bound)})
+                why = sentence("a change of up to {bound} would not be seen", bound=bound_phrase(bound))
         out.append(
             replace(
                 c,

@@ -21,7 +21,7 @@ from invid.model.document import (
 )
 from invid.model.named_change import ChangeKind
 from invid.numerics.arrays import Float64, frozen_float
-from invid.wording.statement import Statement
+from invid.wording.sentence import sentence
 
 
 def name_of(term: EffectTerm) -> str:
@@ -137,6 +137,13 @@ def paired_numbers(old: Model, new: Model, common: Sequence[str], relative: floa
     return out
 
 
+_NO_STD = {
+    "old": sentence("the old model gives no uncertainty"),
+    "new": sentence("the new model gives no uncertainty"),
+    "both": sentence("the old and the new model gives no uncertainty"),
+}
+
+
 def with_difference(
     row: Change,
     old: Estimate | None,
@@ -156,12 +163,16 @@ def with_difference(
     )
     missing = [w for w, e in (("old", old), ("new", new)) if e.std is None or e.std < 0]
     if missing:
-        return replace(found, why=Statement(f"why.no_std_{'both' if len(missing) == 2 else missing[0]}"))
+        return replace(found, why=_NO_STD["both" if len(missing) == 2 else missing[0]])
     if not math.isfinite(max(widths)):
-        return replace(found, why=Statement("why.other_law"))
+        return replace(found, why=sentence("the other run describes the friction there by another law"))
     parts = [(w * (e.std or 0.0), relative * e.value) for w, e in zip(widths, (old, new), strict=True)]
     std = math.hypot(*(size for part in parts for size in part))
-    return replace(found, std=std) if std else replace(found, why=Statement("why.std_zero"))
+    return (
+        replace(found, std=std)
+        if std
+        else replace(found, why=sentence("both models claim a standard deviation of 0"))
+    )
 
 
 def _whole_inertia(model: Model, axis: str) -> Estimate:

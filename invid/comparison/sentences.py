@@ -1,17 +1,16 @@
-"""What a change in a model means to the person who stands at the robot, as typed statements."""
+"""What a change in a model means to the person who stands at the robot, in sentences."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
 
+from invid.clauses import label, row_sentence
 from invid.comparison.changes import Change, Comparison, Status
 from invid.model.document import Estimate
 from invid.model.named_change import ChangeKind, NamedChange
-from invid.wording.clauses import label, row_statement
 from invid.wording.figures import percent
-from invid.wording.statement import Figure, Listed, Statement, Value
+from invid.wording.sentence import Figure, capital, joined, listed, marked, sentence
 
 PRACTICAL = 0.02
 """Below it a change gets no interpretation: a tool change of interest exceeds about 2 % (a convention)."""
@@ -50,6 +49,22 @@ def named_changes(c: Comparison, joint_alpha: float) -> tuple[NamedChange, ...]:
 
 
 _SCALED = ("mass", "spring", "inertia")
+_NOTHING = {
+    (False, False): sentence("Nothing changed."),
+    (True, False): sentence("Nothing else changed."),
+    (False, True): sentence("Nothing changed as far as the data tell."),
+    (True, True): sentence("Nothing else changed as far as the data tell."),
+}
+"""By whether something was said, and whether something is open."""
+_KINDS = {
+    "mass": sentence("masses"),
+    "inertia": sentence("whole inertias"),
+    "spring": sentence("springs"),
+    "ground_spring": sentence("springs to ground"),
+    "damper": sentence("dampers"),
+    "coupling": sentence("couplings"),
+    "effect": sentence("causes"),
+}
 
 
 def _rows(c: Comparison) -> list[Change]:
@@ -58,33 +73,38 @@ def _rows(c: Comparison) -> list[Change]:
     return [x for x in c.parameters + c.effects if x.name not in sizes]
 
 
-def statements(c: Comparison, joint_alpha: float) -> tuple[Statement, ...]:
+def sentences(c: Comparison, joint_alpha: float) -> tuple[str, ...]:
     """Return what changed, a sentence a row, then what did not and what cannot be told."""
     everything = _rows(c)
     unchanged = [x for x in everything if x.status is Status.UNCHANGED]
     open_ones = [x for x in everything if x.status is Status.CANNOT_TELL and not x.rivals]
-    said = [row_statement(row) for row in c.named]
+    said = [row_sentence(row) for row in c.named]
     if unchanged and not is_spread_out(c, joint_alpha):
-        said.append(Statement("told.nothing" + "_else" * bool(said) + "_known" * bool(open_ones)))
-    if unchanged:
-        code = "told.unchanged_one" if len(unchanged) == 1 else "told.unchanged"
-        said.append(Statement(code, {"n": len(unchanged), "within": _within(unchanged)}))
+        said.append(_NOTHING[bool(said), bool(open_ones)])
+    if len(unchanged) == 1:
+        said.append(sentence("1 parameter is the same {within}.", within=_within(unchanged)))
+    elif unchanged:
+        n, within = len(unchanged), _within(unchanged)
+        said.append(sentence("{n} parameters are the same {within}.", n=n, within=within))
     if open_ones:
-        values: dict[str, Value] = {"labels": _listing(open_ones), "why": _reasons(open_ones)}
-        said.append(Statement("told.cannot_tell", values))
+        labels, why = _listing(open_ones), _reasons(open_ones)
+        said.append(sentence("Cannot tell for {labels}: {why}.", labels=labels, why=why))
     same = [x for x in c.causes if x.status is Status.UNCHANGED]
     if same:
-        bound = Figure(percent(max(x.bound or 0.0 for x in same)))
-        code = "told.causes_same_one" if len(same) == 1 else "told.causes_same"
-        said.append(Statement(code, {"labels": _labels(same, "and"), "bound": bound}))
+        bound, labels = Figure(percent(max(x.bound or 0.0 for x in same))), listed(_labels(same))
+        one = marked("{labels} is unchanged within ±{bound}.")
+        more = marked("{labels} are unchanged within ±{bound}.")
+        said.append(sentence(one if len(same) == 1 else more, labels=labels, bound=bound))
     said += [
-        Statement("told.cause_open", {"label": label(x), "why": x.why or ""})
+        sentence("{label}: cannot tell whether it changed: {why}.", label=label(x), why=x.why)
         for x in c.causes
         if x.status is Status.CANNOT_TELL
     ]
-    means = [Statement(f"told.{side}_runs", {"n": n}) for side, n in zip(("old", "new"), c.runs, strict=True)]
-    means = [m for m, n in zip(means, c.runs, strict=True) if n > 1]
-    return (*said, *([Statement("told.means_of_runs", {"sides": Listed(tuple(means))})] if means else []))
+    sides = marked("the old values of {n} runs"), marked("the new values of {n} runs")
+    means = [sentence(side, n=n) for side, n in zip(sides, c.runs, strict=True) if n > 1]
+    if means:
+        said.append(sentence("Compared are means: {sides}.", sides=listed(means)))
+    return tuple(map(capital, said))
 
 
 def is_spread_out(c: Comparison, joint_alpha: float) -> bool:
@@ -93,46 +113,43 @@ def is_spread_out(c: Comparison, joint_alpha: float) -> bool:
     return c.joint_p is not None and c.joint_p < joint_alpha and not found
 
 
-def _within(unchanged: Sequence[Change]) -> Statement:
+def _within(unchanged: Sequence[Change]) -> str:
     """Return "within ±0.2 %", or for each kind its own where one would hide what the others can tell."""
     worst: dict[str, float] = {}
     for x in unchanged:
         worst[x.family] = max(worst.get(x.family, 0.0), x.bound or 0.0)
     figures = {k: Figure(f"±{100 * b:.2g} %") for k, b in worst.items()}
     if max(worst.values()) <= ALIKE * min(worst.values()):
-        return Statement("told.within", {"bounds": figures[max(worst, key=lambda k: worst[k])]})
-    bounds = [
-        Statement("told.within_kind", {"bound": f, "kind": Statement(f"kinds.{k}", english=k)})
-        for k, f in figures.items()
-    ]
-    return Statement("told.within", {"bounds": Listed(tuple(bounds), "comma")})
+        return sentence("within {bounds}", bounds=figures[max(worst, key=lambda k: worst[k])])
+    bounds = [sentence("{bound} ({kind})", bound=f, kind=_KINDS.get(k, k)) for k, f in figures.items()]
+    return sentence("within {bounds}", bounds=joined(bounds))
 
 
-def _labels(changes: Sequence[Change], by: Literal["and", "comma"]) -> Listed:
-    return Listed(tuple(label(x, plain=True) for x in changes), by)
+def _labels(changes: Sequence[Change]) -> list[str]:
+    return [label(x, plain=True) for x in changes]
 
 
-def _listing(changes: Sequence[Change], most: int = 6) -> Value:
-    shown = _labels(changes[:most], "comma")
+def _listing(changes: Sequence[Change], most: int = 6) -> str:
+    shown = joined(_labels(changes[:most]))
     more = len(changes) - most
-    return shown if more <= 0 else Statement("told.and_more", {"labels": shown, "n": more})
+    return shown if more <= 0 else sentence("{labels} and {n} more", labels=shown, n=more)
 
 
-def _reasons(changes: Sequence[Change]) -> Listed:
-    kinds = {x.reason: x.why for x in changes if x.why is not None and x.why.code != "why.unseen"}
+def _reasons(changes: Sequence[Change]) -> str:
+    said: list[str] = sorted({x.why for x in changes if x.bound is None and x.why})
     bounds = [x.bound for x in changes if x.bound is not None]
-    said: list[Value] = [kinds[text] for text in sorted(kinds)]
     if bounds:
         low, high = bound_phrase(min(bounds)), bound_phrase(max(bounds))
-        code, values = "why.unseen_range", {"low": low, "high": high}
-        said.append(Statement(code, values) if low != high else Statement("why.unseen", {"bound": low}))
-    return Listed(tuple(said), "semicolon")
+        one = sentence("a change of up to {bound} would not be seen", bound=low)
+        several = sentence("changes of up to {low} to {high} would not be seen", low=low, high=high)
+        said.append(one if low == high else several)
+    return joined(said, "; ")
 
 
-def bound_phrase(fraction: float) -> Value:
+def bound_phrase(fraction: float) -> str:
     """Return a bound in per cent, or "any size" where it says nothing."""
     text = percent(fraction)
-    return Statement("why.any_size") if text == "any size" else Figure(text)
+    return sentence("any size") if text == "any size" else Figure(text)
 
 
 def _common_factor(changes: Sequence[Change]) -> float | None:
@@ -161,6 +178,6 @@ def table(changes: Sequence[Change]) -> str:
         )
         is_bounded = c.status is Status.UNCHANGED and c.bound is not None
         bound = f" within ±{100 * (c.bound or 0.0):.2g} %" if is_bounded else ""
-        why = f": {c.reason}" if c.reason else ""
+        why = f": {c.why}" if c.why else ""
         lines.append(f"{c.label:<36} {shown}  {str(c.status).replace('_', ' ')}{bound}{why}")
     return "\n".join(lines)

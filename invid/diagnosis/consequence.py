@@ -20,6 +20,7 @@ from invid.errors import ConfigError
 from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade
 from invid.model.document import EffectTerm
 from invid.recording.model import Recording
+from invid.wording.sentence import capital, joined, marked, sentence
 
 SPEED_SAMPLES = 10
 """Samples over which a speed is taken; over one sample it would be that of one encoder count."""
@@ -34,7 +35,9 @@ def machine_of(diagnosis: Diagnosis, recording: Recording) -> tuple[Machine, lis
         except ConfigError as error:
             # Foreign files may carry anything there; only limits that somebody meant are missed.
             if "acceptable" in recording.config:
-                warnings.append(f"its limits for findings (acceptable) are not used: {error}")
+                warnings.append(
+                    sentence("its limits for findings (acceptable) are not used: {error}", error=error)
+                )
     axes = {} if config is None else {a.name: a for a in config.axes}
     rated = (
         {}
@@ -78,7 +81,7 @@ def consequence_of(term: EffectTerm, machine: Machine) -> Consequence:
     declared = () if effect is None else effect.sizes
     found = measured_sizes(declared, term, machine)
     sizes = {size.quantity.name: value for size, value in found}
-    text = ", ".join(size.phrase(value, machine.linear) for size, value in found)
+    text = joined([size.phrase(value, machine.linear) for size, value in found])
     share = max((value for size, value in found if size.quantity.torque), default=None)
     own = machine.acceptable.get(term.axis, {})
     judged: list[tuple[Grade, str, str]] = []
@@ -86,7 +89,8 @@ def consequence_of(term: EffectTerm, machine: Machine) -> Consequence:
         limit = own.get(size.quantity.limit or size.quantity.name)
         if limit is not None:
             grade = Grade.AS_EXPECTED if abs(value) <= limit else Grade.ACT
-            judged.append((grade, f"the config accepts up to {size.number(limit, machine.linear)}", "config"))
+            accepted = sentence("the config accepts up to {size}", size=size.number(limit, machine.linear))
+            judged.append((grade, accepted, "config"))
         elif size.expected is not None and size.serious is not None and (size.linear or not machine.linear):
             grade = Grade.ACT if value > size.serious else Grade.WATCH
             grade = Grade.AS_EXPECTED if value <= size.expected else grade
@@ -102,8 +106,8 @@ def consequence_of(term: EffectTerm, machine: Machine) -> Consequence:
 def _usual_text(size: Size, expected: float, linear: bool) -> str:
     """Text of the largest usual size; "none is expected" where physics allows none."""
     if expected == 0:
-        return "none is expected"
-    return f"up to {size.number(expected, linear)} is usual for such drives"
+        return sentence("none is expected")
+    return sentence("up to {number} is usual for such drives", number=size.number(expected, linear))
 
 
 def _no_figure_reason(
@@ -111,8 +115,8 @@ def _no_figure_reason(
 ) -> str:
     wanted = {s.quantity.name for s in declared if s.expected is not None}
     if wanted and not wanted & sizes.keys() and term.axis not in machine.rated:
-        return "no figure to judge by: the rated torque is not in the recording"
-    return "no figure to judge by; a limit of this axis can stand in its config (acceptable)"
+        return sentence("no figure to judge by: the rated torque is not in the recording")
+    return sentence("no figure to judge by; a limit of this axis can stand in its config (acceptable)")
 
 
 def grade_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
@@ -151,20 +155,27 @@ def _rank(finding: Finding) -> tuple[int, float]:
     return grade.rank, -finding.fraction
 
 
+_HOW = {
+    Grade.AS_EXPECTED: marked("{size}: as expected ({reason})."),
+    Grade.WATCH: marked("{size}: more than usual ({reason})."),
+    Grade.ACT: marked("{size}: too much ({reason})."),
+}
+
+
 def _graded_sentence(finding: Finding, consequence: Consequence) -> str:
-    """The finding's sentence with its consequence; the advice to check is left out where all is as
-    expected."""
-    effect, sentence = effect_of(finding.effect.cause), finding.sentence
-    if not sentence or not consequence.text:
-        return sentence
-    if effect is not None and consequence.grade is Grade.AS_EXPECTED:
-        sentence = sentence.removesuffix(f" {effect.check}")
-    size = consequence.text[:1].upper() + consequence.text[1:]
-    if consequence.source is None:
-        return f"{sentence.rstrip('.')}. {size}."
-    how = "as expected" if consequence.grade is Grade.AS_EXPECTED else "too much"
-    how = "more than usual" if consequence.grade is Grade.WATCH else how
-    return f"{sentence.rstrip('.')}. {size}: {how} ({consequence.reason})."
+    """The finding's sentence with what to check, where its cause is sure and not as expected, and with its
+    consequence."""
+    effect, parts = effect_of(finding.effect.cause), [finding.sentence]
+    if not finding.sentence:
+        return ""
+    if effect is not None and not finding.is_doubtful and consequence.grade is not Grade.AS_EXPECTED:
+        parts.append(sentence(effect.check))
+    size = capital(consequence.text)
+    if size and consequence.source is None:
+        parts.append(sentence("{size}.", size=size))
+    elif size:
+        parts.append(sentence(_HOW[consequence.grade], size=size, reason=consequence.reason))
+    return joined(parts, " ")
 
 
 def _reorder_sentences(

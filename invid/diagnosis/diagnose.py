@@ -65,7 +65,7 @@ def diagnose(
             ) from None
     budget_warning = budget.warning()
     if budget_warning is not None:
-        kept = [w for w in result.warnings if not w.startswith(budget.SPENT)]
+        kept = [w for w in result.warnings if not budget.is_warning(w)]
         result = replace(result, warnings=(*kept, budget_warning))
     if notes:
         result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *notes])))

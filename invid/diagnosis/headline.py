@@ -1,6 +1,6 @@
 """The headline for the person beside the robot: what changed, does it matter, where, what now.
 
-``headline_order`` puts typed statements in order and knows no language; ``headline`` says them in one.
+``headline_order`` puts parts in order, ``headline`` makes sentences of them.
 """
 
 from __future__ import annotations
@@ -9,33 +9,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from invid.clauses import (
+    TOOL_CHANGE,
+    answer_clause,
+    axes_phrase,
+    change_check,
+    change_clause,
+    change_looks,
+    doubt_sentence,
+    grade_of,
+    group_clause,
+)
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Diagnosis, Finding, Grade, Verdict
 from invid.model.doubts import Doubt, doubts_of
 from invid.model.expectation import Agreement, Answer
 from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
-from invid.wording.clauses import (
-    axes_phrase,
-    change_check,
-    change_clause,
-    change_looks,
-    doubt_statement,
-    grade_of,
-    group_clause,
-)
-from invid.wording.expectation import answer_clause
 from invid.wording.figures import explained_percent
-from invid.wording.statement import (
-    ENGLISH,
-    LANGUAGES,
-    Clause,
-    Figure,
-    Listed,
-    Statement,
-    Value,
-    say,
-    say_sentence,
-)
+from invid.wording.sentence import Figure, clause, joined, listed, marked, sentence, stated
 
 NAMELESS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 """Verdicts on a model that leaves something without a name."""
@@ -43,6 +34,11 @@ SIDES = dict.fromkeys(("saturation", "actuator_dynamics"), "loop") | dict.fromke
     ("scale", "sensor", "sampling"), "sensor"
 )
 """Families of causes that are not the mechanics."""
+_SIDES = {
+    "loop": marked("the loop, not the mechanics: {what}"),
+    "sensor": marked("a sensor, not the mechanics: {what}"),
+    "mechanics": marked("the mechanics: {what}"),
+}
 MOST = 2
 """Changes told one by one; a person reads no longer headline (a convention)."""
 
@@ -105,9 +101,9 @@ def facts_of(diagnosis: Diagnosis, beside: Beside = Beside()) -> Facts:
     )
 
 
-def headline(facts: Facts, language: str = ENGLISH) -> str:
-    """Return the headline in a language."""
-    return " ".join(say_sentence(parts, language) for parts in headline_order(facts) if parts)
+def headline(facts: Facts) -> str:
+    """Return the headline."""
+    return joined([stated(parts) for parts in headline_order(facts) if parts], " ")
 
 
 def verdict_line(diagnosis: Diagnosis) -> str:
@@ -130,23 +126,22 @@ def _is_left_inside(diagnosis: Diagnosis) -> bool:
 
 
 def with_headline(diagnosis: Diagnosis, beside: Beside = Beside()) -> Diagnosis:
-    """Return the diagnosis with its headline in every language."""
-    said = {language: headline(facts_of(diagnosis, beside), language) for language in LANGUAGES}
-    return replace(diagnosis, headline=said[ENGLISH], headlines=said)
+    """Return the diagnosis with its headline."""
+    return replace(diagnosis, headline=headline(facts_of(diagnosis, beside)))
 
 
-def changes_headline(changes: Sequence[NamedChange], language: str = ENGLISH) -> str:
+def changes_headline(changes: Sequence[NamedChange]) -> str:
     """Return the headline of changes alone, where nothing is known of the rest."""
     serious = [c for c in changes if c.matters]
     if not changes:
-        return say(Statement("told.nothing"), language)
+        return sentence("Nothing changed.")
     if not serious:
-        return say_sentence(_calm(changes), language)
+        return stated(_calm(changes))
     facts = Facts((), False, Verdict.CONSISTENT)
-    return f"{say_sentence(_changed(serious), language)} {say_sentence([_now(facts, serious)], language)}"
+    return joined([stated(_changed(serious)), stated([_now(facts, serious)])], " ")
 
 
-def headline_order(facts: Facts) -> list[list[Statement]]:
+def headline_order(facts: Facts) -> list[list[str]]:
     """Return the sentences of the headline, each as the statements it joins.
 
     A doubt comes first only where the change cannot be believed because of it, or where it is of the model
@@ -157,33 +152,36 @@ def headline_order(facts: Facts) -> list[list[Statement]]:
     return [*loop, *_of_machine(facts)]
 
 
-def _loop(facts: Facts) -> list[Statement]:
+def _loop(facts: Facts) -> list[str]:
     """That it is the loop and not the mechanics, with the numbers of up to ``MOST`` signs."""
     unit, torque = ("m", "N") if facts.linear else ("rad", "N·m")
-    said = []
+    said: list[str] = []
     for row in facts.loop[:MOST]:
-        values: dict[str, Value] = {"axis": row["axis"]}
         if row["sign"] == "at_limit":
-            values["limit"] = Figure(f"{row['limit']:.3g} {torque}")
-            values["share"] = Figure(f"{100 * row['share']:.0f} %")
+            limit, share = Figure(f"{row['limit']:.3g} {torque}"), Figure(f"{100 * row['share']:.0f} %")
+            template = marked("the torque of {axis} stands at its limit of {limit} for {share} of the record")
+            said.append(sentence(template, axis=row["axis"], limit=limit, share=share))
         else:
-            values["size"] = Figure(f"{1e3 * row['amplitude']:.2g} m{unit}")
-            values["frequency"] = Figure(f"{row['frequency_hz']:.3g} Hz")
-        said.append(Statement(f"loop.{row['sign']}", values))
-    return [Statement("side.loop", {"what": said[0]}), *said[1:]]
+            size, at = (
+                Figure(f"{1e3 * row['amplitude']:.2g} m{unit}"),
+                Figure(f"{row['frequency_hz']:.3g} Hz"),
+            )
+            template = marked("{axis} swings by {size} at {frequency} while its goal stands")
+            said.append(sentence(template, axis=row["axis"], size=size, frequency=at))
+    return [sentence(_SIDES["loop"], what=said[0]), *said[1:]]
 
 
-def _of_machine(facts: Facts) -> list[list[Statement]]:
+def _of_machine(facts: Facts) -> list[list[str]]:
     doubt, changes = facts.doubt, facts.changes
     serious = [c for c in changes or () if c.matters]
     answered = [] if facts.answer is None else [answer_clause(facts.answer)]
     told_already = None if facts.answer is None else facts.answer.change
     if doubt is not None and (doubt.spoils_changes or (doubt.is_of_model and not serious)):
-        said = [Statement("headline.untrusted", {"why": doubt_statement(doubt)})]
+        said = [sentence("this result is not to be trusted: {why}", why=doubt_sentence(doubt))]
         if facts.answer is not None:
             untold = Answer(facts.answer.expectation, Agreement.CANNOT_TELL)
             return [[answer_clause(untold), *said]]
-        return [[*said, *([Statement("headline.unsure")] if changes else [])]]
+        return [[*said, *([sentence("whether anything changed cannot be told from it")] if changes else [])]]
     if not serious:
         left = None if changes is None else [c for c in changes if c is not told_already]
         calm = [] if told_already is not None and not left else _calm(left)
@@ -195,16 +193,16 @@ def _of_machine(facts: Facts) -> list[list[Statement]]:
     return [[*answered, *_changed(serious, told_already)], beside, [_now(facts, serious)]]
 
 
-def _calm(changes: Sequence[NamedChange] | None) -> list[Statement]:
+def _calm(changes: Sequence[NamedChange] | None) -> list[str]:
     """What is said of changes that do not matter, or of none."""
     if changes is None:
         return []
     if not changes:
-        return [Statement("change.none")]
+        return [sentence("nothing changed since the accepted model")]
     return [change_clause(c) for c in changes[:MOST]]
 
 
-def _changed(serious: Sequence[NamedChange], told: NamedChange | None = None) -> list[Statement]:
+def _changed(serious: Sequence[NamedChange], told: NamedChange | None = None) -> list[str]:
     """The changes but the one that was told already, what they look like, and how many more there are."""
     tool = is_tool_change(serious)
     # How loads couple and weigh changes with them.
@@ -213,55 +211,71 @@ def _changed(serious: Sequence[NamedChange], told: NamedChange | None = None) ->
     for c in listed[:MOST]:
         looks = None if tool else change_looks(c)
         clause = change_clause(c)
-        said.append(clause if looks is None else Statement("change.means", {"what": clause, "means": looks}))
+        said.append(clause if looks is None else sentence("{what}, {means}", what=clause, means=looks))
     if len(listed) > MOST:
-        said.append(Statement("change.more", {"n": len(listed) - MOST}))
-    return [*said, Statement("looks.tool")] if tool and told is None else said
+        said.append(sentence("{n} more changes", n=len(listed) - MOST))
+    return [*said, TOOL_CHANGE] if tool and told is None else said
 
 
-def _now(facts: Facts, serious: Sequence[NamedChange]) -> Statement:
+def _now(facts: Facts, serious: Sequence[NamedChange]) -> str:
     """What to do now: look at what speaks against it, check, or accept."""
     if facts.screened is not None:
-        return Statement("now.measure")
+        return sentence("measure in full to take it over")
     if facts.doubt is not None:
-        return Statement("now.doubt", {"why": doubt_statement(facts.doubt)})
+        return sentence("accept only for a reason: {why}", why=doubt_sentence(facts.doubt))
     if facts.verdict is Verdict.UNEXPLAINED:
         return _unexplained(facts.unexplained_axis)
     check = next((found for c in serious if (found := change_check(c)) is not None), None)
-    return Statement("now.accept") if check is None else Statement("now.first", {"what": Clause(check)})
+    return sentence("accept?") if check is None else sentence("before accepting: {what}", what=clause(check))
 
 
-def _unexplained(axis: str | None) -> Statement:
-    return Statement("headline.unexplained_on", {"axis": axis}) if axis else Statement("headline.unexplained")
+def _unexplained(axis: str | None) -> str:
+    return (
+        sentence(
+            "something on {axis} is not in the model and no known cause explains it: do not accept it unseen",
+            axis=axis,
+        )
+        if axis
+        else sentence("something is not in the model and no known cause explains it: do not accept it unseen")
+    )
 
 
-def _findings(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
+def _findings(facts: Facts, findings: Sequence[Finding]) -> list[str]:
     """What was found, the most serious first, like ones together."""
     if facts.verdict is Verdict.CONSISTENT:
-        said = Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})
+        said = sentence(
+            "nothing beyond noise on {axes}: nothing to do", axes=axes_phrase(facts.axes, facts.axes)
+        )
         return [said, *_doubtful_floor(facts)]
     if facts.screened is not None:  # a record of seconds names nothing new by itself
-        return [Statement("headline.left_as_before" if facts.screened in NAMELESS else "headline.new")]
+        if facts.screened in NAMELESS:
+            return [sentence("as in the accepted model, something is left that has no name")]
+        return [
+            sentence(
+                "something is missing that the accepted model does not have: measure in full to tell what"
+            )
+        ]
     if facts.verdict is Verdict.UNEXPLAINED or not findings:
         return [_unexplained(facts.unexplained_axis)]
     return _groups(facts, findings)
 
 
-def _groups(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
+def _groups(facts: Facts, findings: Sequence[Finding]) -> list[str]:
     groups = _group_findings(findings)
     first = grade_of(groups[0][0])
     same = [g for g in groups[1:] if grade_of(g[0]) is first]
     rest = [g for g in groups[1:] if grade_of(g[0]) is not first]
     said = [group_clause(groups[0], facts.axes, facts.linear)]
     if first is not Grade.AS_EXPECTED and facts.changes is None:
-        said = [Statement(f"side.{_side(groups[0][0])}", {"what": Clause(said[0])})]
+        said = [sentence(_SIDES[_side(groups[0][0])], what=clause(said[0]))]
     said += [group_clause(g, facts.axes, facts.linear, advice=False) for g in same[:1]]
     more = sum(len(g) for g in same[1:])
     if more:
-        said.append(Statement("headline.more_alike", {"n": more}))
+        said.append(sentence("{n} more alike", n=more))
     said += _count_of_rest(rest)
     if facts.verdict is Verdict.PARTLY_EXPLAINED:
-        said.append(Statement("headline.left_inside" if facts.is_left_inside else "headline.left"))
+        inside = sentence("what is left acts behind the motors and has no name")
+        said.append(inside if facts.is_left_inside else sentence("something more is left that has no name"))
     return [*said, *_doubtful_floor(facts)]
 
 
@@ -271,8 +285,12 @@ def _side(finding: Finding) -> str:
     return SIDES.get("" if effect is None else effect.family, "mechanics")
 
 
-def _doubtful_floor(facts: Facts) -> list[Statement]:
-    return [] if facts.has_floor else [Statement("headline.no_floor")]
+def _doubtful_floor(facts: Facts) -> list[str]:
+    return (
+        []
+        if facts.has_floor
+        else [sentence("likely, not certain: the recording does not show how much of it is noise")]
+    )
 
 
 def _group_findings(findings: Sequence[Finding]) -> list[list[Finding]]:
@@ -285,14 +303,12 @@ def _group_findings(findings: Sequence[Finding]) -> list[list[Finding]]:
     return list(groups.values())
 
 
-def _count_of_rest(rest: Sequence[Sequence[Finding]]) -> list[Statement]:
+def _count_of_rest(rest: Sequence[Sequence[Finding]]) -> list[str]:
     """The less serious groups as counts, such as "beside it 2 to watch and 4 as expected"."""
-    counts = {
-        g: sum(len(group) for group in rest if grade_of(group[0]) is g)
-        for g in (Grade.WATCH, Grade.AS_EXPECTED)
-    }
-    said = tuple(Statement(f"headline.n_{g}", {"n": n}) for g, n in counts.items() if n)
-    return [Statement("headline.beside", {"what": Listed(said)})] if said else []
+    words = {Grade.WATCH: marked("{n} to watch"), Grade.AS_EXPECTED: marked("{n} as expected")}
+    counts = {g: sum(len(group) for group in rest if grade_of(group[0]) is g) for g in words}
+    said = [sentence(words[g], n=n) for g, n in counts.items() if n]
+    return [sentence("beside it {what}", what=listed(said))] if said else []
 
 
 def _place(change: NamedChange) -> tuple[str | None, ...]:

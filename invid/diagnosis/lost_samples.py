@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
 from invid.model.diagnosis_document import Diagnosis, Finding, Verdict
 from invid.model.document import EffectTerm, Estimate
 from invid.recording.model import Recording
 from invid.signals.dropped_rows import DroppedRows
+from invid.wording.sentence import sentence
 
 CONFIDENCE = 0.99
 """Of lost samples: the false alarms of their test are a hundred times rarer (statistical)."""
@@ -46,7 +46,10 @@ def _finding(result: Diagnosis, recording: Recording, dropped: DroppedRows) -> F
         after=missed.after,
         fraction=0.0,
         sentence=(
-            f"Axis {axis}: {100 * dropped.fraction:.2g} % of the samples were lost and the one before "
-            f"was repeated. {BY_CAUSE['dropped_samples'].check}"
+            sentence(
+                "Axis {axis}: {share:.2g} % of the samples were lost and the one before was repeated.",
+                axis=axis,
+                share=100 * dropped.fraction,
+            )
         ),
     )

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from invid.clauses import dependent_on
 from invid.diagnosis.sentences import finding_sentence, separating_text
 from invid.diagnosis.thresholds import CONTESTED, EXPLAINED, FLOOR, MISSED, NAMED, SMALL, SOFTER, UNSIZED
 from invid.effects.laws.empirical_law import NAMELESS, is_like_law
@@ -22,6 +23,7 @@ from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis,
 from invid.model.document import EffectTerm, Model
 from invid.model.doubts import Doubt, DoubtCode
 from invid.recording.model import Recording, Role
+from invid.wording.sentence import joined, listed, sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,7 @@ def finding_of(
         confidence = min(confidence, CONTESTED)
     if cause.size_is_significant is False:
         confidence = min(confidence, UNSIZED)
-    sentence = finding_sentence(cause.effect, cause.fraction, confidence, cause.alternatives, sizes, axes)
+    said = finding_sentence(cause.effect, cause.fraction, confidence, cause.alternatives, sizes, axes)
     return Finding(
         effect=cause.effect,
         confidence=confidence,
@@ -94,7 +96,7 @@ def finding_of(
         fraction=cause.fraction,
         alternatives=cause.alternatives,
         separating_experiment=separating_experiment_of(cause.effect, cause.alternatives),
-        sentence=" ".join([sentence, *cause.remarks, *cause.doubts]),
+        sentence=joined([said, *cause.remarks, *cause.doubts], " "),
     )
 
 
@@ -195,7 +197,9 @@ def assemble_diagnosis(
         left = describe_remainder(residual, outcome.explained)
     sentences = [*outcome.opening, *(f.sentence for f in findings)]
     if verdict is Verdict.CONSISTENT:
-        sentences.append("The model explains the measurement to within its noise: nothing is missing.")
+        sentences.append(
+            sentence("The model explains the measurement to within its noise: nothing is missing.")
+        )
     if left is not None:
         sentences.append(left.sentence)
     open_sizes = _unknown_sizes(findings)
@@ -223,18 +227,23 @@ def small_remainder(residual: Sequence[AxisResidual], recording: Recording) -> s
     worst = int(np.argmax(shares))
     if not 0.0 <= shares[worst] < SMALL:
         return None
-    return (
-        f"What is left is small: at most {100 * shares[worst]:.2g} % of rated torque, on "
-        f"{residual[worst].axis}; less than {100 * SMALL:.2g} % counts as explained."
+    return sentence(
+        "What is left is small: at most {shares:.2g} % of rated torque, on {axis}; less "
+        "than {small:.2g} % counts as explained.",
+        shares=100 * shares[worst],
+        axis=residual[worst].axis,
+        small=100 * SMALL,
     )
 
 
 def _with_law(left: Unexplained | None, law: Finding) -> Unexplained:
     """What is left in words, a law without a name with it."""
     if left is None:
-        left = Unexplained(law.axis, (), (), f"{law.axis}: what acts there has no name in the catalogue")
+        left = Unexplained(
+            law.axis, (), (), sentence("{axis}: what acts there has no name in the catalogue", axis=law.axis)
+        )
     quantities = () if law.effect.table is None else law.effect.table.quantities
-    follows = [f"{q}-dependent" for q in quantities]
+    follows = [dependent_on(q) for q in quantities]
     return replace(left, character=tuple(dict.fromkeys([*left.character, *follows])))
 
 
@@ -254,9 +263,18 @@ def _unknown_sizes(findings: Sequence[Finding]) -> list[str]:
     for f in findings:
         names = [n.replace("_", " ") for n, p in f.effect.parameters.items() if p.std is None]
         if names:
-            tells = BY_CAUSE[f.effect.cause].separating.text or "measure longer, or with a larger amplitude"
-            where = f"{f.effect.cause.replace('_', ' ')} on {f.effect.axis}"
-            said.append(f"{where}: the data do not tell its {' and '.join(names)}; {tells}")
+            tells = BY_CAUSE[f.effect.cause].separating.text or sentence(
+                "measure longer, or with a larger amplitude"
+            )
+            where = sentence("{what} on {axes}", what=f.effect.cause.replace("_", " "), axes=f.effect.axis)
+            said.append(
+                sentence(
+                    "{where}: the data do not tell its {names}; {tells}",
+                    where=where,
+                    names=listed(names),
+                    tells=tells,
+                )
+            )
     return said
 
 
@@ -264,13 +282,23 @@ def describe_remainder(residual: Sequence[AxisResidual], explained: float | None
     """How much torque is left unexplained, on the axis farthest above its floor."""
     worst = max(residual, key=floors_left)
     short = explained is not None and explained < EXPLAINED
-    of = f", {1 - (explained or 0.0):.0%} of what was missing on all axes" if short else ""
+    of = (
+        sentence(", {share:.0%} of what was missing on all axes", share=1 - (explained or 0.0))
+        if short
+        else ""
+    )
     return Unexplained(
         worst.axis,
         (),
         (),
-        f"{worst.axis}: {worst.after:.3g} {worst.unit} rms is left over a noise floor of "
-        f"{worst.floor:.3g} {worst.unit}{of}",
+        sentence(
+            "{axis}: {after:.3g} {unit} rms is left over a noise floor of {floor:.3g} {unit}{of}",
+            axis=worst.axis,
+            after=worst.after,
+            unit=worst.unit,
+            floor=worst.floor,
+            of=of,
+        ),
     )
 
 
@@ -280,9 +308,11 @@ def _mark_untrusted(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
     share = missed_torque_share(diagnosis.residual, recording)
     if not share > MISSED:
         return diagnosis
-    warning = (
-        f"The model cannot be trusted: it misses {share:.0%} of the torque. See that the torque channel is "
-        "the motor's, that every axis moves freely, and that the number of masses fits."
+    warning = sentence(
+        "The model cannot be trusted: it misses {share:.0%} of the torque. See that the "
+        "torque channel is the motor's, that every axis moves freely, and that the number "
+        "of masses fits.",
+        share=share,
     )
     return replace(
         diagnosis,
@@ -315,13 +345,17 @@ def limit_unfinished_search(result: Diagnosis) -> Diagnosis:
     if result.findings:
         findings = tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in result.findings)
         return replace(result, findings=findings, details=details)
-    reason = "the search for causes was cut short by its budget: what was not looked at may be there"
+    reason = sentence(
+        "the search for causes was cut short by its budget: what was not looked at may be there"
+    )
     left = result.unexplained
     if left is None:
         left = Unexplained(max(result.residual, key=floors_left).axis, (), (), "")
-        left = replace(left, sentence=f"{left.axis}: {reason}")
+        left = replace(left, sentence=sentence("{axis}: {reason}", axis=left.axis, reason=reason))
     else:
-        left = replace(left, sentence=f"{left.sentence.removesuffix('.')}; {reason}")
+        left = replace(
+            left, sentence=joined([left.sentence, reason], " " if left.sentence.endswith(".") else "; ")
+        )
     replaced = {*result.sentences[-1:]} if result.unexplained is None else {result.unexplained.sentence}
     sentences = (*(s for s in result.sentences if s not in replaced), left.sentence)
     return replace(

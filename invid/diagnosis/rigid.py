@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from invid.clauses import cause_name, dependent_on
 from invid.diagnosis.outcome import (
     Cause,
     Outcome,
@@ -34,6 +35,7 @@ from invid.rigid_motion.fit import Fit, axes_at_noise, falls, missing_torque, no
 from invid.rigid_motion.model import model_of
 from invid.rigid_motion.smooth_law import depends_on, law_fits
 from invid.rigid_motion.terms import BEND, BY_DIRECTION, GRAVITY, RISE, Term
+from invid.wording.sentence import Figure, joined, sentence
 
 
 def diagnose_trajectory(
@@ -154,7 +156,7 @@ def _plain_effect(a: Analysis, cause: search.Cause) -> tuple[EffectTerm, tuple[s
     effect = effect_in(a.final, cause)
     if isinstance(cause.terms[0].law, LoadFrictionLaw):
         counted = "weight and inertia" if effect.value("inertia_counts") else "weight"
-        return effect, (f"The load is the joint's {counted}.",)
+        return effect, (sentence("The load is the joint's {counted}.", counted=counted),)
     bend = {n: p for n, p in effect.parameters.items() if n.startswith("low_speed")}
     if not bend:
         return effect, ()
@@ -164,9 +166,14 @@ def _plain_effect(a: Analysis, cause: search.Cause) -> tuple[EffectTerm, tuple[s
     whole = settled(a.rows, [*bare.terms, *plain.terms])
     up, down, speed = (p.value for p in bend.values())
     unit, force = bend["low_speed_velocity"].unit, effect.parameters["coulomb_positive"].unit
-    said = (
-        f"Below about {speed:.3g} {unit} it changes by {up:.3g} (forward) and {down:.3g} {force} "
-        "(backward): see the model."
+    said = sentence(
+        "Below about {speed:.3g} {unit} it changes by {up:.3g} (forward) and {down:.3g} "
+        "{force} (backward): see the model.",
+        speed=speed,
+        unit=unit,
+        up=up,
+        down=down,
+        force=force,
     )
     return effect_in(whole, plain), (said,)
 
@@ -180,22 +187,29 @@ def _describe_residual(a: Analysis, residual: tuple[AxisResidual, ...]) -> Unexp
         "velocity": [m.velocity for m in motions],
         "time": [np.cumsum(np.ones_like(m.position), axis=0) + 1e9 * k for k, m in enumerate(motions)],
     }
-    character = tuple(f"{q}-dependent" for q, d in drivers.items() if depends_on(a.rows, a.final, worst, d))
+    character = tuple(dependent_on(q) for q, d in drivers.items() if depends_on(a.rows, a.final, worst, d))
     frequencies: tuple[float, ...] = ()
     if not a.reach.steady and left.size >= 64:
         power = np.abs(np.fft.rfft(left - left.mean())) ** 2
         line = np.fft.rfftfreq(left.size, a.rows.step)
         frequencies = tuple(round(f, 3) for f in sorted(float(f) for f in line[np.argsort(power)[-3:]]))
     r = residual[worst]
-    how = (", " + ", ".join(character)) if character else ""
-    where = f" around {', '.join(f'{f:g}' for f in frequencies)} Hz" if frequencies else ""
+    lines = joined([Figure(f"{f:g}") for f in frequencies])
     return Unexplained(
         axis=r.axis,
         frequencies_hz=frequencies,
         character=character,
-        sentence=f"{r.axis}: {r.after:.3g} {r.unit} rms is left over a noise floor of {r.floor:.3g} "
-        f"{r.unit}{where}{how}; no cause explains it that is searched for in moves of rigid axes "
-        f"(not searched for: {', '.join(_not_searched(a))})",
+        sentence=sentence(
+            "{axis}: {after:.3g} {unit} rms is left over a noise floor of {floor:.3g} {unit}{where}{how}; no "
+            "cause explains it that is searched for in moves of rigid axes (not searched for: {others})",
+            axis=r.axis,
+            after=r.after,
+            unit=r.unit,
+            floor=r.floor,
+            where=sentence(" around {frequencies} Hz", frequencies=lines) if frequencies else "",
+            how=joined(["", *character]) if character else "",
+            others=joined(_not_searched(a)),
+        ),
     )
 
 
@@ -204,8 +218,8 @@ def _not_searched(a: Analysis) -> list[str]:
     asked = {t.cause for t in (*a.candidates, *a.final.terms)} | {"torque_delay"}
     inner = ("extra_mode", "coupling_stiffness", "base_compliance")
     others = [
-        e.cause.replace("_", " ")
+        cause_name(e.cause)
         for e in CATALOGUE
         if e.cause not in (*asked, *inner, "dropped_samples") and e.home != "spring"
     ]
-    return [*others, "what is elastic"]
+    return [*others, sentence("what is elastic")]

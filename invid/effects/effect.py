@@ -24,6 +24,7 @@ from invid.model.law_table import LawTable
 from invid.model.place import Place
 from invid.model.plant import Structure
 from invid.numerics.arrays import Float64
+from invid.wording.sentence import sentence
 
 FAMILIES = (
     "friction", "position", "spring", "constant", "time", "structure", "linear", "sensor", "sampling",
@@ -155,4 +156,9 @@ class Effect:
 
     def size_text(self, size: str) -> str:
         """The size as a sentence states it."""
-        return f" of {size}"
+        return sentence(" of {size}", size=size)
+
+    @property
+    def title_text(self) -> str:
+        """The title as a part of a sentence."""
+        return sentence(self.title)

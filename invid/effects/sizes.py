@@ -23,29 +23,44 @@ from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm
 from invid.model.forward import resonances
 from invid.numerics.arrays import Float64, frozen_float
+from invid.wording.sentence import Figure, marked, sentence
 
 ARCMIN = math.pi / 180 / 60
 """One minute of arc [rad]."""
 ARCSEC = ARCMIN / 60
 
-JOINT_SOURCE = (
-    "friction of an industrial robot's joint, 3 to 15 % of its largest torque "
-    "(Bittencourt and Gunnarsson, J. Dyn. Syst. Meas. Control 134, 2012, 051013)"
+JOINT_SOURCE = sentence(
+    "friction of an industrial robot's joint, 3 to 15 % of its largest torque ({source})",
+    source="Bittencourt and Gunnarsson, J. Dyn. Syst. Meas. Control 134, 2012, 051013",
 )
-PLAY_SOURCE = (
-    "1′ of cycloidal robot gears (Nabtesco RV), 3′ of standard servo planetary gears (Wittenstein glossary)"
+PLAY_SOURCE = sentence(
+    "1′ of cycloidal robot gears ({rv}), 3′ of standard servo planetary gears ({planetary})",
+    rv="Nabtesco RV",
+    planetary="Wittenstein glossary",
 )
-HYSTERESIS_SOURCE = "hysteresis loss of strain-wave gears, up to 2′ (Harmonic Drive CSF and CSG, p. 49)"
-ACCURACY_SOURCE = "positional accuracy of strain-wave gearheads, 1 to 1.5′ (Harmonic Drive SHD)"
-ENCODER_SOURCE = (
-    "accuracy of motor encoders, ±20″ optical, ±65″ inductive (Heidenhain, Encoders for Servo Drives)"
+HYSTERESIS_SOURCE = sentence(
+    "hysteresis loss of strain-wave gears, up to 2′ ({source})", source="Harmonic Drive CSF and CSG, p. 49"
 )
-COGGING_SOURCE = "cogging of servo motors, ±1 to ±2 % of rated torque (Kollmorgen, Synchronism)"
-CONSTANT_SOURCE = "tolerance of a servo motor's torque constant, ±10 % (Kollmorgen AKM)"
-STIFFENING_SOURCE = (
-    "rise of a strain-wave gear's stiffness up to rated torque, K3/K1 of about 2 (Harmonic Drive CSF)"
+ACCURACY_SOURCE = sentence(
+    "positional accuracy of strain-wave gearheads, 1 to 1.5′ ({source})", source="Harmonic Drive SHD"
 )
-RATED_SOURCE = "rated torque is what the motor can give for ever (IEC 60034-1, duty S1)"
+ENCODER_SOURCE = sentence(
+    "accuracy of motor encoders, ±20″ optical, ±65″ inductive ({source})",
+    source="Heidenhain, Encoders for Servo Drives",
+)
+COGGING_SOURCE = sentence(
+    "cogging of servo motors, ±1 to ±2 % of rated torque ({source})", source="Kollmorgen, Synchronism"
+)
+CONSTANT_SOURCE = sentence(
+    "tolerance of a servo motor's torque constant, ±10 % ({source})", source="Kollmorgen AKM"
+)
+STIFFENING_SOURCE = sentence(
+    "rise of a strain-wave gear's stiffness up to rated torque, K3/K1 of about 2 ({source})",
+    source="Harmonic Drive CSF",
+)
+RATED_SOURCE = sentence(
+    "rated torque is what the motor can give for ever ({source})", source="IEC 60034-1, duty S1"
+)
 
 
 @dataclass(frozen=True)
@@ -251,7 +266,7 @@ def _milliseconds(value: float, _linear: bool) -> str:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A measured quantity of an effect, with its words ("{} of rated torque") and number format.
+    """A measured quantity of an effect, with its words ("{size} of rated torque") and number format.
 
     ``limit``: key of the config's ``acceptable`` where it is not the own name. ``torque``: whether it is a
     share of rated torque.
@@ -263,32 +278,42 @@ class Quantity:
     torque: bool = False
     limit: str = ""
 
+    def phrase(self, value: float, linear: bool) -> str:
+        """ "0.2 % of rated torque", "0.3 mrad (1′) of play"."""
+        return sentence(self.words, size=Figure(self.write(value, linear)))
 
-FRICTION = Quantity("friction_fraction_of_rated", "{} of rated torque", _percent, torque=True)
+
+FRICTION = Quantity("friction_fraction_of_rated", marked("{size} of rated torque"), _percent, torque=True)
 AT_SPEED = Quantity(
     "friction_at_speed_fraction_of_rated",
-    "{} of rated torque at full speed",
+    marked("{size} of rated torque at full speed"),
     _percent,
     torque=True,
     limit=FRICTION.name,
 )
-OFFSET = Quantity("torque_offset_fraction_of_rated", "{} of rated torque", _percent, torque=True)
-RIPPLE = Quantity("torque_ripple_fraction_of_rated", "±{} of rated torque", _percent, torque=True)
-GRAVITY = Quantity("gravity_fraction_of_rated", "{} of rated torque", _percent, torque=True)
-SPRING_FRICTION = Quantity("friction_of_spring", "{} of rated torque", _percent, torque=True)
-SHORTFALL = Quantity("torque_shortfall_fraction_of_rated", "{} short of rated torque", _percent)
-SCALE = Quantity("torque_gain_error_fraction", "torque wrong by {}", _percent)
-LATE = Quantity("torque_delay", "{} late", _milliseconds)
-AT_LOAD = Quantity("angle_at_load", "{} at the load", _angle)
-PLAY = Quantity("backlash", "{} of play", _angle)
-LOST = Quantity("lost_motion", "{} of lost motion", _angle)
-GEAR_ERROR = Quantity("transmission_error", "{} peak to peak", _angle)
-READING = Quantity("encoder_error", "±{} of the reading", _angle)
-STIFFER = Quantity("stiffening_fraction", "{} stiffer at rated torque", _percent)
-DRIFTED = Quantity("stiffness_drift_fraction", "stiffness moved by {} in this measurement", _percent)
-LOAD = Quantity("load_change_fraction", "{} of the load", _percent)
-RESONANCE = Quantity("resonance_change_fraction", "lowest resonance {}", _signed_percent)
-SAMPLES = Quantity("dropped_samples_fraction", "{} of the samples", _percent)
+OFFSET = Quantity("torque_offset_fraction_of_rated", marked("{size} of rated torque"), _percent, torque=True)
+RIPPLE = Quantity("torque_ripple_fraction_of_rated", marked("±{size} of rated torque"), _percent, torque=True)
+GRAVITY = Quantity("gravity_fraction_of_rated", marked("{size} of rated torque"), _percent, torque=True)
+SPRING_FRICTION = Quantity("friction_of_spring", marked("{size} of rated torque"), _percent, torque=True)
+SHORTFALL = Quantity("torque_shortfall_fraction_of_rated", marked("{size} short of rated torque"), _percent)
+SCALE = Quantity("torque_gain_error_fraction", marked("torque wrong by {size}"), _percent)
+LATE = Quantity("torque_delay", marked("{size} late"), _milliseconds)
+AT_LOAD = Quantity("angle_at_load", marked("{size} at the load"), _angle)
+PLAY = Quantity("backlash", marked("{size} of play"), _angle)
+LOST = Quantity("lost_motion", marked("{size} of lost motion"), _angle)
+GEAR_ERROR = Quantity("transmission_error", marked("{size} peak to peak"), _angle)
+READING = Quantity("encoder_error", marked("±{size} of the reading"), _angle)
+STIFFER = Quantity("stiffening_fraction", marked("{size} stiffer at rated torque"), _percent)
+DRIFTED = Quantity(
+    "stiffness_drift_fraction", marked("stiffness moved by {size} in this measurement"), _percent
+)
+LOAD = Quantity("load_change_fraction", marked("{size} of the load"), _percent)
+RESONANCE = Quantity("resonance_change_fraction", marked("lowest resonance {size}"), _signed_percent)
+SAMPLES = Quantity("dropped_samples_fraction", marked("{size} of the samples"), _percent)
+QUANTITIES = {q.name: q for q in (
+    FRICTION, AT_SPEED, OFFSET, RIPPLE, GRAVITY, SPRING_FRICTION, SHORTFALL, SCALE, LATE, AT_LOAD, PLAY, LOST,
+    GEAR_ERROR, READING, STIFFER, DRIFTED, LOAD, RESONANCE, SAMPLES,
+)}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -309,7 +334,7 @@ class Size:
 
     def phrase(self, value: float, linear: bool) -> str:
         """ "0.2 % of rated torque", "0.3 mrad (1′) of play"."""
-        return self.quantity.words.format(self.number(value, linear))
+        return self.quantity.phrase(value, linear)
 
 
 def measured_sizes(sizes: Sequence[Size], term: EffectTerm, machine: Machine) -> list[tuple[Size, float]]:

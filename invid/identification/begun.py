@@ -27,6 +27,7 @@ from invid.recording.model import Recording
 from invid.recording.roll_off import low_passed_axes
 from invid.signals.record import Record
 from invid.signals.tones import refine_tones, remove_tones
+from invid.wording.sentence import sentence
 
 TIME_TO_BEGIN = 0.7
 """Share of the time that is left for the first fits, of which most end sooner: from chains that are astray no
@@ -85,7 +86,7 @@ def begin_elastic(
     before = NOTHING if known is None else Known(plant=plant_of(known))
     begun = _begin(recording, sizes, before, start)
     tones = tones_of(begun.first)
-    if not tones or budget.is_left_out("torque that keeps its own time"):
+    if not tones or budget.is_left_out(sentence("torque that keeps its own time")):
         return _each_period(begun)
     hz = refine_tones(recording, sorted({t.hz for axis in tones for t in axis.tones}))
     again = _begin(remove_tones(recording, hz), sizes, before, start)
@@ -110,7 +111,7 @@ def _each_period(begun: Begun) -> Begun:
     """
     if not changes_within(begun.first) or low_passed_axes(begun.recording.experiments):
         return begun
-    if budget.is_left_out("each period on its own"):
+    if budget.is_left_out(sentence("each period on its own")):
         return begun
     benches = _benches(records_of(begun.recording, by_period=True))
     first = suppose(benches, begun.first.hypothesis, begun.first.numbers)

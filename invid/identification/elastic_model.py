@@ -32,6 +32,7 @@ from invid.likelihood.unknown_forces.worth import (
 from invid.model.document import EffectTerm, Model
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts, doubts_of
 from invid.numerics import budget
+from invid.wording.sentence import sentence
 
 EXPLAINED = 0.9
 """Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
@@ -56,7 +57,7 @@ def finished_fit(begun: Begun) -> tuple[Supposed, Sequence[Worth]]:
     # would as well, but a hold's time takes it up.
     dry = [(Part.DRY, m) for m in range(now.hypothesis.structure.motors)]
     worths, end = prune(without_loose_springs(now), _deletions_of, dry)
-    if not budget.is_left_out("the records that judged the model"):
+    if not budget.is_left_out(sentence("the records that judged the model")):
         end = on_all_records(end, begun.recording)
     return end, worths
 
@@ -121,24 +122,31 @@ def _doubts(begun: Begun, end: Supposed, model: Model) -> list[Doubt]:
         strongest = next(s for v, s in end.strength if v == end.inner_strength)
         axis, element = axis_and_element(end.hypothesis.structure, strongest)
         unit = unit_of("torque", begun.recording.linear)
-        said = (
-            f"a force of {end.inner_strength:.2g} {unit} that no mass, spring or friction of a motor makes "
-            f"acts at {element} of {begun.recording.axes[axis]}: free play, friction or a spring that bends "
-            "there, another number of masses, or a wrong minimum; invid diagnose names the cause where it can"
+        said = sentence(
+            "a force of {inner_strength:.2g} {unit} that no mass, spring or friction of a "
+            "motor makes acts at {element} of {axes}: free play, friction or a spring that "
+            "bends there, another number of masses, or a wrong minimum; invid diagnose names "
+            "the cause where it can",
+            inner_strength=end.inner_strength,
+            unit=unit,
+            element=element,
+            axes=begun.recording.axes[axis],
         )
         out.append(Doubt(DoubtCode.WRONG_STRUCTURE, said, {"times": inner}))
     elif share < EXPLAINED:
-        said = (
-            f"the model explains {share:.0%} of the torque only: another number of masses, a torque "
-            "channel that is not the motor torque, or axes that do not move freely"
+        said = sentence(
+            "the model explains {share:.0%} of the torque only: another number of masses, a "
+            "torque channel that is not the motor torque, or axes that do not move freely",
+            share=share,
         )
         out.append(Doubt(DoubtCode.LITTLE_EXPLAINED, said, {"share": share}))
     if begun.alike:
         sizes = (end.hypothesis.structure.sizes, *begun.alike)
         alike = " and ".join(",".join(map(str, n)) for n in sizes)
-        said = (
-            f"order: {alike} masses explain these data alike: the motors do not show on which branch the "
-            "further mass is; say it with --masses"
+        said = sentence(
+            "order: {alike} masses explain these data alike: the motors do not show on which "
+            "branch the further mass is; say it with --masses",
+            alike=alike,
         )
         out.append(Doubt(DoubtCode.ORDER_OPEN, said))
     return out
@@ -150,7 +158,11 @@ def _warnings(model: Model) -> list[str]:
     times = float(np.sqrt(model.fit["noise_chi2_per_dof"]))
     if times > np.sqrt(NOISY):
         out.append(
-            f"the torque is missed by {times:.2g} times its noise: something acts that the model does not "
-            "contain; standard deviations include it; invid diagnose names it where it can"
+            sentence(
+                "the torque is missed by {times:.2g} times its noise: something acts that the "
+                "model does not contain; standard deviations include it; invid diagnose names it "
+                "where it can",
+                times=times,
+            )
         )
     return out

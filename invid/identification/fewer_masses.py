@@ -15,6 +15,7 @@ from invid.likelihood.unknown_forces.price import price
 from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.plant import Element, Kind
 from invid.numerics import budget
+from invid.wording.sentence import sentence
 
 LOOSE = 0.1
 """Deviation of a mass' or spring's logarithm from which on its chain may have a mass too many."""
@@ -37,7 +38,7 @@ def with_masses_seen(now: Supposed) -> Supposed:
     taken.
     """
     best, fewer = now, now
-    while not budget.is_left_out("fewer masses than declared"):
+    while not budget.is_left_out(sentence("fewer masses than declared")):
         tried = (shortened(fewer, axis) for axis in range(now.hypothesis.structure.motors))
         known = [s for s in tried if s is not None]
         if not known:
@@ -82,6 +83,11 @@ def fewer_masses_warnings(declared: Sequence[int] | None, found: Sequence[int]) 
         return []
     said, seen = (", ".join(str(n) for n in each) for each in (declared, found))
     return [
-        f"masses {said} were declared, but {seen} explain the records and no further one is seen, so these "
-        "are what the model has: declare them, or excite higher frequencies to see more"
+        sentence(
+            "masses {said} were declared, but {seen} explain the records and no further one is "
+            "seen, so these are what the model has: declare them, or excite higher frequencies "
+            "to see more",
+            said=said,
+            seen=seen,
+        )
     ]

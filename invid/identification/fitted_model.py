@@ -20,6 +20,7 @@ from invid.model.doubts import Doubt, DoubtCode, doubt_facts
 from invid.model.plant import Kind, Plant, Structure
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Recording, Role
+from invid.wording.sentence import sentence
 
 EARLY = 0.05
 """Samples by which a hold acts before its command from which a warning says so (empirical)."""
@@ -147,7 +148,11 @@ def _short_experiments(recording: Recording) -> list[Doubt]:
     return [
         Doubt(
             DoubtCode.SHORT_RECORD,
-            f"experiment {e.key} holds {e.samples / e.period_samples:.0%} of one period of its excitation",
+            sentence(
+                "experiment {experiment} holds {samples:.0%} of one period of its excitation",
+                experiment=e.key,
+                samples=e.samples / e.period_samples,
+            ),
         )
         for e in recording.experiments
         if 0 < e.samples < e.period_samples
@@ -168,11 +173,15 @@ def _unmoved_motors(end: Supposed, recording: Recording) -> list[Doubt]:
         own = np.sqrt(spring[structure.links.index((motor, motor + 1))] / mass[motor])
         if share < LIGHT and own > BEYOND * top:
             unit = unit_of("mass", recording.linear)
-            said = (
-                f"{recording.axes[i]}: the torque hardly moves the motor: its mass comes out as "
-                f"{mass[motor]:.2g} {unit}, {100 * share:.2g} % of its chain. The torque is measured behind "
-                "the spring, where its load alone answers, or the motor is that light; these data cannot "
-                "tell: record the motor's current beside it, or the position behind the spring"
+            said = sentence(
+                "{axes}: the torque hardly moves the motor: its mass comes out as {mass:.2g} "
+                "{unit}, {share:.2g} % of its chain. The torque is measured behind the spring, "
+                "where its load alone answers, or the motor is that light; these data cannot tell: "
+                "record the motor's current beside it, or the position behind the spring",
+                axes=recording.axes[i],
+                mass=mass[motor],
+                unit=unit,
+                share=100 * share,
             )
             out.append(Doubt(DoubtCode.TORQUE_BEHIND_SPRING, said, {"share": share}))
     return out
@@ -250,17 +259,25 @@ def hold_warnings(end: Supposed, open_part: Float64, recording: Recording) -> li
         damping = 0.0 if is_told or not records[0].driven[i] else end.bench.stacks[0].damping[i]
         if open_part[i] + damping * timing.step * timing.prior[at] > SEEN * masses[i]:
             out.append(
-                f"{axis}: a hold works while this axis is driven, and nothing tells whether it acts inside "
-                "the drive or is held over the sample: the standard deviation of its motor mass covers both; "
-                "record a torque_demand that leaves the hold out, drive the axis without a hold, or state "
-                "hold_by"
+                sentence(
+                    "{axis}: a hold works while this axis is driven, and nothing tells whether it acts "
+                    "inside the drive or is held over the sample: the standard deviation of its motor "
+                    "mass covers both; record a torque_demand that leaves the hold out, drive the axis "
+                    "without a hold, or state hold_by",
+                    axis=axis,
+                )
             )
         elif not is_told and timing.delay[HOLD, i] < EXPECTED_DELAY[HOLD] - EARLY:
             friction = -timing.delay[HOLD, i] * timing.step * max(float(r.hold[i]) for r in records)
             out.append(
-                f"{axis}: its hold is taken to act up to half a sample before the command, as fits best; "
-                f"viscous friction of {friction:.2g} {unit} at its motor would look alike: record the "
-                "demanded torque, or drive the axis without a hold, to tell"
+                sentence(
+                    "{axis}: its hold is taken to act up to half a sample before the command, as fits "
+                    "best; viscous friction of {friction:.2g} {unit} at its motor would look alike: "
+                    "record the demanded torque, or drive the axis without a hold, to tell",
+                    axis=axis,
+                    friction=friction,
+                    unit=unit,
+                )
             )
     return out
 
@@ -268,8 +285,13 @@ def hold_warnings(end: Supposed, open_part: Float64, recording: Recording) -> li
 def _lag_warnings(end: Supposed, axes: tuple[str, ...]) -> list[str]:
     """Channels that low-pass what they record of the torque."""
     return [
-        f"{axis}: the recorded torque is low-passed ({1e3 * lag['value']:.3g} ± {1e3 * lag['std']:.1g} ms, a "
-        "lag, no mere delay); the parameters are corrected for it"
+        sentence(
+            "{axis}: the recorded torque is low-passed ({lag:.3g} ± {std:.1g} ms, a lag, no mere delay); the "
+            "parameters are corrected for it",
+            axis=axis,
+            lag=1e3 * lag["value"],
+            std=1e3 * lag["std"],
+        )
         for axis, lag in _timing(end, axes)["torque_lag_s"].items()
         if lag["value"] > 3.0 * lag["std"]
     ]

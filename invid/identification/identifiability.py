@@ -10,6 +10,7 @@ import numpy as np
 from invid.model.chains import CoupledChains
 from invid.model.forward import resonances
 from invid.numerics.arrays import Float64, Int64
+from invid.wording.sentence import sentence
 
 _WORDS = {"mass": "m", "spring": "K", "damper": "D"}
 
@@ -34,7 +35,11 @@ def blind_directions(
     loose = np.flatnonzero(is_judged & ~(relative < LIMIT))
     unseen = np.flatnonzero(~np.isfinite(relative))
     sentences = _direction_sentences(names, covariance, scale, loose, _advice(chains, band_hz))
-    sentences += [f"{_symbol(names[k])}: not seen by these data at all" for k in unseen if not is_judged[k]]
+    sentences += [
+        sentence("{symbol}: not seen by these data at all", symbol=_symbol(names[k]))
+        for k in unseen
+        if not is_judged[k]
+    ]
     return frozenset(names[k] for k in (*loose, *unseen)), tuple(sentences)
 
 
@@ -42,7 +47,10 @@ def _direction_sentences(
     names: Sequence[str], covariance: Float64, scale: Float64, loose: Int64, advice: str
 ) -> list[str]:
     is_lost = ~np.isfinite(np.diag(covariance)[loose])
-    out = [f"{_symbol(names[k])}: not seen by these data; {advice}" for k in loose[is_lost]]
+    out = [
+        sentence("{symbol}: not seen by these data; {advice}", symbol=_symbol(names[k]), advice=advice)
+        for k in loose[is_lost]
+    ]
     rest = loose[~is_lost]
     if rest.size == 0:
         return out
@@ -61,12 +69,33 @@ def _direction_sentences(
         if len(members) == 1:
             m = rest[members[0]]
             error = _percent(np.sqrt(covariance[m, m]) / scale[m])
-            out.append(f"{labels[0]}: known to ±{error} only; {advice}")
+            out.append(
+                sentence(
+                    "{label}: known to ±{error} only; {advice}", label=labels[0], error=error, advice=advice
+                )
+            )
         elif len(members) == 2:
-            relation = "ratio" if vector[members[0]] * vector[members[1]] > 0 else "product"
-            out.append(f"{labels[0]} and {labels[1]}: only as a {relation} (±{error} each); {advice}")
+            is_ratio = vector[members[0]] * vector[members[1]] > 0
+            relation = sentence("ratio") if is_ratio else sentence("product")
+            out.append(
+                sentence(
+                    "{first} and {other}: only as a {relation} (±{error} each); {advice}",
+                    first=labels[0],
+                    other=labels[1],
+                    relation=relation,
+                    error=error,
+                    advice=advice,
+                )
+            )
         else:
-            out.append(f"{', '.join(labels)}: only in combination (±{error}); {advice}")
+            out.append(
+                sentence(
+                    "{names}: only in combination (±{error}); {advice}",
+                    names=", ".join(labels),
+                    error=error,
+                    advice=advice,
+                )
+            )
     return out
 
 
@@ -77,11 +106,14 @@ def _advice(chains: CoupledChains, band_hz: tuple[float, float]) -> str:
         modes = np.zeros(0)
     above = modes[modes > 0.97 * band_hz[1]]
     if above.size:
-        return (
-            f"no excitation above {band_hz[1]:.3g} Hz, and the model has resonances up to "
-            f"{above.max():.3g} Hz: excite up to {1.3 * above.max():.3g} Hz, or use fewer masses"
+        return sentence(
+            "no excitation above {band_hz:.3g} Hz, and the model has resonances up to "
+            "{highest_hz:.3g} Hz: excite up to {wanted_hz:.3g} Hz, or use fewer masses",
+            band_hz=band_hz[1],
+            highest_hz=above.max(),
+            wanted_hz=1.3 * above.max(),
         )
-    return "raise the amplitude or measure longer; if that does not help, use fewer masses"
+    return sentence("raise the amplitude or measure longer; if that does not help, use fewer masses")
 
 
 def _scale(chains: CoupledChains, name: str, value: float) -> float:

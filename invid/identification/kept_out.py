@@ -17,6 +17,7 @@ from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.signals.holds import find_smooth_hold, read_holds
 from invid.signals.periods import true_period
 from invid.signals.record import Record, make_record
+from invid.wording.sentence import sentence
 
 FIFTH = 5
 """Every so many lines one is kept out."""
@@ -26,7 +27,7 @@ realisations of one plan differ by amplitudes of up to two)."""
 LEAST_LINES = 12
 """Lines an axis from which anything is fitted: two masses with friction and timing have ten numbers."""
 
-MISSING = "no validation experiment (role 'validate')"
+MISSING = sentence("no validation experiment (role 'validate')")
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,18 +182,20 @@ def _split(parts: _Parts) -> tuple[list[Record], list[Record], str | None]:
     shaken = parts.shaken
     # One more than the linear plant needs: each axis once, or M of all at once.
     if len(shaken) > parts.recording.axis_count and any(_drives_all(e) for e in shaken):
-        said = (
-            f"no validation experiment (role 'validate'): experiment {parts.spare.key} is kept out of every "
-            "fit instead; record one with another realisation and amplitude"
+        said = sentence(
+            "no validation experiment (role 'validate'): experiment {experiment} is kept out "
+            "of every fit instead; record one with another realisation and amplitude",
+            experiment=parts.spare.key,
         )
         rest = parts.records([e for e in parts.train if e is not parts.spare])
         return rest, parts.records([parts.spare]), said
     if shaken and all(e.period_samples and e.periods >= 2 for e in shaken):
         moves = [e for e in parts.train if e.kind is Kind.CONSTANT_VELOCITY]
         begin, last = zip(*map(_last_period_apart, shaken), strict=True)
-        said = (
-            f"{MISSING}: the last period of each experiment is kept out of every fit instead, which repeats "
-            "the same motion; record one with another realisation"
+        said = sentence(
+            "{missing}: the last period of each experiment is kept out of every fit instead, "
+            "which repeats the same motion; record one with another realisation",
+            missing=MISSING,
         )
         return parts.records([*begin, *moves]), parts.records(last), said
     fitted, kept = [], []
@@ -201,8 +204,9 @@ def _split(parts: _Parts) -> tuple[list[Record], list[Record], str | None]:
         # The mean is one line: it is in both, or a constant torque would be worth nothing in one.
         fitted.append(replace(record, used=record.used[number % FIFTH != FIFTH - 1]))
         kept.append(replace(record, used=record.used[(number % FIFTH == FIFTH - 1) | (record.used == 0)]))
-    said = (
-        f"{MISSING} and no whole period to spare: every fifth line is kept out of every fit instead; record "
-        "an experiment of its own for validation"
+    said = sentence(
+        "{missing} and no whole period to spare: every fifth line is kept out of every fit "
+        "instead; record an experiment of its own for validation",
+        missing=MISSING,
     )
     return fitted, kept, said

@@ -24,6 +24,7 @@ from invid.rigid_motion.analysis import Analysis, analyse, missed_by
 from invid.rigid_motion.fit import axis_powers, noise_powers
 from invid.rigid_motion.model import TRAJECTORY, identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
+from invid.wording.sentence import sentence
 
 RIGID_ENOUGH = 0.1
 """Missed share of the torque (rms, held-out rows) below which rigid axes are not doubted. Empirical: 0.007 to
@@ -102,16 +103,20 @@ def machine_kind(
     is_single = elastic == Tried()
     if is_single and FURTHER_MASSES in budget.left_out():
         # Nothing is concluded from orders that were not tried.
-        said = "whether the machine is elastic is open: the budget ended before further masses were tried"
+        said = sentence(
+            "whether the machine is elastic is open: the budget ended before further masses were tried"
+        )
         return MachineKind(is_moved, said, analysis if is_moved else None)
     if rigid.missed is None and elastic.missed is None:
         return MachineKind(is_moved and not is_single)  # whoever fits it again says why
-    sentence = f"of the torque on rows kept out rigid axes {rigid}, chains {elastic}"
+    missed = sentence(
+        "of the torque on rows kept out rigid axes {rigid}, chains {elastic}", rigid=rigid, elastic=elastic
+    )
     # The better one wins; of what is moved and not shaken only where it is so clearly.
     most = np.inf if rigid.missed is None else (CLEAR_RATIO if is_moved else 1.0) * rigid.missed
     if elastic.missed is not None and elastic.missed < most:
-        return MachineKind(False, f"taken for an elastic machine: {sentence}")
-    return MachineKind(True, f"taken for a rigid machine: {sentence}", analysis)
+        return MachineKind(False, sentence("taken for an elastic machine: {missed}", missed=missed))
+    return MachineKind(True, sentence("taken for a rigid machine: {missed}", missed=missed), analysis)
 
 
 def _tried(fit: Callable[[], float | None]) -> Tried:
@@ -146,8 +151,9 @@ def rigid_model(recording: Recording, kind: MachineKind) -> Model:
     left, power = np.sum(_rigid_powers(analysis), axis=0)
     said = ""
     if left > MISSED**2 * power:
-        said = (
-            f"the model misses {(share := float(np.sqrt(left / power))):.1%} of the torque on rows kept out"
+        said = sentence(
+            "the model misses {value:.1%} of the torque on rows kept out",
+            value=(share := float(np.sqrt(left / power))),
         )
         model = model.distrusted(Doubt(DoubtCode.MISSED_TORQUE, said, {"share": share}))
     return replace(model, warnings=(*filter(None, (said, kind.sentence)), *model.warnings))

@@ -17,6 +17,7 @@ from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.recording.model import Recording
 from invid.signals.record import DENSE, Record
 from invid.signals.tones import FAINT, Tone, find_tones, refine_tones, tone_phasors
+from invid.wording.sentence import sentence
 
 CHANGED = 2.0
 """Missing power over the sensors' between the lines of a period from which a machine changes within a record
@@ -122,9 +123,13 @@ def describe_tones(found: Sequence[AxisTones], recording: Recording) -> Unexplai
     hz = tuple(sorted(float(f"{t.hz:.4g}") for t in first.tones))
     where = ", ".join(f"{f:.3g}" for f in hz)
     size = max(t.amplitude for t in first.tones)
-    said = (
-        f"Axis {name}: a torque of {size:.2g} {unit} at {where} Hz keeps its own time and repeats with none "
-        "of the periods (time-dependent): a fan, a pump, another machine, or a loop that hunts; no cause of "
-        "the catalogue does."
+    said = sentence(
+        "Axis {axis}: a torque of {size:.2g} {unit} at {where} Hz keeps its own time and "
+        "repeats with none of the periods (time-dependent): a fan, a pump, another "
+        "machine, or a loop that hunts; no cause of the catalogue does.",
+        axis=name,
+        size=size,
+        unit=unit,
+        where=where,
     )
     return Unexplained(axis=name, frequencies_hz=hz, character=("time-dependent",), sentence=said)

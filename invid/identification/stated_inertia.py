@@ -11,6 +11,7 @@ from invid.errors import ConfigError
 from invid.model.document import Model, units
 from invid.model.doubts import Doubt, DoubtCode, by_weight, doubt_facts, doubts_of
 from invid.recording.model import Recording
+from invid.wording.sentence import sentence
 
 STDS, SHARE = 3.0, 0.1
 """Both are passed where something is wrong: three standard deviations happen once in 370 axes, and a tenth is
@@ -42,12 +43,24 @@ def inertia_doubts(model: Model, recording: Recording, earlier: Model | None = N
         if not _differs(total, std, stated[axis], 0.0) or _is_changed_machine(model, earlier, i):
             continue
         torque, newton = float(rated.get(axis, np.nan)), "N" if model.linear else "N·m"
-        scale = f", {torque:.4g} {newton} or rather {torque / times:.3g}" if np.isfinite(torque) else ""
-        text = (
-            f"axis {axis}: identified are {total:.4g} ± {std:.2g} {unit}, {key} of the config states "
-            f"{stated[axis]:.4g}, {times:.2g} times. Either the torque is misread by that factor: compare "
-            f"rated torque (0x6076{scale}) and rated current (0x6075) with the motor's plate. Or the machine "
-            f"is not what it was when that was written, with another tool, say: then correct {key}"
+        scale = sentence(
+            ", {torque:.4g} {unit} or rather {other:.3g}", torque=torque, unit=newton, other=torque / times
+        )
+        text = sentence(
+            "axis {axis}: identified are {total:.4g} ± {std:.2g} {unit}, {key} of the config "
+            "states {stated:.4g}, "
+            "{times:.2g} times. Either the torque is misread by that factor: compare rated torque "
+            "(0x6076{scale}) and rated current (0x6075) with the motor's plate. Or the machine "
+            "is not what it "
+            "was when that was written, with another tool, say: then correct {key}",
+            axis=axis,
+            total=total,
+            std=std,
+            unit=unit,
+            key=key,
+            stated=stated[axis],
+            times=times,
+            scale=scale if np.isfinite(torque) else "",
         )
         found.append(Doubt(DoubtCode.STATED_INERTIA, text, {"times": times}))
     return tuple(found)

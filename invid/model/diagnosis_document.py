@@ -217,9 +217,7 @@ class Diagnosis:
     details: Mapping[str, Any] = field(default_factory=dict)
     """Further facts: null test (chi2, dof, p), causes the record could not have shown, …"""
     headline: str = ""
-    """What changed, does it matter, where, what now, for the person beside the robot; in English."""
-    headlines: Mapping[str, str] = field(default_factory=dict)
-    """The same by language."""
+    """What changed, does it matter, where, what now, for the person beside the robot; in a sentence."""
     changes: tuple[NamedChange, ...] | None = None
     """What changed since the accepted model; ``None`` where nothing was compared."""
     ruled_out: tuple[RuledOut, ...] = ()
@@ -266,7 +264,6 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "format_version": FORMAT_VERSION,
         "verdict": str(diagnosis.verdict),
         "headline": diagnosis.headline,
-        "headlines": dict(diagnosis.headlines),
         "grade": None if diagnosis.grade is None else str(diagnosis.grade),
         "residual": [asdict(r) for r in diagnosis.residual],
         "explained_fraction": diagnosis.explained_fraction,

@@ -28,6 +28,7 @@ from invid.model.chains import CoupledChains
 from invid.model.doubts import Doubt, doubt_facts, doubts_of
 from invid.model.law_table import LawTable, table_from_json, table_to_json
 from invid.numerics.arrays import Float64, frozen_float
+from invid.wording.sentence import as_sentences, mapped, with_wording
 
 FORMAT = "invid-model"
 FORMAT_VERSION = 1
@@ -319,11 +320,7 @@ def finite_or_none(value: float) -> float | None:
 
 def with_numbers(value: Any, number: Callable[[float], float | None] = finite_or_none) -> Any:
     """Plain dicts and lists of a document, every number as ``number`` has it."""
-    if isinstance(value, Mapping):
-        return {k: with_numbers(v, number) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [with_numbers(v, number) for v in value]
-    return number(value) if isinstance(value, float) else value
+    return mapped(value, lambda leaf: number(leaf) if isinstance(leaf, float) else leaf)
 
 
 def _estimate(value: float, std: float) -> dict[str, Any]:
@@ -510,8 +507,15 @@ def model_from_json(document: Any, *, source: str = "model") -> Model:
 
 
 def dump_json(document: Mapping[str, Any]) -> str:
-    """Strict JSON text (no NaN), UTF-8, indented; keys in the order given."""
-    return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+    """Strict JSON text (no NaN), UTF-8, indented; keys in the order given, then ``wording``, what other
+    languages need to say the sentences in it.
+    """
+    return json.dumps(with_wording(document), ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+
+
+def parse_json(text: str) -> Any:
+    """The document of a text, with its sentences; JSONDecodeError, RecursionError where it is none."""
+    return as_sentences(json.loads(text))
 
 
 def csv_text(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
@@ -536,7 +540,7 @@ def load_json(path: Path) -> Any:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
     try:
-        return json.loads(text)
+        return parse_json(text)
     except (json.JSONDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not JSON: {error}") from None
 

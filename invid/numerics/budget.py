@@ -14,10 +14,10 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from invid.wording.sentence import Sentence, joined, marked, sentence
+
 T = TypeVar("T")
 
-SPENT = "the budget of"
-"""What the warning of a spent budget begins with."""
 SEEN = 0.03
 """Share of the work from which the time it took says how long the rest will take. A guess."""
 
@@ -64,7 +64,7 @@ class Progress:
         cause = None if self.cause is None else self.cause.replace("_", " ")
         what = " ".join(word for word in (self.stage, cause) if word)
         where = " ".join(word for word in (self.axis, self.element) if word)
-        return f"{what}, {where}" if where else what
+        return sentence("{stage}, {where}", stage=what, where=where) if where else what
 
 
 @dataclass(eq=False)
@@ -183,27 +183,41 @@ def left_out() -> Sequence[str]:
     return () if budget is None else tuple(budget.left_out)
 
 
+_LEFT_OUT = marked(
+    "{spent}; this is the best answer so far, nothing is concluded from what was not looked at: "
+    "{left} ({way_out})"
+)
+
+
 def warning() -> str | None:
     """Return the warning about what was not looked at; ``None`` where everything was."""
     budget = _IN_FORCE.get()
     if budget is None or not budget.left_out:
         return None
     if budget.is_stopped or budget.seconds is None:
-        spent, way_out = f"{SPENT} this search was ended by whoever waited", "let it run to its end"
+        spent = sentence("the budget of this search was ended by whoever waited")
+        way_out = sentence("let it run to its end")
     else:
         used = budget.clock() - budget.began
-        spent = f"{SPENT} {budget.seconds:g} s of the processor, at most twice that on the clock, was spent"
+        spent = sentence(
+            "the budget of {seconds:g} s of the processor, at most twice that on the clock, was spent",
+            seconds=budget.seconds,
+        )
         if used < budget.seconds:
-            spent = (
-                f"{SPENT} {budget.seconds:g} s of the processor, at most twice that on the clock, ended "
-                f"parts of the work at their shares of it, after {used:.2g} s in all"
+            spent = sentence(
+                "the budget of {seconds:g} s of the processor, at most twice that on the clock, ended "
+                "parts of the work at their shares of it, after {used:.2g} s in all",
+                seconds=budget.seconds,
+                used=used,
             )
-        way_out = f"a larger --budget than {budget.seconds:g} lets the search end by itself"
-    return (
-        f"{spent}; this is the best answer so far, nothing is concluded from what was not looked at: "
-        + "; ".join(budget.left_out)
-        + f" ({way_out})"
-    )
+        larger = marked("a larger --budget than {seconds:g} lets the search end by itself")
+        way_out = sentence(larger, seconds=budget.seconds)
+    return sentence(_LEFT_OUT, spent=spent, left=joined(budget.left_out, "; "), way_out=way_out)
+
+
+def is_warning(text: str) -> bool:
+    """Return whether a text is what ``warning`` returned."""
+    return isinstance(text, Sentence) and text.template == _LEFT_OUT
 
 
 def tell(

@@ -11,6 +11,7 @@ from invid.errors import ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import Model
 from invid.numerics.arrays import Float64, frozen_float
+from invid.wording.sentence import sentence
 
 GUESSED_MASSES = 2
 """Masses of a branch where the config names none: a motor and a load."""
@@ -109,7 +110,7 @@ def guess(config: CellConfig) -> Belief | None:
         chains,
         frozen_float(np.zeros(count)),
         frozen_float(coulomb),
-        "a guess from the config's inertias (no model given): orders of magnitude only",
+        sentence("a guess from the config's inertias (no model given): orders of magnitude only"),
         True,
     )
 
@@ -123,4 +124,4 @@ def rigid(config: CellConfig) -> Belief | None:
     chains = CoupledChains.build(
         [[float(i or 0.0)] for i in inertia], [[]] * len(inertia), axes=[a.name for a in config.axes]
     )
-    return Belief(chains, zero, zero, "the inertia in the config", True)
+    return Belief(chains, zero, zero, sentence("the inertia in the config"), True)

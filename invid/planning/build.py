@@ -35,10 +35,12 @@ from invid.planning.phases import (
 )
 from invid.recording.model import Kind, Role
 from invid.signals import excitation
+from invid.wording.sentence import sentence
 
-UNKNOWN = (
-    "no model of this cell: how far it moves is not known before the trial at a small amplitude, which "
-    "lowers every torque so that it stays within what is announced here"
+UNKNOWN = sentence(
+    "no model of this cell: how far it moves is not known before the trial at a small "
+    "amplitude, which lowers every torque so that it stays within what is announced "
+    "here"
 )
 CREEP_TRAVEL = 0.5
 """Share of the position window (±) that a creep may use; the excitation needs the rest."""
@@ -119,7 +121,9 @@ def make_plan(
     climb = experiments.pop() if _climb(specs) else None
     warnings = []
     if climb is None and not any(e.role is Role.VALIDATE for e in experiments):
-        warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
+        warnings.append(
+            sentence("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
+        )
     belief = model if isinstance(model, Belief) or model is None else _without_friction(model)
     kept = np.ones(len(names)) if lowered is None else np.asarray(lowered, dtype=float)
     made = assemble(config, experiments, belief, share=amplitude_scale, lowered=kept, climb=climb)

@@ -28,6 +28,7 @@ from invid.planning.phases import (
 )
 from invid.planning.response import Motion, foretold_motion, held_by_drive, hold_gains
 from invid.signals import excitation
+from invid.wording.sentence import sentence
 
 MARGIN = 1.25
 """Announced motion and torque over those that the model predicts. Empirical: models from an identification
@@ -255,7 +256,7 @@ def announced(config: CellConfig, bounds: Float64, basis: str) -> tuple[AxisFore
     )
 
 
-QUANTITIES = ("travel", "velocity", "torque")
+QUANTITIES = (sentence("travel"), sentence("velocity"), sentence("torque"))
 
 
 def fitted(
@@ -289,7 +290,7 @@ def fitted(
                     if 1.0 / over[:, i].max() < lower[j]:
                         lower[j] = 1.0 / over[:, i].max()
                         what = QUANTITIES[int(over[:, i].argmax())]
-                        binding[j] = f"{what} of {config.axes[i].name}"
+                        binding[j] = sentence("{what} of {axis}", what=what, axis=config.axes[i].name)
         if lower.min() >= 1.0:
             break
         # a hair more, so that rounds end
@@ -299,8 +300,14 @@ def fitted(
         peaks = [p if e is None else peaks_of(config, e, belief) for e, p in zip(scaled, peaks, strict=True)]
     result = tuple(_scale_experiment(e, factor) for e in experiments)
     said = [
-        f"axis {config.axes[j].name}: its torque is planned at {share * kept[j] * factor[j]:.0%} of what the "
-        f"config asks for, so that the {why} stays within its limit by {belief.source}"
+        sentence(
+            "axis {axis}: its torque is planned at {share:.0%} of what the config asks for, so "
+            "that the {why} stays within its limit by {source}",
+            axis=config.axes[j].name,
+            share=share * kept[j] * factor[j],
+            why=why,
+            source=belief.source,
+        )
         for j, why in sorted(binding.items())
         if factor[j] < 1.0
     ]
@@ -335,8 +342,16 @@ def turning_back(config: CellConfig, experiment: PlannedExperiment, belief: Beli
     creep = np.abs(np.diff(experiment.reference, axis=0)).max(axis=0, initial=0.0) / config.bus.cycle_s
     unit = "m/s" if config.linear else "rad/s"
     return [
-        f"axis {axis.name}: it creeps at {creep[i]:.3g} {unit} and is shaken with {swing[i]:.3g} {unit} rms: "
-        f"it will turn back and stand; a creep_velocity of {CREEP_RATIO * swing[i]:.2g} keeps it going"
+        sentence(
+            "axis {axis}: it creeps at {creep:.3g} {unit} and is shaken with {swing:.3g} "
+            "{unit} rms: it will turn back and stand; a creep_velocity of {creep_ratio:.2g} "
+            "keeps it going",
+            axis=axis.name,
+            creep=creep[i],
+            unit=unit,
+            swing=swing[i],
+            creep_ratio=CREEP_RATIO * swing[i],
+        )
         for i, axis in enumerate(config.axes)
         if 0 < creep[i] < CREEP_RATIO * swing[i]
     ]

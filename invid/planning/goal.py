@@ -23,6 +23,7 @@ from invid.planning.forecast import turning_back
 from invid.planning.model import Plan
 from invid.planning.phases import REST_S
 from invid.recording.model import Role
+from invid.wording.sentence import sentence
 
 BLOCKS_S = (6.0, 8.0, 10.0, 13.0, 16.0, 20.0)
 """Lengths of a block. Shorter than 6 s the lines lie so far apart that a fit from nothing may miss a
@@ -68,17 +69,30 @@ class GoalPlan:
         """Return in a sentence what the plan is expected to reach, and when."""
         name, worst = self.expected.worst
         if self.reachable:
-            return (
-                f"{self.goal:.2g} of every mass, spring and coupling expected after {self.needed} of "
-                f"{len(self.plan.recorded)} blocks, {self.expected_s:.0f} s (worst: {name}, {worst:.2g})"
+            return sentence(
+                "{goal:.2g} of every mass, spring and coupling expected after {needed} of {blocks} blocks, "
+                "{seconds:.0f} s (worst: {name}, {worst:.2g})",
+                goal=self.goal,
+                needed=self.needed,
+                blocks=len(self.plan.recorded),
+                seconds=self.expected_s,
+                name=name,
+                worst=worst,
             )
         if not np.isfinite(worst):
-            return (
-                f"{self.goal:.2g} is not expected: {name} is not seen by this plan at all; excite every axis"
+            return sentence(
+                "{goal:.2g} is not expected: {name} is not seen by this plan at all; excite every axis",
+                goal=self.goal,
+                name=name,
             )
-        return (
-            f"{self.goal:.2g} is not expected within the limits: {name} would reach "
-            f"{worst:.2g} in {self.plan.shaking_s:.0f} s; what binds: {', '.join(self.binding)}"
+        return sentence(
+            "{goal:.2g} is not expected within the limits: {name} would reach {worst:.2g} in "
+            "{shaking_s:.0f} s; what binds: {names}",
+            goal=self.goal,
+            name=name,
+            worst=worst,
+            shaking_s=self.plan.shaking_s,
+            names=", ".join(self.binding),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -183,10 +197,20 @@ def _friction(config: CellConfig, plan: Plan, belief: Belief) -> list[str]:
         peak, coulomb = float(plan.peak_torque[i]), float(belief.coulomb[i])
         if coulomb > 0 and peak < FRICTION_FACTOR * coulomb:
             said.append(
-                f"axis {plan.axes[i]}: the peak torque of {peak:.3g} is only {peak / coulomb:.1f} times the "
-                f"Coulomb friction of {coulomb:.3g}; allow a creep_velocity in the config"
+                sentence(
+                    "axis {axis}: the peak torque of {peak:.3g} is only {times:.1f} times the Coulomb "
+                    "friction of {coulomb:.3g}; allow a creep_velocity in the config",
+                    axis=plan.axes[i],
+                    peak=peak,
+                    times=peak / coulomb,
+                    coulomb=coulomb,
+                )
             )
-    return [*said, f"expected figures rest on {belief.source}"] if belief.guessed else said
+    return (
+        [*said, sentence("expected figures rest on {source}", source=belief.source)]
+        if belief.guessed
+        else said
+    )
 
 
 def shortest_runs(config: CellConfig, belief: Belief, noise: Noise) -> MultisineSpec:

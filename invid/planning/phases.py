@@ -13,6 +13,7 @@ from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.model import Doublet, PhasePlan, PlannedExperiment, Step, Trial
 from invid.recording.model import Kind
 from invid.signals import excitation
+from invid.wording.sentence import sentence
 
 SETTLE_S = 0.3
 """Held by the drives before anything else, to measure the torque that the holds need (gravity)."""
@@ -301,7 +302,7 @@ def phases_of(
     found = [PhasePlan(Step.SETTLE, 0, "settling", round(SETTLE_S / cycle))]
     for i in sorted({i for e in experiments for i in e.excited}):
         seconds = sign_seconds(config, i, sign_amplitude(config, experiments, i)[0], *weights[i])
-        name = f"trying the signs of {config.axes[i].name}"
+        name = sentence("trying the signs of {axis}", axis=config.axes[i].name)
         found.append(PhasePlan(Step.SIGNS, i, name, round(seconds / cycle)))
     led: tuple[int, ...] = ()
     resting: tuple[int, ...] | None = None
@@ -321,7 +322,7 @@ def phases_of(
         found.append(PhasePlan(Step.TRIAL, number, "trying the amplitude", cycles))
         resting = trial.experiment.excited
     for number, e in enumerate(experiments):
-        name = f"experiment {number + 1} of {len(experiments)}"
+        name = sentence("experiment {number} of {total}", number=number + 1, total=len(experiments))
         found.append(PhasePlan(Step.EXPERIMENT, number, name, e.cycles + change(e.excited)))
         resting = None
     found.append(PhasePlan(Step.RETURN, 0, "coming to rest", rest))

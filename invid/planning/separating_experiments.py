@@ -14,6 +14,7 @@ from invid.config import CellConfig, ConstantVelocitySpec, MultisineSpec
 from invid.effects.registry import BY_CAUSE, effect_of
 from invid.errors import InputError
 from invid.planning.build import multisine_of
+from invid.wording.sentence import sentence
 
 Spec = MultisineSpec | ConstantVelocitySpec
 
@@ -142,8 +143,14 @@ def _experiments_for(config: CellConfig, axis: str, causes: set[str]) -> tuple[l
             )
         )
         said.append(
-            f"Friction of {axis}: the same excitation at {len(LEVELS)} amplitudes, and slow moves in both "
-            f"directions at {', '.join(f'{v:.3g}' for v in speeds)} {unit}/s."
+            sentence(
+                "Friction of {axis}: the same excitation at {count} amplitudes, and slow moves in "
+                "both directions at {names} {unit}/s.",
+                axis=axis,
+                count=len(LEVELS),
+                names=", ".join(f"{v:.3g}" for v in speeds),
+                unit=unit,
+            )
         )
     if "positions" in kinds:
         speed = round(USABLE_SHARE * 0.3 * limits.velocity, 9)
@@ -153,28 +160,44 @@ def _experiments_for(config: CellConfig, axis: str, causes: set[str]) -> tuple[l
             ConstantVelocitySpec(kind="constant_velocity", axes=(axis,), velocities=(speed,), travel=travel)
         )
         said.append(
-            f"What depends on the position of {axis}: a slow move over {travel:.3g} {unit}, both ways, and "
-            "two amplitudes. Positions farther apart than the window allows need a start from another pose."
+            sentence(
+                "What depends on the position of {axis}: a slow move over {travel:.3g} {unit}, "
+                "both ways, and two amplitudes. Positions farther apart than the window allows "
+                "need a start from another pose.",
+                axis=axis,
+                travel=travel,
+                unit=unit,
+            )
         )
     if "amplitudes" in kinds:
         specs += _amplitude_ladder(config)
-        said.append(f"What depends on the amplitude of {axis}: the same excitation at {len(LEVELS)} levels.")
+        said.append(
+            sentence(
+                "What depends on the amplitude of {axis}: the same excitation at {count} levels.",
+                axis=axis,
+                count=len(LEVELS),
+            )
+        )
     if "band" in kinds:
         top = round(min(MOST_LINE * rate, 2.5 * base.band_Hz[1]), 6)
         specs.append(base.model_copy(update={"band_Hz": (base.band_Hz[0], top), "seed": base.seed + 21}))
         said.append(
-            f"Delay or lag of {axis}: a band up to {top:.3g} Hz, where a lag loses amplitude and a "
-            "delay does not."
+            sentence(
+                "Delay or lag of {axis}: a band up to {top:.3g} Hz, where a lag loses amplitude "
+                "and a delay does not.",
+                axis=axis,
+                top=top,
+            )
         )
     if "lines" in kinds:
         specs.append(
             base.model_copy(update={"period_s": min(2.0 * base.period_s, 600.0), "seed": base.seed + 31})
         )
-        said.append(f"Resonance at {axis}: lines twice as close.")
+        said.append(sentence("Resonance at {axis}: lines twice as close.", axis=axis))
     if "time" in kinds:
         again = [base.model_copy(update={"seed": base.seed + 41 + k, "experiments": 1}) for k in range(3)]
         specs += [base, *again, base]
-        said.append("What changes with time: the first experiment again at the end.")
+        said.append(sentence("What changes with time: the first experiment again at the end."))
     hand = sorted(c for c in causes if effect_of(c) is not None and not is_measurable(c))
     if hand:
         told = BY_CAUSE[hand[0]].separating.by_hand if len(hand) == 1 else ""

@@ -23,6 +23,7 @@ from typing import Any
 from invid.config import AxisConfig, CellConfig
 from invid.config.frames import WATCH_BEATS
 from invid.errors import ConfigError
+from invid.wording.sentence import joined, sentence
 
 SPEED_TOLERANCE = 1.05
 """The watch lets a speed pass that is 5 % over its limit: SYNC is known to a fifth of a cycle, over four."""
@@ -213,7 +214,9 @@ class StoppingBudget:
         case, facts = self.case, self.case.facts
         a = case.deceleration
         if a is None:
-            return f"{case.axis}: how far it goes after a stop is not known: {facts.ramp}"
+            return sentence(
+                "{axis}: how far it goes after a stop is not known: {ramp}", axis=case.axis, ramp=facts.ramp
+            )
         stop = self.stop or 0.0
         by = facts.ramp if a == facts.deceleration else self._torque_clause(linear=linear)
         blind = (
@@ -244,31 +247,59 @@ class StoppingBudget:
         found = []
         if self.permitted < case.velocity:
             found.append(
-                f"axis {case.axis}: at most {self.permitted:.3g} {unit}/s are permitted, not "
-                f"{case.velocity:.3g}: from there it needs {furthest:.3g} {unit} to come to rest, "
-                f"as much as limits.stopping_room_{unit} (else the position window) allows; "
-                + self.way_out(linear=linear)
+                sentence(
+                    "axis {axis}: at most {permitted:.3g} {unit}/s are permitted, not {velocity:.3g}: from "
+                    "there it needs {furthest:.3g} {unit} to come to rest, as much as "
+                    "limits.stopping_room_{unit} (else the position window) allows; {way_out}",
+                    axis=case.axis,
+                    permitted=self.permitted,
+                    unit=unit,
+                    velocity=case.velocity,
+                    furthest=furthest,
+                    way_out=self.way_out(linear=linear),
+                )
             )
         if case.deceleration is None or facts.deceleration is None:
             found.append(
-                f"axis {case.axis}: how far it goes after a stop is not known: {facts.ramp}; state "
-                f"quick_stop_deceleration_{unit}_per_s2"
+                sentence(
+                    "axis {axis}: how far it goes after a stop is not known: {ramp}; state "
+                    "quick_stop_deceleration_{unit}_per_s2",
+                    axis=case.axis,
+                    ramp=facts.ramp,
+                    unit=unit,
+                )
             )
         elif case.deceleration < facts.deceleration and not facts.stays:
             found.append(
-                f"axis {case.axis}: its torque limit of {case.torque:.3g} {'N' if linear else 'N·m'} does "
-                f"not reach its ramp ({facts.ramp}): the drive may switch off before the axis stands, and "
-                "let it coast; raise the torque limit"
+                sentence(
+                    "axis {axis}: its torque limit of {torque:.3g} {unit} does not reach its ramp "
+                    "({ramp}): the drive may switch off before the axis stands, and let it coast; "
+                    "raise the torque limit",
+                    axis=case.axis,
+                    torque=case.torque,
+                    unit="N" if linear else "N·m",
+                    ramp=facts.ramp,
+                )
             )
         if facts.watch_s is None:
             found.append(
-                f"axis {case.axis}: how far it goes when this computer dies is not known: {facts.watch}; see "
-                "that something else stops it then"
+                sentence(
+                    "axis {axis}: how far it goes when this computer dies is not known: {watch}; see "
+                    "that something else stops it then",
+                    axis=case.axis,
+                    watch=facts.watch,
+                )
             )
         if facts.edge is not None and case.room + furthest > facts.edge:
             found.append(
-                f"axis {case.axis}: after a stop it may come to rest {furthest:.3g} {unit} beyond its "
-                f"window; the drive's own range (0x607D) ends {facts.edge:.3g} {unit} from where it stands"
+                sentence(
+                    "axis {axis}: after a stop it may come to rest {furthest:.3g} {unit} beyond its "
+                    "window; the drive's own range (0x607D) ends {edge:.3g} {unit} from where it stands",
+                    axis=case.axis,
+                    furthest=furthest,
+                    unit=unit,
+                    edge=facts.edge,
+                )
             )
         return tuple(found)
 
@@ -283,23 +314,29 @@ class StoppingBudget:
             and watch > max(case.reaction_s, case.shortest_watch_s)
             and case.fastest(case.reaction_s) > self.permitted
         ):
-            ways.append("shorten safety.heartbeat_s" + self._heartbeat_clause())
+            ways.append(self._heartbeat_clause())
         if case.deceleration == facts.deceleration and not facts.by_torque:
-            ways.append("raise 0x6085 with the drive's tool")
+            ways.append(sentence("raise 0x6085 with the drive's tool"))
         else:
-            ways.append("raise the torque limit" + (" or unload the axis" if case.load else ""))
+            raise_it = sentence("raise the torque limit")
+            unload = sentence("raise the torque limit or unload the axis")
+            ways.append(unload if case.load else raise_it)
         if case.planned:
-            ways.append("lower the amplitude")
-        return f"{', '.join(ways) or 'lower the load'}, or widen limits.stopping_room_{unit}"
+            ways.append(sentence("lower the amplitude"))
+        return sentence(
+            "{ways}, or widen limits.stopping_room_{unit}",
+            ways=joined(ways) or sentence("lower the load"),
+            unit=unit,
+        )
 
     def _heartbeat_clause(self) -> str:
-        """Return the longest heartbeat that would do, where no speed at all is permitted."""
+        """Return what to do to the heartbeat, with the longest that would do where no speed is permitted."""
         case = self.case
         longest = (case.longest_watch() - case.sight_s) / WATCH_BEATS
-        if self.permitted > 0 or longest <= 0:
-            return ""
         most = math.floor(1e3 * longest) / 1e3
-        return f" to {most:g} at most" if WATCH_BEATS * most >= max(case.shortest_watch_s, 0.001) else ""
+        if self.permitted > 0 or longest <= 0 or WATCH_BEATS * most < max(case.shortest_watch_s, 0.001):
+            return sentence("shorten safety.heartbeat_s")
+        return sentence("shorten safety.heartbeat_s to {most:g} at most", most=most)
 
 
 @dataclass(frozen=True)

@@ -7,32 +7,27 @@ leaves whatever stood there before. Writing while measuring is in ``invid.record
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
 from invid.errors import DiskFullError, InputError, RecordingError
 from invid.model.document import save_bytes
-from invid.numerics.arrays import Float64, UInt16, frozen, frozen_float
-from invid.recording.attributes import ExperimentAttributes, RootAttributes
-from invid.recording.check import COLUMNS, check_recording
-from invid.recording.model import Experiment, Outcome, Recording
-from invid.recording.spool import SUFFIX, as_hdf5, is_spool
+from invid.recording.check import check_recording
+from invid.recording.model import Recording
+from invid.recording.spool import MAGIC, SUFFIX, is_spool, read_spool
+from invid.recording.stored import DATASETS, StoredExperiment, StoredRecording, stored
 
-FORMAT = "invid-recording"
-FORMAT_VERSION = 1
 MAX_VALUES = 200_000_000
 """Most numbers read from one file (1.6 GB as float64): eight axes at 1 kHz for an hour are 90 million.
 A small compressed file can claim any size; the claim is checked before memory is taken."""
 MAX_EXPERIMENTS = 10_000
-
-# What else libhdf5 and h5py raise on a damaged file, depending on which byte is damaged.
+_GROWTH_BYTES = 4 << 20
+# What libhdf5 and h5py raise on a damaged file, depending on which byte is damaged.
 _DAMAGED = (
     OSError,
     KeyError,
@@ -45,11 +40,6 @@ _DAMAGED = (
 )
 
 
-@dataclass
-class _Budget:
-    left: int
-
-
 def read_recording(path: str | Path) -> Recording:
     """The recording in an HDF5 file, or in the rows that a cut-off measurement left (``.rows``).
 
@@ -60,239 +50,154 @@ def read_recording(path: str | Path) -> Recording:
         where and the value found.
     """
     path = Path(path)
-    source = str(path)
     try:
-        size = path.stat().st_size
         if path.is_dir():
-            raise RecordingError(f"{source}: is a directory; give the HDF5 file of a recording")
+            raise RecordingError(f"{path}: is a directory; give the HDF5 file of a recording")
+        with path.open("rb") as raw:
+            head = raw.read(len(MAGIC))
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise RecordingError(f"{source}: cannot be opened: {reason}{_rows_beside(path)}") from None
-    if size == 0:
-        raise RecordingError(f"{source}: the file is empty; it is not a recording")
+        if isinstance(error, RecordingError):
+            raise
+        rows = Path(f"{path}{SUFFIX}")
+        said = "; its measurement was cut off, or still goes on: what it measured so far is in "
+        beside = f"{said}{rows}" if is_spool(rows) else ""
+        raise RecordingError(
+            f"{path}: cannot be opened: {getattr(error, 'strerror', None) or error}{beside}"
+        ) from None
+    if not head:
+        raise RecordingError(f"{path}: the file is empty; it is not a recording")
     try:
-        with as_hdf5(path) if is_spool(path) else h5py.File(path, "r") as file:
-            recording = _read_root(file, source, _Budget(MAX_VALUES))
+        if head == MAGIC:
+            found = read_spool(path)
+        else:
+            with h5py.File(path, "r") as file:
+                found = _read(file, str(path))
+        recording = found.read(str(path))
     except RecordingError:
         raise
     except _DAMAGED as error:
-        raise RecordingError(_damage(path, source, error)) from None
+        raise RecordingError(f"{path}: {_damage(head, error)}") from None
     check_recording(recording)
     return recording
 
 
-def _rows_beside(path: Path) -> str:
-    """Return where a measurement that was cut off left its rows; empty where none did."""
-    rows = path.with_name(path.name + SUFFIX)
-    if not is_spool(rows):
-        return ""
-    return f"; its measurement was cut off, or still goes on: what it measured so far is in {rows}"
-
-
-def _damage(path: Path, source: str, error: BaseException) -> str:
+def _damage(head: bytes, error: BaseException) -> str:
+    """What is wrong with a file that begins with ``head``, by what HDF5 said of it."""
     first = " ".join(str(error).split())[:200]
-    lowered = first.lower()
-    if "unable to lock" in lowered:  # "block" is in most of what HDF5 says of damage
-        return f"{source}: another program is writing this file; wait until it is done"
-    try:
-        with path.open("rb") as raw:
-            signed = raw.read(8) == b"\x89HDF\r\n\x1a\n"
-    except OSError as refused:
-        return f"{source}: cannot be opened: {refused.strerror}"
-    if not signed:
-        return f"{source}: is not an HDF5 file; 'invid import' reads CSV, MAT, Parquet and CAN logs"
-    if "truncated" in lowered:
-        return f"{source}: the HDF5 file is truncated; copy it again from where it was written"
-    return f"{source}: the HDF5 file is damaged or holds something unreadable ({first})"
+    if "unable to lock" in first.lower():  # "block" is in most of what HDF5 says of damage
+        return "another program is writing this file; wait until it is done"
+    if not head.startswith(b"\x89HDF\r\n\x1a\n"):
+        return "is not an HDF5 file; 'invid import' reads CSV, MAT, Parquet and CAN logs"
+    if "truncated" in first.lower():
+        return "the HDF5 file is truncated; copy it again from where it was written"
+    return f"the HDF5 file is damaged or holds something unreadable ({first})"
 
 
-def _read_root(file: h5py.File, source: str, budget: _Budget) -> Recording:
+def _read(file: h5py.File, source: str) -> StoredRecording:
     if "format" not in file.attrs:
         raise RecordingError(
             f"{source}: attribute 'format' is missing; it is HDF5 but no invid recording "
             f"('invid import' reads HDF5 with other names)"
         )
-    a = RootAttributes.of(file, source)
-    if not a.axes:
-        raise RecordingError(f"{source}: attribute 'axes' names no axis; at least one is needed")
-    return Recording(
-        robot=a.robot,
-        axes=a.axes,
-        position_unit=a.position_unit.strip(),
-        torque_unit=a.torque_unit,
-        created=a.created,
-        experiments=_read_experiments(file, source, a.axes, a.outcome, budget),
-        masses_per_axis=a.masses_per_axis,
-        rated_torque=a.rated_torque,
-        encoder_resolution=a.encoder_resolution,
-        config=a.config,
-        outcome=a.outcome,
-        attributes=a.rest,
-        source=source,
-    )
-
-
-def _read_experiments(
-    file: h5py.File, source: str, axes: tuple[str, ...], outcome: Outcome | None, budget: _Budget
-) -> tuple[Experiment, ...]:
     group = _own(file, "experiments", source)
     if not isinstance(group, h5py.Group):
         raise RecordingError(f"{source}: group '/experiments' is missing; a recording needs at least one")
     if len(group) > MAX_EXPERIMENTS:
         raise RecordingError(f"{source}: '/experiments' holds {len(group)} groups; at most {MAX_EXPERIMENTS}")
-    keys = sorted(str(k) for k in group)
-    experiments = []
-    for position, key in enumerate(keys):
+    experiments, left = dict[str, StoredExperiment](), MAX_VALUES
+    for key in sorted(str(k) for k in group):
         where = f"{source}: experiment {key}"
         node = _own(group, key, where)
         if not isinstance(node, h5py.Group):
             raise RecordingError(f"{where}: '/experiments/{key}' is no group")
-        # A measurement cut off by a crash may leave its last experiment without rows: that is no fault.
-        unfinished = outcome is not Outcome.COMPLETED and position == len(keys) - 1 and position > 0
-        if unfinished and _rows(node) < 2:
-            continue
-        experiments.append(_read_experiment(node, key, where, axes, budget))
-    return tuple(experiments)
-
-
-def _rows(node: h5py.Group) -> int:
-    time = node.get("time")
-    return int(time.shape[0]) if isinstance(time, h5py.Dataset) and time.shape else 0
+        datasets = {}
+        for name in ("time", *DATASETS):
+            data = _own(node, name, where)
+            if data is not None:
+                left -= _count(data, f"{where}: dataset {name!r}", left)
+                datasets[name] = data[()]
+        experiments[key] = StoredExperiment(_attributes(node), datasets)
+    return StoredRecording(_attributes(file), experiments)
 
 
 def _own(parent: h5py.Group, name: str, where: str) -> Any:
     """Return the object of this name inside this very file; ``None`` where there is none."""
     link = parent.get(name, getlink=True)
-    if link is None:
-        return None
     if isinstance(link, h5py.ExternalLink):
         raise RecordingError(f"{where}: {name!r} is a link into another file; a recording must be whole")
-    return parent.get(name)
+    return None if link is None else parent.get(name)
 
 
-def _read_experiment(
-    node: h5py.Group, key: str, where: str, axes: tuple[str, ...], budget: _Budget
-) -> Experiment:
-    a = ExperimentAttributes.of(node, where)
-    hold_gain = a.hold_gain if a.hold_gain.size != 1 else frozen_float(np.full(len(axes), a.hold_gain[0]))
-    time = _dataset(node, "time", where, budget, columns=0)
-    if time is None:
-        raise RecordingError(f"{where}: dataset 'time' is missing; the contract needs it")
-    columns: dict[str, Any] = {}
-    for name in COLUMNS:
-        values = _dataset(node, name, where, budget, columns=len(axes), rows=time.shape[0])
-        if values is None and name in ("position", "torque"):
-            raise RecordingError(f"{where}: dataset {name!r} is missing; the contract needs it")
-        columns[name] = values
-    return Experiment(
-        key=key,
-        kind=a.kind,
-        role=a.role,
-        excited_axis=a.excited_axis,
-        hold_gain=hold_gain,
-        period_samples=a.period_samples,
-        frequencies_hz=a.frequencies_hz,
-        sample_rate_hz=a.sample_rate_hz,
-        time=time,
-        position=columns["position"],
-        torque=columns["torque"],
-        torque_demand=columns["torque_demand"],
-        position_reference=columns["position_reference"],
-        torque_feedforward=columns["torque_feedforward"],
-        status=_status(node, where, budget, columns=len(axes), rows=time.shape[0]),
-        attributes=a.rest,
-    )
-
-
-def _status(node: h5py.Group, where: str, budget: _Budget, *, columns: int, rows: int) -> UInt16 | None:
-    raw = _values(node, "status", where, budget, columns=columns, rows=rows)
-    if raw is None:
-        return None
-    if raw.dtype != np.uint16 and not ((raw >= 0) & (raw <= 65535) & (raw == np.round(raw))).all():
-        raise RecordingError(f"{where}: dataset 'status' holds values that are no 16-bit statuswords")
-    return frozen(raw, np.uint16)  # type: ignore[return-value]
-
-
-def _dataset(
-    node: h5py.Group, name: str, where: str, budget: _Budget, *, columns: int, rows: int | None = None
-) -> Float64 | None:
-    raw = _values(node, name, where, budget, columns=columns, rows=rows)
-    if raw is None:
-        return None
-    values: Float64 = np.ascontiguousarray(raw, dtype=np.float64)  # no copy: nobody else has it
-    values.setflags(write=False)
-    return values
-
-
-def _values(
-    node: h5py.Group, name: str, where: str, budget: _Budget, *, columns: int, rows: int | None
-) -> npt.NDArray[Any] | None:
-    data = _own(node, name, where)
-    if data is None:
-        return None
+def _count(data: Any, where: str, left: int) -> int:
+    """How many numbers a dataset holds; RecordingError where it holds none, or more than are ``left`` to be
+    read.
+    """
     if not isinstance(data, h5py.Dataset):
-        raise RecordingError(f"{where}: {name!r} is no dataset")
+        raise RecordingError(f"{where} is a group; it must be a dataset")
     if data.is_virtual or data.external:
-        raise RecordingError(f"{where}: dataset {name!r} lies in another file; a recording must be whole")
+        raise RecordingError(f"{where} lies in another file; a recording must be whole")
     if data.shape is None or data.dtype.kind not in "iuf":
-        raise RecordingError(f"{where}: dataset {name!r} holds {data.dtype}, no real numbers")
-    shape = tuple(int(s) for s in data.shape)
-    needed = "[n]" if columns == 0 else f"({'n' if rows is None else rows}, {columns})"
-    if len(shape) != (1 if columns == 0 else 2) or (columns and shape != (rows, columns)):
-        hint = "; it is transposed: rows are samples, columns are axes" if shape == (columns, rows) else ""
-        raise RecordingError(f"{where}: dataset {name!r} has shape {shape}; it must be {needed}{hint}")
-    count = int(np.prod(shape, dtype=object))
-    if count > budget.left:
+        raise RecordingError(f"{where} holds {data.dtype}, no real numbers")
+    count = int(np.prod(data.shape, dtype=object))
+    if count > left:
         raise RecordingError(
-            f"{where}: dataset {name!r} has shape {shape}: more numbers than this program reads from one file"
+            f"{where} has shape {data.shape}: more numbers than this program reads from one file"
         )
-    budget.left -= count
-    # An early allocation of what a few bytes claim would be the bomb; a chunk that was never written is
-    # not in the file, so the storage must at least exist.
+    # A chunk that was never written is not in the file: what a few bytes claim must at least exist.
     if count > 1_000_000 and data.id.get_storage_size() == 0:
-        raise RecordingError(f"{where}: dataset {name!r} has shape {shape} but holds no data")
-    values: npt.NDArray[Any] = data[()]
-    return values
+        raise RecordingError(f"{where} has shape {data.shape} but holds no data")
+    return count
 
 
-def root_attributes(recording: Recording) -> dict[str, Any]:
-    """HDF5 attributes of the root group."""
-    attributes: dict[str, Any] = {
-        **recording.attributes,
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "created": recording.created,
-        "robot": recording.robot,
-        "axes": json.dumps(list(recording.axes), ensure_ascii=False),
-        "position_unit": recording.position_unit,
-        "torque_unit": recording.torque_unit,
-    }
-    if recording.masses_per_axis is not None:
-        attributes["masses_per_axis"] = np.array(recording.masses_per_axis, dtype=np.int64)
-    for name in ("rated_torque", "encoder_resolution", "config"):
-        if getattr(recording, name) is not None:
-            attributes[name] = getattr(recording, name)
-    if recording.outcome is not None:
-        attributes["outcome"] = str(recording.outcome)
-    return attributes
+def _attributes(node: h5py.HLObject) -> dict[str, Any]:
+    """Attributes as plain values; one that is unreadable matters only where the contract needs it."""
+    found = {}
+    for name in list(node.attrs.keys()):
+        with suppress(OSError, TypeError, ValueError, KeyError, RuntimeError):
+            found[str(name)] = _plain(node.attrs[name])
+    return found
 
 
-def experiment_attributes(e: Experiment) -> dict[str, Any]:
-    """HDF5 attributes of one experiment's group."""
-    return {
-        **e.attributes,
-        "kind": str(e.kind),
-        "excited_axis": e.excited_axis,
-        "role": str(e.role),
-        "hold_gain": np.asarray(e.hold_gain, dtype=np.float64),
-        "period_samples": e.period_samples,
-        "frequencies_hz": np.asarray(e.frequencies_hz, dtype=np.float64),
-        "sample_rate_hz": e.sample_rate_hz,
-    }
+def _plain(value: Any) -> Any:
+    """Plain Python values of what HDF5 holds; a null dataspace is an empty list."""
+    if isinstance(value, h5py.Empty):
+        return []
+    if isinstance(value, np.ndarray) and value.ndim:
+        return [_plain(v) for v in value.ravel()]
+    value = value.item() if isinstance(value, np.ndarray | np.generic) else value
+    # h5py keeps undecodable bytes of a text as surrogates; they came from a Latin-1 writer.
+    raw = value.encode("utf-8", "surrogateescape") if isinstance(value, str) else value
+    if not isinstance(raw, bytes):
+        return raw
+    raw = raw.rstrip(b"\0")
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
 
 
-def set_attributes(node: h5py.HLObject, attributes: Mapping[str, Any]) -> None:
-    """Write attributes; RecordingError names one that HDF5 cannot hold."""
+def hdf5_image(content: StoredRecording) -> bytes:
+    """The HDF5 file of a recording, made in memory: libhdf5 that meets a full disk takes the process with it.
+
+    Raises
+    ------
+    RecordingError
+        Something that HDF5 cannot hold.
+    """
+    with h5py.File("memory", "w", driver="core", backing_store=False, block_size=_GROWTH_BYTES) as file:
+        _set_attributes(file, content.attributes)
+        group = file.create_group("experiments")
+        for key, experiment in content.experiments.items():
+            node = group.create_group(key)
+            _set_attributes(node, experiment.attributes)
+            for name, values in experiment.datasets.items():
+                node.create_dataset(name, data=values, compression="gzip", compression_opts=1, shuffle=True)
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    return image
+
+
+def _set_attributes(node: h5py.HLObject, attributes: Mapping[str, Any]) -> None:
     for name, value in attributes.items():
         try:
             node.attrs[name] = value
@@ -312,21 +217,7 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     path = Path(path)
     check_recording(recording)
     try:
-        # In memory first: libhdf5 that meets a full disk takes the process with it.
-        with h5py.File(f"{path}.memory", "w", driver="core", backing_store=False) as file:
-            set_attributes(file, root_attributes(recording))
-            group = file.create_group("experiments")
-            for e in recording.experiments:
-                node = group.create_group(e.key)
-                set_attributes(node, experiment_attributes(e))
-                for name in ("time", *COLUMNS, "status"):
-                    values = getattr(e, name)
-                    if values is not None:
-                        node.create_dataset(
-                            name, data=values, compression="gzip", compression_opts=1, shuffle=True
-                        )
-            file.flush()
-            image = file.id.get_file_image()
+        image = hdf5_image(stored(recording))
     except (ValueError, RuntimeError) as error:
         what = error if isinstance(error, RecordingError) else f"cannot be written: {error}"
         raise RecordingError(f"{path}: {what}") from None

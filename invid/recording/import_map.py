@@ -5,7 +5,6 @@ YAML, validated, unknown keys refused. The reference with examples is ``docs/ref
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -13,8 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from invid.config.load import explain_errors, load_yaml
 from invid.errors import ConfigError, InputError
+from invid.numerics.arrays import Float64
+from invid.recording.clock import StampsRead
 from invid.recording.model import Kind, Role
 from invid.recording.text_encoding import decode_text
+from invid.recording.units import Quantity, factor
 
 FORMAT = "invid-import-map"
 MAX_BYTES = 1_000_000
@@ -51,6 +53,13 @@ class TorqueChannel(Channel):
     """N·m (or N) per A or V, where the unit is A or V; 1 where unknown: all comes out per that constant."""
 
 
+QUANTITIES: dict[str, Quantity] = {
+    "position": "position", "velocity": "velocity", "torque": "torque", "torque_demand": "torque",
+    "position_reference": "position", "torque_feedforward": "torque",
+}  # fmt: skip
+"""Of each channel of an axis."""
+
+
 class Controller(Strict):
     """Known control law: torque = stiffness·(reference − position) − damping·velocity + feedforward."""
 
@@ -83,10 +92,7 @@ class AxisMap(Strict):
 
     def channels(self) -> dict[str, Channel]:
         """The channels that are given, by their field."""
-        fields = (
-            "position", "velocity", "torque", "torque_demand", "position_reference", "torque_feedforward",
-        )  # fmt: skip
-        return {f: c for f in fields if (c := getattr(self, f)) is not None}
+        return {field: channel for field in QUANTITIES if (channel := getattr(self, field)) is not None}
 
     @model_validator(mode="after")
     def _one_motion(self) -> AxisMap:
@@ -113,6 +119,20 @@ class TimeMap(Strict):
     """Where the counter starts over, in the column's unit; usual ones (2^32 µs, a minute, …) are known."""
     differences: bool = False
     """Each stamp is the time since the one before."""
+
+    def reading(self, where: str, sums: Float64 | None = None) -> StampsRead:
+        """How the column is read; ``sums`` (n,): stamps added up over everything that the file stamps.
+
+        Raises
+        ------
+        InputError
+            A unit that is none of time.
+        """
+        unit = factor("time", self.unit, {}, where)
+        wraps = None if self.wraps_at is None else self.wraps_at * unit
+        return StampsRead(
+            str(self.column), unit, wraps, self.differences, None if sums is None else sums * unit
+        )
 
     @model_validator(mode="after")
     def _one(self) -> TimeMap:
@@ -279,31 +299,6 @@ class ImportMap(Strict):
             names += [channel.column for channel in axis.channels().values()]
             names += [] if axis.status is None else [axis.status]
         return names
-
-    def read_for(self, entry: ExperimentMap) -> ImportMap:
-        """Return the map with the columns that one experiment has under other names."""
-        return self.renamed({str(old): name for old, name in entry.columns.items()})
-
-    def renamed(self, new: Mapping[str, str | int]) -> ImportMap:
-        """Return the map with columns under other names."""
-        if not new:
-            return self
-        axes = []
-        for axis in self.axes:
-            changed: dict[str, object] = {
-                field: channel.model_copy(update={"column": new.get(str(channel.column), channel.column)})
-                for field, channel in axis.channels().items()
-            }
-            if axis.status is not None:
-                changed["status"] = new.get(str(axis.status), axis.status)
-            axes.append(axis.model_copy(update=changed))
-        column = self.time.column
-        time = (
-            self.time
-            if column is None
-            else self.time.model_copy(update={"column": new.get(str(column), column)})
-        )
-        return self.model_copy(update={"time": time, "axes": axes})
 
 
 def load_map(path: Path) -> ImportMap:

@@ -14,13 +14,14 @@ import numpy as np
 from invid.errors import ChoiceNeeded, InputError
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.clock import count_slots
-from invid.recording.hdf5 import FORMAT, read_recording
+from invid.recording.hdf5 import read_recording
 from invid.recording.import_map import ImportMap, Source
 from invid.recording.importer import Import, import_files
 from invid.recording.model import Experiment, Recording
 from invid.recording.readers.kinds import read_table
 from invid.recording.record_files import assign, files_inside, named_files
 from invid.recording.spool import is_spool
+from invid.recording.stored import FORMAT
 from invid.recording.suggest import Found, Suggestion, suggest_for_all, together
 
 
@@ -59,15 +60,9 @@ def recording_as_it_is(sources: Sequence[Path]) -> Recording | None:
     """The recording that the one file already is; ``None`` where it is none."""
     if len(sources) != 1 or not sources[0].is_file():
         return None
-    if is_spool(sources[0]):
-        return read_recording(sources[0])
-    if not h5py.is_hdf5(sources[0]):
-        return None
-    try:
-        with h5py.File(sources[0], "r") as file:
-            named = file.attrs.get("format")
-    except (OSError, RuntimeError, ValueError, TypeError):
-        return None
+    named: Any = FORMAT if is_spool(sources[0]) else None
+    with suppress(OSError, RuntimeError, ValueError, TypeError), h5py.File(sources[0], "r") as file:
+        named = file.attrs.get("format")
     named = named.decode("latin-1") if isinstance(named, bytes) else named
     return read_recording(sources[0]) if isinstance(named, str) and named == FORMAT else None
 
@@ -102,12 +97,12 @@ def suggest_map(
     path, proposal = suggest_for_all([_found(f, source, beside) for f in files[:MOST_FILES]])
     if len(files) > MOST_FILES:
         rest = f"{len(files) - MOST_FILES} of {len(files)} files were not looked at"
-        proposal = replace(proposal, unsure=(rest, *proposal.unsure))
+        proposal.unsure.insert(0, rest)
     if not proposal.asked:
         # Which columns are a guess; what they cannot tell is said before anything is fitted to them.
         with suppress(InputError):
             read = import_files([path], proposal.as_map(), created="1970-01-01T00:00:00+00:00")
-            proposal = replace(proposal, cannot_tell=together([lack.text for lack in read.cannot_tell]))
+            proposal.cannot_tell.extend(together([lack.text for lack in read.cannot_tell]))
     return path, proposal
 
 

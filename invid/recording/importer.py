@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +16,14 @@ from invid.numerics.arrays import Float64, frozen, frozen_float
 from invid.recording.cannot_tell import Lack, what_it_cannot_tell
 from invid.recording.check import check_recording
 from invid.recording.clock import count_slots
-from invid.recording.import_map import AxisMap, Channel, Controller, ExperimentMap, ImportMap
-from invid.recording.joined import read_joined
+from invid.recording.import_map import QUANTITIES, AxisMap, Controller, ExperimentMap, ImportMap
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs
 from invid.recording.readers.kinds import read_table
-from invid.recording.record_files import all_inside, assign, named_files
-from invid.recording.record_rows import RecordRows, has_column, on_one_clock, record_spans, usable_rows
+from invid.recording.record_files import all_inside, assign, named_files, read_joined
+from invid.recording.record_rows import RecordRows, find_records
 from invid.recording.tables import BrokenRow, Table
-from invid.recording.units import BY_MACHINE, LINEAR, Quantity, normal_unit
+from invid.recording.units import BY_CONSTANT, LINEAR, normal_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +43,10 @@ def import_files(
     """All files through one map; parameters as of ``import_source``. Time is data here."""
     linear = _is_linear(chart)
     experiments: list[Experiment] = []
-    broken: list[BrokenRow] = []
+    broken: dict[BrokenRow, None] = {}
     sources, left_out = named_files(sources, chart, beside)
     warnings = [*left_out, *_unsaid(chart)]
     tables: dict[Path, Table] = {}
-    read: dict[tuple[Path, tuple[str | int, ...], tuple[int, int, int]], RecordRows] = {}
     counted: dict[Path, int] = {}
     if chart.sources:
         files = [f for s in sources for f in (all_inside(s) if s.is_dir() else [s])]
@@ -60,25 +58,16 @@ def import_files(
         with _named_with_way_out(path, several=several):
             if path not in tables:
                 tables[path] = read_table(path, chart.source, beside=beside)
-            warnings += [f"{path.name}: {r}" for r in tables[path].remarks]
-            own = chart.read_for(entry).renamed(tables[path].aliases)
-            needed = tuple(own.columns())
-            table, moved = on_one_clock(tables[path], own)
-            spans, split = record_spans(table, entry, own, f"{path}: experiment {len(experiments):03d}")
-            warnings += [f"{path.name}: {s}" for s in split]
-            for span in spans:
-                if (path, needed, span) not in read:
-                    rows_read, skipped, remarks = usable_rows(table, own, span, path)
-                    read[path, needed, span] = rows_read
-                    broken += [b for b in skipped if b not in broken]
-                    told = (*moved, *remarks, *_doubts_of_columns(rows_read, own))
-                    warnings += [f"{path.name}: {m}" for m in told]
-                counted[path] = max(counted.get(path, 0), read[path, needed, span].good.size)
-                experiment, lost_period = _experiment(
-                    f"{len(experiments):03d}", entry, read[path, needed, span], own, path
-                )
+            table = tables[path].renamed(entry.columns)
+            records, parted = find_records(table, entry, chart, path, f"{len(experiments):03d}")
+            said = [*table.remarks, *parted]
+            for rows in records:
+                experiment, remarks = _experiment(f"{len(experiments):03d}", entry, rows, chart, path)
                 experiments.append(experiment)
-                warnings += lost_period
+                said += [*rows.remarks, *_doubts_of_columns(rows, chart), *remarks]
+                broken |= dict.fromkeys(rows.skipped)
+                counted[path] = rows.file_rows
+            warnings += [f"{path.name}: {remark}" for remark in said]
     for path in sources:
         if path.is_file() and path not in tables:
             raise InputError(f"{path}: no experiment of the map takes this file; see 'file' in the map")
@@ -97,9 +86,9 @@ def import_files(
     )
     check_recording(recording)
     warnings += doubts(recording)
-    rows = max(sum(counted.values()), 1)
+    count = max(sum(counted.values()), 1)
     return Import(
-        recording, tuple(broken), rows, tuple(dict.fromkeys(warnings)), what_it_cannot_tell(recording)
+        recording, tuple(broken), count, tuple(dict.fromkeys(warnings)), what_it_cannot_tell(recording)
     )
 
 
@@ -154,17 +143,13 @@ def _resolution(axis: AxisMap) -> float | None:
 
 
 def _is_linear(chart: ImportMap) -> bool:
-    said: dict[bool, str] = {}
-    for axis in chart.axes:
-        for quantity in ("position", "velocity", "torque"):
-            channel = getattr(axis, quantity)
-            if channel is None:
-                continue
-            unit = normal_unit(channel.unit)
-            if unit in LINEAR[quantity]:
-                said[True] = f"{quantity} of {axis.name} in {channel.unit}"
-            elif unit not in ("raw", *BY_MACHINE):
-                said[False] = f"{quantity} of {axis.name} in {channel.unit}"
+    said = {
+        normal_unit(channel.unit) in LINEAR[quantity]: f"{quantity} of {axis.name} in {channel.unit}"
+        for axis in chart.axes
+        for quantity in ("position", "velocity", "torque")
+        if (channel := getattr(axis, quantity)) is not None
+        and normal_unit(channel.unit) not in ("raw", *BY_CONSTANT)
+    }
     if len(said) == 2:
         raise InputError(
             f"map: {said[True]} is linear but {said[False]} is rotary; one recording is one or the other"
@@ -184,83 +169,50 @@ def _doubts_of_columns(rows: RecordRows, chart: ImportMap) -> list[str]:
     said, bare = [], []
     for axis in chart.axes:
         motion = axis.position or axis.velocity
-        names = [c.column for c in (axis.torque, motion) if c is not None and isinstance(c.column, str)]
-        doubt = doubt_of_sides(axis.name, *names) if len(names) == 2 else None
-        said += [doubt] if doubt else []
+        columns = [c.column for c in (axis.torque, motion) if c is not None and isinstance(c.column, str)]
+        names = [rows.table.name_of(c) for c in columns]
+        said += [doubt_of_sides(axis.name, *names)] if len(names) == 2 else []
         for field, channel in axis.channels().items():
             # Positions that wrap are unwrapped where they are read.
-            if (
-                channel.read_as is None
-                and not field.startswith("position")
-                and has_column(rows.table, channel)
-            ):
-                numbers = rows.table.column(channel.column)[rows.use]
-                bare.append((f"{field} of {axis.name}", str(channel.column), numbers))
-    return [*said, *doubts_of_signs(bare)]
+            is_bare = channel.read_as is None and not field.startswith("position")
+            if is_bare and rows.table.holds(channel.column):
+                name = rows.table.name_of(channel.column)
+                bare.append((f"{field} of {axis.name}", name, rows.table.columns[name][rows.use]))
+    return [*filter(None, said), *doubts_of_signs(bare)]
 
 
 def _experiment(
     key: str, entry: ExperimentMap, rows: RecordRows, chart: ImportMap, path: Path
 ) -> tuple[Experiment, list[str]]:
     where = f"{path}: experiment {key}"
-    table, use = rows.table, rows.use
-    period = round(entry.period_samples / rows.each)
-    if abs(period * rows.each - entry.period_samples) > 0.01 * rows.each:
-        raise InputError(
-            f"{where}: 'period_samples' is {entry.period_samples} rows of the file, no whole number of the "
-            f"{rows.each:.4g} rows that each value stands for; leave 'period_samples' out"
-        )
-    if period and use.size < period:
-        raise InputError(
-            f"{where}: 'period_samples' is {entry.period_samples}, but its rows leave {use.size} samples; a "
-            f"periodic experiment holds at least one period (0: not periodic)"
-        )
-    remarks: list[str] = []
-    if period and rows.asked != use.size:
-        period = 0
-        remarks.append(
-            f"{path.name}: broken rows were skipped inside a periodic experiment, so it is no longer "
-            f"periodic; choose rows without them"
-        )
-    time, offset = _time(rows, chart)
-
-    def columns(pick: Callable[[AxisMap], Channel | None], quantity: Quantity) -> list[Float64 | None]:
-        """One channel of every axis, in SI units; ``None`` where an axis has none."""
-        picked = [(axis, pick(axis)) for axis in chart.axes]
-        return [None if c is None else rows.values(c, a, quantity, where) for a, c in picked]
-
-    velocity = columns(lambda a: a.velocity, "velocity")
+    period, remarks = _period(entry, rows, where, path)
+    offset = float(rows.time[0]) if rows.origin else 0.0
+    time = frozen_float(rows.time - offset)
+    read = {field: [rows.values(axis, field, where) for axis in chart.axes] for field in QUANTITIES}
     position = [
         p if v is None else integrated(time, v)
-        for p, v in zip(columns(lambda a: a.position, "position"), velocity, strict=True)
+        for p, v in zip(read["position"], read["velocity"], strict=True)
     ]
-    reference = columns(lambda a: a.position_reference, "position")
-    # A feedforward may be logged in some of the files only: zero in the others.
-    added = columns(
-        lambda a: a.torque_feedforward if has_column(table, a.torque_feedforward) else None, "torque"
-    )
-    feedforward = [np.zeros(use.size) if f is None else f for f in added]
+    feedforward = [np.zeros(time.size) if f is None else f for f in read["torque_feedforward"]]
     torque = [
         _asked_for(a.controller, r, p, time) + f if t is None and a.controller and r is not None else t
         for t, a, r, p, f in zip(
-            columns(lambda a: a.torque, "torque"), chart.axes, reference, position, feedforward, strict=True
+            read["torque"], chart.axes, read["position_reference"], position, feedforward, strict=True
         )
     ]
     sources = [a.torque.meaning if a.torque is not None else "demanded" for a in chart.axes]
     demand = [
         d if d is not None else t if m == "demanded" else None
-        for d, t, m in zip(columns(lambda a: a.torque_demand, "torque"), torque, sources, strict=True)
+        for d, t, m in zip(read["torque_demand"], torque, sources, strict=True)
     ]
-    status = [None if a.status is None else rows.words(a.status) for a in chart.axes]
-    words = _every(status)
-    meanings = sorted(set(sources))
+    words = [None if a.status is None else rows.table.column(a.status)[rows.use] for a in chart.axes]
     attributes: dict[str, Any] = {
         "source_file": path.name,
-        "torque_source": meanings[0] if len(meanings) == 1 else "mixed",
+        "torque_source": sources[0] if len(set(sources)) == 1 else "mixed",
         **entry.attributes,
     }
-    if offset:
-        attributes["time_offset_s"] = offset
+    if offset or rows.origin:
+        attributes["time_offset_s"] = rows.origin + offset
     velocity_only = [a.name for a in chart.axes if a.velocity is not None]
     if velocity_only:
         if len(velocity_only) != len(chart.axes):
@@ -281,15 +233,36 @@ def _experiment(
         frequencies_hz=frozen_float(np.asarray(entry.frequencies_hz, dtype=float)),
         sample_rate_hz=(chart.time.sample_rate_hz or 0.0) / rows.each or _rate(time),
         time=time,
-        position=_matrix(position),  # type: ignore[arg-type]
-        torque=_matrix(torque),  # type: ignore[arg-type]
+        position=_matrix(position),
+        torque=_matrix(torque),
         torque_demand=_matrix(demand),
-        status=None if words is None else frozen(np.stack(words, axis=1), np.uint16),  # type: ignore[arg-type]
+        status=_matrix([None if w is None else np.mod(np.round(w), 65536) for w in words], np.uint16),
         attributes=attributes,
-        position_reference=_matrix(reference),
+        position_reference=_matrix(read["position_reference"]),
         torque_feedforward=_matrix(feedforward) if any(f.any() for f in feedforward) else None,
     )
     return experiment, remarks
+
+
+def _period(entry: ExperimentMap, rows: RecordRows, where: str, path: Path) -> tuple[int, list[str]]:
+    """Samples of a period, 0 where it was lost with a broken row, which is said."""
+    period = round(entry.period_samples / rows.each)
+    if abs(period * rows.each - entry.period_samples) > 0.01 * rows.each:
+        raise InputError(
+            f"{where}: 'period_samples' is {entry.period_samples} rows of the file, no whole number of the "
+            f"{rows.each:.4g} rows that each value stands for; leave 'period_samples' out"
+        )
+    if period and rows.use.size < period:
+        raise InputError(
+            f"{where}: 'period_samples' is {entry.period_samples}, but its rows leave {rows.use.size} "
+            "samples; a periodic experiment holds at least one period (0: not periodic)"
+        )
+    if period and rows.asked != rows.use.size:
+        return 0, [
+            "broken rows were skipped inside a periodic experiment, so it is no longer periodic; choose rows "
+            "without them"
+        ]
+    return period, []
 
 
 def _asked_for(law: Controller, reference: Float64, position: Float64 | None, time: Float64) -> Float64:
@@ -302,10 +275,10 @@ def _asked_for(law: Controller, reference: Float64, position: Float64 | None, ti
     return torque if law.limit is None else np.clip(torque, -law.limit, law.limit)
 
 
-def _matrix(columns: Sequence[Float64 | None]) -> Float64 | None:
+def _matrix(columns: Sequence[Float64 | None], kind: type[np.generic] = np.float64) -> Any:
     """(n, M); ``None`` where an axis has none."""
     every = _every(columns)
-    return None if every is None else frozen_float(np.stack(every, axis=1))
+    return None if every is None else frozen(np.stack(every, axis=1), kind)
 
 
 def _rate(time: Float64) -> float:
@@ -313,14 +286,6 @@ def _rate(time: Float64) -> float:
     median = nominal_sample_rate(time)
     mean = (time.size - 1) / float(time[-1] - time[0])
     return mean if abs(mean / median - 1) < 0.01 else median
-
-
-def _time(rows: RecordRows, chart: ImportMap) -> tuple[Float64, float]:
-    if rows.instants is None:
-        return frozen_float(rows.use / (chart.time.sample_rate_hz or 1.0)), 0.0
-    time = rows.instants[rows.use]
-    offset = float(time[0]) if rows.origin else 0.0
-    return frozen_float(time - offset), rows.origin + offset if rows.origin else 0.0
 
 
 def integrated(time: Float64, velocity: Float64) -> Float64:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
-from invid.recording.units import BY_MACHINE, BY_TORQUE_CONSTANT, FACTORS, normal_unit
+from invid.recording.units import BY_CONSTANT, BY_TORQUE_CONSTANT, FACTORS, normal_unit
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ _SIDES = {
     "load": {"load", "link", "abtrieb", "lastseitig", "arm", "se", "second", "secondary", "out"},
 }
 _VOLTS = {"voltage", "volt", "volts", "spannung", "pwm", "duty"}
-_UNITS = {u for table in FACTORS.values() for u in table} | {*BY_MACHINE, *BY_TORQUE_CONSTANT}
+_UNITS = {u for table in FACTORS.values() for u in table} | set(BY_CONSTANT)
 EPISODE = re.compile(
     r"(.*[._/ ])?(episode|trial|trajectory|traj|segment|sweep|repetition|lap|run)([._ "
     r"]?(index|idx|id|number|no|nr))?$",
@@ -203,7 +203,7 @@ def _meaning(name: str, stated: str, tool: str) -> Meaning:
 
 
 def _is_by_machine(unit: str, quantity: str) -> bool:
-    return unit in BY_MACHINE and (unit == "counts") == (quantity != "torque") and quantity != "time"
+    return unit in BY_CONSTANT and (unit == "counts") == (quantity != "torque") and quantity != "time"
 
 
 def words_of(name: str) -> list[str]:

@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from invid.numerics.arrays import Float64, UInt16
+from invid.numerics.arrays import Bool, Float64, UInt16
+
+DATASETS = ("position", "torque", "torque_demand", "status", "position_reference", "torque_feedforward")
+"""Datasets of n rows and M columns; the last two are this program's own additions."""
 
 
 class Kind(StrEnum):
@@ -105,18 +108,13 @@ class Experiment:
         """Whole periods in the record; 0 when not periodic."""
         return self.samples // self.period_samples if self.period_samples else 0
 
-    def cut(self, rows: slice) -> Experiment:
+    def datasets(self) -> dict[str, Any]:
+        """The arrays that are given, by name: ``time`` (n,), then those of n rows and M columns."""
+        return {name: v for name in ("time", *DATASETS) if (v := getattr(self, name)) is not None}
+
+    def cut(self, rows: slice | Bool) -> Experiment:
         """The experiment on some of its samples."""
-        return replace(
-            self,
-            time=self.time[rows],
-            position=self.position[rows],
-            torque=self.torque[rows],
-            torque_demand=None if self.torque_demand is None else self.torque_demand[rows],
-            status=None if self.status is None else self.status[rows],
-            position_reference=None if self.position_reference is None else self.position_reference[rows],
-            torque_feedforward=None if self.torque_feedforward is None else self.torque_feedforward[rows],
-        )
+        return replace(self, **{name: values[rows] for name, values in self.datasets().items()})
 
 
 @dataclass(frozen=True, eq=False)

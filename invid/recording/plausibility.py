@@ -9,12 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from invid.numerics.arrays import Bool, Float64, Int64, frozen
-from invid.recording.check import COLUMNS
+from invid.numerics.arrays import Bool, Float64, Int64
 from invid.recording.clock import count_slots
 from invid.recording.model import Experiment, Kind, Recording
 from invid.recording.roll_off import roll_off
@@ -125,8 +123,7 @@ def without_repeats(recording: Recording) -> tuple[Recording, list[str]]:
         period = e.period_samples / hold.rows
         experiments.append(
             replace(
-                e,
-                **{n: _frozen_rows(getattr(e, n), keep) for n in ("time", *COLUMNS, "status")},
+                e.cut(keep),
                 sample_rate_hz=rate,
                 period_samples=round(period) if abs(period - round(period)) < 1e-6 else 0,
                 frequencies_hz=e.frequencies_hz[e.frequencies_hz < 0.5 * rate],
@@ -134,10 +131,6 @@ def without_repeats(recording: Recording) -> tuple[Recording, list[str]]:
         )
         said.append(f"experiment {e.key}: {held_sentence(e)}; one row of each is used")
     return replace(recording, experiments=tuple(experiments)), said
-
-
-def _frozen_rows(values: Any, keep: Bool) -> Any:
-    return None if values is None else frozen(values[keep], values.dtype)
 
 
 def missing_sign(raw: Float64) -> str | None:

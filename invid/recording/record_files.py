@@ -1,4 +1,4 @@
-"""The files that an import reads: those given, or those that a map names."""
+"""The files that an import reads: given, or named by a map; and several of them that are one record."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from invid.errors import InputError
-from invid.recording.import_map import ExperimentMap, ImportMap
-from invid.recording.readers.kinds import is_document
+from invid.numerics.arrays import Float64, frozen_float
+from invid.recording.import_map import ExperimentMap, ImportMap, JoinedSource
+from invid.recording.readers.kinds import is_document, read_table
+from invid.recording.record_rows import read_clock
+from invid.recording.tables import Table
 
 
 def _natural(path: Path) -> list[Any]:
@@ -74,18 +79,11 @@ def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tu
     """Each entry of the map with each file that it takes."""
     pairs: list[tuple[ExperimentMap, Path]] = []
     for entry in entries:
-        found = False
-        for source in sources:
-            if source.is_dir():
-                inside = files_inside(source) if entry.file in _ANY else all_inside(source)
-                names = [(p, p.relative_to(source).as_posix()) for p in inside]
-            else:
-                names = [(source, source.as_posix())]
-            taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
-            pairs += taken
-            found = found or bool(taken)
-        if not found and any(s.is_dir() for s in sources):
+        names = [pair for source in sources for pair in _with_names(source, entry.file)]
+        taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
+        if not taken and any(s.is_dir() for s in sources):
             raise InputError(f"map: no file matches {entry.file!r} below {', '.join(map(str, sources))}")
+        pairs += taken
     if not pairs:
         raise InputError(
             f"map: no experiment takes {', '.join(map(str, sources))}; the map's 'file' patterns are "
@@ -94,4 +92,75 @@ def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tu
     return pairs
 
 
+def _with_names(source: Path, pattern: str) -> list[tuple[Path, str]]:
+    """A file, or those inside a folder, each with the name that a pattern is compared with."""
+    if not source.is_dir():
+        return [(source, source.as_posix())]
+    inside = files_inside(source) if pattern in _ANY else all_inside(source)
+    return [(path, path.relative_to(source).as_posix()) for path in inside]
+
+
 _ANY = ("*", "**", "**/*")
+
+
+def read_joined(
+    files: Sequence[Path], sources: Sequence[JoinedSource], beside: Path | None
+) -> dict[Path, Table]:
+    """A table for each record, by its first file: the first file of every source, then the second, …
+
+    Raises
+    ------
+    InputError
+        A source without a file, or sources with different numbers of them.
+    """
+    found = {
+        s.name: [f for f in files if fnmatch.fnmatchcase(f.as_posix(), f"*/{s.file}") or f.name == s.file]
+        for s in sources
+    }
+    counts = {name: len(own) for name, own in found.items()}
+    if len(set(counts.values())) != 1 or 0 in counts.values():
+        shown = ", ".join(f"{n!r} {c}" for n, c in counts.items())
+        raise InputError(
+            f"map: 'sources' must match one file each for every record; found are {shown}",
+            way_out="see 'file' in each of 'sources', and the files that SOURCE or 'files' names",
+            code="files_unmatched",
+            values=counts,
+        )
+    return {group[0]: _join(group, sources, beside) for group in zip(*found.values(), strict=True)}
+
+
+def _join(group: Sequence[Path], sources: Sequence[JoinedSource], beside: Path | None) -> Table:
+    columns: dict[str, Float64] = {}
+    clocks, units, remarks = dict[str, str](), dict[str, str](), list[str]()
+    aliases: dict[str, str | int] = {}
+    for path, source in zip(group, sources, strict=True):
+        table, clock = read_table(path, source, beside=beside), f"{source.name}:time"
+        size = max(c.size for c in table.columns.values())
+        instants, origin, said = read_clock(table, source.time, np.arange(size), str(path))
+        whole = {n: c for n, c in table.columns.items() if c.size == instants.size and n != "time"}
+        own = {f"{source.name}:{n}": c for n, c in whole.items()}
+        columns |= {clock: frozen_float(instants + (origin + source.shift_s)), **own}
+        clocks |= dict.fromkeys(own, clock)
+        units |= {clock: "s"} | {f"{source.name}:{n}": u for n, u in table.units.items() if n != "time"}
+        aliases |= {f"{source.name}:{a}": f"{source.name}:{n}" for a, n in table.aliases.items()}
+        remarks += [f"{source.name}: {r}" for r in (*table.remarks, *said)]
+    ends = {
+        c: (float(np.nanmin(columns[c])), float(np.nanmax(columns[c])))
+        for c in dict.fromkeys(clocks.values())
+    }
+    if max(a for a, _ in ends.values()) >= min(b for _, b in ends.values()):
+        shown = "; ".join(f"{n} from {a:.6f} to {b:.6f} s" for n, (a, b) in ends.items())
+        raise InputError(
+            f"{group[0]}: the clocks of 'sources' have no time in common: {shown}",
+            way_out="where one counts from another start say so by its 'shift_s'",
+            code="no_common_time",
+            values={n: list(e) for n, e in ends.items()},
+        )
+    return Table(
+        " + ".join(p.name for p in group),
+        columns,
+        units=units,
+        clocks=clocks,
+        aliases=aliases,
+        remarks=tuple(remarks),
+    )

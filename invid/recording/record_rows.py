@@ -2,72 +2,130 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from invid.errors import InputError
-from invid.numerics.arrays import Bool, Float64
-from invid.recording.clock import StampsRead, find_restarts, read_stamps
-from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap
+from invid.numerics.arrays import Bool, Float64, Int64, frozen_float
+from invid.recording.clock import find_restarts, read_stamps
+from invid.recording.import_map import QUANTITIES, AxisMap, ExperimentMap, ImportMap, TimeMap
 from invid.recording.meaning import EPISODE
 from invid.recording.plausibility import held_rows, with_sign
-from invid.recording.tables import BrokenRow, SparseRows, Table, good_rows, on_clock, slowest_rows
-from invid.recording.units import MachineConstants, Quantity, factor
-
-
-def _feedforward(chart: ImportMap) -> set[str | int]:
-    return {a.torque_feedforward.column for a in chart.axes if a.torque_feedforward is not None}
-
-
-def on_one_clock(table: Table, chart: ImportMap) -> tuple[Table, tuple[str, ...]]:
-    time = chart.time.column
-    if not table.clocks or not isinstance(time, str) or time not in table.clocks.values():
-        return table, ()
-    needed = [n for n in chart.columns() if isinstance(n, str) and n in table.columns]
-    return on_clock(table, time, needed)
+from invid.recording.tables import BrokenRow, Table, at_slowest, good_rows, on_clock
+from invid.recording.units import factor
 
 
 @dataclass(frozen=True, eq=False)
 class RecordRows:
-    """The rows of a table that one or more experiments take.
+    """The usable rows of a table that an experiment takes.
 
-    ``good`` is a mask of all rows, ``use`` their numbers, ``each`` the rows of the file that one stands for;
-    ``instants`` [s] of all rows count from ``origin``.
+    Attributes
+    ----------
+    use
+        (n,) their numbers in the table.
+    time
+        (n,) [s] their instants from ``origin`` [s].
+    asked
+        Rows that were to be taken, broken ones too; ``file_rows`` are all of the file.
+    each
+        Rows of the file that each stands for.
+    skipped, remarks
+        The broken ones, and what was done about the others.
     """
 
     table: Table
-    good: Bool
-    use: np.typing.NDArray[np.intp]
-    asked: int
-    each: float
-    instants: Float64 | None
+    use: Int64
+    time: Float64
     origin: float
-    sparse: SparseRows | None
+    asked: int
+    file_rows: int
+    each: float
+    skipped: list[BrokenRow]
+    remarks: tuple[str, ...]
 
-    def values(self, channel: Channel, axis: AxisMap, quantity: Quantity, where: str) -> Float64:
-        """(rows used,) SI values of a channel."""
-        values = _values(self.table, channel, axis, quantity, where)
-        return (values if self.sparse is None else self.sparse.bring(channel.column, values))[self.use]
+    def values(self, axis: AxisMap, field: str, where: str) -> Float64 | None:
+        """(n,) SI values of a channel of an axis; ``None`` where it has none."""
+        channel = getattr(axis, field)
+        # A feedforward may be logged in some of the files only.
+        if channel is None or (field == "torque_feedforward" and not self.table.holds(channel.column)):
+            return None
+        constants = {**channel.model_dump(), "rated_torque": axis.rated_torque}
+        quantity = QUANTITIES[field]
+        unit = factor(quantity, channel.unit, constants, f"{where}: {quantity} of {axis.name}")
+        raw = self.table.column(channel.column) - channel.offset
+        if channel.remove_mean:
+            raw = raw - float(np.mean(raw[np.isfinite(raw)]))
+        values: Float64 = channel.sign * channel.scale * unit * raw[self.use]
+        return values
 
-    def words(self, column: str | int) -> Float64:
-        """Return (rows used,) numbers that mean their bits: the last one known, never one between."""
-        words = self.table.column(column)
-        if self.sparse is not None:
-            known = np.where(np.isfinite(words), np.arange(words.size), 0)
-            words = words[np.maximum.accumulate(known)]
-        return np.asarray(np.mod(np.round(words[self.use]), 65536), dtype=np.float64)
 
-
-def record_spans(
-    table: Table, entry: ExperimentMap, chart: ImportMap, where: str
-) -> tuple[list[tuple[int, int, int]], list[str]]:
-    """First row, the one after the last, and the step of each record in an experiment's rows; why there are
-    several.
+def find_records(
+    table: Table, entry: ExperimentMap, chart: ImportMap, path: Path, key: str
+) -> tuple[list[RecordRows], list[str]]:
+    """Each record in an experiment's rows, and what was done to part them and to bring them on one clock.
 
     Records are never joined: a column that numbers them, or a clock that starts anew, parts them.
+
+    Raises
+    ------
+    InputError
+        Columns that are not there, rows that are none, more broken rows than one per cent.
     """
+    time, moved = chart.time.column, tuple[str, ...]()
+    optional = {str(a.torque_feedforward.column) for a in chart.axes if a.torque_feedforward is not None}
+    named = [n for n in chart.columns() if str(n) not in optional or table.holds(n)]
+    if isinstance(time, str) and table.name_of(time) in table.clocks.values():
+        needed = [table.name_of(n) for n in named if table.holds(n)]
+        table, moved = on_clock(table, table.name_of(time), needed)
+    needed = [table.name_of(n) for n in named]
+    sizes = {n: table.columns[n].size for n in needed}
+    if len(set(sizes.values())) != 1:
+        found = ", ".join(f"{n!r} {size}" for n, size in sizes.items())
+        raise InputError(f"{path}: the columns of the map differ in length: {found}")
+    table = _with_signs(table, chart)
+    spans, said = _spans(table, entry, chart, f"{path}: experiment {key}")
+    measured = [n for n in needed if time is None or n != table.name_of(time)]
+    words = {table.name_of(a.status) for a in chart.axes if a.status is not None}
+    slow = at_slowest(table, time, measured, words)
+    records = []
+    for first, stop in spans:
+        inside: Bool = (slow.rows >= first) & (slow.rows < stop) & ((slow.rows - first) % entry.every == 0)
+        instants, origin, remarks = read_clock(slow.table, chart.time, slow.rows, str(path), inside)
+        good, skipped = good_rows(slow.table, needed, instants, inside, path)
+        use = np.flatnonzero(good)
+        records.append(
+            RecordRows(
+                slow.table,
+                use,
+                frozen_float(instants[use]),
+                origin,
+                asked=int(inside.sum()),
+                file_rows=sizes[needed[0]],
+                each=entry.every * slow.each,
+                skipped=skipped,
+                remarks=(*moved, *filter(None, [slow.remark]), *remarks),
+            )
+        )
+    return records, said
+
+
+def _with_signs(table: Table, chart: ImportMap) -> Table:
+    """The table with the signs that its whole numbers have lost."""
+    signed = {
+        table.name_of(c.column): with_sign(table.column(c.column), c.read_as)
+        for axis in chart.axes
+        for c in axis.channels().values()
+        if c.read_as is not None and table.holds(c.column)
+    }
+    return replace(table, columns={**table.columns, **signed}) if signed else table
+
+
+def _spans(
+    table: Table, entry: ExperimentMap, chart: ImportMap, where: str
+) -> tuple[list[tuple[int, int]], list[str]]:
+    """First row and the one after the last of each record; why there are several."""
     size = table.column(chart.columns()[0]).size
     for edge in entry.rows:
         if edge is not None and abs(edge) > size:
@@ -89,7 +147,7 @@ def record_spans(
             measured = [table.column(a.torque.column)[begin:end] for a in chart.axes if a.torque is not None]
             hold = held_rows(np.stack(measured, axis=1)) if measured else None
             begin += hold.first % entry.every if hold is not None else 0
-        spans.append((begin, end, entry.every))
+        spans.append((begin, end))
     return spans, [f"{why}: {len(spans)} records, an experiment each"] if inner else []
 
 
@@ -104,78 +162,36 @@ def _record_starts(table: Table, chart: ImportMap, size: int) -> tuple[list[int]
         is_state = np.unique(column).size == 2 and bool((step < 0).any())
         if 0 < starts.size * 16 < size and not is_state and bool(np.all(column == np.rint(column))):
             return starts.tolist(), f"{name!r} says where records end"
-    said = chart.time
-    if said.column is None:
+    if chart.time.column is None:
         return [], ""
-    unit = factor("time", said.unit, MachineConstants(), "map: time")
-    how = StampsRead(str(said.column), unit, said.wraps_at, said.differences)
-    return find_restarts(table.column(said.column) * unit, how), f"the clock {said.column!r} starts anew"
+    how = chart.time.reading("map: time")
+    starts_anew = f"the clock {chart.time.column!r} starts anew"
+    return find_restarts(table.column(chart.time.column) * how.unit, how), starts_anew
 
 
-def usable_rows(
-    table: Table, chart: ImportMap, span: tuple[int, int, int], path: Path
-) -> tuple[RecordRows, list[BrokenRow], tuple[str, ...]]:
-    # A feedforward may be logged in some of the files only.
-    needed = [n for n in chart.columns() if n not in _feedforward(chart) or n in table.columns]
-    inside = np.zeros(table.column(needed[0]).size, dtype=np.bool_)
-    inside[slice(*span)] = True
-    each, told = float(span[2]), list[str]()
-    sparse = slowest_rows(table, chart.time.column, needed)
-    if sparse is not None:
-        inside &= sparse.rows
-        each, told = each * sparse.each, [sparse.remark]
-    instants, origin, remarks = _instants(table, inside, chart, str(path))
-    filled = {n: table.column(n) if sparse is None else sparse.bring(n, table.column(n)) for n in needed}
-    good, skipped = good_rows(table, filled, instants, inside, path)
-    rows = RecordRows(table, good, np.flatnonzero(good), int(inside.sum()), each, instants, origin, sparse)
-    return rows, skipped, (*told, *remarks)
+def read_clock(
+    table: Table, said: TimeMap, rows: Int64, where: str, inside: Bool | None = None
+) -> tuple[Float64, float, tuple[str, ...]]:
+    """Instants (n,) [s] of the rows ``inside`` from an origin [s], the origin, and what was done about them.
 
-
-def _instants(
-    table: Table, inside: Bool, chart: ImportMap, where: str
-) -> tuple[Float64 | None, float, tuple[str, ...]]:
-    """Instants [s] of the rows ``inside`` from the origin [s], the origin, and what was done about them."""
-    said = chart.time
+    ``rows`` (n,) are numbers in the file, which count at the map's rate where there is no column.
+    """
     if said.column is None:
-        return None, 0.0, ()
-    if said.column in table.stamped and said.unit != "s":
+        return rows / (said.sample_rate_hz or 1.0), 0.0, ()
+    name = table.name_of(said.column)
+    if name in table.stamped and said.unit != "s":
         raise InputError(
             f"{where}: time {said.column!r} holds dates or times of day, which are read as seconds; "
             f"its unit is {said.unit!r}, write 's'"
         )
-    unit = factor("time", said.unit, MachineConstants(), f"{where}: time")
-    raw = table.column(said.column)
+    raw = table.columns[name]
+    inside = np.ones(raw.size, dtype=np.bool_) if inside is None else inside
+    sums = table.sums.get(name)
+    how = said.reading(f"{where}: time", None if sums is None else sums[inside])
     first = raw[inside & np.isfinite(raw)][:1]
     # Seconds since 1970 leave 0.2 µs in a float64: the start is taken out before anything is computed.
-    origin = float(first[0]) if first.size and abs(first[0] * unit) > 1e6 else 0.0
-    sums = table.sums.get(str(said.column))
-    how = StampsRead(
-        str(said.column),
-        unit,
-        None if said.wraps_at is None else said.wraps_at * unit,
-        said.differences,
-        None if sums is None else sums[inside] * unit,
-    )
-    stamps = read_stamps((raw[inside] - origin) * unit, how, where)
+    origin = float(first[0]) if first.size and abs(first[0] * how.unit) > 1e6 else 0.0
+    stamps = read_stamps((raw[inside] - origin) * how.unit, how, where)
     instants = np.full(raw.size, np.nan)
     instants[inside] = stamps.instants
-    return instants, origin * unit, stamps.remarks
-
-
-def _values(table: Table, channel: Channel, axis: AxisMap, quantity: Quantity, where: str) -> Float64:
-    constants = MachineConstants(
-        torque_constant=getattr(channel, "torque_constant", None),
-        rated_torque=axis.rated_torque,
-        per_count=channel.per_count,
-    )
-    unit = factor(quantity, channel.unit, constants, f"{where}: {quantity} of {axis.name}")
-    raw = table.column(channel.column)
-    raw = (raw if channel.read_as is None else with_sign(raw, channel.read_as)) - channel.offset
-    if channel.remove_mean:
-        raw = raw - float(np.mean(raw[np.isfinite(raw)]))
-    values: Float64 = channel.sign * channel.scale * unit * raw
-    return values
-
-
-def has_column(table: Table, channel: Channel | None) -> bool:
-    return channel is not None and (isinstance(channel.column, int) or channel.column in table.columns)
+    return instants, origin * how.unit, stamps.remarks

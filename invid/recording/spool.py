@@ -22,12 +22,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from invid.errors import RecordingError
 from invid.recording.model import Outcome
+from invid.recording.stored import StoredExperiment, StoredRecording
 
 MAGIC = b"invid-rows 1\n"
 SUFFIX = ".rows"
@@ -39,8 +39,6 @@ _LARGEST = 1 << 28
 _SYNC_S = 5.0
 """Data after which the disk is asked to keep the rows for good [s]: what a power cut may cost. A guess; it
 costs a write of its own, which an old disk takes a tenth of a second for."""
-_CHUNK_ROWS = 1024
-_GROWTH_BYTES = 4 << 20
 
 
 class Spool:
@@ -55,11 +53,12 @@ class Spool:
         try:
             self._write(MAGIC)
             self._frame(_HEADER, content)
-            self._sync()
+            os.fdatasync(self._file)
             sync_folder(target.parent)
         except OSError:
             self.close()
-            self.remove()
+            with contextlib.suppress(OSError):
+                self.path.unlink()
             raise
 
     def begin(self, key: str, names: Sequence[str], attributes: Mapping[str, Any]) -> None:
@@ -68,20 +67,18 @@ class Spool:
 
     def rows(self, columns: Sequence[npt.NDArray[Any]]) -> None:
         """Append rows of every dataset of the experiment, (k,) or (k, M)."""
-        parts = [_COUNT.pack(columns[0].shape[0])]
-        parts += [np.ascontiguousarray(c, c.dtype.newbyteorder("<")).tobytes() for c in columns]
-        self._frame(_ROWS, b"".join(parts))
-        last = float(columns[0][-1])
-        if self._synced_s is None:
-            self._synced_s = float(columns[0][0])
+        parts = [np.ascontiguousarray(c, c.dtype.newbyteorder("<")).tobytes() for c in columns]
+        self._frame(_ROWS, _COUNT.pack(columns[0].shape[0]) + b"".join(parts))
+        first, last = float(columns[0][0]), float(columns[0][-1])
+        self._synced_s = first if self._synced_s is None else self._synced_s
         if abs(last - self._synced_s) >= _SYNC_S:
-            self._sync()
+            os.fdatasync(self._file)
             self._synced_s = last
 
     def end(self) -> None:
         """End the experiment."""
         self._frame(_END, b"")
-        self._sync()
+        os.fdatasync(self._file)
 
     def outcome(self, outcome: str) -> None:
         """Write how the measurement ended."""
@@ -92,14 +89,6 @@ class Spool:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
-
-    def remove(self) -> None:
-        """Delete the file: the rows are safe elsewhere."""
-        with contextlib.suppress(OSError):
-            self.path.unlink()
-
-    def _sync(self) -> None:
-        os.fdatasync(self._file)
 
     def _frame(self, kind: int, content: bytes) -> None:
         self._write(_FRAME.pack(kind, len(content), zlib.crc32(content)) + content)
@@ -152,68 +141,47 @@ def has_rows(path: Path) -> bool:
     return any(kind == _ROWS for kind, _ in _frames(path))
 
 
-def as_hdf5(path: Path) -> h5py.File:
-    """The rows of a file as HDF5 in memory; the caller closes it. Rows that nobody ended are marked "failed".
+def read_spool(path: Path) -> StoredRecording:
+    """The rows of a file; those that nobody ended are marked "failed".
 
     Raises
     ------
     RecordingError
         Where not even the header is whole.
     """
-    file = h5py.File(f"{path}.memory", "w", driver="core", backing_store=False, block_size=_GROWTH_BYTES)
-    try:
-        _fill(file, path)
-    except BaseException:
-        file.close()
-        raise
-    return file
-
-
-def _fill(file: h5py.File, path: Path) -> None:
-    experiments = file.create_group("experiments")
-    group: h5py.Group | None = None
-    begun: dict[str, Any] | None = None
-    headed = False
+    header, begun, axes = dict[str, Any](), dict[str, Any](), 0
+    blocks: dict[str, list[dict[str, npt.NDArray[Any]]]] = {}
+    attributes: dict[str, Any] = {}
     for kind, content in _frames(path):
         if kind == _HEADER:
-            headed = True
-            _set(file, {**_parsed(content), "outcome": str(Outcome.FAILED)})
+            header = {**_parsed(content), "outcome": str(Outcome.FAILED)}
+            axes = len(json.loads(header["axes"]))
         elif kind == _BEGIN:
-            group, begun = None, _parsed(content)
+            begun = _parsed(content)
         elif kind == _OUTCOME:
-            file.attrs["outcome"] = str(_parsed(content))
-        elif kind == _ROWS and begun is not None:
-            if group is None:  # one without rows leaves no empty shell
-                group = experiments.create_group(begun["key"])
-                _set(group, begun["attributes"])
-            _append(group, begun["names"], content, len(json.loads(str(file.attrs["axes"]))))
-    if not headed:
+            header["outcome"] = _parsed(content)
+        elif kind == _ROWS and begun:  # an experiment without rows leaves no empty shell
+            attributes[begun["key"]] = begun["attributes"]
+            blocks.setdefault(begun["key"], []).append(_block(content, begun["names"], axes))
+    if not header:
         raise RecordingError(f"{path}: was cut off before its header was whole; it holds no measurement")
+    experiments = {
+        key: StoredExperiment(attributes[key], {n: np.concatenate([b[n] for b in own]) for n in own[0]})
+        for key, own in blocks.items()
+    }
+    return StoredRecording(header, experiments)
 
 
-def _append(group: h5py.Group, names: Sequence[str], content: bytes, axes: int) -> None:
-    (count,) = _COUNT.unpack_from(content)
-    at = _COUNT.size
+def _block(content: bytes, names: Sequence[str], axes: int) -> dict[str, npt.NDArray[Any]]:
+    """The datasets of a frame of rows, (k,) or (k, M)."""
+    (count,), at, found = _COUNT.unpack_from(content), _COUNT.size, {}
     for name in names:
-        width = () if name == "time" else (axes,)
+        shape = (count,) if name == "time" else (count, axes)
         kind = np.dtype("<u2") if name == "status" else np.dtype("<f8")
-        values = np.frombuffer(content, kind, count * (axes if width else 1), at).reshape(count, *width)
+        values = np.frombuffer(content, kind, int(np.prod(shape)), at).reshape(shape)
+        found[name] = values.astype(kind.newbyteorder("="), copy=False)
         at += values.nbytes
-        if name not in group:
-            group.create_dataset(
-                name,
-                shape=(0, *width),
-                maxshape=(None, *width),
-                chunks=(_CHUNK_ROWS, *width),
-                dtype=kind.newbyteorder("="),
-                compression="gzip",
-                compression_opts=1,
-                shuffle=True,
-            )
-        dataset = group[name]
-        start = dataset.shape[0]
-        dataset.resize(start + count, axis=0)
-        dataset[start:] = values
+    return found
 
 
 def _frames(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -222,17 +190,10 @@ def _frames(path: Path) -> Iterator[tuple[int, bytes]]:
         file.seek(len(MAGIC))
         while len(head := file.read(_FRAME.size)) == _FRAME.size:
             kind, length, check = _FRAME.unpack(head)
-            if length > _LARGEST:
-                return
-            content = file.read(length)
+            content = file.read(length) if length <= _LARGEST else b""
             if len(content) < length or zlib.crc32(content) != check:
                 return
             yield kind, content
-
-
-def _set(node: h5py.HLObject, attributes: Mapping[str, Any]) -> None:
-    for name, value in attributes.items():
-        node.attrs[name] = value
 
 
 def _json(value: Any) -> bytes:
@@ -243,16 +204,11 @@ def _json(value: Any) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray) and value.dtype.kind in "iufb":
-        return {"dtype": value.dtype.str, "array": value.tolist()}
-    if isinstance(value, np.generic):
-        return value.item()
+    if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "iufb":
+        return value.tolist()
     raise TypeError(f"{type(value).__name__} is no number, text or array of numbers")
 
 
 def _parsed(content: bytes) -> Any:
-    return json.loads(content, object_hook=_array)
-
-
-def _array(value: dict[str, Any]) -> Any:
-    return np.array(value["array"], dtype=value["dtype"]) if value.keys() == {"dtype", "array"} else value
+    # Releases up to 0.2 wrote arrays as objects.
+    return json.loads(content, object_hook=lambda found: found.get("array", found))

@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from invid.numerics.arrays import Float64, frozen_float
-from invid.recording.check import COLUMNS
 from invid.recording.model import Experiment, Recording
 
 FLICKER = 1.5
@@ -85,7 +84,7 @@ def _with_axes(recording: Recording, kept: Sequence[int]) -> Recording:
 
 
 def _experiment_with_axes(e: Experiment, at: list[int]) -> Experiment:
-    columns = {n: v[:, at] for n in (*COLUMNS, "status") if (v := getattr(e, n)) is not None}
+    columns = {name: values[:, at] for name, values in e.datasets().items() if name != "time"}
     excited = at.index(e.excited_axis) if e.excited_axis in at else -1
     return replace(e, excited_axis=excited, hold_gain=e.hold_gain[at], **columns)
 

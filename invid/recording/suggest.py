@@ -21,7 +21,7 @@ from invid.recording.meaning import EPISODE, WORDS, Meaning, is_current, meaning
 from invid.recording.period import find_period
 from invid.recording.plausibility import doubt_of_sides
 from invid.recording.tables import Table, on_clock, shorten
-from invid.recording.units import BY_MACHINE, BY_RATED_TORQUE, BY_TORQUE_CONSTANT, FACTORS, LINEAR
+from invid.recording.units import BY_CONSTANT, BY_TORQUE_CONSTANT, FACTORS, LINEAR
 
 _FROM_1970 = (946_684_800.0, 4_102_444_800.0)
 """Seconds since 1970 of 2000 and of 2100: a number between them is a date, and so its unit."""
@@ -30,9 +30,9 @@ _FEW = 16
 _SLOTS = ("position", "velocity", "torque", "torque_demand", "position_demand")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Suggestion:
-    """A map with the reasons for it.
+    """A map with the reasons for it, as it grows.
 
     ``unsure`` lists guesses that a person must judge, ``asked`` what the file cannot tell: key in the map →
     question; such a key is null, and the map runs once it is filled in. ``cannot_tell``: what a record read
@@ -40,10 +40,10 @@ class Suggestion:
     """
 
     document: dict[str, Any]
-    reasons: tuple[str, ...]
-    unsure: tuple[str, ...]
+    reasons: list[str] = field(default_factory=list)
+    unsure: list[str] = field(default_factory=list)
     asked: dict[str, str] = field(default_factory=dict)
-    cannot_tell: tuple[str, ...] = ()
+    cannot_tell: list[str] = field(default_factory=list)
 
     def as_map(self) -> ImportMap:
         """Return the map, validated."""
@@ -60,15 +60,6 @@ class Suggestion:
             self.document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110
         )
         return "\n".join([*lines, document])
-
-
-@dataclass(frozen=True)
-class _Notes:
-    """Notes of a suggestion, as it grows: see ``Suggestion``."""
-
-    reasons: list[str]
-    unsure: list[str]
-    asked: dict[str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,50 +90,48 @@ def suggest_for_all(found: Sequence[Found]) -> tuple[Path, Suggestion]:
     own = max(kinds.values(), key=len)
     first = own[0]
     proposal = suggest(first.table or Table(str(first.path), {}), first.path, first.source)
-    if len(found) == 1:
-        return first.path, replace(proposal, unsure=(*first.doubts, *proposal.unsure))
-    reasons, skip = [], {}
+    left_out = _add_files(proposal, found, own) if len(found) > 1 else []
+    proposal.unsure[:0] = [*left_out, *dict.fromkeys(d for f in own for d in f.doubts)]
+    return first.path, proposal
+
+
+def _add_files(proposal: Suggestion, found: Sequence[Found], own: Sequence[Found]) -> list[str]:
+    """Write into a map of the first of its ``own`` files the others, and the files left out, which are
+    said.
+    """
+    first, rows, skip = own[0], [], dict[str, str]()
     for f in found:
-        if f in own and f.table is not None:
-            rows = max(c.size for c in f.table.columns.values())
-            reasons.append(f"{f.path.name}: {rows} rows of {len(f.table.columns)} columns")
-        elif f.table is not None:
-            skip[f.path.name] = (
-                f"other columns: {shorten(list(f.table.columns), 8)}; it needs a map of its own"
-            )
-        else:
+        if f.table is None:
             skip[f.path.name] = f"cannot be read: {str(f.error).removeprefix(f'{f.path}: ')}"
-    document = dict(proposal.document)
-    (experiment,) = document.pop("experiments")
-    if "period_samples" in experiment:
-        # One file's period need not be another's; that the first repeats is said in the reasons.
-        plain = {"rows": [0, None], "role": "identify"}
-        entries = [{"file": f.path.name, **(experiment if f is first else plain)} for f in own]
-    else:
-        entries = [{"file": _pattern([f.path.name for f in own]), **experiment}]
-    document = {**document, **({"skip": skip} if skip else {}), "experiments": entries}
-    unsure = [f"{name} is left out: {why}" for name, why in skip.items()]
-    doubts = tuple(dict.fromkeys(d for f in own for d in f.doubts))
-    return first.path, replace(
-        proposal,
-        document=document,
-        reasons=(*reasons, f"the columns below are those of {first.path.name}", *proposal.reasons),
-        unsure=(*unsure, *doubts, *proposal.unsure),
-    )
+        elif f in own:
+            longest = max(c.size for c in f.table.columns.values())
+            rows.append(f"{f.path.name}: {longest} rows of {len(f.table.columns)} columns")
+        else:
+            shown = shorten(list(f.table.columns), 8)
+            skip[f.path.name] = f"other columns: {shown}; it needs a map of its own"
+    (experiment,) = proposal.document.pop("experiments")
+    names = [f.path.name for f in own]
+    # One file's period need not be another's; that the first repeats is said in the reasons.
+    plain = {"rows": [0, None], "role": "identify"}
+    alone = [{"file": n, **(experiment if i == 0 else plain)} for i, n in enumerate(names)]
+    together = [{"file": _pattern(names), **experiment}]
+    proposal.document.update({"skip": skip} if skip else {})
+    proposal.document["experiments"] = alone if "period_samples" in experiment else together
+    proposal.reasons[:0] = [*rows, f"the columns below are those of {first.path.name}"]
+    return [f"{name} is left out: {why}" for name, why in skip.items()]
 
 
 def _pattern(names: Sequence[str]) -> str:
     """What file names have in common, with a star for the rest."""
-    if len(set(names)) == 1:
-        return names[0]
-    start = _alike(names)
-    return f"{names[0][:start]}*{names[0][len(names[0]) - _alike([n[start:][::-1] for n in names]) :]}"
+    start = _common(names)
+    end = _common([n[len(start) :][::-1] for n in names])[::-1]
+    return names[0] if len(set(names)) == 1 else f"{start}*{end}"
 
 
-def _alike(names: Sequence[str]) -> int:
-    """How many letters names have in common from their first on."""
+def _common(names: Sequence[str]) -> str:
+    """The letters that names begin with alike."""
     unlike = (i for i, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1)
-    return next(unlike, min(map(len, names)))
+    return names[0][: next(unlike, min(map(len, names)))]
 
 
 def suggest(table: Table, path: Path, source: Mapping[str, Any] = MappingProxyType({})) -> Suggestion:
@@ -153,7 +142,8 @@ def suggest(table: Table, path: Path, source: Mapping[str, Any] = MappingProxyTy
     InputError
         Columns that are known, and are neither motion nor torque, or no record in time.
     """
-    notes = _Notes(list(table.reasons), list(table.remarks), {})
+    document: dict[str, Any] = {"format": FORMAT, "format_version": 1, "robot": path.stem}
+    notes = Suggestion(document, list(table.reasons), list(table.remarks))
     longest = max(c.size for c in table.columns.values())
     # What is no channel, but stands beside them: sizes, styles, labels.
     table = replace(table, columns={n: c for n, c in table.columns.items() if c.size >= min(_FEW, longest)})
@@ -163,34 +153,32 @@ def suggest(table: Table, path: Path, source: Mapping[str, Any] = MappingProxyTy
         notes.reasons.append(f"the names are those of {tool_of(table.columns)}")
     if table.clocks:
         table = _one_clock(table, said, notes.unsure)
-    document: dict[str, Any] = {"format": FORMAT, "format_version": 1, "robot": path.stem}
-    if "pdos" in table.notes:
-        document["source"] = {k: table.notes[k] for k in ("sync_id", "pdos")}
-    if source:
-        document["source"] = {**document.get("source", {}), **source}
+    guessed = ("sync_id", "pdos") if "pdos" in table.notes else ()
+    reading = {k: table.notes[k] for k in guessed} | dict(source)
+    document.update({"source": reading} if reading else {})
     document["time"], time_column = _time(table, said, notes)
     axes = _axes(table, time_column, said, notes)
     document["axes"] = [_axis(name, a, table, said, notes) for name, a in axes.items()]
     experiment: dict[str, Any] = {"rows": [0, None], "role": "identify", "kind": "other"}
-    if document["axes"]:
+    if axes:
         experiment |= _periodic(document["axes"][0], table, notes)
     else:
         notes.unsure.append("no column looks like a torque with a motion: name them by hand")
         notes.reasons.append("columns and what they hold: " + "; ".join(_ranges(table, time_column)))
+        blank: dict[str, Any] = {"name": "A1"}
         for kind in ("position", "torque"):
             notes.asked[f"axes A1 {kind}.column"] = f"which of the columns is the {kind}, and its unit"
-        blank = {"position": {"column": "?", "unit": "rad"}, "torque": {"column": "?", "unit": "N·m"}}
-        document["axes"] = [{"name": "A1", **blank}]
+            blank[kind] = {"column": "?", "unit": _USUAL[kind]}
+        document["axes"] = [blank]
     document["experiments"] = [experiment]
     named = json.dumps([document["time"], document["axes"]], ensure_ascii=False)
     rest = [n for n in table.columns if n != time_column and json.dumps(n, ensure_ascii=False) not in named]
-    if rest:
-        notes.reasons.append("left out: " + ", ".join(rest[:30]))
+    notes.reasons.extend(["left out: " + ", ".join(rest[:30])] * bool(rest))
     told = [a[q]["unit"] for a in document["axes"] for q in ("position", "velocity", "torque") if q in a]
-    if all(u in BY_MACHINE for u in told):
+    if all(u in BY_CONSTANT for u in told):
         document["motion"] = "rotary"
         notes.unsure.append("no unit tells a rotary from a linear machine: 'motion: rotary' is a guess")
-    return Suggestion(document, together(notes.reasons), together(notes.unsure), notes.asked)
+    return replace(notes, reasons=together(notes.reasons), unsure=together(notes.unsure))
 
 
 def _refuse_no_record(table: Table, said: Mapping[str, Meaning]) -> None:
@@ -214,12 +202,12 @@ def _refuse_no_record(table: Table, said: Mapping[str, Meaning]) -> None:
         )
 
 
-def together(said: Sequence[str]) -> tuple[str, ...]:
+def together(said: Sequence[str]) -> list[str]:
     """Sentences that differ by a number or an entry's name as one: six axes are not asked six times."""
     alike: dict[str, list[str]] = {}
     for sentence in said:
         alike.setdefault(re.sub(r"\[[^\]]*\]|^\S+: |\d+", "#", sentence), []).append(sentence)
-    return tuple(s[0] if len(s) == 1 else f"{len(s)} alike, the first: {s[0]}" for s in alike.values())
+    return [s[0] if len(s) == 1 else f"{len(s)} alike, the first: {s[0]}" for s in alike.values()]
 
 
 def _ranges(table: Table, time_column: str | None) -> list[str]:
@@ -239,7 +227,7 @@ def _one_clock(table: Table, said: Mapping[str, Meaning], unsure: list[str]) -> 
     return table
 
 
-def _time(table: Table, said: Mapping[str, Meaning], notes: _Notes) -> tuple[dict[str, Any], str | None]:
+def _time(table: Table, said: Mapping[str, Meaning], notes: Suggestion) -> tuple[dict[str, Any], str | None]:
     length = max(c.size for c in table.columns.values())
     whole = {n: c for n, c in table.columns.items() if c.size == length and c.size > 2}
     chosen = next(iter(table.clocks.values()), None) or _clock(whole, table, said)
@@ -324,7 +312,7 @@ def _unit_of_stamps(column: Float64, rise: float) -> tuple[str, bool]:
 
 
 def _axes(
-    table: Table, time_column: str | None, said: Mapping[str, Meaning], notes: _Notes
+    table: Table, time_column: str | None, said: Mapping[str, Meaning], notes: Suggestion
 ) -> dict[str, dict[str, str]]:
     """Axis → slot → column, of the axes that have a torque (or a known law's place for it) and a motion."""
     length = table.columns[time_column].size if time_column else max(c.size for c in table.columns.values())
@@ -381,7 +369,7 @@ def _is_whole(axis: Mapping[str, str]) -> bool:
 
 
 def _axis(
-    name: str, axis: Mapping[str, str], table: Table, said: Mapping[str, Meaning], notes: _Notes
+    name: str, axis: Mapping[str, str], table: Table, said: Mapping[str, Meaning], notes: Suggestion
 ) -> dict[str, Any]:
     quantity = "position" if "position" in axis else "velocity"
     motion, torque = axis[quantity], axis.get("torque") or axis.get("torque_demand")
@@ -412,7 +400,7 @@ def _axis(
         notes.unsure.append(
             f"{torque!r} is in {channel['unit']}: with torque_constant 1 all comes out per that constant"
         )
-    if channel["unit"] in BY_RATED_TORQUE:
+    if channel["unit"] in ("%", "permille"):
         entry["rated_torque"] = None
         notes.asked[f"axes {name} rated_torque"] = f"{torque!r} is in {channel['unit']} of it; N·m (or N)"
     entry["torque"] = channel
@@ -430,7 +418,7 @@ def _axis(
 
 
 def _unit(
-    name: str, quantity: str, table: Table, said: Mapping[str, Meaning], notes: _Notes, usual: str = ""
+    name: str, quantity: str, table: Table, said: Mapping[str, Meaning], notes: Suggestion, usual: str = ""
 ) -> str:
     """The unit that name or file state, else the usual one, which is said."""
     if said[name].unit:
@@ -449,7 +437,7 @@ def _unit(
     return unit
 
 
-def _periodic(axis: Mapping[str, Any], table: Table, notes: _Notes) -> dict[str, Any]:
+def _periodic(axis: Mapping[str, Any], table: Table, notes: Suggestion) -> dict[str, Any]:
     """What an experiment's entry says of a torque and a motion that repeat alike."""
     motion = axis.get("position") or axis["velocity"]
     if "torque" not in axis:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -63,25 +63,44 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     stamped: frozenset[str] = frozenset()
     clocks: Mapping[str, str] = field(default_factory=dict)
-    aliases: Mapping[str, str] = field(default_factory=dict)
+    aliases: Mapping[str, str | int] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     sums: Mapping[str, Float64] = field(default_factory=dict)
 
-    def column(self, key: str | int) -> Float64:
-        """One column by name or index; InputError lists what there is."""
-        names = list(self.columns)
+    def name_of(self, key: str | int) -> str:
+        """The column that a map's name or index means; InputError lists what there is."""
+        names, key = list(self.columns), self.aliases.get(str(key), key)
         if isinstance(key, int):
             if not 0 <= key < len(names):
                 raise InputError(f"{self.name}: no column {key}; the file has {len(names)} columns")
-            return self.columns[names[key]]
-        key = self.aliases.get(key, key)
-        if key not in self.columns:
-            close = [n for n in names if n.lower().strip() == key.lower().strip()]
-            if len(close) == 1:
-                return self.columns[close[0]]
+            return names[key]
+        close = (
+            [key] if key in self.columns else [n for n in names if n.lower().strip() == key.lower().strip()]
+        )
+        if len(close) != 1:
             raise InputError(f"{self.name}: no column {key!r}; found {shorten(names)}", code="no_column")
-        return self.columns[key]
+        return close[0]
+
+    @property
+    def numbers(self) -> Int64:
+        """(n,) line of each row, else its number from 0, for messages."""
+        longest = max(c.size for c in self.columns.values())
+        return np.arange(longest, dtype=np.int64) if self.lines is None else self.lines
+
+    def column(self, key: str | int) -> Float64:
+        """One column by name or index."""
+        return self.columns[self.name_of(key)]
+
+    def holds(self, key: str | int) -> bool:
+        """Whether there is a column of this very name, or an index is given."""
+        key = self.aliases.get(str(key), key)
+        return isinstance(key, int) or key in self.columns
+
+    def renamed(self, new: Mapping[Any, str | int]) -> Table:
+        """The table with columns under other names: the map's → the one to read instead."""
+        meant = {str(key): self.aliases.get(str(name), name) for key, name in new.items()}
+        return replace(self, aliases={**self.aliases, **meant})
 
 
 def with_whole_stamps(table: Table) -> Table:
@@ -116,29 +135,24 @@ LONGEST_BLANK = 20.0
 
 
 def good_rows(
-    table: Table, columns: Mapping[str | int, Float64], instants: Float64 | None, inside: Bool, path: Path
+    table: Table, needed: Sequence[str], instants: Float64, inside: Bool, path: Path
 ) -> tuple[Bool, list[BrokenRow]]:
-    """Mask of usable rows of ``columns`` among those ``inside`` and the others with their reason.
-
-    ``instants`` [s] are those of all rows, None where rows are counted. InputError beyond one per cent.
+    """Mask of usable rows among those ``inside``, by the columns ``needed`` and ``instants`` (n,) [s], and
+    the others with their reason. InputError beyond one per cent.
     """
-    sizes = {c.size for c in columns.values()}
-    if len(sizes) != 1:
-        found = ", ".join(f"{n!r} {c.size}" for n, c in columns.items())
-        raise InputError(f"{path}: the columns of the map differ in length: {found}")
+    columns = {n: table.columns[n] for n in needed}
     good: Bool = inside.copy()
     count = int(inside.sum())
     reasons: dict[int, str] = {}
     for name, column in columns.items():
-        for row in np.flatnonzero(~np.isfinite(column) & good).tolist():
-            good[row] = False
-            reasons[row] = f"column {name!r} holds no number"
-    if instants is not None:
-        for row in _out_of_order(instants, good):
-            good[row] = False
-            reasons[row] = "time does not increase"
+        wrong = np.flatnonzero(~np.isfinite(column) & good)
+        reasons |= dict.fromkeys(wrong.tolist(), f"column {name!r} holds no number")
+        good[wrong] = False
+    late = _out_of_order(instants, good)
+    reasons |= dict.fromkeys(late, "time does not increase")
+    good[late] = False
     known = {b.line: b.reason for b in table.broken}
-    numbers: Int64 = np.arange(good.size, dtype=np.int64) if table.lines is None else table.lines
+    numbers = table.numbers
     skipped = [
         BrokenRow(path.name, int(numbers[row]), known.get(int(numbers[row]), reason))
         for row, reason in sorted(reasons.items())
@@ -166,69 +180,61 @@ def good_rows(
 
 
 @dataclass(frozen=True, eq=False)
-class SparseRows:
-    """The rows of the slowest of several columns of one table, which have numbers at rates of their own.
+class SlowestRows:
+    """A table at the rows of its slowest column: ``rows`` (n,) of the file, of which each stands for ``each``
+    on the mean; what was left out and interpolated, in a sentence."""
 
-    ``rows`` (n,) marks them; each stands for ``each`` rows of the file, on the mean.
-    """
-
-    rows: Bool
-    each: float
-    remark: str
-    order: Float64
-    moved: frozenset[str | int]
-
-    def bring(self, name: str | int, values: Float64) -> Float64:
-        """(n,) values with those of a column that has its own rows interpolated to these."""
-        if name not in self.moved:
-            return values
-        own = np.isfinite(values)
-        filled = values.copy()
-        # Straight lines take 3 % of what moves at a 25th of the rate; a cubic spline 0.01 %.
-        degree = min(3, int(own.sum()) - 1)
-        filled[self.rows] = scipy.interpolate.make_interp_spline(self.order[own], values[own], k=degree)(
-            self.order[self.rows]
-        )
-        return frozen_float(filled)
+    table: Table
+    rows: Int64
+    each: float = 1.0
+    remark: str = ""
 
 
-def slowest_rows(table: Table, time: str | int | None, needed: Sequence[str | int]) -> SparseRows | None:
-    """The rows of the slowest of the columns ``needed``; ``None`` where each has a number in most rows.
+def at_slowest(
+    table: Table, time: str | int | None, needed: Sequence[str], words: Collection[str]
+) -> SlowestRows:
+    """The table at the rows of the slowest of the columns ``needed``; at all where each has a number in most.
 
     Columns with numbers in other rows are interpolated to these: the other way round a slow position would
-    move in straight lines, with all its acceleration at the corners.
+    move in straight lines, with all its acceleration at the corners. Of ``words``, numbers that mean their
+    bits, the last one known is kept.
     """
-    columns = {n: table.column(n) for n in needed if n != time}
-    if len({c.size for c in columns.values()}) != 1:
-        return None
+    columns = {n: table.columns[n] for n in needed}
+    size = max(c.size for c in columns.values())
     known = {n: np.flatnonzero(np.isfinite(c)) for n, c in columns.items()}
     slow = min(known, key=lambda n: known[n].size)
-    at, size = known[slow], columns[slow].size
+    at = known[slow]
+    moved = [n for n, c in columns.items() if at.size and np.isfinite(c[at]).mean() <= 1.0 - BROKEN_LIMIT]
     # Blanks that come at no rate are broken rows, not a second rate.
-    if not 16 <= at.size <= SPARSE * size or _longest(at, size) > LONGEST_BLANK:
-        return None
-    rows: Bool = np.zeros(size, dtype=np.bool_)
-    rows[at] = True
-    moved = [n for n, c in columns.items() if np.isfinite(c[at]).mean() <= 1.0 - BROKEN_LIMIT]
-    for own in (known[n] for n in moved):
-        if own.size < 2 or _longest(own, size) > LONGEST_BLANK:
-            return None
-        rows[: own[0]] = rows[own[-1] + 1 :] = False
-    instants = np.arange(size, dtype=np.float64) if time is None else table.column(time)
-    order = instants if bool((np.diff(instants) > 0).all()) else np.arange(size, dtype=np.float64)
+    is_slow = 16 <= at.size <= SPARSE * size
+    if not is_slow or any(known[n].size < 2 or _has_blank(known[n], size) for n in (slow, *moved)):
+        return SlowestRows(table, np.arange(size))
     apart = np.diff(at)
     usual, mean = float(np.median(apart)), float(apart.mean())
     each = usual if abs(mean / usual - 1.0) < 0.02 else mean
     remark = f"{slow!r} has a number in every {each:.3g} rows only: the rows between are left out"
-    if moved:
-        remark += f", and {', '.join(map(repr, moved))} interpolated to its rows"
-    return SparseRows(rows, each, remark, order, frozenset(moved))
+    remark += f", and {', '.join(map(repr, moved))} interpolated to its rows" if moved else ""
+    for name in moved:
+        at = at[(at >= known[name][0]) & (at <= known[name][-1])]
+    order = np.arange(size, dtype=np.float64) if time is None else table.column(time)
+    order = order if bool((np.diff(order) > 0).all()) else np.arange(size, dtype=np.float64)
+    found = {n: c[at] for n, c in table.columns.items() if c.size == size}
+    for name in moved:
+        own, values = known[name], columns[name]
+        # Straight lines take 3 % of what moves at a 25th of the rate; a cubic spline 0.01 %.
+        line = scipy.interpolate.make_interp_spline(order[own], values[own], k=min(3, own.size - 1))
+        last = values[own[np.searchsorted(own, at, side="right") - 1]]
+        found[name] = last if name in words else line(order[at])
+    lines, sums = table.numbers[at], {n: c[at] for n, c in table.sums.items()}
+    left_out = set(table.numbers.tolist()).difference(lines.tolist())
+    broken = tuple(b for b in table.broken if b.line not in left_out)
+    return SlowestRows(replace(table, columns=found, lines=lines, sums=sums, broken=broken), at, each, remark)
 
 
-def _longest(rows: np.typing.NDArray[np.intp], size: int) -> float:
-    """Largest step between row numbers and to the ends of ``size`` rows, over the usual one."""
+def _has_blank(rows: np.typing.NDArray[np.intp], size: int) -> bool:
+    """Whether the largest step between row numbers and to the ends of ``size`` rows is far over the usual."""
     apart = np.diff(rows, prepend=-1, append=size)
-    return float(apart.max() / np.median(apart))
+    return bool(apart.max() > LONGEST_BLANK * np.median(apart))
 
 
 def _keys(table: Table) -> str:
@@ -283,37 +289,34 @@ def on_clock(table: Table, time: str, needed: Sequence[str]) -> tuple[Table, tup
         Columns that have no instant in common.
     """
     instants = table.columns[time]
-    own = {n: c for n, c in table.columns.items() if table.clocks.get(n, time) == time}
-    moved = [n for n in dict.fromkeys(needed) if n not in own]
-    keep: Bool = np.isfinite(instants)
+    clocks = {n: table.clocks.get(n, time) for n in table.columns}
+    moved = [n for n in dict.fromkeys(needed) if clocks[n] != time]
+    found = {n: c for n, c in table.columns.items() if clocks[n] == time and c.size == instants.size}
+    keep: Bool = np.isfinite(instants) if moved else np.ones(instants.size, dtype=np.bool_)
     remarks = []
-    brought: dict[str, Float64] = {}
     for name in moved:
-        clock = table.clocks[name]
-        there, values = table.columns[clock], table.columns[name]
+        there, values = table.columns[clocks[name]], table.columns[name]
         good = np.isfinite(there) & np.isfinite(values)
         good[1:] &= there[1:] > np.maximum.accumulate(there)[:-1]
         if good.sum() < 2:
             raise InputError(f"{table.name}: column {name!r} has fewer than two samples that follow in time")
         there, values = there[good], values[good]
         keep &= (instants >= there[0]) & (instants <= there[-1])
-        brought[name] = np.interp(instants, there, values)
-        if np.array_equal(there, instants):
-            continue
-        remarks.append(
-            f"{name!r} was sampled at instants of its own ({clock!r}, {_interval(there)}); it was "
-            f"interpolated to those of {time!r} ({_interval(instants)})"
-        )
+        found[name] = np.interp(instants, there, values)
+        if not np.array_equal(there, instants):
+            remarks.append(
+                f"{name!r} was sampled at instants of its own ({clocks[name]!r}, {_interval(there)}); it was "
+                f"interpolated to those of {time!r} ({_interval(instants)})"
+            )
     if moved and keep.sum() < 2:
         raise InputError(
             f"{table.name}: {time!r} and the instants of {moved} have no time in common",
             code="no_common_time",
         )
-    rows = keep if moved else np.ones(instants.size, dtype=np.bool_)
-    columns = {n: frozen_float(c[rows]) for n, c in (own | brought).items() if c.size == rows.size}
-    lines = np.arange(rows.size, dtype=np.int64) if table.lines is None else table.lines[: rows.size]
+    lines = table.numbers[: keep.size]
+    columns = {n: frozen_float(c[keep]) for n, c in found.items()}
     same = dict.fromkeys(columns, time)
-    return replace(table, columns=columns, lines=lines[rows], clocks=same), tuple(remarks)
+    return replace(table, columns=columns, lines=lines[keep], clocks=same), tuple(remarks)
 
 
 def _interval(instants: Float64) -> str:

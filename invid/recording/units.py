@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Literal
 
 from invid.errors import InputError
@@ -52,11 +52,13 @@ LINEAR = {
 }
 """Units of axes in metres and newtons; the others of these quantities are rotary."""
 
-BY_TORQUE_CONSTANT = {"A": 1.0, "mA": 1e-3, "V": 1.0}
-BY_RATED_TORQUE = {"%": 0.01, "permille": 0.001}
-"""Units of torque that only the machine's own constant gives a size; that constant times these."""
-BY_MACHINE = ("counts", *BY_TORQUE_CONSTANT, *BY_RATED_TORQUE)
-"""Units that do not say whether an axis is rotary or linear."""
+BY_CONSTANT: dict[str, tuple[str, float]] = {
+    "counts": ("per_count", 1.0), "A": ("torque_constant", 1.0), "mA": ("torque_constant", 1e-3),
+    "V": ("torque_constant", 1.0), "%": ("rated_torque", 0.01), "permille": ("rated_torque", 0.001),
+}  # fmt: skip
+"""Units that do not say whether an axis is rotary or linear: a constant of the machine, times this, gives
+them their size. But for counts they are units of torque alone."""
+BY_TORQUE_CONSTANT = frozenset(unit for unit, (name, _) in BY_CONSTANT.items() if name == "torque_constant")
 
 _SPELLINGS = {
     "nm": "N·m", "n*m": "N·m", "n.m": "N·m", "n m": "N·m", "n-m": "N·m", "newtonmeter": "N·m",
@@ -88,40 +90,17 @@ def normal_unit(text: str) -> str:
     return lowered if any(lowered in table for table in FACTORS.values()) else unit
 
 
-@dataclass(frozen=True)
-class MachineConstants:
-    """Constants of the machine that some units need; ``None`` where the map does not give one."""
-
-    torque_constant: float | None = None
-    """Torque per ampere or per volt."""
-    rated_torque: float | None = None
-    per_count: float | None = None
-    """SI value of one count (of position, of velocity, of torque)."""
-
-
-def factor(quantity: Quantity, unit: str, constants: MachineConstants, where: str) -> float:
-    """SI value of one ``unit``; InputError names the constant that is missing."""
-    name = normal_unit(unit)
-    if name in FACTORS[quantity]:
-        return FACTORS[quantity][name]
-    if name == "raw":
-        return 1.0
-    if name == "counts" and quantity != "time":
-        return _needed(constants.per_count, "per_count", unit, where)
-    if quantity == "torque":
-        if name in BY_TORQUE_CONSTANT:
-            return BY_TORQUE_CONSTANT[name] * _needed(
-                constants.torque_constant, "torque_constant", unit, where
-            )
-        if name in BY_RATED_TORQUE:
-            return BY_RATED_TORQUE[name] * _needed(constants.rated_torque, "rated_torque", unit, where)
-    known = [*FACTORS[quantity], "raw"]
-    known += ["counts"] if quantity != "time" else []
-    known += [*BY_TORQUE_CONSTANT, *BY_RATED_TORQUE] if quantity == "torque" else []
-    raise InputError(f"{where}: unit {unit!r} is no unit of {quantity}; known are {', '.join(known)}")
-
-
-def _needed(value: float | None, name: str, unit: str, where: str) -> float:
+def factor(quantity: Quantity, unit: str, constants: Mapping[str, float | None], where: str) -> float:
+    """SI value of one ``unit``; InputError names the one of the machine's ``constants`` that is missing."""
+    name, known = normal_unit(unit), {**FACTORS[quantity], "raw": 1.0}
+    fitting = [u for u in BY_CONSTANT if quantity == "torque" or (u == "counts" and quantity != "time")]
+    if name in known:
+        return known[name]
+    if name not in fitting:
+        shown = ", ".join([*known, *fitting])
+        raise InputError(f"{where}: unit {unit!r} is no unit of {quantity}; known are {shown}")
+    constant, size = BY_CONSTANT[name]
+    value = constants.get(constant)
     if value is None:
-        raise InputError(f"{where}: unit {unit!r} needs {name!r} beside it in the map")
-    return value
+        raise InputError(f"{where}: unit {unit!r} needs {constant!r} beside it in the map")
+    return size * value

@@ -13,6 +13,7 @@ import contextlib
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -22,10 +23,11 @@ import numpy.typing as npt
 
 from invid.disk import MEBIBYTE, WAY_OUT, not_written, room
 from invid.errors import DiskFullError, RecordingError, SafetyStop
-from invid.numerics.arrays import frozen_float
-from invid.recording.hdf5 import experiment_attributes, root_attributes
-from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
-from invid.recording.spool import Spool, as_hdf5, sync_folder
+from invid.recording.hdf5 import hdf5_image
+from invid.recording.model import Kind, Outcome, Recording, Role
+from invid.recording.spool import Spool, read_spool, sync_folder
+from invid.recording.stored import stored
+from invid.wording.sentence import sentence
 
 _FLUSH_S = 0.9
 """Data gathered before a burst [s]; below the promised second by one slow append."""
@@ -48,12 +50,11 @@ def put_in_place(rows: Path, target: Path, outcome: Outcome | None = None) -> No
         The rows were cut off before their header was whole.
     """
     part = target.with_name(target.name + ".part")
+    found = read_spool(rows)
+    if outcome is not None:
+        found = replace(found, attributes={**found.attributes, "outcome": str(outcome)})
+    image = hdf5_image(found)
     try:
-        with as_hdf5(rows) as file:
-            if outcome is not None:
-                file.attrs["outcome"] = str(outcome)
-            file.flush()
-            image = file.id.get_file_image()
         with part.open("wb") as written:
             written.write(image)
             written.flush()
@@ -92,12 +93,11 @@ class RecordingWriter:
         self._axes = header.axes
         self._keys = 0
         self._inside = False
-        self._rows: list[tuple[npt.NDArray[Any], ...]] = []
+        self._rows: list[list[npt.NDArray[Any]]] = []
         self._names: tuple[str, ...] = ()
-        self._first = 0.0
         self._full = False
         self._spool: Spool | None = None
-        attributes = {k: v for k, v in root_attributes(header).items() if k != "outcome"}
+        attributes = {k: v for k, v in stored(header).attributes.items() if k != "outcome"}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._require_room("nothing was recorded")
@@ -129,27 +129,24 @@ class RecordingWriter:
         """Open the next experiment and return its key. ``demand`` and ``status`` say what is logged."""
         if self._inside:
             self.end()
-        count = len(self._axes)
-        empty = frozen_float(np.zeros((0, count)))
-        header = Experiment(
-            key=f"{self._keys:03d}",
-            kind=Kind(kind),
-            role=Role(role),
-            excited_axis=int(excited_axis),
-            hold_gain=frozen_float(np.zeros(count) if hold_gain is None else hold_gain),
-            period_samples=int(period_samples),
-            frequencies_hz=frozen_float(np.atleast_1d(np.asarray(frequencies_hz, dtype=float))),
-            sample_rate_hz=float(sample_rate_hz),
-            time=frozen_float(np.zeros(0)),
-            position=empty,
-            torque=empty,
-            attributes=dict(attributes or {}),
-        )
+        key = f"{self._keys:03d}"
+        stated = {
+            **(attributes or {}),
+            "kind": str(Kind(kind)),
+            "role": str(Role(role)),
+            "excited_axis": int(excited_axis),
+            "hold_gain": np.zeros(len(self._axes))
+            if hold_gain is None
+            else np.asarray(hold_gain, dtype=float),
+            "period_samples": int(period_samples),
+            "frequencies_hz": np.atleast_1d(np.asarray(frequencies_hz, dtype=float)),
+            "sample_rate_hz": float(sample_rate_hz),
+        }
         names = ["time", "position", "torque"] + ["torque_demand"] * demand + ["status"] * status
-        self._guarded(lambda spool: spool.begin(header.key, names, experiment_attributes(header)))
+        self._guarded(lambda spool: spool.begin(key, names, stated))
         self._inside, self._names = True, tuple(names)
         self._keys += 1
-        return header.key
+        return key
 
     def append(
         self,
@@ -162,36 +159,23 @@ class RecordingWriter:
         """Add rows: ``time`` (k,) [s], the rest (k, M). One row may be given as a scalar and (M,)."""
         if not self._inside:
             raise RecordingError(f"{self.path}: rows appended outside an experiment; call begin first")
-        given = {
-            "time": time,
-            "position": position,
-            "torque": torque,
-            "torque_demand": demand,
-            "status": status,
-        }
         if self._full:
-            self._require_room("the recording so far is kept")
+            self._require_room(sentence("the recording so far is kept"))
             self._full = False
-        instants = np.atleast_1d(np.asarray(time, dtype=np.float64))
-        rows: list[npt.NDArray[Any]] = [instants]
+        given = {"position": position, "torque": torque, "torque_demand": demand, "status": status}
+        block: list[npt.NDArray[Any]] = [np.array(time, dtype=np.float64, ndmin=1)]
         for name in self._names[1:]:
-            values = given[name]
-            if values is None:
+            if given[name] is None:
                 raise RecordingError(f"{self.path}: this experiment logs {name!r}, but no value was given")
-            block = np.atleast_2d(np.asarray(values, dtype=np.uint16 if name == "status" else np.float64))
-            if block.shape != (instants.size, len(self._axes)):
-                raise RecordingError(
-                    f"{self.path}: {name!r} has shape {block.shape}, "
-                    f"need ({instants.size}, {len(self._axes)})"
-                )
-            rows.append(block)
-        if instants.size == 0:
-            return
-        if not self._rows:
-            self._first = float(instants[0])
-        self._rows.append(tuple(r.copy() for r in rows))
-        if instants[-1] - self._first >= _FLUSH_S:
-            self.flush()
+            values = np.array(given[name], dtype=np.uint16 if name == "status" else np.float64, ndmin=2)
+            needed = (block[0].size, len(self._axes))
+            if values.shape != needed:
+                raise RecordingError(f"{self.path}: {name!r} has shape {values.shape}, need {needed}")
+            block.append(values)
+        if block[0].size:
+            self._rows.append(block)
+            if block[0][-1] - self._rows[0][0][0] >= _FLUSH_S:
+                self.flush()
 
     def flush(self) -> None:
         """Write the gathered rows.
@@ -205,8 +189,8 @@ class RecordingWriter:
         if not self._inside or not self._rows:
             return
         try:
-            self._require_room("the recording so far is kept")
-            block = [np.concatenate([r[i] for r in self._rows]) for i in range(len(self._names))]
+            self._require_room(sentence("the recording so far is kept"))
+            block = [np.concatenate(parts) for parts in zip(*self._rows, strict=True)]
             self._guarded(lambda spool: spool.rows(block))
         except RecordingError:
             self._rows, self._full = [], True
@@ -220,7 +204,7 @@ class RecordingWriter:
         try:
             write(spool)
         except OSError as error:
-            kept = "the recording so far is kept"
+            kept = sentence("the recording so far is kept")
             raise not_written(self.path, error, kept=kept, otherwise=RecordingError) from None
 
     def _require_room(self, kept: str) -> None:
@@ -282,9 +266,6 @@ class RecordingWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if kind is None:
-            self.close(Outcome.COMPLETED)
-        elif issubclass(kind, (SafetyStop, KeyboardInterrupt)):
-            self.close(Outcome.ABORTED)
-        else:
-            self.close(Outcome.FAILED)
+        is_aborted = kind is not None and issubclass(kind, (SafetyStop, KeyboardInterrupt))
+        unhurt = Outcome.ABORTED if is_aborted else Outcome.FAILED
+        self.close(Outcome.COMPLETED if kind is None else unhurt)

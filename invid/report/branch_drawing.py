@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from jinja2 import Environment, PackageLoader
 
+from invid.clauses import cause_name
 from invid.diagnosis.sentences import format_estimate as size_of
 from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import EffectTerm, Model, linear_parameters, units
@@ -34,29 +35,34 @@ from invid.report.branch_marks import (
     text_width,
 )
 from invid.report.labels import label, printable
-from invid.wording.clauses import cause_title
 from invid.wording.figures import differing_number
+from invid.wording.sentence import ENGLISH, Figure, marked, say, sentence
 
-WORDS: Mapping[str, str] = {
-    "title": "The drives: motors, springs with dampers, masses",
-    "motor": "motor",
-    "load": "load",
-    "mass": "mass {n}",
-    "spring": "spring {n}",
-    "damper": "damper",
-    "coupling": "coupling {pair}",
-    "single": "motor and load",
-    "held": "held to ground by {value}",
-    "changed": "changed by {change}",
-    "units": "Masses in {mass}, springs in {stiffness}, dampers in {damping}; ± one standard deviation.",
-    "unexplained": "something without a name",
-    "act": "act",
-    "watch": "watch",
-    "as_expected": "as expected",
-    "ungraded": "not judged",
-    "point": ".",
+_WORDS = {
+    "title": marked("The drives: motors, springs with dampers, masses"),
+    "motor": marked("motor"),
+    "load": marked("load"),
+    "mass": marked("mass {n}"),
+    "spring": marked("spring {n}"),
+    "damper": marked("damper"),
+    "coupling": marked("coupling {pair}"),
+    "single": marked("motor and load"),
+    "held": marked("held to ground by {value}"),
+    "changed": marked("changed by {change}"),
+    "units": marked(
+        "Masses in {mass}, springs in {stiffness}, dampers in {damping}; ± one standard deviation."
+    ),
+    "unexplained": marked("something without a name"),
+    "act": marked("act"),
+    "watch": marked("watch"),
+    "as_expected": marked("as expected"),
+    "ungraded": marked("not judged"),
 }
-"""Words of the drawing; ``cause.<name>`` may be among them, else the catalogue's title stands."""
+
+
+def _word(name: str, language: str, **values: object) -> str:
+    return say(sentence(_WORDS[name], **values), language)
+
 
 _QUIET, _CHANGED = "var(--quiet, var(--ink, #1b1c1d))", "var(--before, #c85200)"
 
@@ -68,7 +74,7 @@ def branch_drawing(
     *,
     changed: Mapping[str, str] | None = None,
     news: Mapping[int, str] | None = None,
-    words: Mapping[str, str] | None = None,
+    language: str = ENGLISH,
 ) -> str:
     """SVG of the branches, with a text alternative inside.
 
@@ -78,12 +84,11 @@ def branch_drawing(
         What changed since an earlier model, by parameter name ("A1.spring.2": "+12 %").
     news
         A word for some of the findings, by their number from 1 ("new").
-    words
-        Another language's ``WORDS``; what is missing there is English.
+    language
+        Of its words.
     """
-    said = {**WORDS, **(words or {})}
-    marks = _marks(model, findings, unexplained, news or {}, said)
-    elements = elements_of(model, changed or {}, said)
+    marks = _marks(model, findings, unexplained, news or {}, language)
+    elements = elements_of(model, changed or {}, language)
     widest = max((room_of(m.text) for m in marks), default=0.0)
     box, gap = _widths(elements)
     where = places(model, [m.place for m in marks], widest, box=box, gap=gap)
@@ -92,15 +97,16 @@ def branch_drawing(
     environment.filters["g"] = lambda value: f"{value:g}"
     return environment.get_template("branches.svg.j2").render(
         INK=INK, PAPER=PAPER, QUIET=_QUIET, CHANGED=_CHANGED, COLOURS=COLOURS, LEFT=LEFT, BELOW=BELOW,
-        said=said,
+        title=_word("title", language),
+        held=lambda value: _word("held", language, value=value),
         where=where,
         names=[label(a, 6) for a in model.chains.axes],
         elements=elements,
         couplings=[(lane, by_pair[lane.pair]) for lane in where.lanes if lane.pair in by_pair],
         bubbles=bubbles_of(marks, where),
         callouts=callouts_of(marks, where, model.chains),
-        legend=textwrap.wrap(said["units"].format(**units(model.linear)), int(where.width / 6.0)),
-        told=" ".join(description(elements, marks, model, said)),
+        legend=textwrap.wrap(_word("units", language, **units(model.linear)), int(where.width / 6.0)),
+        told=" ".join(description(elements, marks, model, language)),
     )  # fmt: skip
 
 
@@ -124,21 +130,23 @@ class Element:
         return f"{value} Δ {self.change}" if self.change else value
 
 
-def elements_of(model: Model, changed: Mapping[str, str], said: Mapping[str, str]) -> list[Element]:
+def elements_of(model: Model, changed: Mapping[str, str], language: str) -> list[Element]:
     """Every element of the drawing, axis by axis from the motor, then couplings."""
     chains, found = model.chains, list[Element]()
     for p in linear_parameters(model):
         axis, *other = (chains.axes.index(a) for a in p.axes)
         names = {
-            "mass": mass_name(p.number, chains.masses[axis].size, said),
-            "spring": said["spring"].format(n=p.number),
-            "damper": said["damper"],
-            "coupling": said["coupling"].format(pair="–".join(p.axes)),
+            "mass": mass_name(p.number, chains.masses[axis].size, language),
+            "spring": _word("spring", language, n=p.number),
+            "damper": _word("damper", language),
+            "coupling": _word("coupling", language, pair="–".join(p.axes)),
         }
         if p.value or not other:
-            number, value = other[0] if other else p.number, _number(p.value, p.std, said)
+            number, value = other[0] if other else p.number, _number(p.value, p.std, language)
             name = names.get(p.kind, "")
-            found.append(Element(p.kind, axis, number, value, p.unit, changed.get(p.name), name))
+            change = changed.get(p.name)
+            change = None if change is None else say(change, language)
+            found.append(Element(p.kind, axis, number, value, p.unit, change, name))
     return found
 
 
@@ -147,42 +155,43 @@ def _marks(
     findings: Sequence[Finding],
     unexplained: Unexplained | None,
     news: Mapping[int, str],
-    said: Mapping[str, str],
+    language: str,
 ) -> list[Mark]:
     marks = []
     for number, f in enumerate(findings, 1):
         if f.effect.axis not in model.chains.axes:
             continue
         grade = "ungraded" if f.consequence is None else str(f.consequence.grade)
-        text = ", ".join(filter(None, [_named(f.effect, said), _size(f.effect, said), news.get(number, "")]))
+        text = ", ".join(
+            filter(
+                None,
+                [
+                    say(cause_name(f.effect.cause), language),
+                    _size(f.effect, language),
+                    say(news.get(number, ""), language),
+                ],
+            )
+        )
         marks.append(Mark(number, place_of(f.effect, model.chains), grade, text))
     if unexplained is not None and unexplained.axis in model.chains.axes:
         axis = model.chains.axes.index(unexplained.axis)
-        marks.append(Mark(0, ("mass", axis, 1), "ungraded", said["unexplained"]))
+        marks.append(Mark(0, ("mass", axis, 1), "ungraded", _word("unexplained", language)))
     return marks
 
 
-def _named(term: EffectTerm, said: Mapping[str, str]) -> str:
-    return said.get(f"cause.{term.cause}") or cause_title(term.cause)
-
-
-def _size(term: EffectTerm, said: Mapping[str, str]) -> str:
+def _size(term: EffectTerm, language: str) -> str:
     """The first parameter with a unit, which is the cause's size."""
     for estimate in term.parameters.values():
         if estimate.name is None and math.isfinite(estimate.value):
-            return printable(_local(size_of(estimate), said), 60)
+            return printable(say(size_of(estimate), language), 60)
     return ""
 
 
-def _local(text: str, said: Mapping[str, str]) -> str:
-    return text.replace(".", said["point"])
-
-
-def _number(value: float, std: float, said: Mapping[str, str]) -> str:
+def _number(value: float, std: float, language: str) -> str:
     """ "0.7001 ± 0.0002"; without ± where the data cannot tell, and then said so by "?"."""
     if not (math.isfinite(std) and std > 0):
-        return _local(f"{value:.4g} (?)", said)
-    return _local(f"{differing_number(value, std)} ± {differing_number(std, std)}", said)
+        return say(Figure(f"{value:.4g} (?)"), language)
+    return say(Figure(f"{differing_number(value, std)} ± {differing_number(std, std)}"), language)
 
 
 def _widths(elements: Sequence[Element]) -> tuple[float, float]:
@@ -196,22 +205,17 @@ def _widths(elements: Sequence[Element]) -> tuple[float, float]:
     return max(MASS, max(inside) + 2 * MARGIN), max(SPRING, max(between, default=0.0) + MARGIN)
 
 
-def mass_name(number: int, count: int, said: Mapping[str, str] = WORDS) -> str:
+def mass_name(number: int, count: int, language: str = ENGLISH) -> str:
     """ "motor", "mass 2", "load"; of an axis with one mass "motor and load"."""
-    if count == 1:
-        return said["single"]
-    return (
-        said["motor"] if number == 1 else said["load"] if number == count else said["mass"].format(n=number)
-    )
+    name = "single" if count == 1 else "motor" if number == 1 else "load" if number == count else "mass"
+    return _word(name, language, n=number)
 
 
-def description(
-    elements: Sequence[Element], marks: Sequence[Mark], model: Model, said: Mapping[str, str]
-) -> list[str]:
+def description(elements: Sequence[Element], marks: Sequence[Mark], model: Model, language: str) -> list[str]:
     """Return the drawing in sentences, one an axis, one a coupling and one a finding."""
 
     def told(e: Element) -> str:
-        change = f" ({said['changed'].format(change=e.change)})" if e.change else ""
+        change = f" ({_word('changed', language, change=e.change)})" if e.change else ""
         return f"{e.name}{':' * (e.kind == 'coupling')} {e.value} {e.unit}{change}"
 
     out = []
@@ -223,5 +227,5 @@ def description(
     for m in marks:
         place = named.get(m.place, "")
         at = place if m.place[0] == "coupling" else f"{model.chains.axes[m.place[1]]} {place}"
-        out.append(f"{m.number or '?'}: {printable(at, 140)}, {m.text}: {said[m.grade]}.")
+        out.append(f"{m.number or '?'}: {printable(at, 140)}, {m.text}: {_word(m.grade, language)}.")
     return out

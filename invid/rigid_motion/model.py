@@ -18,6 +18,7 @@ from invid.rigid_motion.effect_terms import effect_of_cause
 from invid.rigid_motion.fit import fit_terms
 from invid.rigid_motion.search import causes_of
 from invid.rigid_motion.terms import Base, Term
+from invid.wording.sentence import sentence
 
 TRAJECTORY = "trajectory"
 """Method name of models of rigid axes."""
@@ -43,8 +44,10 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
         if given is not None and given.chains.branches == count:
             mass = np.array([m.sum() for m in given.chains.masses])
         warnings.append(
-            "constant velocity shows no inertia: the masses in this model are placeholders; record moves "
-            "that accelerate to identify them"
+            sentence(
+                "constant velocity shows no inertia: the masses in this model are placeholders; "
+                "record moves that accelerate to identify them"
+            )
         )
     facts: dict[str, Any] = {}
     for term in final.terms:
@@ -73,9 +76,11 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
     doubts = []
     for i in unseen:
         mass[i] = _hidden_inertia_std(a, i)
-        said = (
-            f"the inertia of {recording.axes[i]} does not show: the mass in this model, {mass[i]:.2g}, is "
-            "what the rest could hide; record faster moves, or see that the torque is the motor's"
+        said = sentence(
+            "the inertia of {axes} does not show: the mass in this model, {mass:.2g}, is what "
+            "the rest could hide; record faster moves, or see that the torque is the motor's",
+            axes=recording.axes[i],
+            mass=mass[i],
         )
         doubts.append(Doubt(DoubtCode.UNSEEN, said))
     warnings += [d.text for d in doubts]
@@ -91,7 +96,7 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
             axes=recording.axes,
         )
     except ModelError as error:
-        warnings.append(f"inertia couplings left out: {error}")
+        warnings.append(sentence("inertia couplings left out: {error}", error=error))
         chains = CoupledChains.build([[m] for m in mass], [[] for _ in mass], axes=recording.axes)
     std_of = replace(
         ChainStd.unknown(chains),
@@ -140,12 +145,16 @@ def _warnings(a: Analysis) -> list[str]:
     said = (
         (
             not a.rows.has_validation,
-            "the recording names no validation data: whole pieces (or constant-speed records) were kept out "
-            "in turn",
+            sentence(
+                "the recording names no validation data: whole pieces (or constant-speed records) "
+                "were kept out in turn"
+            ),
         ),
         (
             "integrated_velocity" in sources,
-            "position is the integral of a measured velocity: causes that depend on position were weak",
+            sentence(
+                "position is the integral of a measured velocity: causes that depend on position were weak"
+            ),
         ),
         (
             not a.reach.steady,

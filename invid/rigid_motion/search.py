@@ -37,6 +37,7 @@ from invid.rigid_motion.terms import (
     Term,
     fits_beside,
 )
+from invid.wording.sentence import sentence
 
 FITTED = 5
 """Laws of the scores that are fitted (empirical, for the time)."""
@@ -93,7 +94,7 @@ def search(rows: Rows, base: list[Term], candidates: Sequence[Term]) -> tuple[Fi
         current = without_idle(rows, current, candidates)
         labels = frozenset(t.label for t in current.terms)
         if cut or labels in seen:
-            return current, cut or budget.is_left_out("further causes")
+            return current, cut or budget.is_left_out(sentence("further causes"))
         seen.add(labels)
 
 
@@ -101,7 +102,7 @@ def _with_further(rows: Rows, current: Fit, candidates: Sequence[Term]) -> tuple
     """The fit with laws that pay beside it, and whether the budget ended the search."""
     for number in range(100):
         budget.tell("weighing", 1.0 - 0.7**number)
-        if budget.is_left_out(f"causes beside {number} found"):
+        if budget.is_left_out(sentence("causes beside {number} found", number=number)):
             return current, True
         best = best_law(rows, current, [*candidates, *load_terms(rows, current)])
         if best is None:
@@ -198,7 +199,7 @@ def reshaped(rows: Rows, terms: list[Term], term: Term, grid: Sequence[Term]) ->
 
 def without_idle(rows: Rows, current: Fit, candidates: Sequence[Term]) -> Fit:
     """The fit without what does not pay beside all others, the cheapest first."""
-    while not budget.is_left_out("causes that others make superfluous"):
+    while not budget.is_left_out(sentence("causes that others make superfluous")):
         bound = [t for t in current.terms if not t.is_base and not current.free[current.span(t)].any()]
         if bound:
             gone = {id(t) for t in bound}
@@ -255,7 +256,7 @@ def without_harm(rows: Rows, current: Fit) -> Fit:
             left = missing_torque(rows, fewer), after
             trials += [(chance_of_gain(rows, left, cause.terms[0].axis), fewer)]
         chance, fewer = max(trials, key=lambda t: t[0])
-        if chance < MOST_CHANCE or budget.is_left_out("causes that help no row kept out"):
+        if chance < MOST_CHANCE or budget.is_left_out(sentence("causes that help no row kept out")):
             break
         current = fewer
     return current

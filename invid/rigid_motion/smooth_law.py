@@ -16,6 +16,7 @@ from invid.numerics.smooth_parts import smooth_parts
 from invid.rigid_motion.fit import Fit, axes_at_noise, falls, fit_terms, missing_powers, settled
 from invid.rigid_motion.rows import Rows
 from invid.rigid_motion.terms import Base, Term
+from invid.wording.sentence import sentence
 
 MOST, MOST_OF_TWO = 20, 80
 """Most shapes of a law over one quantity and over two (empirical, for the time)."""
@@ -34,7 +35,7 @@ def add_laws(rows: Rows, current: Fit) -> Fit:
     """The fit with a law on every axis where causes leave something and one law takes nearly all of it."""
     for axis in np.flatnonzero(~axes_at_noise(rows, current)):
         for quantities in ([("velocity", ""), ("position", "")], [("velocity", "position")]):
-            if budget.is_left_out("a law without a name"):
+            if budget.is_left_out(sentence("a law without a name")):
                 return current
             fits = [f for q in quantities for f in law_fits(rows, current, int(axis), q)]
             good = [f for f in fits if _is_accepted(rows, current, f, int(axis))]

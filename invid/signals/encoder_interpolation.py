@@ -16,6 +16,7 @@ import scipy
 
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
+from invid.wording.sentence import sentence
 
 LEAST_SHARE, LEAST_OVER_BAND = 0.125, 3.0
 """Lowest frequency that counts as fast, over the sample rate and over the highest excited one (empirical:
@@ -73,8 +74,12 @@ def remove_interpolation_error(recording: Recording) -> tuple[Recording, list[st
             for n, a, b in waves
         )
         notes.append(
-            f"the encoder of axis {axis} errs within the periods of its scale ({said}); taken out of its "
-            "positions"
+            sentence(
+                "the encoder of axis {axis} errs within the periods of its scale ({said}); taken "
+                "out of its positions",
+                axis=axis,
+                said=said,
+            )
         )
     if not notes:
         return recording, []

@@ -8,6 +8,7 @@ from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment
 from invid.recording.period import find_period
 from invid.signals.timebase import resample_uniformly
+from invid.wording.sentence import sentence
 
 NOT_PERIODIC = 0.3
 """Non-repeating share of the variance above which a declared period is rejected (empirical): noise of half
@@ -28,17 +29,28 @@ def true_period(experiment: Experiment) -> tuple[int, list[str]]:
     data = resample_uniformly(experiment)
     said = []
     if data.lost:
-        most = f", up to {data.longest_gap - 1} in a row" if data.longest_gap > 2 else ""
+        most = sentence(", up to {gap} in a row", gap=data.longest_gap - 1) if data.longest_gap > 2 else ""
         said.append(
-            f"experiment {key}: {data.lost} of {data.samples} samples are missing{most}; they were "
-            "interpolated"
+            sentence(
+                "experiment {experiment}: {lost} of {samples} samples are missing{most}; they "
+                "were interpolated",
+                experiment=key,
+                lost=data.lost,
+                samples=data.samples,
+                most=most,
+            )
         )
     if declared <= 0:
         return 0, said
     if declared > data.samples:
         said.append(
-            f"experiment {key}: the declared period of {declared} samples is longer than the record "
-            f"({data.samples} samples); it is used as one aperiodic record"
+            sentence(
+                "experiment {experiment}: the declared period of {declared} samples is longer than "
+                "the record ({samples} samples); it is used as one aperiodic record",
+                experiment=key,
+                declared=declared,
+                samples=data.samples,
+            )
         )
         return 0, said
     rms = data.torque.std(axis=0)
@@ -50,13 +62,24 @@ def true_period(experiment: Experiment) -> tuple[int, list[str]]:
     found = find_period(data.torque[:, axis], repeats=2)
     if found and _nonrepeating_share(data.torque[:, axis], found) < NOT_PERIODIC / 3:
         said.append(
-            f"experiment {key}: the declared period of {declared} samples does not repeat; the torque "
-            f"repeats every {found} samples, which is used instead"
+            sentence(
+                "experiment {experiment}: the declared period of {declared} samples does not "
+                "repeat; the torque repeats every {found} samples, which is used instead",
+                experiment=key,
+                declared=declared,
+                found=found,
+            )
         )
         return found, said
     said.append(
-        f"experiment {key}: the declared period of {declared} samples does not repeat ({share:.0%} of the "
-        "torque changes from one to the next); the record is used as aperiodic"
+        sentence(
+            "experiment {experiment}: the declared period of {declared} samples does not "
+            "repeat ({share:.0%} of the torque changes from one to the next); the record is "
+            "used as aperiodic",
+            experiment=key,
+            declared=declared,
+            share=share,
+        )
     )
     return 0, said
 

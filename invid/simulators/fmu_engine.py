@@ -38,7 +38,7 @@ from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, Model, parameter_vector, save_text
 from invid.numerics.arrays import Float64
 from invid.processes import Helper, ProcessEnded
-from invid.recording.units import FACTORS, MachineConstants, Quantity, factor, normal_unit
+from invid.recording.units import FACTORS, Quantity, factor, normal_unit
 from invid.simulators.guided import GUIDE, Guided, stiff_guide
 
 LARGEST_STEP = 0.2
@@ -154,7 +154,7 @@ class FmuSimulator:
         if not unit:
             return _Channel(variable.valueReference)
         where = f"{self.path}: variable {variable.name}"
-        return _Channel(variable.valueReference, factor(what, unit, MachineConstants(), where))
+        return _Channel(variable.valueReference, factor(what, unit, {}, where))
 
     def prepared(self, records: Sequence[Guided]) -> list[str]:
         """See ``Simulator.prepared``."""

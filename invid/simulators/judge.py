@@ -24,6 +24,7 @@ from invid.numerics.arrays import Float64
 from invid.numerics.distributions import normal_isf
 from invid.recording.model import Experiment, Recording, Role
 from invid.simulators.guided import BANDS, Guided, Sampling, Simulator, guided, missed, moved_by_noise
+from invid.wording.sentence import sentence
 
 RIGHT = 1.2
 """Missing torque over its floor up to which a simulator is right: the diagnosis' own."""
@@ -102,7 +103,7 @@ def judge(
             copy, cannot_hold = simulator.corrected(model, corrected)
             after, written = _missing(copy, records, model), str(corrected)
         except ModelError as error:
-            warnings.append(f"no corrected copy is written: {error}")
+            warnings.append(sentence("no corrected copy is written: {error}", error=error))
     best = after or before
     keeps = sorted({t.cause for t in (claimed or model).effects if t.cause in _KEEPING})
     why = f", as {' and '.join(keeps).replace('_', ' ')} keeps what it did" if keeps else ""
@@ -163,8 +164,10 @@ def _held_out(recording: Recording) -> tuple[list[Experiment], list[str]]:
         return held, []
     last = recording.experiments[-1:]
     return list(last), [
-        "no record is for validation alone: the simulator is judged on the last one, which the "
-        "diagnosis has seen"
+        sentence(
+            "no record is for validation alone: the simulator is judged on the last one, which "
+            "the diagnosis has seen"
+        )
     ]
 
 
@@ -261,19 +264,42 @@ def _sentences(
     name = Path(out["simulator"]).name
     before, after = out["held_out"]["before"], out["held_out"]["after"]
     if out["right"]:
-        return [f"{name} is right on this recording: it misses {before:.2g} times what noise leaves."]
-    lines = [f"{name} misses {before:.3g} times the torque that noise leaves, run by {out['engine']}."]
+        return [
+            sentence(
+                "{name} is right on this recording: it misses {before:.2g} times what noise leaves.",
+                name=name,
+                before=before,
+            )
+        ]
+    lines = [
+        sentence(
+            "{name} misses {before:.3g} times the torque that noise leaves, run by {engine}.",
+            name=name,
+            before=before,
+            engine=out["engine"],
+        )
+    ]
     for a in out["axes"]:
         worst = max(a["bands"], key=lambda b: b["before"])
         if a["before"] > RIGHT * a["noise_floor"]:
             lines.append(
-                f"Axis {a['axis']}: {a['before']:.3g} {a['unit']} missing (noise {a['noise_floor']:.2g}), "
-                f"most of it between {worst['from_hz']:.2g} and {worst['to_hz']:.2g} Hz."
+                sentence(
+                    "Axis {axis}: {before:.3g} {unit} missing (noise {noise_floor:.2g}), most of it "
+                    "between {from_hz:.2g} and {to_hz:.2g} Hz.",
+                    axis=a["axis"],
+                    before=a["before"],
+                    unit=a["unit"],
+                    noise_floor=a["noise_floor"],
+                    from_hz=worst["from_hz"],
+                    to_hz=worst["to_hz"],
+                )
             )
     if claimed is None:
         lines.append(
-            "What it says of masses, springs and friction cannot be read from it: its numbers and causes "
-            "were not compared, only its motion."
+            sentence(
+                "What it says of masses, springs and friction cannot be read from it: its numbers "
+                "and causes were not compared, only its motion."
+            )
         )
     for p in out["parameters"]:
         spread = "" if p["std"] is None else f" ± {p['std']:.2g}"
@@ -282,8 +308,14 @@ def _sentences(
         )
     lines += [f"It lacks {effect_name(t)}." for t in missing]
     if after is not None:
-        lines.append(f"The corrected copy {out['corrected']} misses {after:.3g} times what noise leaves.")
+        lines.append(
+            sentence(
+                "The corrected copy {corrected} misses {after:.3g} times what noise leaves.",
+                corrected=out["corrected"],
+                after=after,
+            )
+        )
     lines += [f"It cannot hold {x}." for x in out["cannot_hold"]]
     if diagnosis.unexplained is not None:
-        lines.append("What is left has no name: see the diagnosis.")
+        lines.append(sentence("What is left has no name: see the diagnosis."))
     return lines

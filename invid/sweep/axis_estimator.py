@@ -280,10 +280,10 @@ class AxisEstimator:
         return None
 
     def _curve(self, x: Sequence[float], n: int, d: float) -> float:
-        """2·a·x/v² over the last three means of n samples; 0 where nobody knows where it rested, or counts
-        blur it."""
+        """2·a·x/v² over the last three means of n samples; 0 where nobody knows where it rested, counts blur
+        it, or it does not go on."""
         m2, m3, m4 = (sum(x[len(x) - k * n : len(x) - (k - 1) * n]) / n for k in (3, 2, 1))
         bend = d * (m2 - 2 * m3 + m4)
-        if self._rest is None or bend < self._least:
+        if self._rest is None or bend < self._least or d * (m4 - m3) <= 0.0:
             return 0.0
         return 2 * bend * d * ((m3 + m4) / 2 - self._rest) / (m4 - m3) ** 2

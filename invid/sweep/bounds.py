@@ -21,6 +21,7 @@ from invid.sweep.obedience import Obedience
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.shortfall import HeldTorque, Shortfall, is_energised
 from invid.sweep.stuck_encoder import Unmoved, Yielding
+from invid.wording.sentence import sentence
 
 VELOCITY_CYCLES = 4
 """Baseline of the velocity: four cycles halve the noise of two encoder counts twice."""
@@ -76,7 +77,7 @@ class Bounds:
         self._shortfall = Shortfall(
             [a.name for a in limits], [a.rated_torque for a in limits], limits[0].torque_unit, cycle_s
         )
-        self._held_torque = HeldTorque(
+        self.held_torque = HeldTorque(
             [a.rated_torque for a in limits], [a.resolution for a in limits], cycle_s
         )
         self.unmoved = Unmoved(
@@ -149,7 +150,7 @@ class Bounds:
     def uncarried(self, sample: Sample, axes: Collection[int]) -> list[int]:
         """Loaded ones of these axes that their drives do not carry, though their encoders show no motion."""
         held = {i for i in axes if sample.fresh[i] and is_energised(sample.status[i])}
-        return self._held_torque.missing(sample, self.weights, held)
+        return self.held_torque.missing(sample, self.weights, held)
 
     def check(self, sample: Sample, asked: Sequence[float] | None = None) -> None:
         """Raise SafetyStop, DriveError or BusError where the motion must stop.
@@ -189,8 +190,11 @@ class Bounds:
                 self.statistics.skipped_slots += skipped
                 if skipped > self._most_skipped:
                     raise SafetyStop(
-                        f"the computer was late for {skipped} SYNC slots in a row "
-                        f"({skipped * self._cycle * 1e3:.0f} ms)",
+                        sentence(
+                            "the computer was late for {slots} SYNC slots in a row ({ms:.0f} ms)",
+                            slots=skipped,
+                            ms=skipped * self._cycle * 1e3,
+                        ),
                         way_out="stop other programs on it or lengthen bus.cycle_s",
                         code="computer_late",
                     )
@@ -259,16 +263,26 @@ class Bounds:
         self._travel[i] = travel
         if travel > limit.position:
             raise SafetyStop(
-                f"axis {limit.name}: position left its window: {travel:.4g} {limit.unit} from "
-                f"the start, limit {limit.position:g}",
+                sentence(
+                    "axis {axis}: position left its window: {travel:.4g} {unit} from the start, limit "
+                    "{limit:g}",
+                    axis=limit.name,
+                    travel=travel,
+                    unit=limit.unit,
+                    limit=limit.position,
+                ),
                 way_out="lower the amplitude or widen the window",
                 code="position_window",
                 axis=limit.name,
             )
         if i in self.resting and travel > REST_SHARE * limit.position:
             raise SafetyStop(
-                f"axis {limit.name}: moved by {travel:.3g} {limit.unit} though its drive is to "
-                "hold it at rest",
+                sentence(
+                    "axis {axis}: moved by {travel:.3g} {unit} though its drive is to hold it at rest",
+                    axis=limit.name,
+                    travel=travel,
+                    unit=limit.unit,
+                ),
                 way_out="somebody moves it, its load is beyond the drive's torque limit, or a sign "
                 "is wrong in the drive",
                 code="not_held",
@@ -279,8 +293,14 @@ class Bounds:
     def _check_announced(limit: AxisLimits, position: float, home: float, most: float) -> None:
         if abs(position - home) > most:
             raise SafetyStop(
-                f"axis {limit.name}: moved by {abs(position - home):.3g} {limit.unit} before it is shaken, "
-                f"{most:.3g} was announced",
+                sentence(
+                    "axis {axis}: moved by {travel:.3g} {unit} before it is shaken, "
+                    "{announced:.3g} was announced",
+                    axis=limit.name,
+                    travel=abs(position - home),
+                    unit=limit.unit,
+                    announced=most,
+                ),
                 way_out="a sign is wrong in the drive, somebody moves it, or it is lighter than stated. "
                 "Where it carries a load, 0x6077 may not show what holds it: compare 0x6076 and 0x6075 "
                 "with the motor's plate",
@@ -304,7 +324,13 @@ class Bounds:
             self._speed[i] = speed
             if speed * dt > limit.velocity * (dt + STAMP_CYCLES * self._cycle):
                 raise SafetyStop(
-                    f"axis {limit.name}: velocity {speed:.4g} {limit.unit}/s, limit {limit.velocity:g}",
+                    sentence(
+                        "axis {axis}: velocity {speed:.4g} {unit}/s, limit {limit:g}",
+                        axis=limit.name,
+                        speed=speed,
+                        unit=limit.unit,
+                        limit=limit.velocity,
+                    ),
                     way_out="lower the amplitude, or look at the encoder if the axis did not move so fast",
                     code="velocity",
                     axis=limit.name,
@@ -317,8 +343,14 @@ class Bounds:
         self._torque[i] = torque
         if torque > TORQUE_MARGIN * limit.torque + TORQUE_NOISE * limit.rated_torque:
             raise SafetyStop(
-                f"axis {limit.name}: torque {torque:.4g} {limit.torque_unit}, limit "
-                f"{limit.torque:g}: the drive gives more than it was asked for",
+                sentence(
+                    "axis {axis}: torque {torque:.4g} {unit}, limit {limit:g}: the drive "
+                    "gives more than it was asked for",
+                    axis=limit.name,
+                    torque=torque,
+                    unit=limit.torque_unit,
+                    limit=limit.torque,
+                ),
                 way_out="check rated_torque and the drive's tuning",
                 code="torque",
                 axis=limit.name,
@@ -341,7 +373,7 @@ class Bounds:
                 axis=name,
             )
         raise DriveError(
-            f"axis {name}: no position for {count} cycles in a row",
+            sentence("axis {axis}: no position for {count} cycles in a row", axis=name, count=count),
             way_out="check its cable, its supply and the bus",
             code="no_answer",
             axis=name,

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
+from invid.wording.sentence import sentence
 
 LIMITS, FOLLOWS = 1 << 11, 1 << 12
 """Internal limit active; in the cyclic modes: the drive follows the command value (CiA 402-2)."""
@@ -72,9 +73,13 @@ class DriveWords:
                 self._ignored[i] += 1
                 if self._ignored[i] >= self._long:
                     raise SafetyStop(
-                        f"axis {self._names[i]}: the drive says that it no longer follows its target "
-                        f"(statusword bit 12 is 0 for {self._ignored[i]} cycles); look at its enable inputs, "
-                        "its halt and limit switches, and whether something else commands it",
+                        sentence(
+                            "axis {axis}: the drive says that it no longer follows its target (statusword "
+                            "bit 12 is 0 for {cycles} cycles); look at its enable inputs, its halt and limit "
+                            "switches, and whether something else commands it",
+                            axis=self._names[i],
+                            cycles=self._ignored[i],
+                        ),
                         axis=self._names[i],
                     )
 
@@ -99,8 +104,12 @@ class DriveWords:
     def said(self) -> tuple[str, ...]:
         """Return the warnings about axes that were limited."""
         return tuple(
-            f"axis {name}: the drive reported that it limits (statusword bit 11) in "
-            f"{total / self._samples:.0%} of the samples: what it was asked for is not what it did there"
+            sentence(
+                "axis {axis}: the drive reported that it limits (statusword bit 11) in {total:.0%} "
+                "of the samples: what it was asked for is not what it did there",
+                axis=name,
+                total=total / self._samples,
+            )
             for name, total, rest in zip(self._names, self._total, self._at_rest, strict=True)
             if not rest and total > SPOILT * max(self._samples, 1)
         )

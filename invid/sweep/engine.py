@@ -22,6 +22,7 @@ from invid.sweep.cell import Cell
 from invid.sweep.motion import Motion, RowSink
 from invid.sweep.ports import Procedure, Sink
 from invid.sweep.rehearsal import Rehearsal
+from invid.wording.sentence import sentence
 
 WORTH_SAYING = 0.9
 """A permitted speed that the measured inertia lowers by less than a tenth needs no words."""
@@ -175,7 +176,12 @@ class Sweep:
                 return not answer
             yield from self._motion.play(None, max(1, round(DECIDE_POLL_S / self.plan.cycle_s)))
         self.warnings.append(
-            f"nobody said within {DECIDE_S:g} s whether to go on after experiment {number + 1}: ended there"
+            sentence(
+                "nobody said within {decide_s:g} s whether to go on after experiment {experiment}: "
+                "ended there",
+                decide_s=DECIDE_S,
+                experiment=number + 1,
+            )
         )
         return True
 
@@ -204,8 +210,15 @@ class Sweep:
         for i in np.flatnonzero(torque < WORTH_SAYING * self._torque):
             peak = self.plan.peak_torque[i] * torque[i] / self._torque[i]
             self.warnings.append(
-                f"axis {self.plan.axes[i]}: by the inertia and load that were measured, it is shaken with "
-                f"{torque[i]:.0%} of the planned torque, {peak:.3g} {unit}, so that it comes to rest in time"
+                sentence(
+                    "axis {axis}: by the inertia and load that were measured, it is shaken with "
+                    "{torque:.0%} of the planned torque, {peak:.3g} {unit}, so that it comes to rest "
+                    "in time",
+                    axis=self.plan.axes[i],
+                    torque=torque[i],
+                    peak=peak,
+                    unit=unit,
+                )
             )
         self.plan = self._motion.plan = lower_torque(self.plan, torque / self._torque)
         self._torque = torque
@@ -219,8 +232,14 @@ class Sweep:
             if now < WORTH_SAYING * before and i not in self._slower:
                 self._slower.add(i)
                 self.warnings.append(
-                    f"axis {self.plan.axes[i]}: by the inertia and load that were measured, at most "
-                    f"{now:.3g} {unit} are permitted, not {before:.3g}, so that it comes to rest in time"
+                    sentence(
+                        "axis {axis}: by the inertia and load that were measured, at most {now:.3g} {unit} "
+                        "are permitted, not {before:.3g}, so that it comes to rest in time",
+                        axis=self.plan.axes[i],
+                        now=now,
+                        unit=unit,
+                        before=before,
+                    )
                 )
 
     def _experiment(self, phase: PhasePlan) -> Procedure[None]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.numerics.arrays import Bool, Float64
+from invid.wording.sentence import sentence
 
 CONFIRM_S = 1.5
 """A load is weighed over two stretches of so long that agree, and the later one counts. Gravity is
@@ -62,9 +63,15 @@ def judge_loads(
         said = ""
         if carries and not axis.gravity_loaded:
             stated = "is false" if axis.gravity_loaded is False else "is not stated"
-            said = (
-                f"axis {axis.name}: gravity_loaded {stated}, but holding it at rest takes {mean:.3g} {unit}, "
-                f"more than {least:.2g}: it counts as loaded. Set gravity_loaded: true in the config"
+            said = sentence(
+                "axis {axis}: gravity_loaded {stated}, but holding it at rest takes {mean:.3g} "
+                "{unit}, more than {least:.2g}: it counts as loaded. Set gravity_loaded: true in "
+                "the config",
+                axis=axis.name,
+                stated=stated,
+                mean=mean,
+                unit=unit,
+                least=least,
             )
         doubt = says_nothing and abs(mean) > least and axis.gravity_loaded is None
         found.append(Load(mean, bool(carries or doubt or axis.gravity_loaded), said))

@@ -30,6 +30,7 @@ from invid.sweep.loads import CONFIRM_S, STEADY_S, Load, differing, judge_loads
 from invid.sweep.moment import TRACE_S, Moment
 from invid.sweep.ports import Loop, Mode, Procedure, Sample, Sink, Want, Wish
 from invid.sweep.watch import Watch
+from invid.wording.sentence import sentence
 
 FADE_S = 0.1
 """A stop on request fades the torque out in this time before the quick stop."""
@@ -188,7 +189,8 @@ class Motion:
             raise SafetyStop("the cell was not checked before the sweep")
         if self.stop is not None and self.stop.is_set():
             raise SafetyStop(
-                "stopped on request before any drive was enabled; nothing was recorded yet", code="asked"
+                sentence("stopped on request before any drive was enabled; nothing was recorded yet"),
+                code="asked",
             )
         self._modes, self._bounds = self.resting_modes(), cell.bounds
         for i, axis in enumerate(self.config.axes):
@@ -338,8 +340,12 @@ class Motion:
             if fading:
                 fading += 1
                 if fading > fade:
-                    so_far = "the recording so far is kept" if self._recorded else "nothing was recorded yet"
-                    raise SafetyStop(f"stopped on request; {so_far}", code="asked")
+                    so_far = (
+                        sentence("the recording so far is kept")
+                        if self._recorded
+                        else sentence("nothing was recorded yet")
+                    )
+                    raise SafetyStop(sentence("stopped on request; {so_far}", so_far=so_far), code="asked")
             elif stop is not None and stop.is_set():
                 fading = 1
                 cycles = max(cycles, k + fade + 1)

@@ -24,6 +24,7 @@ import numpy as np
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Bool, Float64
 from invid.sweep.ports import Sample
+from invid.wording.sentence import sentence
 
 LONGEST_S, SHARE = 0.016, 0.25
 """A block is so long, and at most that share of the period of the fastest line: the counts of an encoder then
@@ -158,7 +159,10 @@ class Obedience:
         axis.other.append((left + by_torque) ** 2)
         if axis.turned() > SURE:
             raise SafetyStop(
-                f"axis {self._names[i]}: it moved as its torque had it and now goes the opposite way",
+                sentence(
+                    "axis {axis}: it moved as its torque had it and now goes the opposite way",
+                    axis=self._names[i],
+                ),
                 way_out="a sign has turned in motor or encoder: find out before anything moves again",
                 code="disobeys",
                 axis=self._names[i],

@@ -23,6 +23,7 @@ from invid.recording.model import Kind
 from invid.sweep.motion import Log, Motion, RowSink, joined
 from invid.sweep.ports import Procedure, Sink
 from invid.sweep.sign_trial import SignTrial
+from invid.wording.sentence import sentence
 
 GENTLE, LEAST_SHARE = 1.0 / 3.0, 0.01
 SMOOTH_S, SMOOTH_CYCLE = 0.02, 0.2
@@ -213,9 +214,16 @@ class Rehearsal:
         k, i = np.unravel_index(int(np.argmin(found)), found.shape)
         units = ("m", "m/s", "N") if self._motion.config.linear else ("rad", "rad/s", "N·m")
         self.warnings.append(
-            f"axis {self._motion.plan.axes[i]}: at the planned amplitude the {QUANTITIES[k]} could be "
-            f"{bound[k, i]:.3g} {units[k]} by the trial, {found[k, i] * bound[k, i]:.3g} is allowed; every "
-            f"torque is scaled by {low:.2f}"
+            sentence(
+                "axis {axis}: at the planned amplitude the {quantities} could be {bound:.3g} "
+                "{units} by the trial, {found:.3g} is allowed; every torque is scaled by {low:.2f}",
+                axis=self._motion.plan.axes[i],
+                quantities=QUANTITIES[k],
+                bound=bound[k, i],
+                units=units[k],
+                found=found[k, i] * bound[k, i],
+                low=low,
+            )
         )
         return low
 

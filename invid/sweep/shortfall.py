@@ -136,6 +136,9 @@ class HeldTorque:
         self._first: list[list[tuple[float, float]]] = [[] for _ in range(count)]
         """Time and torque of the first seconds after that, until it is known when its brake opens."""
         self._opens: dict[int, float] = {}
+        self.grips: dict[int, float] = {}
+        """Friction that the trial of an axis showed [N·m or N]: where that holds it its drive's torque may be
+        anything within twice as much. Infinite where it was moved one way only."""
 
     def missing(self, sample: Sample, weights: Mapping[int, float], held: Collection[int]) -> list[int]:
         """Which ``held`` axes are not carried: axes by whose ``weights`` (torque) they are loaded."""
@@ -165,7 +168,8 @@ class HeldTorque:
             if place is None or abs(sample.position[i] - place) > STILL_COUNTS * abs(self._counts[i]):
                 self._place[i], self._missing[i] = sample.position[i], 0.0
             sign = 1.0 if weight > 0 else -1.0
-            short = abs(weight) * (1.0 - SCALE) - NOISE * self._rated[i] - sign * sample.torque[i]
+            grip = 2 * self.grips.get(i, 0.0)
+            short = abs(weight) * (1.0 - SCALE) - NOISE * self._rated[i] - grip - sign * sample.torque[i]
             self._missing[i] = max(0.0, self._missing[i] + short * self._cycle)
             if self._missing[i] > HELD_IMPULSE_S * max(abs(weight), LEAST_WEIGHT * self._rated[i]):
                 found.append(i)

@@ -4,6 +4,7 @@ inertia?
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,7 @@ from invid.sweep.inertia import AGREES, ELASTIC, ELASTIC_S, Branch, compare, rig
 from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.motion import Feedback, Log, Motion
 from invid.sweep.ports import Mode, Procedure
+from invid.wording.sentence import sentence
 
 TRIAL_CLIMB, TRIAL_AGAIN_S = 2.0, 0.08
 """Where the longest doublet does not move an axis, its torque is doubled, up to what is planned, and it
@@ -113,7 +115,8 @@ class SignTrial:
         """Try one axis, and return whether it moves as a model foretells; SafetyStop where signs or scales
         are wrong, or nothing moves."""
         motion, axis = self._motion, self._axis
-        motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
+        motion.phase = sentence("trying the signs of {axis}", axis=self._settings.name)
+        motion.experiment = None
         self._home = motion.place[axis]
         motion.watching.bounds.near = motion.announced({axis})
         yield from motion.change(self._modes, self._others)
@@ -126,9 +129,8 @@ class SignTrial:
             name, rated, unit = self._settings.name, self._rated, self._torque_unit
             trials.judge_scale(name, self._seen, rated=rated, torque_unit=unit)
         shown = self._shown_over_foretold(last.response, length)
-        if shown is not None:
-            branch = self._branch(last.log)
-        else:
+        branch = None if motion.by_offset(axis) else self._branch(last.log)
+        if shown is None:
             branch = yield from self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         # what swings behind it moves an axis as well: no axis is lighter than its first mass
@@ -138,7 +140,10 @@ class SignTrial:
         friction = amplitude
         if branch is not None:  # as the fit shows it, but no less than a drive's friction at rest may be
             friction = min(amplitude, max(FIT_MOST * branch.friction, LOAD_SHARE * self._rated))
-        motion.watching.bounds.unmoved.moved_by(axis, friction, self._ways(last.log))
+        ways, bounds = self._ways(last.log), motion.watching.bounds
+        bounds.unmoved.moved_by(axis, friction, ways)
+        grip = amplitude if branch is None else branch.friction
+        bounds.held_torque.grips[axis] = grip if all(ways) else math.inf
         yield from self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             yield from motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
@@ -339,9 +344,16 @@ class SignTrial:
             return
         self._motion.watching.bounds.blind.add(self._axis)
         raise SafetyStop(
-            f"axis {self._settings.name}: {amplitude:.3g} {self._torque_unit} for {length:.2g} s moved the "
-            f"encoder by {found.displacement / self._count:.0f} counts: the brake is closed, the encoder is "
-            "stuck, or friction takes all of the planned torque",
+            sentence(
+                "axis {axis}: {amplitude:.3g} {torque_unit} for {length:.2g} s moved the encoder "
+                "by {displacement:.0f} counts: the brake is closed, the encoder is stuck, or "
+                "friction takes all of the planned torque",
+                axis=self._settings.name,
+                amplitude=amplitude,
+                torque_unit=self._torque_unit,
+                length=length,
+                displacement=found.displacement / self._count,
+            ),
             way_out="see that the brake opens and turn the axis by hand" + self._ignored(),
             code="stands",
             axis=self._settings.name,
@@ -360,10 +372,18 @@ class SignTrial:
             if sum(r.late_edges for r in seen) > sum(r.edges for r in seen):
                 raise trials.too_late(name, [*seen, *self._spoilt])
             self._warnings.append(
-                f"axis {name}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
-                "deviations); the encoder is coarse or the torque small"
+                sentence(
+                    "axis {axis}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
+                    "deviations); the encoder is coarse or the torque small",
+                    axis=name,
+                    sign=sign,
+                )
             )
-        trials.judge(name, found, sign, amplitude=amplitude, unit=self._unit, torque_unit=self._torque_unit)
+        self._judge(found, sign, amplitude)
+
+    def _judge(self, found: trials.Response, sign: float, amplitude: float) -> None:
+        name, unit, torque_unit = self._settings.name, self._unit, self._torque_unit
+        trials.judge(name, found, sign, amplitude=amplitude, unit=unit, torque_unit=torque_unit)
 
     # --- inertia -------------------------------------------------------------------------------
     def _weigh(self, last: Trial, amplitude: float, length: float) -> Procedure[Branch | None]:
@@ -451,6 +471,8 @@ class SignTrial:
             return None
         fresh = kept.fresh[:, self._axis]
         found = rigid_branch(kept.time, self._demand(kept), position, fresh, count=self._count)
+        if found.is_opposed:  # steps of a coarse encoder may leave that open
+            self._judge(self._seen[-1], -math.inf, found.torque)
         return found if found.fits else None
 
     def _compare(self, branch: Branch | None, found: trials.Response) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from invid.errors import SafetyStop
 from invid.sweep.axis_estimator import AxisEstimator
 from invid.sweep.ports import Sample
+from invid.wording.sentence import sentence
 
 HALT_CYCLES, HALT_S = 5, 0.01
 """So long one value must stand. A drive that brings a new position only every few cycles stands and leaps all
@@ -85,8 +86,14 @@ class Halting:
             and speed / self._cycle > HALT_FACTOR * self._greatest[i]
         ):
             raise SafetyStop(
-                f"axis {self._names[i]}: the encoder moved at {speed:.3g} {self._unit}/s and from one "
-                f"sample to the next not at all, for {self._still[i] * 1e3:.0f} ms now",
+                sentence(
+                    "axis {axis}: the encoder moved at {speed:.3g} {unit}/s and from one sample to the "
+                    "next not at all, for {still:.0f} ms now",
+                    axis=self._names[i],
+                    speed=speed,
+                    unit=self._unit,
+                    still=self._still[i] * 1e3,
+                ),
                 way_out="the encoder is stuck, a brake has closed or the axis has hit something",
                 code="halted",
                 axis=self._names[i],
@@ -248,8 +255,15 @@ class Yielding:
             fast = FASTER * since[1] + SPEED_SHARE * limits.velocity
             if sample.time - since[0] >= YIELD_S and abs(speed) > fast:
                 raise SafetyStop(
-                    f"axis {limits.name}: gets faster against the torque limit: {abs(speed):.3g} "
-                    f"{limits.unit}/s, {since[1]:.3g} {1e3 * (sample.time - since[0]):.0f} ms before",
+                    sentence(
+                        "axis {axis}: gets faster against the torque limit: {speed:.3g} {unit}/s, "
+                        "{before:.3g} {ms:.0f} ms before",
+                        axis=limits.name,
+                        speed=abs(speed),
+                        unit=limits.unit,
+                        before=since[1],
+                        ms=1e3 * (sample.time - since[0]),
+                    ),
                     way_out="somebody pushes it, a sign is wrong in the drive, or its load is beyond the "
                     "limit: compare 0x6076 with the motor's plate, or raise the limit",
                     code="yields",

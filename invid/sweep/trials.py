@@ -10,6 +10,7 @@ import numpy as np
 
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Bool, Float64
+from invid.wording.sentence import sentence
 
 EDGE_S = 0.03
 """Window on each side of an edge of torque: short against the modes of a robot, long enough for the
@@ -308,8 +309,15 @@ def too_late(axis: str, found: Sequence[Response]) -> SafetyStop:
     late = sum(r.late_edges for r in found)
     total = late + sum(r.edges for r in found)
     return SafetyStop(
-        f"axis {axis}: could not tell whether torque and encoder agree in sign: at {late} of {total} steps "
-        f"of torque in {len(found)} trials this computer or an answer was late",
+        sentence(
+            "axis {axis}: could not tell whether torque and encoder agree in sign: at {late} of "
+            "{total} steps "
+            "of torque in {trials} trials this computer or an answer was late",
+            axis=axis,
+            late=late,
+            total=total,
+            trials=len(found),
+        ),
         way_out="nothing was recorded yet. Stop other programs on this computer, let it have SCHED_FIFO, or "
         "lengthen bus.cycle_s; then measure again",
         code="computer_late",
@@ -350,8 +358,15 @@ def judge(axis: str, found: Response, score: float, *, amplitude: float, unit: s
         )
     if score < -DECISIVE:
         raise SafetyStop(
-            f"axis {axis}: positive torque moved the encoder backwards in a trial at {amplitude:.3g} "
-            f"{torque_unit} ({found.displacement:.3g} {unit})",
+            sentence(
+                "axis {axis}: positive torque moved the encoder backwards in a trial at "
+                "{amplitude:.3g} {torque_unit} ({displacement:.3g} {unit})",
+                axis=axis,
+                amplitude=amplitude,
+                torque_unit=torque_unit,
+                displacement=found.displacement,
+                unit=unit,
+            ),
             way_out="encoder and motor disagree in sign: swap two motor phases or invert the encoder in the "
             "drive (the config's direction turns both and cannot help)",
             code="signs",

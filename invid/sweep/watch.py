@@ -10,6 +10,7 @@ from invid.sweep.bounds import Bounds
 from invid.sweep.drive_word import DriveWords
 from invid.sweep.ports import Sample
 from invid.sweep.stuck_encoder import UNMOVED_COUNTS, Halting
+from invid.wording.sentence import sentence
 
 STAND_S, STAND_PERIODS = 1.5, 0.25
 """An encoder that stands so long under shaking is dead, and never sooner than after a quarter period of the
@@ -82,8 +83,11 @@ class Watch:
                 self._stands[i] = (place, sample.time) if sample.fresh[i] else None
             elif sample.time - stand[1] > self._longest_s:
                 raise SafetyStop(
-                    f"axis {limit.name}: the encoder has shown one value for {self._longest_s:.2g} s of "
-                    "shaking",
+                    sentence(
+                        "axis {axis}: the encoder has shown one value for {longest_s:.2g} s of shaking",
+                        axis=limit.name,
+                        longest_s=self._longest_s,
+                    ),
                     way_out="the encoder is stuck, the brake is closed, or friction is above the torque",
                     code="stands",
                     axis=limit.name,
@@ -105,7 +109,9 @@ class Watch:
         if all(after > ENERGY_GROWTH * before for before, after in pairwise(seen)):
             names = ", ".join(self.bounds.limits[i].name for i in sorted(self.held))
             raise SafetyStop(
-                f"the motion of the held axes ({names}) keeps growing: a hold is unstable",
+                sentence(
+                    "the motion of the held axes ({names}) keeps growing: a hold is unstable", names=names
+                ),
                 way_out="use hold mode 'drive', or master_pd with a lower gain",
                 code="hold_unstable",
                 axis=self.bounds.limits[min(self.held)].name if len(self.held) == 1 else None,

@@ -16,7 +16,6 @@ from invid.model.document import (
 )
 from invid.tuning.axis_loop import FORMAT, FORMAT_VERSION
 from invid.tuning.tune import Repair, Tuning
-from invid.wording.statement import LANGUAGES, say
 
 
 class Value(NamedTuple):
@@ -98,7 +97,6 @@ def tuning_to_json(tuning: Tuning) -> dict[str, Any]:
         "model": model_to_json(tuning.model),
         "repairs": [_repair_to_json(r, angle) for r in tuning.repairs],
         "remarks": list(tuning.remarks),
-        "said": {lang: [say(s, lang) for s in tuning.statements] for lang in LANGUAGES},
     }
     plain: dict[str, Any] = with_numbers(document)
     return plain

@@ -23,9 +23,9 @@ from invid.tuning.document import repair_sentence, values_of
 from invid.tuning.gains import PROMISE
 from invid.tuning.margins import drawn_plants
 from invid.tuning.tune import SPREAD_DRAWS, AxisTuning, Tuning
-from invid.tuning.verification import AxisVerification, Verification
-from invid.wording.statement import ENGLISH, LANGUAGES, Statement, say_sentence
-from invid.wording.statement import Figure as Said
+from invid.tuning.verification import AxisVerification, Verdict, Verification
+from invid.wording.sentence import Figure as Said
+from invid.wording.sentence import sentence, stated
 
 SIDES = (("before", BEFORE, "--"), ("after", AFTER, "-"))
 
@@ -177,7 +177,7 @@ def verification_to_json(found: Verification) -> dict[str, Any]:
             "format_version": 1,
             "robot": found.robot,
             "verdict": str(found.verdict),
-            "sentences": {lang: [sentence(a, lang) for a in found.axes] for lang in LANGUAGES},
+            "sentences": [axis_sentence(a) for a in found.axes],
             "axes": [_axis_to_json(a) for a in found.axes],
         }
     )
@@ -211,36 +211,57 @@ def _axis_to_json(a: AxisVerification) -> dict[str, Any]:
     }
 
 
-def sentence(a: AxisVerification, language: str = ENGLISH) -> str:
+_VERDICTS = {
+    Verdict.AS_PREDICTED: sentence("as predicted"),
+    Verdict.BETTER: sentence("better than predicted"),
+    Verdict.WORSE: sentence("WORSE than predicted"),
+    Verdict.OTHER: sentence("not the machine of the model, with margins no worse than predicted"),
+    Verdict.CANNOT_TELL: sentence("too uncertain to tell: shake with more torque"),
+}
+
+
+def axis_sentence(a: AxisVerification) -> str:
     """One axis: verdict, peak of sensitivity, phase margin and following error as measured and predicted,
     ripple, the undo where the values stand on what was not found."""
     peak, phase = a.sensitivity, a.phase_margin
     parts = [
-        Statement(
-            "verify.axis",
-            {
-                "axis": a.axis,
-                "verdict": Statement(f"verify.{a.verdict}"),
-                "peak": Said(f"{peak.measured:.2f} ± {peak.std:.2f}"),
-                "foretold": Said(f"{peak.low:.2f} … {peak.high:.2f}"),
-                "phase": Said(f"{phase.measured:.0f}"),
-                "phases": Said(f"{phase.low:.0f} … {phase.high:.0f}"),
-            },
+        sentence(
+            "{axis}: {verdict}: peak of sensitivity {peak}, predicted {foretold}; phase margin "
+            "{phase}°, predicted {phases}°",
+            axis=a.axis,
+            verdict=_VERDICTS[a.verdict],
+            peak=Said(f"{peak.measured:.2f} ± {peak.std:.2f}"),
+            foretold=Said(f"{peak.low:.2f} … {peak.high:.2f}"),
+            phase=Said(f"{phase.measured:.0f}"),
+            phases=Said(f"{phase.low:.0f} … {phase.high:.0f}"),
         )
     ]
     if a.verdict.asks_for_undo:
-        parts.append(Statement("verify.at", {"frequency": Said(f"{a.worst_at:.1f}")}))
+        parts.append(sentence("most at {frequency} Hz", frequency=Said(f"{a.worst_at:.1f}")))
     share = 100.0 * a.ripple.measured / a.rated
     if math.isfinite(share):
-        parts.append(Statement("verify.ripple", {"share": Said(f"{share:.2f}")}))
+        parts.append(sentence("torque that does not repeat {share} % of rated", share=Said(f"{share:.2f}")))
     missed, wander = Said(f"{1e3 * a.following.measured:.2g}"), Said(f"{1e3 * a.wander.measured:.2g}")
     foretold = Said(f"{1e3 * a.following.low:.2g} … {1e3 * a.following.high:.2g}")
-    parts.append(Statement("verify.move", {"error": missed, "foretold": foretold, "unit": f"m{a.unit}"}))
+    parts.append(
+        sentence(
+            "the reference move misses by {error} {unit} rms with the loop measured, foretold {foretold}",
+            error=missed,
+            foretold=foretold,
+            unit=f"m{a.unit}",
+        )
+    )
     if a.wander.measured > a.following.high:
-        parts.append(Statement("verify.wander", {"error": wander, "unit": f"m{a.unit}"}))
+        parts.append(
+            sentence(
+                "it wanders by {error} {unit} though nothing asks it to: it is not held",
+                error=wander,
+                unit=f"m{a.unit}",
+            )
+        )
     if a.verdict.asks_for_undo:
-        parts.append(Statement("verify.undo"))
-    return say_sentence(parts, language)
+        parts.append(sentence("write the old values back"))
+    return stated(parts)
 
 
 def verification_picture(found: Verification) -> str:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invid.clauses import cause_name
 from invid.errors import ModelError, NotIdentifiableError
 from invid.exchange.linear_plant import LINEAR, parameter_spread
 from invid.model.diagnosis_document import Diagnosis, Finding
 from invid.model.document import EffectTerm, Estimate, Model, with_parameters
-from invid.wording.clauses import cause_name
-from invid.wording.statement import Listed, Statement, Value
+from invid.wording.sentence import joined, sentence
 
 LOOP_CAUSES = (*LINEAR, "torque_delay")
 """Causes that the loops feel; all others are forces that feedforward or repair answers."""
@@ -32,7 +32,7 @@ class Candidates:
 
     models: tuple[Model, ...]
     open_terms: tuple[EffectTerm, ...]
-    remarks: tuple[Statement, ...]
+    remarks: tuple[str, ...]
 
 
 def candidates(source: Model | Diagnosis) -> Candidates:
@@ -49,21 +49,25 @@ def candidates(source: Model | Diagnosis) -> Candidates:
             "the model is not to be trusted, its own warnings say why",
             way_out="measure again before anything is tuned on it",
         )
-    models, remarks, terms = [model], list[Statement](), []
+    models, remarks, terms = [model], list[str](), []
     for finding in source.findings if isinstance(source, Diagnosis) else ():
         if not finding.alternatives:
             continue
         terms.append(finding.effect)
-        others = Listed(tuple(cause_name(a.cause) for a in finding.alternatives), "comma")
-        said: dict[str, Value] = {"axis": finding.axis, "cause": cause_name(finding.cause), "others": others}
+        others = joined([cause_name(a.cause) for a in finding.alternatives])
+        said = {"axis": finding.axis, "cause": cause_name(finding.cause), "others": others}
         if {finding.cause, *(a.cause for a in finding.alternatives)}.isdisjoint(LOOP_CAUSES):
-            remarks.append(Statement("tune.forces", said))
+            remarks.append(
+                sentence("{axis}: {cause} may also be {others}; these are forces: same loops", **said)
+            )
             continue
         for alternative in _alternatives(finding):
             place = _place(finding.effect)
             kept = [e for e in model.effects if _place(e) != place]
             models.append(replace(model, effects=(*kept, alternative)))
-        remarks.append(Statement("tune.worse", said))
+        remarks.append(
+            sentence("{axis}: {cause} may also be {others}; designed for the worse of them", **said)
+        )
     return Candidates(tuple(models), tuple(terms), tuple(remarks))
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from invid.clauses import cause_name
 from invid.errors import NotIdentifiableError
 from invid.exchange.linear_plant import LeftOut, LinearPlant, linear_plant
 from invid.model.diagnosis_document import Diagnosis
@@ -29,8 +30,7 @@ from invid.tuning.simulated_loops import (
     reference_move,
     run_loops,
 )
-from invid.wording.clauses import cause_name
-from invid.wording.statement import Figure, Statement, say
+from invid.wording.sentence import Figure, joined, sentence
 
 DESIGN_DRAWS = 40
 KEPT = 0.98
@@ -56,8 +56,8 @@ length. Empirical (benchmarks/drivers/bench_closed_loop.py): loops that hold 0.6
 0.01."""
 SPREAD_DRAWS = 6
 """Machines of the covariance in which the reference move is made as well."""
-STAND_IN = "timid gains without feedforward (the drive's own values were not given)"
-READ = "read from the drives"
+STAND_IN = sentence("timid gains without feedforward (the drive's own values were not given)")
+READ = sentence("read from the drives")
 
 
 @dataclass(frozen=True)
@@ -143,23 +143,18 @@ class Repair:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """The result. ``before_source`` says what ``before`` was; ``statements`` what was open or left out."""
+    """The result. ``before_source`` says what ``before`` was; ``remarks`` what was open or left out."""
 
     model: Model
     settings: TuneSettings
     axes: tuple[AxisTuning, ...]
     repairs: tuple[Repair, ...]
-    statements: tuple[Statement, ...]
+    remarks: tuple[str, ...]
     before_source: str
     command: Command
     run_before: LoopRun
     run_after: LoopRun
     plant: LinearPlant
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What was open or left out, in English."""
-        return tuple(say(s) for s in self.statements)
 
 
 def untuned(plant: LinearPlant, axis: int, inertia: float, timing: DriveTiming) -> Gains:
@@ -174,7 +169,7 @@ def tune_model(
     source: Model | Diagnosis,
     settings: TuneSettings,
     before: Mapping[str, AxisLoop] | None = None,
-    before_source: str = "as given",
+    before_source: str = sentence("as given"),
 ) -> Tuning:
     """Gains, notches, feedforward and shaper for every axis; see ``invid.tune``.
 
@@ -228,7 +223,9 @@ def tune_model(
             )
         )
     unknown = [name for name in model.axes if name not in (before or {})]
-    said = f"{before_source}; {', '.join(unknown)}: {STAND_IN}" if unknown else before_source
+    said = before_source
+    if unknown:
+        said = sentence("{source}; {axes}: {rest}", source=said, axes=joined(unknown), rest=STAND_IN)
     return Tuning(
         model,
         settings,
@@ -325,35 +322,53 @@ def _shapers(loop: ClosedLoop, drawn: Sequence[ClosedLoop]) -> list[Shaper | Non
     return out
 
 
-def _left_out(
-    lost: Sequence[LeftOut], forward: Sequence[Feedforward], axes: Sequence[str]
-) -> list[Statement]:
+def _left_out(lost: Sequence[LeftOut], forward: Sequence[Feedforward], axes: Sequence[str]) -> list[str]:
     out = [
-        Statement(
-            "tune.not_simulated",
-            {"axis": left.term.axis, "cause": cause_name(left.term.cause), "why": left.reason},
+        sentence(
+            "{axis}: {cause} cannot be simulated here and is in nothing below: {why}",
+            axis=left.term.axis,
+            cause=cause_name(left.term.cause),
+            why=left.reason,
         )
         for left in lost
     ]
     for name, f in zip(axes, forward, strict=True):
-        out += [Statement("tune.no_feedforward", {"axis": name, "what": text}) for text in f.left_out]
+        out += [sentence("{axis}: no feedforward for {what}", axis=name, what=text) for text in f.left_out]
     return out
 
 
-def _remarks(axes: Sequence[AxisTuning], ripple: float) -> list[Statement]:
+def _remarks(axes: Sequence[AxisTuning], ripple: float) -> list[str]:
     """What of free play and of the encoders' counts these values leave."""
     out = [
-        Statement("tune.free_play", {"axis": a.axis, "size": Figure(f"{a.backlash:.3g}")})
+        sentence(
+            "{axis}: free play of {size} is a limit of its own: margins hold while the teeth "
+            "touch and for the motor alone; no drive value repairs it",
+            axis=a.axis,
+            size=Figure(f"{a.backlash:.3g}"),
+        )
         for a in axes
         if a.backlash
     ]
     shares = {a.axis: a.after.margins.ripple / a.rated_torque for a in axes}
     for axis, share in shares.items():
         if share > _RIPPLE_SLACK * ripple:
-            sizes = {"share": Figure(f"{share:.2g}"), "most": Figure(f"{ripple:g}")}
-            out.append(Statement("tune.loud", {"axis": axis, **sizes}))
+            out.append(
+                sentence(
+                    "{axis}: its encoder's counts make {share} of rated torque, rms, more than {most}; a "
+                    "slower loop is not quieter enough: a finer encoder is needed",
+                    axis=axis,
+                    share=Figure(f"{share:.2g}"),
+                    most=Figure(f"{ripple:g}"),
+                )
+            )
     if unknown := [axis for axis, share in shares.items() if math.isnan(share)]:
-        out.append(Statement("tune.ripple_unknown", {"axes": ", ".join(unknown)}))
+        out.append(
+            sentence(
+                "{axes}: the model does not say the encoder's count and rated torque, so the torque "
+                "that counts make is not bounded; identify a recording that states both",
+                axes=", ".join(unknown),
+            )
+        )
     return out
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 
+from invid.wording.sentence import with_wording
 from invid_service.store.store import StoredEvent
 
 KEPT = 5000
@@ -76,5 +77,5 @@ def sse(event: StoredEvent | None) -> bytes:
     """Return one event as bytes of a stream; without one a comment that keeps the connection alive."""
     if event is None:
         return KEEPALIVE_COMMENT
-    data = json.dumps(event.data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    data = json.dumps(with_wording(event.data), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     return format_sse_event(data_str=data, event=event.type, id=str(event.id))

@@ -18,8 +18,9 @@ from starlette.exceptions import HTTPException
 
 from invid import disk
 from invid.errors import InputError
+from invid.wording.sentence import sentence, with_wording
 from invid_service.store.database import is_full
-from invid_service.web.texts import said
+from invid_service.words import PROBLEMS
 
 MEDIA_TYPE = "application/problem+json"
 URN = "urn:invid:problem:"
@@ -59,7 +60,7 @@ STATUSES: dict[str, int] = {
     "store-unavailable": 503,
     "disk-full": 507,
 }
-"""id -> status; its title is `problem.<id>` of the catalogue. Ids are stable: never renamed, never given
+"""id -> status; its title is in ``words.PROBLEMS``. Ids are stable: never renamed, never given
 another meaning."""
 
 log = logging.getLogger(__name__)
@@ -114,12 +115,12 @@ class Problem(Exception):
     def response(self, instance: str) -> JSONResponse:
         """Return the document, ready to send."""
         document = {**document_of(self.kind, self.detail), "instance": instance, **self.members}
-        return JSONResponse(document, self.status, self.headers, MEDIA_TYPE)
+        return JSONResponse(with_wording(document), self.status, self.headers, MEDIA_TYPE)
 
 
 def document_of(kind: str, detail: str) -> dict[str, Any]:
     """Return the members that every problem document has."""
-    title = said(f"problem.{kind}")
+    title = sentence(PROBLEMS[kind])
     return {"type": URN + kind, "title": title, "status": STATUSES[kind], "detail": detail}
 
 

@@ -17,6 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from invid.config import CellConfig
 from invid.errors import ConfigError, InvidError, ModelError
 from invid.planning.belief import from_model
+from invid.wording.sentence import sentence
 from invid_drivers.cia402.standing.holding import Reason as CellReason
 from invid_drivers.connect import is_virtual
 from invid_drivers.readiness import Asked, ask, foresee, not_ready
@@ -50,7 +51,7 @@ from invid_service.store.database import open_engine, upgrade
 from invid_service.store.lock import DataLock
 from invid_service.store.store import RunRecord, Store, StoredModel
 from invid_service.tuning.tunings import Tunings
-from invid_service.web.texts import said
+from invid_service.words import REASONS
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -315,7 +316,7 @@ def _refusal_of(
     belief = None
     if in_force is not None:
         with contextlib.suppress(ModelError):  # of other axes, or damaged: the run does without it too
-            belief = from_model(load(in_force), config, source="the accepted model")
+            belief = from_model(load(in_force), config, source=sentence("the accepted model"))
     try:
         foresee(config, Wish(axes, amplitude, belief))
     except InvidError as error:
@@ -327,7 +328,7 @@ def _answer_of(asked: Asked, now: datetime) -> Answer:
     error = asked.refusal
     if error is None:
         return Answer(now)
-    return Answer(now, error.reason or str(error), error.way_out or said("reason.check_refused.fix"))
+    return Answer(now, error.reason or str(error), error.way_out or sentence(REASONS["check_refused"][1]))
 
 
 def utc_now() -> datetime:

@@ -248,6 +248,19 @@ def test_what_held_a_load_and_starts_anew_is_not_said_to_hold_it_and_is_not_enab
     assert "Support it before anybody goes near" in said
 
 
+def test_a_load_that_is_cut_off_while_settings_are_restored_is_not_said_to_be_held(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    master = enabled(bench)
+    secure(master, [True, False])
+    master.stop()
+    assert master.held_at_end == ("A1",)
+    bench.drive.node.power_on(bench.cell.now_ns)
+    said = " ".join(master.close())
+    assert master.held_at_end == ()
+    assert "is held by its drive" not in said
+    assert "Support it before anybody goes near" in said
+
+
 def test_of_a_load_whose_drive_falls_silent_nothing_is_said_that_nobody_has_seen(tmp_path: Path) -> None:
     """It is switched on and silent from then on, and enabled by what is on its way to it."""
     bench = Bench(tmp_path)
@@ -336,7 +349,7 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     again.check()
     assert {r.code for r in again.not_ready} == {"axis_suspect", "axis_energised"}
     assert not any("A2" in r.text for r in again.not_ready)
-    with pytest.raises(DriveError, match="--cleared A1"):
+    with pytest.raises(DriveError, match=r"Find the cause; .*--cleared A1`\. axis A1 .* is energised: "):
         energise(again, held(again))
     again.close()
     cleared = bench.connect()

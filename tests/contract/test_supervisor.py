@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from test_adapter_promises import config
 
-from invid.errors import DriveError
-from invid.sweep.axis_estimator import AxisLimits
+from invid.errors import DriveError, SafetyStop
+from invid.sweep.axis_estimator import AxisLimits, Fall, Kind
 from invid.sweep.bounds import Bounds
 from invid.sweep.ports import Loop, Sample, Want, Wish
 from invid_drivers.cia402.axis import ModeSet
@@ -22,12 +23,12 @@ from invid_drivers.cia402.axis_state import RULES, SUPPORT_S, AxisState, Command
 from invid_drivers.cia402.standing.hold_memory import Seen
 from invid_drivers.cia402.standing.holding import AxisHolding
 from invid_drivers.cia402.states import DriveState, OperationMode
-from invid_drivers.cia402.supervised_axis import SupervisedAxis, Trouble
+from invid_drivers.cia402.supervised_axis import READY_SPARE_S, SupervisedAxis, Trouble
 from invid_drivers.cia402.supervisor import Supervisor
 
 S, F, W = AxisState, Fact, Want
 CYCLE, G, WEIGHT = 0.002, 8.0, 8.0
-OFF, READY, ON, ENABLED, STOPPED, FAULT = 0x50, 0x31, 0x33, 0x37, 0x17, 0x18
+OFF, READY, ON, ENABLED, STOPPED, FAULT, REACTS = 0x50, 0x31, 0x33, 0x37, 0x17, 0x18, 0x1F
 
 
 class Drive:
@@ -38,13 +39,18 @@ class Drive:
         self.g = G if load else 0.0
         self.brake_s, self.closes = brake_s, 0.0
         self.lets_go = self.holds_not = self.obeys_not = self.inhibited = False
+        self.limp, self.follows, self.asked = False, 0.0, 0.0
+        """Gives no torque where it is enabled; follows its master's torque, with this sign."""
+        self.ready_after = 1
+        """Times that it is told to be ready to switch on."""
         self.propped, self.supported = True, False
         """Until it is enabled; for good."""
         self.heard: list[int] = []
 
     @property
     def holds(self) -> bool:
-        return self.status in (ENABLED, STOPPED) and not self.holds_not
+        can = self.status == STOPPED or (self.status == ENABLED and not self.limp)
+        return can and not self.holds_not
 
     def obey(self, word: int, now: float) -> None:
         self.heard.append(word)
@@ -57,7 +63,7 @@ class Drive:
             stopped = OFF if self.lets_go else STOPPED
             self.status = stopped if self.status in (ENABLED, STOPPED) else OFF
         elif word == 6:
-            self.status = READY
+            self.status = READY if self.heard[-self.ready_after :] == [6] * self.ready_after else self.status
         elif word == 7 and self.status in (READY, ENABLED):
             self.status = ON
         elif word == 15 and self.status in (ON, ENABLED, STOPPED):
@@ -70,6 +76,8 @@ class Drive:
         braked = self.brake_s is not None and self.status not in (ENABLED, STOPPED) and now >= self.closes
         if self.propped or self.supported or braked:
             self.speed = 0.0
+        elif self.follows and self.status == ENABLED:
+            self.speed += (self.follows * self.asked - self.g) * CYCLE
         elif self.holds:
             self.speed -= math.copysign(min(abs(self.speed), 100.0 * CYCLE), self.speed)
         else:
@@ -124,6 +132,8 @@ class Rig:
 
     def exchange(self, torque: Sequence[float]) -> Sample:
         self.torques.append(torque)
+        for drive, asked in zip(self.drives, torque, strict=True):
+            drive.asked = asked
         return self._pass([None if self.deaf else word for word in self.control])
 
     def silent_cycle(self) -> Sample:
@@ -148,7 +158,7 @@ class Rig:
         return sample
 
     def change(self, axis: int, operation: OperationMode, *, taken: bool = False) -> None:
-        if self.changes_s and not taken:
+        if self.changes_s and (not taken or math.isinf(self.changes_s)):
             self.pending[axis] = (operation, self.time + self.changes_s)
         else:
             self.operation[axis] = operation
@@ -274,6 +284,159 @@ def test_what_this_master_did_not_switch_off_it_does_not_enable_again(
     rig.leave(3.0)
     assert set(drive.heard[2:]) == {0}
     assert rig.states == [S.FAULT]
+
+
+@pytest.mark.parametrize("is_mute", [False, True])
+@pytest.mark.parametrize("ready_after", [1, 40])
+@pytest.mark.parametrize("opened_s", [0.0, 0.1])
+def test_what_goes_off_in_a_quick_stop_is_caught_where_its_drive_is_soon_ready_and_else_was_cut_off(
+    opened_s: float, ready_after: int, is_mute: bool
+) -> None:
+    """A drive whose enable input is open does not go to ready to switch on, which takes no power."""
+    rig = Rig()
+    drive = rig.drives[0]
+    drive.ready_after = ready_after
+    rig.bring(S.STANDS)
+    rig.supervisor.is_leaving = True
+    if is_mute:
+        rig.supervisor.mute()
+    drive.status, drive.inhibited, drive.propped = OFF, opened_s > 0, ready_after > 1
+    drive.heard.clear()
+    rig.leave(opened_s + (opened_s > 0) * READY_SPARE_S / 2 if ready_after == 1 else 1.3 * opened_s)
+    drive.inhibited = False
+    rig.leave(1.0)
+    assert (15 in drive.heard) is (opened_s == 0.0)
+    assert rig.states == [S.FAULT if opened_s else S.CAUGHT]
+
+
+def test_an_axis_that_falls_before_its_drive_shows_a_mode_is_stopped_and_not_enabled_in_it_again() -> None:
+    rig = Rig()
+    drive = rig.drives[0]
+    drive.limp, rig.operation, rig.changes_s = True, [None], math.inf
+    rig.axes[0].takes_mode = ModeSet.TAKEN
+    rig.run(0.1)
+    with pytest.raises(DriveError, match=r"A1 .*without its mode \(0x6060\) after 0\.\d+ s.*0x6502"):
+        rig.run(1.0, W.HOLD)
+    drive.heard.clear()
+    rig.leave(1.0)
+    assert set(drive.heard) == {2}
+    assert rig.states == [S.STANDS]
+    assert drive.position > -0.02
+
+
+@pytest.mark.parametrize("is_wrong", [False, True])
+def test_an_axis_whose_torque_has_turned_is_slowed_by_its_opposite_and_cut_off_where_that_is_wrong(
+    is_wrong: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig([False])
+    rig.bring(S.LED)
+    drive, bounds = rig.drives[0], rig.supervisor.bounds
+    drive.follows, drive.speed = -1.0, -1.0
+    rig.run(0.02)
+
+    def disobeys(sample: Sample, asked: Sequence[float]) -> None:
+        bounds.observe(sample)
+        bounds.falls = {0: Fall(Kind.DRIVEN, math.nan, 0.0, at_limit=False)}
+        raise SafetyStop("axis A1: goes the opposite way", axis="A1")
+
+    monkeypatch.setattr(bounds, "check", disobeys)
+    with pytest.raises(SafetyStop):
+        rig.run(CYCLE)
+    assert rig.states == [S.SLOWING]
+    if is_wrong:
+        drive.g = 60.0
+    rig.leave(0.15)
+    assert rig.states == [S.LETTING_GO if is_wrong else S.SLOWING]
+    assert is_wrong or abs(drive.speed) < 0.05
+    if is_wrong:
+        (_, began), (_, ended) = [x[::-1] for x in rig.axes[0].story[-2:]]
+        assert ended - began < 0.02
+    rig.leave(1.0)
+    assert rig.states == [S.FAULT]
+    assert max(abs(t[0]) for t in rig.torques) <= 20.0
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_fault_is_the_end_where_its_drive_reacts_no_more_and_else_it_may_be_on(ends: bool) -> None:
+    rig = Rig([False])
+    rig.bring(S.HELD)
+    (axis,), (drive,) = rig.axes, rig.drives
+    drive.status, drive.obeys_not = REACTS, True
+    with pytest.raises(DriveError):
+        rig.run(0.1)
+    rig.leave(0.5)
+    assert rig.states == [S.FAULT]
+    assert not axis.is_final
+    if ends:
+        drive.status = FAULT
+    rig.leave(0.1 if ends else axis.quick_stop_s)
+    assert axis.is_final
+    assert axis.may_be_on is not ends
+
+
+@pytest.mark.parametrize(("stopped_in", "silent"), [(READY, False), (READY, True), (ENABLED, False)])
+def test_a_load_that_never_had_power_is_not_said_to_be_let_go(stopped_in: int, silent: bool) -> None:
+    rig = Rig()
+    drive = rig.drives[0]
+    while drive.status != stopped_in:
+        rig.run(CYCLE, W.HOLD)
+    drive.propped, drive.lets_go, rig.silent = True, True, [silent]
+    rig.run(0.02 * silent)
+    rig.leave(9.0)
+    assert rig.axes[0].was_let_go is (silent or stopped_in == ENABLED)
+
+
+def test_a_load_that_comes_to_its_brake_in_motion_has_the_time_that_the_brake_was_seen_to_take() -> None:
+    """Given it again, a drive that gives too little would open the brake."""
+    rig = Rig(brake_s=0.05)
+    (axis,), (drive,) = rig.axes, rig.drives
+    axis.holding.seen = replace(axis.holding.seen, brake_s=0.05, brake_drop=0.009)
+    rig.bring(S.STANDS)
+    drive.holds_not = True
+    drive.heard.clear()
+    rig.leave(1.0)
+    assert rig.states == [S.BRAKED]
+    assert 15 not in drive.heard
+    assert drive.position > -0.05
+
+
+def test_a_load_without_a_brake_whose_torque_has_turned_sinks_slowly_until_it_rests_on_something() -> None:
+    rig = Rig()
+    rig.bring(S.LED)
+    (axis,), (drive,) = rig.axes, rig.drives
+    drive.follows = -1.0
+    told: list[str] = []
+    rig.supervisor.tell = told.append
+    rig.supervisor.enter(axis, S.SLOWING)
+    rig.leave(5.0)
+    assert rig.states == [S.SLOWING]
+    assert -1.0 < drive.position < -0.1
+    assert abs(drive.speed) < 0.2
+    assert told == ["support the load of A1: it is not seen to stand"]
+    drive.supported = True
+    rig.leave(1.0)
+    assert rig.states == [S.FAULT]
+    assert axis.was_let_go
+
+
+@pytest.mark.parametrize("follows", [1.0, 0.5, -0.5, -1.0])
+@pytest.mark.parametrize("is_held", [False, True])
+def test_a_led_axis_that_its_torque_has_sped_up_the_opposite_way_is_not_left_to_its_drives_loop(
+    follows: float, is_held: bool
+) -> None:
+    """Half as much is another mass than the stated one: then nobody knows."""
+    turned = follows == -1.0
+    rig = Rig([False])
+    rig.bring(S.LED)
+    drive = rig.drives[0]
+    drive.follows = follows
+    for k in range(100):
+        rig.supervisor.tick(Wish([W.STAY], [12.0 * math.exp(10.0 * (k - 99) * CYCLE)]))
+    if is_held and turned:
+        with pytest.raises(SafetyStop, match="A1: its torque moved it the opposite way"):
+            rig.run(CYCLE, W.HOLD)
+    rig.leave(CYCLE)
+    assert rig.states == [S.SLOWING if turned else S.PARKING]
 
 
 @pytest.mark.parametrize("gap", [0.3, 2.0])
@@ -498,6 +661,10 @@ def test_a_drive_that_says_that_it_is_changing_its_mode_has_ten_seconds_more() -
     assert rig.supervisor.is_changing
     rig.run(0.5)
     assert rig.states == [S.HELD]
+    rig.run(0.8, W.PARK)
+    rig.operation, rig.changes_s = [OperationMode.CYCLIC_TORQUE], 4.0
+    rig.run(4.4, W.HOLD)
+    assert rig.states == [S.HELD]
     rig.run(9.0, W.LEAD)
     rig.changes_s = 60.0
     with pytest.raises(DriveError, match=r"A1.*without its mode"):
@@ -527,7 +694,7 @@ FACTS = {
     S.STOPPING: ({F.ENABLED, F.MODE, F.STANDING}, S.HELD), S.PARKING: ({F.STOPPED, F.STANDING}, S.STANDS),
     S.BRAKING: ({F.UNPOWERED, F.STANDING}, S.BRAKED), S.CATCHING: ({F.ENABLED, F.MODE, F.STANDING}, S.CAUGHT),
     S.CAUGHT: ({F.SUPPORTED}, S.PARKING), S.LETTING_GO: ({F.UNPOWERED, F.STANDING}, S.OFF),
-    S.UNHEARD: ({F.UNPOWERED}, S.OFF),
+    S.UNHEARD: ({F.UNPOWERED}, S.OFF), S.SLOWING: ({F.STANDING}, S.LETTING_GO),
 }  # fmt: skip
 
 
@@ -541,6 +708,7 @@ def test_a_state_ends_when_every_fact_of_it_is_seen_and_not_before(state: AxisSt
         axis.shows = lambda fact, missing=missing: fact is not missing  # type: ignore[method-assign,misc]
         rig.run(CYCLE)
         axis.state, axis.since = state, rig.time
+        rig.supervisor.is_leaving = state is S.SLOWING  # else it ends the run
         rig.run(CYCLE)
         assert axis.state is (then if missing is None else state)
 
@@ -634,6 +802,7 @@ def test_what_falls_goes_to_the_best_means_that_was_not_tried(
     axis.shows = lambda fact: False  # type: ignore[method-assign]
     axis.trouble = lambda: Trouble.FALLS  # type: ignore[method-assign]
     axis.state, axis.since = state, rig.time
+    rig.supervisor.is_leaving = state is S.SLOWING  # else it ends the run
     rig.run(CYCLE)
     assert axis.state is after.get(state, state)
     assert axis.brake_failed is (state in (S.BRAKING, S.BRAKED))

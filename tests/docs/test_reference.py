@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 
 from invid.recording import import_map, read_recording
-from invid.recording.attributes import ExperimentAttributes, RootAttributes
+from invid.recording.stored import ExperimentAttributes, RootAttributes
 from invid_drivers.cia402.axis_state import RULES, AxisState, Command, longest_way_out
 from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.relay import STOP_S
@@ -62,7 +62,7 @@ STATES = {
     "without power for another mode": (S.SWITCHING,), "brought to rest": (S.STOPPING,),
     "in a quick stop": (S.PARKING,), "held in quick stop active": (S.STANDS,),
     "handed to its brake": (S.BRAKING,), "held by its brake": (S.BRAKED,),
-    "let go, and caught": (S.CATCHING,),
+    "let go, and caught": (S.CATCHING,), "slowed by torque of the other sign": (S.SLOWING,),
     "held again until it is supported": (S.CAUGHT,), "being switched off": (S.LETTING_GO, S.OFF),
 }  # fmt: skip
 SENT = {Command.DISABLE: "0", Command.STAND_BY: "7", Command.QUICK_STOP: "2", Command.ENABLE: "15"}

@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.service]
 @pytest.mark.parametrize(
     ("language", "words"),
     [
-        ("en", ("Following error", "Save all files", "what the drives hold now", "as predicted|better")),
+        ("en", ("Following error", "Save all files", "read from the drives", "as predicted|better")),
         ("de", ("Schleppfehler", "Alle Dateien speichern", "was jetzt in den Antrieben steht", "wie|besser")),
     ],
 )

@@ -39,9 +39,21 @@ def suggested(capsys, *sources: Path | str, status: int = 0) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
-def imported(folder: Path, source: Path | list[Path], chart: dict) -> Recording:
-    path, out = folder / "map.yaml", folder / "r.h5"
+def written_map(folder: Path, chart: dict) -> list[str]:
+    """The options that give an import this map, and where it writes."""
+    path = folder / "map.yaml"
     path.write_text(yaml.safe_dump({"format": "invid-import-map", **chart}, allow_unicode=True), "utf-8")
+    return ["--map", str(path), "-o", str(folder / "r.h5")]
+
+
+def imported(folder: Path, source: Path | list[Path], chart: dict) -> Recording:
     sources = [source] if isinstance(source, Path) else source
-    assert run(["import", *map(str, sources), "--map", str(path), "-o", str(out)]) == 0
-    return read_recording(out)
+    assert run(["import", *map(str, sources), *written_map(folder, chart)]) == 0
+    return read_recording(folder / "r.h5")
+
+
+def refused(capsys, folder: Path, sources: list[Path], chart: dict) -> dict:
+    """What is said of an import that is refused."""
+    capsys.readouterr()
+    assert run(["import", *map(str, sources), *written_map(folder, chart), "--json"]) == 2
+    return json.loads(capsys.readouterr().out)["refused"]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from invid.config import AxisConfig
 from invid.errors import DriveError
+from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.failures import (
     NoAnswer,
@@ -46,7 +47,7 @@ class Access:
         self.name, self.node_id = config.name, config.node_id
         self.of_node = NodeAxis.by_profile(config.axis_of_node)
         """Which of its node's axes it is: every object here is that axis's."""
-        self.who = f"axis {self.name} (node {config.place})"
+        self.who = sentence("axis {axis} (node {node})", axis=self.name, node=config.place)
         self.link, self.journal, self.linear = link, journal, linear
         self.serial = 0
         """0x1018:4, from ``check`` on."""
@@ -55,8 +56,13 @@ class Access:
         row = vendor(config.vendor)
         if row is None:
             raise DriveError(
-                f"axis {self.name}: vendor {config.vendor!r} is not in the table; known are "
-                f"{', '.join(sorted(VENDORS))} (generic asks the drive for everything)",
+                sentence(
+                    "axis {axis}: vendor {vendor!r} is not in the table; known are {names} (generic "
+                    "asks the drive for everything)",
+                    axis=self.name,
+                    vendor=config.vendor,
+                    names=", ".join(sorted(VENDORS)),
+                ),
                 axis=self.name,
             )
         self.vendor = row
@@ -178,9 +184,12 @@ class Access:
     def silence(self, what: Object, error: Exception) -> ObjectError:
         """The error to raise of a drive that does not answer, or not as SDO has it."""
         if isinstance(error, SdoCommunicationError):
-            said = (
-                f"node {self.node_id} does not answer ({what.address} {what.name}); check that the drive has "
-                "power, node_id and bit rate, and the cable"
+            said = sentence(
+                "node {node_id} does not answer ({address} {what}); check that the drive has "
+                "power, node_id and bit rate, and the cable",
+                node_id=self.node_id,
+                address=what.address,
+                what=what.name,
             )
             return NoAnswer.at(self.name, self.node_id, what, said)
         said = f"{what.address} {what.name}: {error}"

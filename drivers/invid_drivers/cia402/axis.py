@@ -11,6 +11,7 @@ from typing import Any
 from invid.config import AxisConfig, CellConfig
 from invid.errors import BusError, DriveError
 from invid.planning.stopping_distance import StoppingFacts
+from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.cycle_requests import BUSY_S, NOT_NOW
@@ -124,8 +125,14 @@ class Drive(Access):
         timer = event_timer(self, self._cycle_s, self._most_skipped)
         if timer is not None and timer < 2 * self._cycle_s * 1000:
             raise DriveError(
-                f"{self.who}: 0x1400:5 of the drive stops it after {timer} ms without its RPDO, and is not "
-                f"loosened; set bus.cycle_s to {timer / 2000:g} at most, or 0x1400:5 with the drive's tool",
+                sentence(
+                    "{who}: 0x1400:5 of the drive stops it after {ms} ms without its RPDO, and is "
+                    "not loosened; set bus.cycle_s to {cycle_s:g} at most, or 0x1400:5 with the "
+                    "drive's tool",
+                    who=self.who,
+                    ms=timer,
+                    cycle_s=timer / 2000,
+                ),
                 axis=self.name,
             )
         return timer
@@ -155,8 +162,12 @@ class Drive(Access):
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             code = self.find(od.ERROR_CODE) or 0
             raise DriveError(
-                f"{self.who}: in fault (error 0x{code:04X}); find the cause, then reset it at the drive or "
-                "with its tool: this service never resets a fault by itself",
+                sentence(
+                    "{who}: in fault (error 0x{code:04X}); find the cause, then reset it at the drive "
+                    "or with its tool: this service never resets a fault by itself",
+                    who=self.who,
+                    code=code,
+                ),
                 axis=self.name,
             )
         limits = self.protection.limits(scaling, warnings)
@@ -182,14 +193,19 @@ class Drive(Access):
 
     def _require_servo(self, device: int, warnings: list[str]) -> None:
         """Refuse what is no servo drive by 0x1000: profile in the low word, kinds in bits 16 to 23."""
-        said = f"{self.who}: 0x1000 is 0x{device:08X}"
+        said = sentence("{who}: 0x1000 is 0x{device:08X}", who=self.who, device=device)
         profile, kinds = device & 0xFFFF, device >> 16 & 0xFF
         if device == 0:  # no profile by CiA 301; what a drive must have is asked for one by one
             warnings.append(f"{self.who}: 0x1000 is 0: it does not say that it is a drive")
         elif profile != PROFILE:
             name = PROFILES.get(profile, f"a device of profile {profile}")
             raise DriveError(
-                f"{said}: {name}, no CiA 402 drive; is node_id that of this axis's drive?", axis=self.name
+                sentence(
+                    "{said}: {name}, no CiA 402 drive; is node_id that of this axis's drive?",
+                    said=said,
+                    name=name,
+                ),
+                axis=self.name,
             )
         elif kinds == 0:
             warnings.append(f"{said}: it does not say what kind of drive it is")
@@ -198,8 +214,12 @@ class Drive(Access):
             reason = self.config.overrides.get("0x1000")
             if reason is None:
                 raise DriveError(
-                    f"{said}: {' and '.join(names)}, no servo drive; is node_id that of this axis's drive? "
-                    'If it is, and it controls torque all the same, say why: overrides: {"0x1000": "reason"}',
+                    sentence(
+                        "{said}: {names}, no servo drive; is node_id that of this axis's drive? If it is, "
+                        'and it controls torque all the same, say why: overrides: {{"0x1000": "reason"}}',
+                        said=said,
+                        names=" and ".join(names),
+                    ),
                     axis=self.name,
                 )
             warnings.append(f"{said}: {' and '.join(names)}; used all the same, as overrides says ({reason})")
@@ -210,9 +230,14 @@ class Drive(Access):
         why = None if self.declared is None else refusal(self.declared, by_offset=by_offset)
         if why is not None and self.declared is not None:
             raise DriveError(
-                f"{self.who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be "
-                "shaken. Log its motion with another tool and use `invid import`; if the file is not this "
-                "drive's, leave eds out and the drive itself is asked",
+                sentence(
+                    "{who}: by its EDS {name} the drive {why}; this drive cannot be shaken. Log its "
+                    "motion with another tool and use `invid import`; if the file is not this drive's, "
+                    "leave eds out and the drive itself is asked",
+                    who=self.who,
+                    name=self.declared.path.name,
+                    why=why,
+                ),
                 axis=self.name,
             )
 
@@ -240,9 +265,12 @@ class Drive(Access):
             if follows and self.find(od.TORQUE_OFFSET) is not None:
                 return True
             raise DriveError(
-                f"{self.who}: its loops cannot be shaken while they are closed: that takes cyclic "
-                "synchronous position and a torque offset (0x60B2)",
-                way_out="compare moves before and after with the drive's own tool",
+                sentence(
+                    "{who}: its loops cannot be shaken while they are closed: that takes cyclic "
+                    "synchronous position and a torque offset (0x60B2)",
+                    who=self.who,
+                ),
+                way_out=sentence("compare moves before and after with the drive's own tool"),
                 axis=self.name,
             )
         if modes is None or not modes & OperationMode.CYCLIC_POSITION.supported_bit:
@@ -254,14 +282,20 @@ class Drive(Access):
     def _require_objects(self) -> None:
         command = od.TORQUE_OFFSET if self.by_offset else od.TARGET_TORQUE
         for what, why in (
-            (command, "torque cannot be commanded"),
-            (od.TORQUE, "torque cannot be measured"),
-            (od.POSITION, "position cannot be measured"),
+            (command, sentence("torque cannot be commanded")),
+            (od.TORQUE, sentence("torque cannot be measured")),
+            (od.POSITION, sentence("position cannot be measured")),
         ):
             if self.find(what) is None:
                 raise DriveError(
-                    f"{self.who}: the drive has no {what.address} ({what.name}): {why}; this drive cannot be "
-                    "shaken. Log its motion with another tool and use `invid import`",
+                    sentence(
+                        "{who}: the drive has no {address} ({what}): {why}; this drive cannot be shaken. "
+                        "Log its motion with another tool and use `invid import`",
+                        who=self.who,
+                        address=what.address,
+                        what=what.name,
+                        why=why,
+                    ),
                     axis=self.name,
                 )
 
@@ -288,10 +322,14 @@ class Drive(Access):
                     )
                 return mode, can_hold
         raise DriveError(
-            f"{self.who}: the drive has no torque mode (0x6502 is 0x{supported:08X}, bits 9 and 3 are "
-            "clear); it cannot be shaken. Choose a drive or firmware with cyclic synchronous torque, or with "
-            "cyclic synchronous position and a torque offset (0x60B2), or record with its own tool and use "
-            "`invid import`",
+            sentence(
+                "{who}: the drive has no torque mode (0x6502 is 0x{supported:08X}, bits 9 and 3 "
+                "are clear); it cannot be shaken. Choose a drive or firmware with cyclic "
+                "synchronous torque, or with cyclic synchronous position and a torque offset "
+                "(0x60B2), or record with its own tool and use `invid import`",
+                who=self.who,
+                supported=supported,
+            ),
             axis=self.name,
         )
 
@@ -318,9 +356,12 @@ class Drive(Access):
         if self.find(od.CONSUMER_HEARTBEAT) is None:
             if not self.config.allow_missing_heartbeat:
                 raise DriveError(
-                    f"{self.who}: the drive cannot watch the master's heartbeat (0x1016 is missing): if this "
-                    "computer dies, the axis keeps its last torque. Where another device stops it then, set "
-                    "allow_missing_heartbeat: true for the axis",
+                    sentence(
+                        "{who}: the drive cannot watch the master's heartbeat (0x1016 is missing): if this "
+                        "computer dies, the axis keeps its last torque. Where another device stops it "
+                        "then, set allow_missing_heartbeat: true for the axis",
+                        who=self.who,
+                    ),
                     axis=self.name,
                 )
             lacks.append("0x1016 consumer heartbeat: the drive does not notice when the master dies")
@@ -376,9 +417,16 @@ class Drive(Access):
             self.write(what, 0)
         except WriteRefused as error:
             raise DriveError(
-                f"{self.who}: {what.address} {what.name} is {found}: {why}, and it cannot be set to 0 "
-                f"({error})",
-                way_out="set it to 0 with the drive's tool",
+                sentence(
+                    "{who}: {address} {what} is {found}: {why}, and it cannot be set to 0 ({error})",
+                    who=self.who,
+                    address=what.address,
+                    what=what.name,
+                    found=found,
+                    why=why,
+                    error=error,
+                ),
+                way_out=sentence("set it to 0 with the drive's tool"),
                 axis=self.name,
             ) from None
 
@@ -412,8 +460,14 @@ class Drive(Access):
             except (ReadRefused, WriteRefused) as error:
                 names = ", ".join(f"{o.address} {o.name}" for o in wanted)
                 raise DriveError(
-                    f"{self.who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
-                    "the cycle",
+                    sentence(
+                        "{who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
+                        "the cycle",
+                        who=self.who,
+                        kind=kind,
+                        names=names,
+                        error=error,
+                    ),
                     axis=self.name,
                 ) from None
 
@@ -429,10 +483,8 @@ class Drive(Access):
 
     def _pdos(self, kind: str) -> int:
         """How many PDOs of a kind the EDS lists; at most the eight that are switched off one by one."""
-        declared = self.declared
-        if declared is None:
-            return 8
-        return min(8, declared.rpdos if kind == "RPDO" else declared.tpdos)
+        listed = self.declared
+        return 8 if listed is None else min(8, listed.rpdos if kind == "RPDO" else listed.tpdos)
 
     def set_mode(self, mode: OperationMode, longest_s: float) -> ModeSet:
         """Write 0x6060 without power, wait until 0x6061 shows it, and return what came of it.

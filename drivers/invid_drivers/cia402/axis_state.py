@@ -24,6 +24,7 @@ class AxisState(Enum):
     BRAKED = "held by its brake"
     CATCHING = "let go, and caught"
     CAUGHT = "held again until it is supported"
+    SLOWING = "slowed by torque of the other sign"
     LETTING_GO = "being switched off"
     UNHEARD = "not obeying"
     FAULT = "without torque, not by this master"
@@ -91,6 +92,9 @@ CATCH_S = 3.0
 """Longest way back to being held; one that has left its window by then is held by nothing."""
 SUPPORT_S = 30.0
 """Longest wait for a person to support a load that its drive let go."""
+SLOW_S = 0.3
+"""An axis whose torque has turned is slowed so long: 20 N·m stop 1 kg·m² from 3 rad/s in half of it. A load
+without a brake sinks, as slowly as damping lets it, for ``SUPPORT_S``, or until it rests on something."""
 OFF_S = 2.0
 """From voltage off to standing still."""
 TELL_S = 5.0
@@ -116,6 +120,7 @@ RULES: dict[AxisState, Rule] = {
         Command.ENABLE, Mode.HOLD, (F.ENABLED, F.MODE, F.STANDING), S.CAUGHT, CATCH_S, NEXT, None
     ),
     S.CAUGHT: Rule(Command.ENABLE, Mode.HOLD, (F.SUPPORTED,), S.PARKING, SUPPORT_S, S.PARKING, NEXT),
+    S.SLOWING: Rule(Command.ENABLE, Mode.TORQUE, (F.STANDING,), S.LETTING_GO, SLOW_S, S.LETTING_GO),
     S.LETTING_GO: Rule(Command.DISABLE, None, (F.UNPOWERED, F.STANDING), S.OFF, OFF_S, S.UNHEARD, S.CATCHING),
     S.UNHEARD: Rule(Command.DISABLE, None, (F.UNPOWERED,), S.OFF, TELL_S, S.UNHEARD, None),
     S.FAULT: Rule(Command.DISABLE, is_final=True),

@@ -17,6 +17,7 @@ from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetySt
 from invid.sweep.bounds import Bounds, bounds_of
 from invid.sweep.motion import FADE_S
 from invid.sweep.ports import Clock, Loop, Mode, Procedure, Sample, T, Want, Wish
+from invid.wording.sentence import joined, sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import procedures
 from invid_drivers.cia402.axis import Drive, DriveReport, ModeSet
@@ -35,7 +36,7 @@ from invid_drivers.cia402.states import OperationMode, is_energised
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
 from invid_drivers.cia402.supervisor import STOPPING, Supervisor
 
-ENABLING = "stopped on request while the drives were being enabled"
+ENABLING = sentence("stopped on request while the drives were being enabled")
 RAMP_MARGIN = 1.25
 """On the time of a ramp from the speed limit: the axis may be faster, the drive settles at its end."""
 RESTORE_S = 30.0
@@ -101,7 +102,7 @@ class Cia402Cell:
     # --- before motion -------------------------------------------------------------------------
     def check(self) -> tuple[DriveReport, ...]:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
-        self._hear_stops()
+        self._link.cancelled = lambda: self.cancelled()
         self._link.require_bus()
         for drive in self._drives:
             drive.refuse_declared()
@@ -113,7 +114,7 @@ class Cia402Cell:
         try:
             self.reports = tuple(d.check(found) for d, found in zip(self._drives, left, strict=True))
         except DriveError as error:  # what was left as somebody set it is said once
-            raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
+            raise DriveError(joined([str(error), *(s for found in left for s in found)], ". ")) from None
         for drive in self._drives:
             self._refuse_owned(drive)
         self.held.find(self.reports, powered)
@@ -135,9 +136,6 @@ class Cia402Cell:
         if not self._link.gate.listened:
             self._link.listen()
         self._link.refuse_others()
-
-    def _hear_stops(self) -> None:
-        self._link.cancelled = lambda: self.cancelled()
 
     def _pre_operational(self) -> None:
         """But for drives under power: leaving operational may make one of them let go."""
@@ -180,38 +178,38 @@ class Cia402Cell:
     def _refuse_owned(self, drive: Drive) -> None:
         """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
         watched = drive.find(od.CONSUMER_HEARTBEAT) or 0
-        producer = watched >> 16 & 0x7F
-        if watched & 0xFFFF and any(f.node == producer for f in self._link.others.values()):
+        if watched & 0xFFFF and any(f.node == watched >> 16 & 0x7F for f in self._link.others.values()):
             raise BusError(
-                f"axis {drive.name} (node {drive.node_id}): it watches the heartbeat of node {producer} "
-                "(0x1016), which is on this bus: it belongs to that master. Switch that off, or clear 0x1016 "
-                "if it is none",
+                sentence(
+                    "axis {axis} (node {node_id}): it watches the heartbeat of node {producer} "
+                    "(0x1016), which is on this bus: it belongs to that master. Switch that off, or "
+                    "clear 0x1016 if it is none",
+                    axis=drive.name,
+                    node_id=drive.node_id,
+                    producer=watched >> 16 & 0x7F,
+                ),
                 axis=drive.name,
             )
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Who else is on the bus, and is left alone; what turned out when protection was written."""
-        slaves = sorted({f.node for f in self._link.others.values() if f.node is not None})
-        others = [f.text for f in self._link.others.values() if not f.master and f.node is None]
-        said = [f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves]
-        protection = (note for d in self._drives for note in d.protection.notes)
-        holds = (s for h in self.holdings if (s := h.said(f"axis {h.config.name}")))
+        others = self._link.others.values()
+        slaves = sorted({f.node for f in others if f.node is not None})
         return (
-            *said,
-            *(f"{text} are on the bus too" for text in others),
-            *protection,
-            *holds,
+            *(f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves),
+            *(f"{f.text} are on the bus too" for f in others if not f.master and f.node is None),
+            *(note for d in self._drives for note in d.protection.notes),
+            *(s for h in self.holdings if (s := h.said(f"axis {h.config.name}"))),
         )
 
     def energise(self, modes: Sequence[Mode]) -> Procedure[None]:
         """Protect, map, start and enable every drive at rest where it stands."""
         if not self.reports:
             self.check()
-        self._hear_stops()
-        for reason in self.not_ready:
-            if reason.code == "axis_suspect":
-                raise DriveError(f"{reason.text}; {reason.fix}")
+        self._link.cancelled = lambda: self.cancelled()
+        if any(reason.code == "axis_suspect" for reason in self.not_ready):
+            raise DriveError(". ".join(s for r in self.not_ready for s in r.sentences))
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)
@@ -253,7 +251,12 @@ class Cia402Cell:
 
     def _supervise(self) -> Supervisor:
         cycle = self._config.bus.cycle_s
-        quick_stop = min(max(QUICK_STOP_S, RAMP_MARGIN * self._ramp_s), LONGEST_RAMP_S)
+        ramps_s = [
+            RAMP_MARGIN * a.limits.velocity / r.stopping.deceleration
+            for a, r in zip(self._config.axes, self.reports, strict=False)
+            if r.stopping.deceleration
+        ]
+        quick_stop = min(max([QUICK_STOP_S, *ramps_s]), LONGEST_RAMP_S)
         axes = [
             SupervisedAxis(i, holding, self._watch.estimators[i], report.torque_mode, cycle, quick_stop)
             for i, (holding, report) in enumerate(zip(self.holdings, self.reports, strict=True))
@@ -298,12 +301,12 @@ class Cia402Cell:
         for wish in procedure:
             yield wish
             if self.cancelled():
-                raise SafetyStop(f"{asked}; nothing was recorded yet", code="asked")
+                raise SafetyStop(sentence("{asked}; nothing was recorded yet", asked=asked), code="asked")
 
     @property
     def _supervised(self) -> Supervisor:
         if self._supervisor is None:
-            raise DriveError("the cell was not energised: no axis is supervised")
+            raise DriveError(sentence("the cell was not energised: no axis is supervised"))
         return self._supervisor
 
     def _look_first(self) -> Procedure[None]:
@@ -324,15 +327,26 @@ class Cia402Cell:
         if self._late_share is not None and max(late) > self._late_share[0] * count:
             names = ", ".join(name for name, n in zip(self.axes, late, strict=True) if n == max(late))
             raise ConfigError(
-                f"bus: cycle_s is {cycle:g}, and of {count} answers to SYNC without power {max(late)} "
-                f"of axis {names} "
-                f"came too late or not at all; set bus.cycle_s to {self._late_share[1]:g} or longer"
+                sentence(
+                    "bus: cycle_s is {cycle:g}, and of {count} answers to SYNC without power {most} of "
+                    "axis {axis} came too late or not at all; set bus.cycle_s to {late_share:g} or "
+                    "longer",
+                    cycle=cycle,
+                    count=count,
+                    most=max(late),
+                    axis=names,
+                    late_share=self._late_share[1],
+                )
             )
         silent = [d.name for d, n in zip(self._drives, answers.came, strict=True) if not n]
         if silent:
             raise DriveError(
-                f"axis {', '.join(silent)}: silence (no TPDO comes) after {seconds:.2g} s of SYNC; check its "
-                "supply and its PDOs",
+                sentence(
+                    "axis {axis}: silence (no TPDO comes) after {seconds:.2g} s of SYNC; check its "
+                    "supply and its PDOs",
+                    axis=", ".join(silent),
+                    seconds=seconds,
+                ),
                 axes=silent,
             )
         self._watch.start(sample.position)
@@ -347,15 +361,22 @@ class Cia402Cell:
         restarted = [p.name for p in self._link.peers.values() if p.booted]
         if restarted:
             raise DriveError(
-                f"axis {', '.join(restarted)} has restarted while its protection was written, and may have "
-                "lost it; look at its supply, then start again",
+                sentence(
+                    "axis {axis} has restarted while its protection was written, and may have lost it; "
+                    "look at its supply, then start again",
+                    axis=", ".join(restarted),
+                ),
                 axes=restarted,
             )
         for peer in self._link.peers.values():
             for code in peer.own_errors(since=peer.recovered):
                 raise DriveError(
-                    f"axis {peer.name} reported error 0x{code:04X} before it was enabled; find out why, then "
-                    "start again",
+                    sentence(
+                        "axis {axis} reported error 0x{code:04X} before it was enabled; find out why, then "
+                        "start again",
+                        axis=peer.name,
+                        code=code,
+                    ),
                     axis=peer.name,
                 )
 
@@ -377,7 +398,7 @@ class Cia402Cell:
         before = [len(a.story) for a in supervisor.axes]
         try:
             test = procedures.test_stops(self._stage, 3 * self._config.safety.heartbeat_s)
-            yield from self._unless_asked(test, "stopped on request in the stop test")
+            yield from self._unless_asked(test, sentence("stopped on request in the stop test"))
         finally:
             for i, velocity in enumerate(permitted):
                 self._watch.permit(i, velocity)
@@ -394,7 +415,7 @@ class Cia402Cell:
     @property
     def _watch(self) -> Bounds:
         if self.bounds is None:
-            raise DriveError("the cell was not checked: nothing is known of its drives")
+            raise DriveError(sentence("the cell was not checked: nothing is known of its drives"))
         return self.bounds
 
     def set_loops(self, loops: Sequence[Loop | None]) -> None:
@@ -483,35 +504,11 @@ class Cia402Cell:
             if a.brake_failed:
                 a.holding.note(self.held.memory, brake_drop=a.holding.config.limits.position)
                 a.holding.brake_failed = a.state is AxisState.STANDS
-        self.not_off = tuple(a.name for a in axes if a.deaf or not a.is_final or a.state is AxisState.UNHEARD)
+        self.not_off = tuple(a.name for a in axes if a.deaf or not a.is_final or a.may_be_on)
         on = [a for a in axes if a.is_energised and a.name not in self.not_off]
         self.held_at_end = tuple(a.name for a in on)
-        holds = (AxisState.STANDS, AxisState.BRAKED)
-        self.not_held = tuple(
-            a.name
-            for a in axes
-            if a.story
-            and a.carries
-            and (
-                a.state not in holds
-                or a.blind
-                or a.brake_failed
-                or (a.is_energised and (a.parks is False or a.driven_since is not None))
-            )
-        )
+        self.not_held = tuple(a.name for a in axes if a.was_let_go)
         self.held.note_end(self.held_at_end, self.not_off)
-
-    @property
-    def _ramp_s(self) -> float:
-        """Longest quick stop from a velocity limit, by what the drives say of their ramps."""
-        return max(
-            (
-                a.limits.velocity / r.stopping.deceleration
-                for a, r in zip(self._config.axes, self.reports, strict=False)
-                if r.stopping.deceleration
-            ),
-            default=0.0,
-        )
 
     def close(self) -> list[str]:
         """Stop, restore every object that was written, look at what is left held, close the bus; what could
@@ -551,7 +548,7 @@ class Cia402Cell:
         """See what is left held without its master, and say what was seen."""
         self._link.attend = None
         supervisor = self._supervisor
-        if supervisor is None or not any(a.state is AxisState.STANDS for a in supervisor.axes):
+        if supervisor is None:
             return
         self._link.until = math.inf
         self._leave_by(procedures.look_after(self._stage))

@@ -210,9 +210,7 @@ class Cycle:
         if self._doubt or self.apart:
             self._listen()
         for i, cob in enumerate(self._rpdo_ids):
-            value = round(torque[i] * self._per_mille[i])
-            if value > self._most[i] or value < -self._most[i]:
-                value = self._most[i] if value > 0 else -self._most[i]
+            value = max(-self._most[i], min(self._most[i], round(torque[i] * self._per_mille[i])))
             by_torque = self.operation[i] is not OperationMode.CYCLIC_POSITION and i not in self._changes
             self.asked[i] = value * self._torque_unit[i] if by_torque else 0.0
             put(
@@ -233,11 +231,8 @@ class Cycle:
         self._collect(instant, deadline + 0.85 * self._cycle)
         fresh = sample.fresh
         if not certain:
-            for i in range(len(fresh)):
-                fresh[i] = False
-        for i, came in enumerate(fresh):
-            if came:
-                sample.late[i] = False
+            fresh[:] = [False] * len(fresh)
+        sample.late[:] = [late and not came for late, came in zip(sample.late, fresh, strict=True)]
         link.beat(instant)
         self._ask_beside(instant)
         return sample
@@ -292,8 +287,7 @@ class Cycle:
         """
         clock, get, owed = self._link.clock, self._link.get, self._owed
         fresh = self.sample.fresh
-        for i in range(len(fresh)):
-            fresh[i] = False
+        fresh[:] = [False] * len(fresh)
         pending = len(fresh)
         waiting = any(owed)
         came = [0] * len(fresh)
@@ -500,9 +494,7 @@ class Cycle:
                 self._link.events.append(Event(Severity.DRIVE, text, name))
             elif change.done:
                 del self._changes[axis]
-                if change.operation is None:
-                    continue
-                self.operation[axis] = change.operation
+                self.operation[axis] = change.operation or self.operation[axis]
         if self._slot % EVERY_CYCLES:
             return
         waiting = list(self._changes)

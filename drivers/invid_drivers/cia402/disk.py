@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 
 from invid.errors import BusError
+from invid.wording.sentence import sentence
 
 PATIENCE_S = 10.0
 """Longest wait for a disk while no axis is energised."""
@@ -14,7 +15,14 @@ PATIENCE_S = 10.0
 
 def unwritten(file: str, error: OSError, meaning: str) -> BusError:
     """What to raise where a file cannot be written."""
-    return BusError(f"{file}: cannot be written ({error.strerror}){meaning}")
+    return BusError(
+        sentence(
+            "{file}: cannot be written ({strerror}){meaning}",
+            file=file,
+            strerror=error.strerror,
+            meaning=meaning,
+        )
+    )
 
 
 class Disk:
@@ -50,8 +58,11 @@ class Disk:
         self._deferred = False
         if not self._idle.wait(PATIENCE_S):
             raise BusError(
-                f"the disk has not taken what is to be remembered of this bus for {PATIENCE_S:g} s; look at "
-                "it before anything is enabled"
+                sentence(
+                    "the disk has not taken what is to be remembered of this bus for {patience_s:g} s; "
+                    "look at it before anything is enabled",
+                    patience_s=PATIENCE_S,
+                )
             )
         if self._failed:
             raise self._failed.pop()

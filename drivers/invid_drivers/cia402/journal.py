@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from invid.errors import BusError
+from invid.wording.sentence import sentence
 from invid_drivers.cia402.disk import Disk, unwritten
 from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.cia402.state_folder import (
@@ -116,9 +117,13 @@ def _read(path: Path) -> list[Entry]:
         data = read_state(path) or b""
     except OSError as error:
         raise BusError(
-            f"journal {path}: cannot be read ({error.strerror}), and what an earlier run left in the "
-            "drives is not known without it; make it readable for you alone, or set XDG_STATE_HOME to "
-            "another folder"
+            sentence(
+                "journal {path}: cannot be read ({strerror}), and what an earlier run left in the "
+                "drives is not known without it; make it readable for you alone, or set "
+                "XDG_STATE_HOME to another folder",
+                path=path,
+                strerror=error.strerror,
+            )
         ) from None
     entries = []
     for line in data.decode(errors="replace").splitlines():
@@ -142,6 +147,11 @@ def refuse_left_by_others(path: Path) -> None:
     remembers of that is for him to write back, since anybody may have put it there."""
     for other in files_of_others(path):
         raise BusError(
-            f"journal {other}: a run of user {owner_of(other)} left settings in the drives of this bus; run "
-            "`invid check` as that user, which restores them, or remove the journal if they are to stay"
+            sentence(
+                "journal {other}: a run of user {owner_of} left settings in the drives of this "
+                "bus; run `invid check` as that user, which restores them, or remove the journal "
+                "if they are to stay",
+                other=other,
+                owner_of=owner_of(other),
+            )
         )

@@ -19,6 +19,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoEr
 
 from invid.errors import BusError, SafetyStop
 from invid.sweep.ports import Clock, Event, Severity
+from invid.wording.sentence import sentence
 from invid_drivers.cia402.gate import Gate, Known
 from invid_drivers.cia402.others import LISTEN_BEATS, LISTEN_S, MASTER_ID, Foreign, foreign
 
@@ -43,6 +44,26 @@ NO_ERROR_BELOW, GENERIC_ERROR = 0x0100, 0x1000
 MISSES_MASTER, RPDO_TIMEOUT = (0x8100, 0x8700), 0x8250
 """Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402); and
 the code for an RPDO that did not come (0x1400:5)."""
+
+_EMCY = {
+    0x1000: "generic",
+    0x2000: "current",
+    0x2300: "output current",
+    0x3000: "voltage",
+    0x4000: "temperature",
+    0x5000: "drive hardware",
+    0x6000: "drive software",
+    0x7000: "sensor or brake",
+    0x8000: "monitoring",
+    0x8100: "communication",
+    0x8300: "torque control",
+    0x8400: "speed control: too fast, or its speed limit is too low",
+    0x8500: "position control",
+    0x8600: "positioning: following error or a limit of position",
+    0x9000: "external",
+    0xF000: "vendor's own",
+}
+"""Classes of EMCY codes (CiA 301, 402): of the first two digits, else of the first."""
 
 
 def never() -> bool:
@@ -143,8 +164,13 @@ class Link:
             self.bus.send(message)
         except can.CanError as error:
             raise BusError(
-                f"bus {self.bus.channel_info}: frame 0x{message.arbitration_id:03X} was not taken ({error}); "
-                "check cable, termination and bit rate"
+                sentence(
+                    "bus {channel_info}: frame 0x{arbitration_id:03X} was not taken ({error}); check "
+                    "cable, termination and bit rate",
+                    channel_info=self.bus.channel_info,
+                    arbitration_id=message.arbitration_id,
+                    error=error,
+                )
             ) from None
         except (OSError, ValueError) as error:
             raise BusError(f"bus {self.bus.channel_info}: {error}") from None
@@ -155,9 +181,7 @@ class Link:
             timeout = SHORTEST_WAIT_S
         try:
             return self.bus.recv(timeout)
-        except can.CanError as error:
-            raise BusError(f"bus {self.bus.channel_info}: {error}") from None
-        except (OSError, ValueError) as error:
+        except (can.CanError, OSError, ValueError) as error:
             raise BusError(f"bus {self.bus.channel_info}: {error}") from None
 
     def beat(self, now: float) -> None:
@@ -172,7 +196,7 @@ class Link:
         SafetyStop where a stop was asked for, within ``HEARD_S``.
         """
         if self.cancelled():
-            raise SafetyStop("stopped on request; nothing was recorded yet", code="asked")
+            raise SafetyStop(sentence("stopped on request; nothing was recorded yet"), code="asked")
         if self.attend is not None:
             self.attend()
             return
@@ -190,7 +214,9 @@ class Link:
     def sort(self, message: can.Message) -> None:
         """Heartbeat, boot-up, EMCY of any length, SDO answers, error frames; the rest is ignored."""
         if message.is_error_frame:
-            self._error_frame(message)
+            if message.arbitration_id & 0x40:  # Linux error class bit 6: controller went bus-off
+                text = "the CAN controller went bus-off; check cable and bit rate"
+                self.events.append(Event(Severity.BUS, text))
             return
         if message.is_remote_frame or message.is_extended_id:
             self._look_for_others(message)
@@ -284,18 +310,11 @@ class Link:
             )
         )
 
-    def _error_frame(self, message: can.Message) -> None:
-        # Linux error class bit 6: controller went bus-off
-        if message.arbitration_id & 0x40:
-            self.events.append(
-                Event(Severity.BUS, "the CAN controller went bus-off; check cable and bit rate")
-            )
-
     def require_bus(self) -> None:
         """BusError where the controller reports bus-off."""
         state = getattr(self.bus, "state", None)
         if state is can.BusState.ERROR:
-            raise BusError("the CAN controller is bus-off; check cable, termination and bit rate")
+            raise BusError(sentence("the CAN controller is bus-off; check cable, termination and bit rate"))
 
     # --- services ------------------------------------------------------------------------------
     def add_peer(self, node_id: int, name: str) -> Peer:
@@ -310,7 +329,9 @@ class Link:
     def nmt(self, command: int, node_id: int) -> None:
         """NMT command to one of our nodes; never to all, who may be others'."""
         if node_id not in self.peers:
-            raise BusError(f"node {node_id} is not in the config: it gets no NMT command")
+            raise BusError(
+                sentence("node {node_id} is not in the config: it gets no NMT command", node_id=node_id)
+            )
         self.send(0x000, bytes((command, node_id)))
 
     def sdo(self, node_id: int) -> SdoClient:
@@ -430,38 +451,7 @@ def _another(heard: str, done: str) -> str:
 
 
 def _emcy_words(code: int) -> str:
-    for mask, words in (
-        (
-            0xFF00,
-            {
-                0x2300: "output current",
-                0x8100: "communication",
-                0x8300: "torque control",
-                0x8400: "speed control: too fast, or its speed limit is too low",
-                0x8500: "position control",
-                0x8600: "positioning: following error or a limit of position",
-            },
-        ),
-        (
-            0xF000,
-            {
-                0x1000: "generic",
-                0x2000: "current",
-                0x3000: "voltage",
-                0x4000: "temperature",
-                0x5000: "drive hardware",
-                0x6000: "drive software",
-                0x7000: "sensor or brake",
-                0x8000: "monitoring",
-                0x9000: "external",
-                0xF000: "vendor's own",
-            },
-        ),
-    ):
-        found = words.get(code & mask)
-        if found:
-            return found
-    return "see the drive's manual"
+    return _EMCY.get(code & 0xFF00) or _EMCY.get(code & 0xF000, "see the drive's manual")
 
 
 __all__ = [

@@ -49,12 +49,13 @@ def foreign(message: can.Message, own: Mapping[int, str]) -> Foreign | None:
         return Foreign(f"node guarding of {whom} {at}", master=True) if function == 0x700 else None
     if cob == 0x000:
         return Foreign(_nmt(bytes(message.data), own), master=True)
-    if cob == 0x080:
-        return Foreign(f"SYNC {at}", master=True)
-    if cob == 0x7E5:
-        return Foreign(f"LSS {at}: somebody sets node ids", master=True)
-    if cob == 0x700 + MASTER_ID:
-        return Foreign(f"a heartbeat with our own node id {MASTER_ID} {at}", master=True)
+    masters = {
+        0x080: f"SYNC {at}",
+        0x7E5: f"LSS {at}: somebody sets node ids",
+        0x700 + MASTER_ID: f"a heartbeat with our own node id {MASTER_ID} {at}",
+    }
+    if cob in masters:
+        return Foreign(masters[cob], master=True)
     if function in (0x200, 0x300, 0x400, 0x500) and node:
         return Foreign(f"RPDO {(function - 0x100) // 0x100} to {whom} {at}", master=True)
     if function == 0x600 and node:

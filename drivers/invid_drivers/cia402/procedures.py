@@ -15,7 +15,8 @@ import numpy as np
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.sweep.loads import CONFIRM_S, LOAD_SHARE
 from invid.sweep.ports import Procedure, Want, Wish
-from invid_drivers.cia402.axis_state import BRAKE_S, ENABLE_S, AxisState
+from invid.wording.sentence import sentence
+from invid_drivers.cia402.axis_state import BRAKE_S, CHANGING_S, ENABLE_S, AxisState
 from invid_drivers.cia402.states import DriveState
 from invid_drivers.cia402.supervised_axis import SupervisedAxis
 from invid_drivers.cia402.supervisor import MOVES
@@ -75,9 +76,7 @@ class Stage:
 
     def wait(self, seconds: float, wish: Wish) -> Procedure[None]:
         """Go on wishing the same for a while."""
-        end = self.now() + seconds
-        while self.now() < end:
-            yield wish
+        return self.until(self.axes, (), wish, seconds)
 
     def until(
         self, axes: Sequence[SupervisedAxis], states: Collection[AxisState], wish: Wish, longest: float
@@ -105,8 +104,12 @@ def enable(stage: Stage) -> Procedure[None]:
     if missing:
         names = names_of(missing)
         raise DriveError(
-            f"axis {', '.join(names)}: not enabled in its mode (0x6060) after {longest:g} s; check its "
-            "supply, its enable input, safe torque off and the brake",
+            sentence(
+                "axis {axis}: not enabled in its mode (0x6060) after {longest:g} s; check its "
+                "supply, its enable input, safe torque off and the brake",
+                axis=", ".join(names),
+                longest=longest,
+            ),
             axes=names,
         )
 
@@ -165,7 +168,7 @@ def test_stops(stage: Stage, silence_s: float) -> Procedure[None]:
 
 
 def _await_rest(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
-    """Wait until axes rest: one that moved before the test says nothing of its brake or drive."""
+    """Wait until axes rest, and begin a test: one that moved before says nothing of its brake or drive."""
     for a in axes:
         a.estimator.look_anew()
     end = stage.now() + SETTLE_S
@@ -173,12 +176,17 @@ def _await_rest(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
         if stage.now() > end:
             moving = names_of([a for a in axes if not a.estimator.stands])
             raise SafetyStop(
-                f"axis {', '.join(moving)}: moves, though its drive is to hold it at rest (before the "
-                "stop test). Somebody moves it, its load is beyond the drive's torque limit, or a sign "
-                "is wrong in it",
+                sentence(
+                    "axis {axis}: moves, though its drive is to hold it at rest (before the stop "
+                    "test). Somebody moves it, its load is beyond the drive's torque limit, or a sign "
+                    "is wrong in it",
+                    axis=", ".join(moving),
+                ),
                 axes=moving,
             )
         yield stage.everyone(Want.STAY)
+    for a in axes:
+        a.on_trial = True
 
 
 def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
@@ -186,8 +194,6 @@ def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
     yield from _await_rest(stage, axes)
     began = stage.now()
     seen: dict[int, tuple[float, float, float]] = {}  # way, when it moved last, speeding up
-    for a in axes:
-        a.on_trial = True
     closed = (AxisState.BRAKED, *CAUGHT)
     end = stage.now() + 2 * BRAKE_S
     while stage.now() < end and not all(a.state in closed for a in axes):
@@ -200,7 +206,12 @@ def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
     if silent:
         names = names_of(silent)
         raise BusError(
-            f"axis {', '.join(names)}: no answer for {2 * BRAKE_S:g} s while its brake was tried", axes=names
+            sentence(
+                "axis {axis}: no answer for {brake_s:g} s while its brake was tried",
+                axis=", ".join(names),
+                brake_s=2 * BRAKE_S,
+            ),
+            axes=names,
         )
     yield from stage.wait(SEEN_OFF_S, stage.everyone(Want.STAY))
     for a in axes:
@@ -216,9 +227,13 @@ def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
         a.brake_failed = False  # what was measured is remembered
         if a.holding.stays and not a.holding.can_stay:
             raise SafetyStop(
-                f"axis {a.name}: it was handed to its brake at rest, it fell by {drop:.2g} and its brake did "
-                "not hold it by then, and its drive cannot (0x605A; stop test). See to the brake, or unload "
-                "it",
+                sentence(
+                    "axis {axis}: it was handed to its brake at rest, it fell by {drop:.2g} and its "
+                    "brake did not hold it by then, and its drive cannot (0x605A; stop test). See to "
+                    "the brake, or unload it",
+                    axis=a.name,
+                    drop=drop,
+                ),
                 axis=a.name,
             )
     yield from _resume(stage, axes)
@@ -226,8 +241,6 @@ def _try_brakes(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]
 
 def _try_quick_stop(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     yield from _await_rest(stage, axes)
-    for a in axes:
-        a.on_trial = True
     parked = (AxisState.STANDS, *CAUGHT)
     yield from stage.until(axes, parked, stage.only(axes, Want.PARK), SETTLE_S)
     end = stage.now() + (HOLD_S if all(a.holding.seen.holds for a in axes) else AFTER_S)
@@ -240,13 +253,11 @@ def _try_quick_stop(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[N
 def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -> Procedure[None]:
     """Say nothing for as long as the drives' heartbeat watch is, and more; then look."""
     yield from _await_rest(stage, axes)
-    for a in axes:
-        a.on_trial = True
     if watch_s <= DRIFT_S:
         led = [a for a in axes if a.takes_torque]
         for a in led:
             a.torque = a.support if a.carries else 0.0
-        end = stage.now() + ENABLE_S
+        end = stage.now() + ENABLE_S + CHANGING_S
         while stage.now() < end and not all(a.state is AxisState.LED and a.mode_is_there for a in led):
             yield stage.only(led, Want.LEAD)
         yield from stage.wait(TORQUE_S, stage.only(led, Want.LEAD))
@@ -256,10 +267,14 @@ def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -
     moved = [a for a in axes if a.verdict == MOVES]
     if moved:
         raise SafetyStop(
-            f"axis {', '.join(names_of(moved))}: it was given no torque and moved by "
-            f"{moved[0].most_drop / 2:.2g} at least, faster and faster (stop test at rest): it carries a "
-            "load that 0x6077 does not show, or its drive gives torque that nobody asked for. Set "
-            "gravity_loaded: true, and support it",
+            sentence(
+                "axis {axis}: it was given no torque and moved by {most_drop:.2g} at least, faster "
+                "and faster (stop test at rest): it carries a load that 0x6077 does not show, or "
+                "its drive gives torque that nobody asked for. Set gravity_loaded: true, and "
+                "support it",
+                axis=", ".join(names_of(moved)),
+                most_drop=moved[0].most_drop / 2,
+            ),
             axes=names_of(moved),
         )
     deaf = [a for a in axes if a.state in (AxisState.LED, AxisState.HELD) and not a.verdict]
@@ -269,9 +284,14 @@ def _fall_silent(stage: Stage, axes: Sequence[SupervisedAxis], watch_s: float) -
             stage.note(a, holds=False)
             raise _lets_go(a, f"without its master for {watch_s:.2g} s its drive is in {a.drive.words}")
         raise SafetyStop(
-            f"axis {', '.join(names_of(deaf))}: its drive went on for {1.5 * watch_s + SILENCE_S:.2g} s "
-            f"without its master ({a.drive.words}; stop test at rest), though 0x1016 watches it: if this "
-            "computer dies, the axis keeps its last torque. See to 0x1016 and 0x6007, or use another drive",
+            sentence(
+                "axis {axis}: its drive went on for {silence_s:.2g} s without its master ({words}; "
+                "stop test at rest), though 0x1016 watches it: if this computer dies, the axis "
+                "keeps its last torque. See to 0x1016 and 0x6007, or use another drive",
+                axis=", ".join(names_of(deaf)),
+                silence_s=1.5 * watch_s + SILENCE_S,
+                words=a.drive.words,
+            ),
             axes=names_of(deaf),
         )
     _require_held(stage, loaded, f"without its master for {watch_s:.2g} s at most")
@@ -289,8 +309,11 @@ def _keep_silent(stage: Stage, axes: Sequence[SupervisedAxis], seconds: float) -
         if stage.now() > end + ANSWER_S:
             silent = [name for name, count in answers.items() if count < 2]
             raise BusError(
-                f"axis {', '.join(silent)}: no answer for {ANSWER_S:g} s after its master was silent, in the "
-                "stop test",
+                sentence(
+                    "axis {axis}: no answer for {answer_s:g} s after its master was silent, in the stop test",
+                    axis=", ".join(silent),
+                    answer_s=ANSWER_S,
+                ),
                 axes=silent,
             )
         yield stage.everyone(Want.STAY)
@@ -310,14 +333,21 @@ def _require_held(stage: Stage, axes: Sequence[SupervisedAxis], when: str) -> No
                 a, f"{when} it did not come to rest" if still else f"{when} its drive is in {a.drive.words}"
             )
         if not a.fresh:
-            raise BusError(f"axis {a.name}: no answer {when}, in the stop test", axis=a.name)
+            raise BusError(
+                sentence("axis {axis}: no answer {when}, in the stop test", axis=a.name, when=when),
+                axis=a.name,
+            )
 
 
 def _lets_go(a: SupervisedAxis, what: str) -> SafetyStop:
     return SafetyStop(
-        f"axis {a.name}: it carries a load, and {what} (stop test at rest): its drive would "
-        "let it fall. Use a brake that the drive closes (brake: drive), another drive, or unload the "
-        "axis",
+        sentence(
+            "axis {axis}: it carries a load, and {what} (stop test at rest): its drive would "
+            "let it fall. Use a brake that the drive closes (brake: drive), another drive, or "
+            "unload the axis",
+            axis=a.name,
+            what=what,
+        ),
         axis=a.name,
     )
 
@@ -325,24 +355,36 @@ def _lets_go(a: SupervisedAxis, what: str) -> SafetyStop:
 def _resume(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:
     """Every axis held again, from quick stop by transition 16, from its brake, or from off."""
     there = (AxisState.HELD, AxisState.LED)
-    yield from stage.until(stage.axes, there, stage.everyone(Want.HOLD), ENABLE_S)
-    missing = [a for a in stage.axes if a.state not in there]
+    for a in axes:
+        a.verdict = ""
+    end = stage.now() + ENABLE_S + CHANGING_S
+    missing = list(stage.axes)
+    while missing and stage.now() < end and not any(a.verdict for a in axes):
+        yield stage.everyone(Want.HOLD)
+        missing = [a for a in stage.axes if a.state not in there]
     if not missing:
         for a in axes:
-            a.on_trial, a.verdict = False, ""
+            a.on_trial = False
         return
     held = [a for a in missing if a.drive is DriveState.QUICK_STOP_ACTIVE and a.carries]
     for a in held:
         stage.note(a, holds=True, resumes=False)
     if held:
         raise SafetyStop(
-            f"axis {', '.join(names_of(held))}: seen to be held after a quick stop, which "
-            "is remembered, but its drive does not go back to operation from there (transition 16). With "
-            "the load supported, take its enable or supply away and give it back, then start again",
+            sentence(
+                "axis {axis}: seen to be held after a quick stop, which is remembered, but its "
+                "drive does not go back to operation from there (transition 16). With the load "
+                "supported, take its enable or supply away and give it back, then start again",
+                axis=", ".join(names_of(held)),
+            ),
             axes=names_of(held),
         )
     raise SafetyStop(
-        f"axis {', '.join(names_of(missing))}: not enabled again within {ENABLE_S:g} s after the stop test",
+        sentence(
+            "axis {axis}: not enabled again within {enable_s:g} s after the stop test",
+            axis=", ".join(names_of(missing)),
+            enable_s=ENABLE_S,
+        ),
         axes=names_of(missing),
     )
 
@@ -373,8 +415,8 @@ def _until_final(stage: Stage, end: float) -> Procedure[None]:
 
 
 def _is_seen_final(a: SupervisedAxis) -> bool:
-    without_torque = a.state in (AxisState.OFF, AxisState.BRAKED) and a.was_powered
-    return a.is_final and (a.seconds >= SEEN_OFF_S or not without_torque)
+    looks = a.state in (AxisState.OFF, AxisState.BRAKED) and a.was_powered and a.seconds < SEEN_OFF_S
+    return a.is_final and not looks
 
 
 def _weigh(stage: Stage, axes: Sequence[SupervisedAxis]) -> Procedure[None]:

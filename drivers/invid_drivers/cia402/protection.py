@@ -6,6 +6,7 @@ import math
 
 from invid.errors import DriveError
 from invid.planning.stopping_distance import StoppingFacts
+from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.failures import WriteRefused
@@ -132,14 +133,20 @@ class Protection:
                 f"measuring, as overrides says ({reason})"
             )
             return
-        way_out = "set it with the drive's tool: no limit is raised from here"
+        way_out = sentence("set it with the drive's tool: no limit is raised from here")
         if shipped:
             way_out = (
                 "it is shipped so: where nobody set it on purpose, say so (overrides: "
                 f'{{"{what.address}": "reason"}}), or set it with its tool'
             )
         raise DriveError(
-            f"{drive.who}: {what.address} {what.name} is 0: the drive gives no torque; {way_out}",
+            sentence(
+                "{who}: {address} {what} is 0: the drive gives no torque; {way_out}",
+                who=drive.who,
+                address=what.address,
+                what=what.name,
+                way_out=way_out,
+            ),
             axis=drive.name,
         )
 
@@ -152,9 +159,15 @@ class Protection:
         left = distance_to_edge(here, low, high)
         if left <= 0:
             raise DriveError(
-                f"{drive.who}: it stands at {here}, outside of or at the edge of the drive's software "
-                f"position limits (0x607D: {low} to {high}); move it inside, or correct 0x607D with the "
-                "drive's tool",
+                sentence(
+                    "{who}: it stands at {here}, outside of or at the edge of the drive's software "
+                    "position limits (0x607D: {low} to {high}); move it inside, or correct 0x607D with "
+                    "the drive's tool",
+                    who=drive.who,
+                    here=here,
+                    low=low,
+                    high=high,
+                ),
                 axis=drive.name,
             )
         value = left * scaling.position_per_count / DRIVE_MARGIN
@@ -266,17 +279,26 @@ class Protection:
         if entry is None:
             if not drive.config.allow_missing_heartbeat:
                 raise DriveError(
-                    f"{drive.who}: every entry of 0x1016 watches another node, none is free to watch this "
-                    "computer: if it dies, the axis keeps its last torque. Free one with the drive's tool, "
-                    "or, where another device stops the axis then, set allow_missing_heartbeat: true for it",
+                    sentence(
+                        "{who}: every entry of 0x1016 watches another node, none is free to watch this "
+                        "computer: if it dies, the axis keeps its last torque. Free one with the drive's "
+                        "tool, or, where another device stops the axis then, set allow_missing_heartbeat: "
+                        "true for it",
+                        who=drive.who,
+                    ),
                     axis=drive.name,
                 )
             return ["0x1016 consumer heartbeat: every entry watches another node, none this master"]
         node, ms = watched(entry[1])
         if node == MASTER_ID and 0 < ms < self._watch_ms * 2 // 3:
             raise DriveError(
-                f"{drive.who}: 0x1016 of the drive watches this master for {ms} ms, and is not loosened; "
-                f"set safety.heartbeat_s to {ms // 3 / 1000:g} at most: three heartbeats must fit",
+                sentence(
+                    "{who}: 0x1016 of the drive watches this master for {ms} ms, and is not loosened; "
+                    "set safety.heartbeat_s to {heartbeat_s:g} at most: three heartbeats must fit",
+                    who=drive.who,
+                    ms=ms,
+                    heartbeat_s=ms // 3 / 1000,
+                ),
                 axis=drive.name,
             )
         return []

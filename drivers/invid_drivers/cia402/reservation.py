@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 from invid.errors import BusError
+from invid.wording.sentence import sentence
 
 PATIENCE_S = 5.0
 """For an orphaned cycle process that stops its drives: fade, quick stop and restoring take two seconds."""
@@ -49,13 +50,24 @@ class Reservation:
             except OSError as error:
                 if error.errno not in (errno.EADDRINUSE, errno.EWOULDBLOCK):
                     raise BusError(
-                        f"bus {interface} {channel}: cannot be reserved ({error.strerror or error}), so "
-                        "another process may be using it; nothing is sent"
+                        sentence(
+                            "bus {interface} {channel}: cannot be reserved ({why}), so another "
+                            "process may be "
+                            "using it; nothing is sent",
+                            interface=interface,
+                            channel=channel,
+                            why=error.strerror or error,
+                        )
                     ) from None
                 if time.monotonic() >= end:
                     raise BusError(
-                        f"bus {interface} {channel}: another invid process is using this bus"
-                        f"{_holder(digest)}; wait until its measurement has ended, or stop it"
+                        sentence(
+                            "bus {interface} {channel}: another invid process is using this bus{holder}; "
+                            "wait until its measurement has ended, or stop it",
+                            interface=interface,
+                            channel=channel,
+                            holder=_holder(digest),
+                        )
                     ) from None
                 time.sleep(0.05)
 

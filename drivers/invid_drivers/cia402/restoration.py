@@ -56,7 +56,9 @@ def decide(entries: Sequence[Entry], shown: Mapping[Address, bytes | None]) -> t
     """
     groups: dict[int | Address, list[Entry]] = {}
     for e in reversed(entries):
-        groups.setdefault(_together(e), []).insert(0, e)
+        # those of one PDO and its map are undone together
+        key = e.index & 0xFDFF if 0x1400 <= e.index <= 0x1BFF else (e.index, e.sub)
+        groups.setdefault(key, []).insert(0, e)
     return tuple(_judge(tuple(group), shown) for group in groups.values())
 
 
@@ -65,11 +67,6 @@ def same(a: bytes, b: bytes) -> bool:
     short, long = sorted((a, b), key=len)
     rest = set(long[len(short) :])
     return long.startswith(short) and rest <= {0 if not short or short[-1] < 0x80 else 0xFF, 0}
-
-
-def _together(e: Entry) -> int | Address:
-    """Key of entries that are undone together: those of one PDO and its map, or of one object."""
-    return e.index & 0xFDFF if 0x1400 <= e.index <= 0x1BFF else (e.index, e.sub)
 
 
 def _judge(group: tuple[Entry, ...], shown: Mapping[Address, bytes | None]) -> Group:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -10,7 +11,7 @@ from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.ports import Sample
 from invid_drivers.cia402.axis import ModeSet
 from invid_drivers.cia402.axis_state import RULES, AxisState, Command, Fact
-from invid_drivers.cia402.standing.holding import AxisHolding
+from invid_drivers.cia402.standing.holding import BRAKE_MARGIN, CLOSES_S, AxisHolding
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 
 DEAF_S = 0.2
@@ -33,11 +34,16 @@ slower by then was none."""
 CREEPS = 2.0
 """Of the tolerance within which an axis stands: one that is further from its place in quick stop within the
 look is not held, however slowly it goes."""
-READY_S = 0.25
-"""Ready to switch on needs no power: a drive that does not go there within this is inhibited from outside,
-by an emergency stop or safe torque off, and is not enabled again."""
+READY_S, READY_SPARE_S = 0.25, 0.03
+"""Ready to switch on needs no power: a drive that is not there within the time that it took when it was
+enabled, and this to spare, is inhibited from outside, by an emergency stop or safe torque off, and is not
+enabled again. The first counts where it was not enabled in this run."""
 CATCH_TIME_S = 0.02
 """Ten cycles of 2 ms: slower than a torque loop and its dead time (empirical: foreign drives with 0.8 ms)."""
+TURNED, LED_CYCLES, LAG_CYCLES = 0.3, 30, 6
+"""Of the impulse of its torque over so many cycles: within that its momentum has changed by the opposite
+where a sign has turned. Its speed is that of half of ``SPEED_SAMPLES`` ago, and torque acts two cycles
+later."""
 MOST_CATCHES = 3
 """From quick stop out of torque mode, from quick stop out of position mode, and until it is supported."""
 
@@ -109,6 +115,10 @@ class SupervisedAxis:
     parks: bool | None = None
     """Whether its drive was seen to hold it in quick stop active, out of position mode."""
     support_was_awaited: bool = False
+    asked: int = 0
+    """Cycles in its state in which its drive was asked to be ready to switch on."""
+    ready_s: float | None = None
+    """Longest that its drive took for it on its way to being enabled."""
     is_stopped_by_nmt: bool = False
     silence_was_tried: bool = False
     takes_mode: ModeSet = ModeSet.SHOWN
@@ -128,6 +138,8 @@ class SupervisedAxis:
     was_ready: bool = False
     """It has gone a step towards operation enabled in this state."""
     mode_is_there: bool = False
+    changing_s: float = 0.0
+    """Of its state, until its drive had taken another mode under power."""
     supported_since: float | None = None
     moved_at: float = 0.0
     """When it was last seen to move, in its state."""
@@ -136,6 +148,8 @@ class SupervisedAxis:
     """How far it went in its state."""
     torque_off: float | None = None
     """What its drive shows without voltage."""
+    led: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LED_CYCLES + LAG_CYCLES))
+    """Speed, and impulse of the torque that it was asked for in its state, in each cycle [N·m·s or N·s]."""
     story: list[tuple[float, AxisState]] = field(default_factory=list)
 
     @property
@@ -167,8 +181,24 @@ class SupervisedAxis:
     def is_final(self) -> bool:
         """Whether the way out may end here."""
         late = self.state is AxisState.UNHEARD and self.seconds > RULES[AxisState.UNHEARD].within_s
-        rests = self.state is not AxisState.STANDS or (self.carries and not self.is_unseen())
-        return (RULES[self.state].is_final and rests) or late
+        waits = (self.state is AxisState.STANDS and (self.is_unseen() or not self.carries)) or (
+            self.state is AxisState.FAULT and self.is_energised and self.seconds < self.quick_stop_s
+        )
+        return (RULES[self.state].is_final and not waits) or late
+
+    @property
+    def may_be_on(self) -> bool:
+        """Whether it does not obey, or its drive still reacts to a fault."""
+        return self.state is AxisState.UNHEARD or (self.state is AxisState.FAULT and self.is_energised)
+
+    @property
+    def was_let_go(self) -> bool:
+        """Whether it carries a load, may have had power, and was not seen to be held in the end."""
+        doubted = self.is_energised and (self.parks is False or self.driven_since is not None)
+        held = self.state in (AxisState.STANDS, AxisState.BRAKED) and not (
+            doubted or self.blind or self.brake_failed
+        )
+        return self.carries and not held and (self.was_powered or (bool(self.story) and self.is_unseen()))
 
     @property
     def has_brake(self) -> bool:
@@ -179,8 +209,8 @@ class SupervisedAxis:
     @property
     def is_catchable(self) -> bool:
         """Whether its drive may be given it again."""
-        able = self.holding.has_position_mode and not (self.blind or self.is_cut or self.weak)
-        return able and self.catches < MOST_CATCHES and not self.support_was_awaited
+        unable = self.blind or self.is_cut or self.weak or self.support_was_awaited
+        return self.holding.has_position_mode and not unable and self.catches < MOST_CATCHES
 
     @property
     def most_drop(self) -> float:
@@ -191,26 +221,27 @@ class SupervisedAxis:
     def enter(self, state: AxisState) -> None:
         """Come into a state: what is seen from here on counts for it."""
         before, rule = RULES[self.state].command, RULES[state]
-        if self.state is AxisState.HELD and self.estimator.stands and self.carries:
-            self._note_weight()
+        if self.state is AxisState.HELD and self.estimator.stands and self.carries and self.takes_torque:
+            self.support = self.estimator.torque  # an offset would add to its drive's loop
         if rule.command is not before or state is AxisState.CATCHING:
             self.was_enabled, self.samples = False, 0
-        self.was_ready = False
-        if state is AxisState.CATCHING or (state is AxisState.STOPPING and self.on_trial):
+        self.was_ready, self.asked, self.changing_s = False, 0, 0.0
+        damped = (AxisState.CATCHING, AxisState.SLOWING)
+        if state in damped or (state is AxisState.STOPPING and self.on_trial):
             self.damping = self._catching_damping()
         if state is AxisState.CATCHING:
             self.catches += 1
         self.state, self.since = state, self.now
         self.place = self.moved_from = self.estimator.position
         self.moved_at, self.drop = self.now, 0.0
-        self.entry_speed = abs(self.estimator.speed)
+        # a load that damping alone lowers gets as fast as that
+        sinks = abs(self.support) / self.damping if state is AxisState.SLOWING and self.damping else 0.0
+        self.entry_speed = max(abs(self.estimator.speed), sinks)
         self.supported_since = None
         self.estimator.look_anew()
+        self.led.clear()
+        self.is_cut |= state is AxisState.SLOWING  # no loop of its drive's holds it
         self.story.append((self.now, state))
-
-    def _note_weight(self) -> None:
-        if self.takes_torque:
-            self.support = self.estimator.torque  # an offset would add to its loop
 
     def _catching_damping(self) -> float:
         """Damping that stops a fall in ``CATCH_TIME_S``.
@@ -223,10 +254,26 @@ class SupervisedAxis:
         return inertia / CATCH_TIME_S
 
     @property
+    def has_turned(self) -> bool:
+        """Whether what it was asked for while it is led has moved its mass the opposite way, to a third at
+        least of the speed that it has; its weight did the rest."""
+        mass, led = self.holding.config.inertia, self.led
+        if mass is None or len(led) < LED_CYCLES + LAG_CYCLES:
+            return False
+        impulse = led[-1 - LAG_CYCLES][1] - led[0][1]
+        change = mass * (led[-1][0] - led[LAG_CYCLES][0])
+        off = abs(change + impulse + self.support * (LED_CYCLES - 1) * self.cycle_s)
+        return off < TURNED * abs(impulse) and 3 * change * led[-1][0] > mass * led[-1][0] ** 2
+
+    def within_limit(self, torque: float) -> float:
+        """The torque, or as much of it as its limit permits [N·m or N]."""
+        limit = self.estimator.limits.torque
+        return max(-limit, min(limit, torque))
+
+    @property
     def catching_torque(self) -> float:
         """Torque that carries its load and brakes its fall [N·m or N]."""
-        limit = self.estimator.limits.torque
-        return max(-limit, min(limit, self.support - self.damping * self.speed))
+        return self.within_limit(self.support - self.damping * self.speed)
 
     @property
     def speed(self) -> float:
@@ -247,8 +294,16 @@ class SupervisedAxis:
             return
         self.heard, self.status, self.shown_torque = sample.time, sample.status[i], sample.torque[i]
         self.samples += 1
+        self.led.append(
+            (
+                self.estimator.speed,
+                (self.led[-1][1] if self.led else 0.0) + self.within_limit(self.torque) * self.cycle_s,
+            )
+        )
         self.was_enabled |= self.drive is DriveState.OPERATION_ENABLED
         self.was_ready |= self.drive in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON)
+        if self.was_ready and self.asked and self.state is AxisState.ENABLING:
+            self.ready_s = max(self.ready_s or 0.0, self.asked * self.cycle_s)
         self.was_powered |= self.is_energised
         if not self.is_energised:
             self.torque_off = sample.torque[i]
@@ -302,7 +357,8 @@ class SupervisedAxis:
         if command is Command.ENABLE and not enabled and (self.was_enabled or went_back):
             return Trouble.LEFT
         if self.state is AxisState.CATCHING and drive is DriveState.SWITCH_ON_DISABLED:
-            return Trouble.LEFT if self.seconds > READY_S else None
+            most = READY_S if self.ready_s is None else self.ready_s + READY_SPARE_S
+            return Trouble.LEFT if self.asked * self.cycle_s > most else None
         if command is not Command.QUICK_STOP:
             return None
         if self.carries and not self.is_energised:
@@ -327,9 +383,9 @@ class SupervisedAxis:
         if state in (AxisState.OFF, AxisState.LETTING_GO):
             far = self.drop > self.most_drop and estimator.fall is not None
             return Trouble.FALLS if far and not self.is_energised and len(self.story) > 1 else None
-        if state is AxisState.STOPPING and self.is_damped and self._runs_away():
+        if state is AxisState.STOPPING and self.is_damped and self.runs_away():
             return Trouble.FALLS
-        if state is AxisState.PARKING and not self.carries and self._runs_away():
+        if state is AxisState.PARKING and not self.carries and self.runs_away():
             return Trouble.DRIVEN
         parked = state in (AxisState.PARKING, AxisState.STANDS)
         if parked and self.on_trial and self.carries and self._has_dropped():
@@ -346,15 +402,22 @@ class SupervisedAxis:
     def _has_dropped(self) -> bool:
         """Whether an axis that was at rest has gone too far, or half of that and is faster than a loop that
         sags."""
-        if self.in_vain or self.entry_speed**2 > 2 * SEEN * self.most_drop:  # it came in motion
-            return self.drop > self.estimator.limits.position
+        brake_s = self.holding.seen.brake_s if self.state is AxisState.BRAKING else None
+        tolerance = self.most_drop if brake_s is None else self.estimator.tolerance
+        if self.in_vain or self.entry_speed**2 > 2 * SEEN * tolerance:  # it came in motion
+            # a brake that closed under torque in its test was not seen to take its time
+            late = brake_s is not None and self.seconds > max(BRAKE_MARGIN * brake_s, CLOSES_S[0])
+            return self.drop > self.estimator.limits.position or (
+                late and self.runs_away() and not self.in_vain
+            )
         return (self.drop > self.most_drop / 2 and self._speeds_up()) or self.drop > self.most_drop
 
     def _speeds_up(self) -> bool:
         """Whether it got its speed on its way by more than ``SEEN``."""
         return self.estimator.speed**2 > 2 * SEEN * self.drop
 
-    def _runs_away(self) -> bool:
+    def runs_away(self) -> bool:
+        """Whether what brings it to rest does the opposite."""
         limits = self.estimator.limits
         noise = max(NOISE_COUNTS * abs(limits.resolution), NOISE_DEVIATIONS * self.estimator.noise)
         least = max(RUNAWAY_SHARE * limits.velocity, noise / (4 * self.cycle_s))

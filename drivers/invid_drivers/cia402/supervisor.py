@@ -14,10 +14,20 @@ from collections.abc import Callable, Sequence
 from invid.errors import DriveError, InvidError, SafetyStop
 from invid.sweep.bounds import Bounds
 from invid.sweep.ports import Event, Loop, Mode, Sample, Severity, Want, Wish
+from invid.wording.sentence import marked, sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import ModeSet
-from invid_drivers.cia402.axis_state import CHANGING_S, NEXT, RULES, UNHEARD_S, AxisState, Command, Fact
+from invid_drivers.cia402.axis_state import (
+    CHANGING_S,
+    NEXT,
+    RULES,
+    SUPPORT_S,
+    UNHEARD_S,
+    AxisState,
+    Command,
+    Fact,
+)
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_requests import Change
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link
@@ -27,7 +37,7 @@ from invid_drivers.cia402.supervised_axis import DEAF_S, DRIVEN_LOOK_S, Supervis
 CYCLIC = OperationMode.CYCLIC_POSITION
 STOPPING = "stopping"
 MOVES = "moved by itself"
-UNSEEN = "support the load of {}: it is not seen to stand"
+UNSEEN = marked("support the load of {axes}: it is not seen to stand")
 """Phases that are told."""
 SWITCHABLE = (AxisState.LED, AxisState.STOPPING, AxisState.SWITCHING)
 """States in which an axis may be switched off for a mode that its drive takes without power only."""
@@ -78,14 +88,17 @@ class Supervisor:
         error = error or self._judge_bounds(sample)
         for axis in self.axes:
             axis.see(sample)
-        self._cycle.asking = {a.index for a in self.axes if self.is_mute or self._must_be_asked(a)}
+        unseen = [a for a in self.axes if self.is_leaving and a.state is not AxisState.OFF and a.is_unseen()]
+        self._cycle.asking = {a.index for a in (self.axes if self.is_mute else unseen)}
         for axis in self.axes:
             try:
                 self._attend(axis)
-            except InvidError as found:
-                error = error or found
+            except InvidError as found:  # what a drive did explains what its axis does
+                error = found if isinstance(error, SafetyStop) and error.axis == axis.name else error or found
             except Exception as fault:  # a fault of this program at one axis: the others are attended to
-                error = error or DriveError(f"axis {axis.name}: a fault of this program: {fault!r}")
+                error = error or DriveError(
+                    sentence("axis {axis}: a fault of this program: {fault!r}", axis=axis.name, fault=fault)
+                )
         if error is not None and not self.is_leaving:
             raise error
         return sample
@@ -105,7 +118,9 @@ class Supervisor:
             if self.is_mute:
                 return self._cycle.silent_cycle(), None
             sample = self._cycle.exchange([self._command(a) for a in self.axes])
-            self._note_pause()
+            if self._cycle.paused:
+                self.bounds.pause()
+                self._cycle.paused = False
             return sample, None
         except InvidError as error:
             sample, clock = self._cycle.sample, self._link.clock
@@ -113,18 +128,11 @@ class Supervisor:
             sample.time, sample.fresh[:] = clock.now(), [False] * len(self.axes)
             return sample, error
 
-    def _must_be_asked(self, a: SupervisedAxis) -> bool:
-        return self.is_leaving and a.state is not AxisState.OFF and a.is_unseen()
-
-    def _note_pause(self) -> None:
-        if self._cycle.paused:
-            self.bounds.pause()
-            self._cycle.paused = False
-
     def _judge_bounds(self, sample: Sample) -> InvidError | None:
         """What leaves its bounds, and which axes are to blame."""
         bounds = self.bounds
-        bounds.led = {a.index for a in self.axes if a.state in (AxisState.LED, AxisState.STOPPING)}
+        led = (AxisState.LED, AxisState.STOPPING, AxisState.SLOWING)
+        bounds.led = {a.index for a in self.axes if a.state in led}
         if self._link.clock.now() < self._missed_until:
             self._hear_who_missed_us(sample)
         if self.is_leaving or self.is_mute:
@@ -177,9 +185,10 @@ class Supervisor:
                 self._grant_end(a)
             case Want.LEAD if a.state is AxisState.HELD:
                 self.enter(a, AxisState.LED)
-            case Want.HOLD if a.state is AxisState.LED:
-                if a.holding.has_position_mode:
-                    self.enter(a, AxisState.STOPPING)
+            case Want.HOLD if a.state is AxisState.LED and a.has_turned and a.takes_torque:
+                self._react_to_driven(a, is_sure=True)  # no loop of its drive's would hold it
+            case Want.HOLD if a.state is AxisState.LED and a.holding.has_position_mode:
+                self.enter(a, AxisState.STOPPING)
             case Want.HOLD if a.state in (AxisState.OFF, AxisState.STANDS, AxisState.BRAKED):
                 self.enter(a, AxisState.ENABLING)
             case Want.HOLD if a.state is AxisState.CAUGHT and a.on_trial:
@@ -188,11 +197,11 @@ class Supervisor:
                 self.enter(a, AxisState.PARKING)
             case Want.BRAKE if a.state is AxisState.HELD and a.has_brake:
                 self.enter(a, AxisState.BRAKING)
-            case _:
-                pass
 
     def _grant_end(self, a: SupervisedAxis) -> None:
         match a.state:
+            case AxisState.LED if a.has_turned and a.takes_torque and not a.is_unseen():
+                self._react_to_driven(a, is_sure=True)
             case AxisState.LED if a.carries and a.holding.has_position_mode and not a.is_unseen():
                 self.enter(a, AxisState.STOPPING)
             case AxisState.STOPPING if a.is_unseen():  # no loop of this master's closes, its drive's may
@@ -209,8 +218,6 @@ class Supervisor:
                 self.enter(a, AxisState.LETTING_GO)
             case AxisState.CAUGHT if a.parks is not False:
                 self.enter(a, AxisState.PARKING)
-            case _:
-                pass
 
     def enter(self, a: SupervisedAxis, state: AxisState) -> None:
         """Bring an axis into a state."""
@@ -223,8 +230,12 @@ class Supervisor:
         a.mode_is_there = False
         with contextlib.suppress(Exception):  # whoever listens may have gone
             self.changed()
-        if state in (AxisState.CATCHING, AxisState.CAUGHT, AxisState.LOST) or (
-            state is AxisState.FAULT and a.carries
+        if state in (
+            AxisState.CATCHING,
+            AxisState.CAUGHT,
+            AxisState.SLOWING,
+            AxisState.LOST,
+            AxisState.FAULT,
         ):
             self._tell_support(a)
 
@@ -232,13 +243,22 @@ class Supervisor:
         """Say at once which loads a person must support: it may last a minute."""
         if a.name not in self._told and a.carries:
             self._told.add(a.name)
-            names = [x.name for x in self.axes if x.name in self._told]
             with contextlib.suppress(Exception):  # whoever listens may have gone
-                self.tell(UNSEEN.format(", ".join(names)))
+                names = ", ".join(x.name for x in self.axes if x.name in self._told)
+                self.tell(sentence(UNSEEN, axes=names))
 
     # --- one axis -----------------------------------------------------------------------------------
     def _attend(self, a: SupervisedAxis) -> None:
         """See what is wrong with an axis and move it on."""
+        if a.state is AxisState.SLOWING and not self.is_leaving:
+            raise SafetyStop(
+                sentence("axis {axis}: its torque moved it the opposite way", axis=a.name),
+                way_out=sentence(
+                    "a sign has turned in motor or encoder: find out before anything moves again"
+                ),
+                code="disobeys",
+                axis=a.name,
+            )
         a.blind |= a.index in self.bounds.blind
         self._tell_by_nmt(a)
         trouble = self._restarted(a) or self._given_away(a) or a.trouble()
@@ -291,9 +311,13 @@ class Supervisor:
             return
         if trouble in (Trouble.FAULT, Trouble.LEFT):
             raise DriveError(
-                f"axis {a.name}: the drive left operation enabled (statusword 0x{a.status:04X}"
-                f"{', fault' if a.status & 0x08 else ''})",
-                way_out="read its error memory, find the cause, reset it there",
+                sentence(
+                    "axis {axis}: the drive left operation enabled (statusword 0x{status:04X}{fault})",
+                    axis=a.name,
+                    status=a.status,
+                    fault=sentence(", fault") if a.status & 0x08 else "",
+                ),
+                way_out=sentence("read its error memory, find the cause, reset it there"),
                 code="drive_left",
                 axis=a.name,
             )
@@ -318,7 +342,11 @@ class Supervisor:
 
     def _react_to_driven(self, a: SupervisedAxis, *, is_sure: bool) -> None:
         """A quick stop first: a load that falls looks the same for a moment; then cut off. Of a led axis it
-        is known by what was asked of it, and what carries nothing does not fall."""
+        is known by what was asked of it, and what carries nothing does not fall.
+
+        One that goes against this master's torque is slowed by its opposite, whether motor or encoder has
+        turned: no other torque is left, and where that is wrong it gets faster and is cut off, too."""
+        turned = a.state is AxisState.LED and a.takes_torque
         if a.driven_since is None:
             a.driven_since, a.entry_speed = a.now, abs(a.estimator.speed)
             if a.state is not AxisState.PARKING:
@@ -326,7 +354,12 @@ class Supervisor:
         looked = a.now - a.driven_since >= DRIVEN_LOOK_S and abs(a.estimator.speed) >= a.entry_speed
         if is_sure or looked:
             a.is_cut = True
-            self.enter(a, AxisState.BRAKING if a.has_brake and a.carries else AxisState.LETTING_GO)
+            self.enter(
+                a,
+                AxisState.BRAKING
+                if a.has_brake and a.carries
+                else (AxisState.SLOWING if turned else AxisState.LETTING_GO),
+            )
 
     def _react_to_deaf(self, a: SupervisedAxis) -> None:
         """It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop. A drive that
@@ -348,9 +381,8 @@ class Supervisor:
 
     def _tell_by_nmt(self, a: SupervisedAxis) -> None:
         """A drive whose process data are lost may hear NMT: then it does what it does without a master."""
-        ending = a.state in (AxisState.PARKING, AxisState.LETTING_GO)
+        ending = a.state in (AxisState.PARKING, AxisState.LETTING_GO) and not self._holds_by_itself(a)
         unheard = a.now - a.heard > DEAF_S  # not by SDO either
-        ending = ending and not self._holds_by_itself(a)
         if self.is_leaving and ending and unheard and not a.is_stopped_by_nmt:
             a.is_stopped_by_nmt = True
             self._stop_by_nmt(a)
@@ -364,6 +396,11 @@ class Supervisor:
             a.power_is_useless = True
             self.enter(a, AxisState.BRAKING)
             return
+        if a.state is AxisState.ENABLING and not a.mode_is_there:
+            error = self._late_error(a)
+            self.enter(a, AxisState.PARKING)  # a quick stop needs no mode
+            a.estimator.begin()  # how it fell until now says nothing of that
+            raise error
         a.power_is_useless |= a.is_energised
         a.in_vain |= RULES[a.state].command is Command.ENABLE and a.state is not AxisState.CATCHING
         if a.state in (AxisState.BRAKING, AxisState.BRAKED):
@@ -397,20 +434,23 @@ class Supervisor:
 
     def _see_cut(self, a: SupervisedAxis) -> None:
         """Tell a load beyond the limit from a wrong sign, once the torque is gone: the load gets faster."""
-        fall = a.estimator.fall
-        if a.full is not None and fall is not None and not a.is_energised:
-            a.too_heavy |= fall.acceleration > a.full.acceleration
+        if a.full is not None and a.estimator.fall is not None and not a.is_energised:
+            a.too_heavy |= a.estimator.fall.acceleration > a.full.acceleration
 
     def _advance(self, a: SupervisedAxis) -> None:
         """Transitions by what is seen, and by deadline."""
         rule = RULES[a.state]
         a.mode_is_there = self._mode_is_there(a, rule.mode)
         change = self._cycle.change_of(a.index)
+        if change is not None and a.is_energised:
+            a.changing_s = a.seconds
         if a.state in SWITCHABLE and change is not None and change.without_power:
             self._switch_mode(a, change)
             rule = RULES[a.state]
         if a.state is AxisState.PARKING and not a.carries and a.shows(Fact.UNPOWERED):
             self.enter(a, AxisState.LETTING_GO)  # it switches itself off when its ramp has ended
+        elif a.state is AxisState.SLOWING and a.runs_away():
+            self.enter(a, AxisState.LETTING_GO)
         elif a.state is AxisState.LETTING_GO and a.is_cut and a.shows(Fact.UNPOWERED):
             if a.seconds > CUT_LOOK_S:
                 self.enter(a, AxisState.FAULT)
@@ -433,11 +473,10 @@ class Supervisor:
         elif a.fresh and not a.is_energised and a.seconds > rest_s:
             change.ask_again(a.now)
 
-    def _within(self, a: SupervisedAxis, within_s: float) -> float:
-        if a.state is AxisState.PARKING:
-            return a.quick_stop_s
-        changing = self._cycle.change_of(a.index) is not None and a.shows(Fact.ENABLED)
-        return within_s + (CHANGING_S if changing else 0.0)
+    @staticmethod
+    def _within(a: SupervisedAxis, within_s: float) -> float:
+        own = {AxisState.PARKING: a.quick_stop_s, AxisState.SLOWING: SUPPORT_S if a.carries else within_s}
+        return own.get(a.state, within_s + min(a.changing_s, CHANGING_S))
 
     def _finish(self, a: SupervisedAxis, then: AxisState) -> None:
         match a.state:
@@ -446,13 +485,11 @@ class Supervisor:
                 a.target = AxisState.HELD
             case AxisState.PARKING:
                 a.parks = True
-            case _:
-                pass
         self.enter(a, then)
 
     def _be_late(self, a: SupervisedAxis, late: AxisState | None) -> None:
         """A deadline has passed."""
-        before = a.state
+        before, error = a.state, self._late_error(a)
         match before:
             case AxisState.PARKING if not a.carries or a.is_cut:
                 self.enter(a, AxisState.LETTING_GO)
@@ -475,19 +512,25 @@ class Supervisor:
         if a.on_trial:
             a.verdict = a.verdict or f"it was still {before.value}"
         elif not self.is_leaving and before in (AxisState.ENABLING, AxisState.SWITCHING, AxisState.STOPPING):
-            raise self._late_error(a, before)
+            raise error
 
     @staticmethod
-    def _late_error(a: SupervisedAxis, before: AxisState) -> DriveError:
-        node = a.holding.config.node_id
-        seconds = RULES[before].within_s
+    def _late_error(a: SupervisedAxis) -> DriveError:
+        node, seconds = a.holding.config.node_id, f"{a.seconds:.2g}"
         seen = a.drive.words if a.fresh else "silence (no TPDO comes)"
-        what = f"not enabled after {seconds:g} s, the drive shows {seen}"
+        what = f"not enabled after {seconds} s, the drive shows {seen}"
+        way_out = sentence("check its supply, its enable input, safe torque off and the brake")
         if a.shows(Fact.ENABLED):
-            what = f"enabled, but without its mode (0x6060) after {seconds:g} s"
+            what = f"enabled, but without its mode (0x6060) after {seconds} s, and it went {a.drop:.2g} away"
+            way_out = sentence("see in its manual when it takes a mode, and in 0x6502 whether it has that")
         return DriveError(
-            f"axis {a.name} (node {node}): {what}; check its supply, its enable input, safe torque off and "
-            "the brake",
+            sentence(
+                "axis {axis} (node {node}): {what}; {way_out}",
+                axis=a.name,
+                node=node,
+                what=what,
+                way_out=way_out,
+            ),
             axis=a.name,
         )
 
@@ -497,9 +540,7 @@ class Supervisor:
             return None
         if a.state is AxisState.ENABLING and a.target is AxisState.LED:
             return a.torque_mode
-        if mode is Mode.TORQUE or not a.holding.has_position_mode:
-            return a.torque_mode
-        return CYCLIC
+        return a.torque_mode if mode is Mode.TORQUE or not a.holding.has_position_mode else CYCLIC
 
     def _mode_is_there(self, a: SupervisedAxis, mode: Mode | None) -> bool:
         if a.state is AxisState.SWITCHING:
@@ -548,6 +589,8 @@ class Supervisor:
             return a.torque
         if a.state is AxisState.STOPPING:
             return self._rest_torque(a)
+        if a.state is AxisState.SLOWING:
+            return a.within_limit(a.damping * a.speed)
         if a.state is AxisState.CATCHING and a.takes_torque:
             return a.catching_torque
         return a.support if a.holding.has_position_mode else 0.0
@@ -568,7 +611,9 @@ class Supervisor:
                     # one that stopped by itself goes on only from a command to stop
                     waits |= a.seconds < EDGE_CYCLES * a.cycle_s
                     return states.QUICK_STOP if waits else states.ENABLE_OPERATION
-                return self._cycle.control[a.index] if waits else states.towards_enabled(a.drive)
+                word = self._cycle.control[a.index] if waits else states.towards_enabled(a.drive)
+                a.asked += word == states.SHUTDOWN
+                return word
 
     def _waits_for_mode(self, a: SupervisedAxis) -> bool:
         """Whether an axis goes no further before its drive has taken the mode it is to hold it in."""
@@ -595,8 +640,7 @@ class Supervisor:
             return a.torque
         if loop is None:
             return a.support
-        limit = a.estimator.limits.torque
-        return max(-limit, min(limit, loop.torque - loop.damping * a.speed))
+        return a.within_limit(loop.torque - loop.damping * a.speed)
 
     def _tell_by_sdo(self, a: SupervisedAxis) -> None:
         if a.is_energised and self._cycle.is_free_for_sdo(a.index):

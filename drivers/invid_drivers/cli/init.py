@@ -11,6 +11,7 @@ from invid.cli.output import EXIT_OK, emit, note
 from invid.config import parse_config
 from invid.errors import BusError, InputError
 from invid.planning.budget import SHARE, bound
+from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoError
 from invid_drivers.cia402.objects import Object
@@ -112,8 +113,8 @@ def register(app: typer.Typer) -> None:
         if out.exists():
             raise InputError(f"{out}: stands there already; name another file with -o or remove it first")
         files, refused = read_all(eds)
-        for sentence in refused:
-            note(f"warning: {sentence}")
+        for text in refused:
+            note(f"warning: {text}")
         note(f"asking node ids 1…127 on {interface} {channel}")
         probe = parse_config(
             f"format: invid-config\nrobot: scan\nbus: {{interface: '{interface}', channel: '{channel}', "
@@ -141,7 +142,14 @@ def register(app: typer.Typer) -> None:
             seen = (
                 f"{len(nodes)} nodes answered, none of them a CiA 402 drive" if nodes else "no node answered"
             )
-            raise BusError(f"{interface} {channel}: {seen}; check power, cable, termination and bit rate")
+            raise BusError(
+                sentence(
+                    "{interface} {channel}: {seen}; check power, cable, termination and bit rate",
+                    interface=interface,
+                    channel=channel,
+                    seen=seen,
+                )
+            )
         matches = [match(d.identity, files) for d in drives] if eds else []
         written = first_config(Adapter(interface, channel, bitrate), drives, round_trip, matches, out.parent)
         parse_config(written.text, source=str(out))

@@ -14,7 +14,6 @@ from invid.recording import read_recording
 from invid.tuning.axis_loop import prediction_from_json
 from invid.tuning.page import verification_picture, verification_to_json
 from invid.tuning.verification import verify
-from invid.wording.statement import ENGLISH
 from invid_drivers.cli.confirmation import confirm
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.values.closed_loop import AMPLITUDE, closed_loop_config
@@ -47,7 +46,7 @@ def register(app: typer.Typer) -> None:
         document = verification_to_json(found)
         save_text(output / "verification.json", dump_json(document))
         save_text(output / "verification.svg", verification_picture(found))
-        lines = [*document["sentences"][ENGLISH], f"verification.json, .svg and .h5 in {output}"]
+        lines = [*document["sentences"], f"verification.json, .svg and .h5 in {output}"]
         if found.verdict.asks_for_undo:
             lines.append(f"the old values come back with: invid apply --undo {config}")
         emit(document, "\n".join(lines), as_json=as_json)

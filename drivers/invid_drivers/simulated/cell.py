@@ -108,7 +108,9 @@ class SimulatedCell:
         for axis, drive in zip(config.axes, self.drives, strict=True):
             self._memory.recall(axis.name, drive.node.od)
             drive.node.power_on(0)
-            drive.kept = self._keep_loops
+            drive.kept = lambda: self._memory.keep(
+                {a.name: d.node.od for a, d in zip(config.axes, self.drives, strict=True)}
+            )
         self.schedule(_TICK_NS, self._watchdog)
 
     def _build_drive(self, row: int, axis: AxisConfig, settings: AxisSimulation, motor: float) -> Drive:
@@ -185,9 +187,6 @@ class SimulatedCell:
         command[kernel.TORQUE_STEPS] = settings.torque_steps_permille
         command[kernel.LAG] = _lag(self.plant.h, settings.current_loop_s)
         return drive
-
-    def _keep_loops(self) -> None:
-        self._memory.keep({a.name: d.node.od for a, d in zip(self.config.axes, self.drives, strict=True)})
 
     def _load(self, axes: list[AxisSimulation]) -> None:
         """Put the loads on, with every spring stretched as it is at rest behind a motor that stands."""

@@ -328,10 +328,6 @@ class Drive:
             self._command[kernel.TORQUE] = self._torque_unit * wanted
             self._command[kernel.MODE] = kernel.MODE_TORQUE
 
-    def _here(self) -> float:
-        """Position reference equal to what the encoder shows."""
-        return self.measured[3] / self.counts_per_unit
-
     def _saturated(self) -> bool:
         """Whether the drive's own loop asks for more torque than 0x6072 allows."""
         return abs(float(self._plant.motor_state[self.row, kernel.RECORDED])) >= 0.999 * float(
@@ -341,7 +337,7 @@ class Drive:
     def _hold_here(self, speed: float = 0.0, deceleration: float = 0.0) -> None:
         command = self._command
         self._limit_torque(by_loop=True)
-        command[kernel.POSITION] = self._here()
+        command[kernel.POSITION] = self.measured[3] / self.counts_per_unit
         command[kernel.VELOCITY] = speed
         command[kernel.DECELERATION] = deceleration
         command[kernel.INTERPOLATE] = command[kernel.TORQUE] = 0.0

@@ -132,13 +132,11 @@ class LoopMemory:
             return
         try:
             kept = json.loads(self._path.read_text(encoding="utf-8")).get(axis, {})
-            found = {tuple(int(n, 0) for n in name.split(":")): int(value) for name, value in kept.items()}
+            named = {tuple(name.split(":")): int(value) for name, value in kept.items()}
+            found = {(int(index, 0), int(sub, 0)): value for (index, sub), value in named.items()}
         except (OSError, ValueError, AttributeError) as error:
             raise ConfigError(f"simulation.memory: {self._path} cannot be read: {error}") from None
-        for (index, sub), value in found.items():
-            entry = od.find(index, sub)
-            if entry is not None:
-                entry.value = entry.default = value
+        od.preset(found)
 
     def keep(self, drives: Mapping[str, ObjectDictionary]) -> None:
         """Write what the drives hold now."""

@@ -18,7 +18,6 @@ _SIZES = {"b": 1, "B": 1, "h": 2, "H": 2, "i": 4, "I": 4}
 class SdoAbort(SdoAbortedError):
     """An SDO access that is refused, with CiA 301's abort code."""
 
-    TOGGLE = 0x05030000
     COMMAND = 0x05040001
     UNSUPPORTED = 0x06010000
     WRITE_ONLY = 0x06010001
@@ -124,6 +123,13 @@ class ObjectDictionary:
         """The entry, None where the drive lacks it."""
         return self._entries.get(index, {}).get(sub)
 
+    def preset(self, values: Mapping[tuple[int, int], int | str]) -> None:
+        """Let objects that the drive has come with these values."""
+        for (index, sub), value in values.items():
+            entry = self.find(index, sub)
+            if entry is not None:
+                entry.value = entry.default = value
+
     def number(self, index: int, sub: int = 0, missing: int = 0) -> int:
         """An integer value; ``missing`` where the drive lacks the object."""
         entry = self._entries.get(index, {}).get(sub)
@@ -215,19 +221,12 @@ def drive_dictionary(
     _add_drive_profile(od, plate.rated_torque, plate.encoder_counts, plate.linear)
     for index, ramp in zip((0x6084, 0x6085), ramps or (), strict=False):
         od.entry(index).value = od.entry(index).default = ramp
-    _put(od, profile.values)  # the loops count in some of them
+    od.preset(profile.values)  # the loops count in some of them
     add_loops(od)
     for index in profile.lacks:
         od.remove(index)
-    _put(od, profile.values)
+    od.preset(profile.values)
     return od
-
-
-def _put(od: ObjectDictionary, values: Mapping[tuple[int, int], int | str]) -> None:
-    for (index, sub), value in values.items():
-        entry = od.find(index, sub)
-        if entry is not None:
-            entry.value = entry.default = value
 
 
 _RECEIVED = {1: [0x60400010], 2: [0x60400010, 0x60600008], 3: [0x60400010, 0x60710010], 4: [0x607A0020]}

@@ -27,7 +27,8 @@ _FRAME = struct.Struct("=IBxxx8s")
 _EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
 _SEND_TIMEOUT_S = 0.1
 _QUEUE_BYTES = 1 << 20
-"""A peer that does not read for so long is as good as lost; a cycle is a hundred times shorter."""
+"""Half a second of frames of three axes at 1 kHz, for a peer that the system pauses; how long one may say
+nothing is for the config to say."""
 _SO_TIMESTAMPNS = 35  # Linux; `socket` has no name for it
 _TIMESPEC = struct.Struct("@ll")
 _ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size)
@@ -74,14 +75,6 @@ def _stamped(port: socket.socket) -> tuple[bytes, float]:
     return packet, time.time()
 
 
-def _deepen(port: socket.socket) -> None:
-    """Make room for a peer that the system pauses: half a second of frames of three axes at 1 kHz.
-
-    How long a peer may say nothing is for the config's limits to say, not for a buffer.
-    """
-    port.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _QUEUE_BYTES)
-
-
 def _send_packet(port: socket.socket, packet: bytes, timeout: float) -> None:
     try:
         port.send(packet)
@@ -121,7 +114,7 @@ class UnixBus(BusABC):
                 "start 'invid simcell' with this channel first"
             ) from None
         self._socket.setblocking(False)
-        _deepen(self._socket)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _QUEUE_BYTES)
         self._lost = False
         self.channel_info = f"invid-unix {path}"
         super().__init__(channel=channel, can_filters=can_filters)

@@ -44,14 +44,17 @@ from invid.model.document import EffectTerm, model_to_json
 from invid.model.doubts import DoubtCode, doubts_of
 from invid.numerics import budget
 from invid.recording.model import Recording
+from invid.wording.sentence import joined, marked, sentence
 
 SURE = Contest(1.0, ())
-BESIDE_MORE = "Something without a name acts at the same place: it may be a part of it."
+BESIDE_MORE = sentence("Something without a name acts at the same place: it may be a part of it.")
 SEEN = 5.0
 """Deviations of its size from which a cause that was not weighed is listed (statistical)."""
-NOT_WEIGHED = "Whether all is explained is not told: the time ended before these were weighed:"
-UNWEIGHED = "It was not weighed: the time ended."
-OF_SHAPES = "What it takes is no more than the shapes of the other causes may leave."
+NOT_WEIGHED = marked(
+    "Whether all is explained is not told: the time ended before these were weighed: {names}."
+)
+UNWEIGHED = sentence("It was not weighed: the time ended.")
+OF_SHAPES = sentence("What it takes is no more than the shapes of the other causes may leave.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +83,17 @@ def diagnose_elastic(begun: Begun) -> Diagnosis:
     left = describe_tones(tones, recording) or describe_left(found.named, found.forces_named, recording)
     waiting = [w for w in found.worths if not w.is_weighed]
     if left is None and waiting:
-        names = ", ".join(dict.fromkeys(w.cause.replace("_", " ") for w in waiting))
-        left = Unexplained(recording.axes[0], (), (), f"{NOT_WEIGHED} {names}.")
+        names = joined([*dict.fromkeys(w.cause.replace("_", " ") for w in waiting)])
+        left = Unexplained(recording.axes[0], (), (), sentence(NOT_WEIGHED, names=names))
     if left is None and unlike is not None:
         left = Unexplained(unlike.axis, (), (), _kept_out_sentence(unlike))
     doubt = next((d for d in doubts_of(model.fit) if d.code is not DoubtCode.UNSEEN), None)
     if left is None and doubt is not None:
         left = Unexplained(
-            recording.axes[0], (), (), f"Whether anything is missing is not told: {doubt.text}."
+            recording.axes[0],
+            (),
+            (),
+            sentence("Whether anything is missing is not told: {doubt}.", doubt=doubt.text),
         )
     outcome = Outcome(
         missing=bool(findings) or bool(sure) or bool(tones) or doubt is not None or unlike is not None,
@@ -132,9 +138,13 @@ def _kept_out_unlike(found: ElasticSearch, residual: Sequence[AxisResidual]) -> 
 
 
 def _kept_out_sentence(left: AxisResidual) -> str:
-    return (
-        f"Axis {left.axis}: the records kept out miss {left.after:.2g} {left.unit} rms, "
-        f"{floors_left(left):.0f} times the noise, of which those fitted show nothing: fit records like them."
+    return sentence(
+        "Axis {axis}: the records kept out miss {after:.2g} {unit} rms, {floors_left:.0f} "
+        "times the noise, of which those fitted show nothing: fit records like them.",
+        axis=left.axis,
+        after=left.after,
+        unit=left.unit,
+        floors_left=floors_left(left),
     )
 
 
@@ -197,9 +207,12 @@ def _hold_doubts(end: Supposed, key: Hashable, axes: Sequence[str]) -> list[str]
     if not any(np.isnan(r.hold[axis]) for r in records):
         return []
     return [
-        f"viscous friction of {axes[axis]}: a hold works while the axis is driven, nothing says when it "
-        "acts, and half a sample of it looks like such friction: record the demanded torque over "
-        "whole periods, or drive the axis without a hold"
+        sentence(
+            "viscous friction of {axes}: a hold works while the axis is driven, nothing says "
+            "when it acts, and half a sample of it looks like such friction: record the "
+            "demanded torque over whole periods, or drive the axis without a hold",
+            axes=axes[axis],
+        )
     ]
 
 

@@ -48,6 +48,7 @@ from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.distributions import normal_isf
 from invid.recording.model import Recording
+from invid.wording.sentence import sentence
 
 SURE = normal_isf(0.05)
 """Standard deviations by which the root of a fall has to pass its threshold (statistical: 95 of 100)."""
@@ -67,9 +68,9 @@ RISES = np.concatenate(([0.0], np.logspace(-4.0, 8.0, 49)))
 """Power of an unknown force that rises, over the noise on the line that shows it best."""
 HIDDEN = CONVENTION - EXPECTED_DELAY[COMMAND]
 """Samples of delay that conventions may hide, from the earliest of them on."""
-UNTOLD = "nothing in these records tells it from the parameters of the model"
-TOO_SMALL = "even as large as all that acts there it would not have stood out of the noise"
-NO_LAW = "it is not sought there, and would have been a force without a name"
+UNTOLD = sentence("nothing in these records tells it from the parameters of the model")
+TOO_SMALL = sentence("even as large as all that acts there it would not have stood out of the noise")
+NO_LAW = sentence("it is not sought there, and would have been a force without a name")
 
 
 @dataclass(frozen=True)
@@ -403,7 +404,7 @@ def _why_never(effect: Effect, place: Place, screen: Screen) -> str | None:
     if spot.where is Where.SPRING:
         bent = screen.bent(spot)
         if bent == 0.0:
-            return "the spring was never loaded"
+            return sentence("the spring was never loaded")
         carried = min(abs(float(e.torque[:, axis].mean())) for e in recording.experiments)
         if carried > bent and any(isinstance(law, BacklashLaw) for law in laws):
             return "it was never unloaded"

@@ -22,6 +22,7 @@ from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.likelihood.unknown_forces.worth import Worth, prune, without_loose_springs
 from invid.numerics import budget
 from invid.recording.model import Recording
+from invid.wording.sentence import sentence
 
 TIME_TO_PURSUE, TIME_TO_WEIGH = 0.6, 0.5
 """Shares of the time that is left for the causes, and for what each is worth (empirical: what is done of them
@@ -69,12 +70,16 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     named = named.with_motion()  # there was no time for any, where the first cause was cut
     bare = without_causes(named)
     nothing: tuple[PlaceForce, ...] = ()
-    forces_named = budget.or_else("what is left at each place", lambda: place_forces(named, bare), nothing)
+    forces_named = budget.or_else(
+        sentence("what is left at each place"), lambda: place_forces(named, bare), nothing
+    )
     end, forces = named, forces_named
-    with_law = budget.or_else("a law without a name", lambda: add_laws(named, forces_named), None)
+    with_law = budget.or_else(sentence("a law without a name"), lambda: add_laws(named, forces_named), None)
     if with_law is not None:
         found, end = prune(with_law, deletions_of)
-        forces = budget.or_else("what is left at each place", lambda: place_forces(end, bare), nothing)
+        forces = budget.or_else(
+            sentence("what is left at each place"), lambda: place_forces(end, bare), nothing
+        )
     return ElasticSearch(recording, pursued, end, found, bare, named, forces, forces_named, is_cut_short)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.clauses import dependent_on, element_phrase
 from invid.diagnosis.unknown_forces.left_over import PlaceForce, place_of
 from invid.effects.supposed.law import SpotMotion
 from invid.effects.units import unit_of
@@ -16,6 +17,7 @@ from invid.likelihood.unknown_forces.supposition import Supposed
 from invid.model.diagnosis_document import Unexplained
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
+from invid.wording.sentence import Figure, joined, sentence
 
 FOLLOWS = 0.2
 """Share of a force's power from which it is said to follow something (empirical)."""
@@ -55,11 +57,19 @@ def describe_left(found: Supposed, forces: Sequence[PlaceForce], recording: Reco
     records = record_forces(found, worst.spot)
     frequencies, character = frequencies_of(records), character_of(records)
     name, unit = recording.axes[axis], unit_of("torque", recording.linear)
-    between = "" if other is None else f" towards {recording.axes[other]}"
-    most = f", most at {', '.join(f'{hz:.3g}' for hz in frequencies)} Hz" if frequencies else ""
-    said = (
-        f"Axis {name}: a force of {worst.rms:.2g} {unit} rms acts at {element}{between}{most} "
-        f"({', '.join(character)}), that no cause of the catalogue explains."
+    between = "" if other is None else sentence(" towards {axis}", axis=recording.axes[other])
+    lines = joined([Figure(f"{hz:.3g}") for hz in frequencies])
+    said = sentence(
+        "Axis {axis}: a force of {rms:.2g} {unit} rms acts at {element}{between}{most} "
+        "({character}), that no "
+        "cause of the catalogue explains.",
+        axis=name,
+        rms=worst.rms,
+        unit=unit,
+        element=element_phrase(element),
+        between=between,
+        most=sentence(", most at {frequencies} Hz", frequencies=lines) if frequencies else "",
+        character=joined(character),
     )
     return Unexplained(name, frequencies, character, said)
 
@@ -110,12 +120,12 @@ def character_of(records: Sequence[RecordForce]) -> tuple[str, ...]:
             even += float(r.power[is_line & (of_period % 2 == 0)].sum())
             odd += float(r.power[is_line & (of_period % 2 == 1)].sum())
     follows = follows_what(records)
-    said = ["even"] * (even > EVEN * whole) + ["odd"] * (odd > ODD * whole)
+    said = [sentence("even")] * (even > EVEN * whole) + [sentence("odd")] * (odd > ODD * whole)
     by_size = [r.share for r in sorted(records, key=lambda r: float(np.std(r.position)))]
     # What changes from record to record by the clock says nothing of their amplitudes.
     if follows != "time-dependent" and len(by_size) > 1:
         ratio = by_size[0] / max(by_size[-1], 1e-300)
-        said += ["amplitude-dependent"] * (not 1.0 / ALIKE < ratio < ALIKE)
+        said += [dependent_on("amplitude")] * (not 1.0 / ALIKE < ratio < ALIKE)
     return tuple(dict.fromkeys([*said, follows]))
 
 
@@ -126,7 +136,8 @@ def follows_what(records: Sequence[RecordForce]) -> str:
     in the mean and slope of each record. What is constant throughout goes with none.
     """
     constant = float(np.concatenate([r.force for r in records]).mean())
-    power = {"position-dependent": 0.0, "velocity-dependent": 0.0, "time-dependent": 0.0}
+    names = [dependent_on(q) for q in ("position", "velocity", "time")]
+    power = dict.fromkeys(names, 0.0)
     total = 1e-300
     for r in records:
         total += float(np.sum((r.force - constant) ** 2))
@@ -134,8 +145,8 @@ def follows_what(records: Sequence[RecordForce]) -> str:
         own, ramp = r.force - level, np.linspace(-1.0, 1.0, r.force.size)
         slope = float(own @ ramp) ** 2 / float(ramp @ ramp)
         power["time-dependent"] += r.force.size * (level - constant) ** 2 + slope
-        for name, x in (("position-dependent", r.position), ("velocity-dependent", r.velocity)):
+        for name, x in zip(names, (r.position, r.velocity), strict=False):
             ranges = np.array_split(own[np.argsort(x)], RANGES)
             power[name] += float(sum(b.size * b.mean() ** 2 for b in ranges))
     name = max(power, key=lambda k: power[k])
-    return name if power[name] > FOLLOWS * total else "amplitude-dependent"
+    return name if power[name] > FOLLOWS * total else dependent_on("amplitude")

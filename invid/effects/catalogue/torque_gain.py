@@ -14,6 +14,7 @@ from invid.effects.supposed.law import Bounds, Shape, SpotMotion, SupposedLaw
 from invid.model.place import Place, axis_places
 from invid.model.plant import Structure
 from invid.numerics.arrays import Float64
+from invid.wording.sentence import sentence
 
 
 class TorqueGain(Effect):
@@ -38,7 +39,7 @@ class TorqueGain(Effect):
         return axis_places(structure) if structure.motors > 1 else []
 
     def size_text(self, size: str) -> str:
-        return f" (true torque is {size} times the record)"
+        return sentence(" (true torque is {size} times the record)", size=size)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         return (1.0 - p["gain"]) * x

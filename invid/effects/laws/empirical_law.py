@@ -19,6 +19,7 @@ from invid.model.law_table import LawTable
 from invid.model.place import Place, mass_places, pair_places, spring_places
 from invid.model.plant import Structure
 from invid.numerics.arrays import Float64, frozen_float
+from invid.wording.sentence import sentence
 
 IN_SPRING = ("deflection", "deflection rate")
 NAMELESS = "empirical_law"
@@ -132,7 +133,8 @@ class EmpiricalLaw(MotionEffect):
         size = self.knots.size * self.across_knots.size
         self.splines = frozen_float(np.zeros((size, 1)) if shapes is None else shapes)
         if shapes is not None:
-            self.title = " and ".join(filter(None, (f"{self.title} over the {over}", across)))
+            over_what = " and ".join(filter(None, (f"over the {over}", across)))
+            self.title = f"{self.title} {over_what}"
 
     @cached_property
     def _curve(self) -> Callable[..., Float64]:
@@ -181,4 +183,4 @@ class EmpiricalLaw(MotionEffect):
         return type(self)(table.over, table.at, shape, table.across, table.across_at)
 
     def size_text(self, size: str) -> str:
-        return f", up to {size},"
+        return sentence(", up to {size},", size=size)

@@ -18,6 +18,7 @@ from invid.likelihood.unknown_forces.slope import Slope, slope, solve_scaled
 from invid.likelihood.unknown_forces.value import Numbers, Problem, Value, bounded_minimum, evaluate
 from invid.numerics import budget
 from invid.numerics.arrays import Float64, Int64
+from invid.wording.sentence import sentence
 
 LARGEST_STEP = 0.7
 """Largest step of a number in one iteration: of a logarithm a factor of two."""
@@ -111,7 +112,7 @@ def fit(problem: Problem, start: Numbers, iterations: int = TO_THE_END, target: 
             break
         if _is_behind(totals, iterations - number, target):
             return Fit(problem, here.value, here.around, Ended.BEHIND, gap)
-        if budget.is_left_out("fits to their end"):
+        if budget.is_left_out(sentence("fits to their end")):
             return Fit(problem, here.value, here.around, Ended.CUT, gap)
         found, damping = here.lower(problem, damping)
         if not found.total < here.value.total - LEAST_FALL:

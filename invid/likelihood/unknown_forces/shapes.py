@@ -18,6 +18,7 @@ from invid.likelihood.unknown_forces.value import along, evaluate
 from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64, Int64
+from invid.wording.sentence import sentence
 
 SMOOTHED = 2
 """Times that a law's motion is smoothed beside its shape before it is compared."""
@@ -171,7 +172,7 @@ def scan_friction(now: Supposed) -> Supposed:
     speed = _speeds(now)
     best, hypothesis = now.total, now.hypothesis
     for motor in range(len(hypothesis.friction)):
-        if budget.is_left_out("fits to their end"):
+        if budget.is_left_out(sentence("fits to their end")):
             break
         first = hypothesis.friction[motor]
         low, high = (b * speed[motor] for b in WIDTH_BOUNDS)

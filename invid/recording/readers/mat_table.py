@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,10 @@ from pymatreader import read_mat as read_contents
 from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
 from invid.errors import InputError
-from invid.numerics.arrays import Float64
 from invid.recording.import_map import Source
-from invid.recording.readers.arrays import channels, read_hdf5
+from invid.recording.readers.arrays import Columns, read_hdf5
 from invid.recording.readers.kinds import limit_numbers
-from invid.recording.tables import Table, each_once
+from invid.recording.tables import Table
 
 _MANY = 64
 """Entries of a struct array up to which each is a signal of its own; beyond, each is a sample."""
@@ -40,19 +38,15 @@ _WAYS = {
 _OBJECT = "{0!r} is a MATLAB object of class {1}, which only MATLAB reads: there, {2}; save(file, 's')"
 
 
-@dataclass
-class _Found:
-    columns: dict[str, Float64] = field(default_factory=dict)
-    clocks: dict[str, str] = field(default_factory=dict)
-    aliases: dict[str, str] = field(default_factory=dict)
+class _Found(Columns):
+    """Columns by the names of structs and cells, which have names by place as well."""
 
-    def add(self, name: str, places: Sequence[str], values: Any, clocks: Sequence[str]) -> None:
+    def take(self, name: str, places: Sequence[str], values: Any, clocks: Sequence[str]) -> None:
         """Columns of an array; its clock is the nearest one that is as long."""
-        for column, own in channels(name, values).items():
-            self.columns[column] = own
+        for column, own in self.add(name, values).items():
             rest = column.removeprefix(name)
-            self.aliases |= {p + rest: column for p in places if p + rest != column}
-            near = [c for c in clocks if c in self.columns and self.columns[c].size == own.size]
+            self.aliases.update({p + rest: column for p in places if p + rest != column})
+            near = [c for c in clocks if c in self.values and self.values[c].size == own.size]
             if near and column not in clocks:
                 self.clocks[column] = near[-1]
 
@@ -63,7 +57,7 @@ class _Found:
         if isinstance(value, dict):
             times = [k for k, v in value.items() if _TIME.match(k) and isinstance(v, np.ndarray)]
             for key in times:
-                self.add(f"{name}.{key}", [f"{p}.{key}" for p in places], value[key], ())
+                self.take(f"{name}.{key}", [f"{p}.{key}" for p in places], value[key], ())
             inside = (*clocks, *(f"{name}.{key}" for key in times))
             for key in (k for k in value if k not in times):
                 self.walk(f"{name}.{key}", [f"{p}.{key}" for p in places], value[key], inside)
@@ -73,7 +67,7 @@ class _Found:
                 cells = [e.get(key) if isinstance(e, dict) else e for e in value]
                 if all(isinstance(c, int | float) for c in cells):
                     at = f"{name}.{key}" if key else name
-                    self.add(at, [at], np.array(cells, dtype=np.float64), clocks)
+                    self.take(at, [at], np.array(cells, dtype=np.float64), clocks)
         elif isinstance(value, list):
             labels = _labels(value)
             for i, entry in enumerate(value):
@@ -81,9 +75,9 @@ class _Found:
                 self.walk(own, [f"{p}[{i}]" for p in places], entry, clocks)
                 # As a table of the field over the entries, too.
                 for key in entry if isinstance(entry, dict) else ():
-                    self.aliases |= {f"{p}.{key}[{i}]": f"{own}.{key}" for p in places}
+                    self.aliases.update({f"{p}.{key}[{i}]": f"{own}.{key}" for p in places})
         else:
-            self.add(name, places, value, clocks)
+            self.take(name, places, value, clocks)
 
 
 def _entries(struct: Mapping[str, Any]) -> list[dict[str, Any]] | None:
@@ -120,13 +114,10 @@ def read_mat(path: Path, source: Source, *, beside: Path | None = None) -> Table
     for name in names:
         found.walk(name, [name], content.get(name), ())
     refused = [_OBJECT.format(n, k, _WAYS.get(k, "s = struct({0})").format(n)) for n, k in objects.items()]
-    if not found.columns:
+    if refused and not found.values:
         said = "; ".join([f"{path}: holds no array of real numbers with at least two samples", *refused[:3]])
-        raise InputError(said, code="matlab_object" if refused else "no_data")
-    return Table(
-        name=str(path), columns=found.columns, units={}, aliases=found.aliases,
-        clocks=each_once(found.clocks, found.columns), reasons=tuple(refused),
-    )  # fmt: skip
+        raise InputError(said, code="matlab_object")
+    return found.table(path, reasons=tuple(refused))
 
 
 def _contents(path: Path) -> tuple[dict[str, str], list[str]]:

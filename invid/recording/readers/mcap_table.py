@@ -9,7 +9,6 @@ where it is ever set, else the time of logging.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,8 +21,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from invid.errors import InputError
-from invid.numerics.arrays import Float64, frozen_float
+from invid.numerics.arrays import Float64
 from invid.recording.import_map import Source
+from invid.recording.readers.arrays import Columns
 from invid.recording.tables import Table
 
 MAX_VALUES = 50_000_000
@@ -44,10 +44,11 @@ class _Stream:
     """
 
     topic: str
+    version: Any
     logged: list[int] = field(default_factory=list)
     stamps: list[int | None] = field(default_factory=list)
     cells: dict[str, dict[int, float]] = field(default_factory=dict)
-    orders: list[tuple[str, ...]] = field(default_factory=list)
+    orders: dict[tuple[str, ...], None] = field(default_factory=dict)
     """Orders in which the joints came."""
 
     def instants(self, start: int) -> Float64:
@@ -62,68 +63,16 @@ class _Stream:
         unset = None if first <= 2 * (self.logged[-1] - self.logged[0]) + 10**9 else 0
         return np.array([np.nan if t is None or t == unset else (t - start) * 1e-9 for t in self.stamps])
 
-    def name_entries(self, names: Sequence[str]) -> None:
-        """Give lists the names that another message has for their entries."""
-        places = {f"[{i}]": f"[{name}]" for i, name in enumerate(names)}
-        self.cells = {
-            key[: key.rfind("[")] + places.get(key[key.rfind("[") :], key[key.rfind("[") :])
-            if "[" in key
-            else key: cells
-            for key, cells in self.cells.items()
-        }
-
-    def column(self, key: str) -> Float64:
-        column = np.full(len(self.logged), np.nan)
-        column[list(self.cells[key])] = list(self.cells[key].values())
-        return frozen_float(column)
-
-
-@dataclass
-class _Bag:
-    streams: dict[tuple[Any, ...], _Stream] = field(default_factory=dict)
-    names: dict[Any, list[str]] = field(default_factory=dict)
-    """Names by the version that other messages refer to."""
-    passed: set[str] = field(default_factory=set)
-    long: dict[str, int] = field(default_factory=dict)
-
-    def add(self, topic: str, logged: int, body: Any) -> int:
-        """Take a message; the count of its numbers."""
-        fields = dict(_fields(body))
-        version = fields.get("names_version")
-        joints = _names_in(body)
-        if version is not None and joints:
-            self.names[version] = joints
-            return 0
-        row = dict(self.numbers(topic, "", body, 0, joints, math.inf if version is not None else MAX_WIDTH))
-        key = (topic, version, *sorted(joints))
-        stream = self.streams.setdefault(key, _Stream(topic))
-        for name, value in row.items():
-            stream.cells.setdefault(name, {})[len(stream.logged)] = value
-        stream.logged.append(logged)
-        stream.stamps.append(_stamp(fields))
-        if (order := tuple(joints)) not in stream.orders:
-            stream.orders.append(order)
-        return len(row)
-
-    def numbers(
-        self, topic: str, name: str, value: Any, depth: int, names: Sequence[str], most: float
-    ) -> Iterator[tuple[str, float]]:
-        """Names and numbers of everything in a message."""
-        if isinstance(value, bool | int | float):
-            yield name, float(value)
-        elif isinstance(value, list | tuple | np.ndarray):
-            if len(value) > most and len(names) != len(value):
-                self.long[f"{topic}{name}"] = len(value)
-                return
-            keys = names if len(names) == len(value) else range(len(value))
-            value = value.tolist() if isinstance(value, np.ndarray) else value
-            for key, entry in zip(keys, value, strict=True):
-                yield from self.numbers(topic, f"{name}[{key}]", entry, depth + 1, (), most)
-        elif depth <= _DEPTH and not isinstance(value, str | bytes):
-            own = _names_in(value) or names
-            for field_name, entry in _fields(value):
-                if not (depth == 0 and field_name == "header"):
-                    yield from self.numbers(topic, f"{name}.{field_name}", entry, depth + 1, own, most)
+    def columns(self, names: Sequence[str]) -> dict[str, Float64]:
+        """Name → (n,); ``names`` of a list's entries, where other messages said them."""
+        found, named = {}, dict(enumerate(names))
+        for key, cells in self.cells.items():
+            stem, _, place = key.rstrip("]").rpartition("[")
+            name = named.get(int(place)) if stem and place.isdigit() else None
+            column = np.full(len(self.logged), np.nan)
+            column[list(cells)] = list(cells.values())
+            found[key if name is None else f"{stem}[{name}]"] = column
+        return found
 
 
 _Message = tuple[str, int, Any, str]
@@ -152,8 +101,7 @@ def _of_mcap(path: Path) -> Iterator[_Message]:
 
 def _of_bag(path: Path) -> Iterator[_Message]:
     # Bags before ROS 2 Iron hold no definitions of their messages; the usual ones are known.
-    usual = get_typestore(Stores.LATEST)
-    with AnyReader([path], default_typestore=usual) as reader:
+    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
         for connection, logged, raw in reader.messages():
             known = connection.msgtype in reader.typestore.types
             body = reader.deserialize(raw, connection.msgtype) if known else None
@@ -161,64 +109,88 @@ def _of_bag(path: Path) -> Iterator[_Message]:
 
 
 def _table(path: Path, messages: Iterator[_Message], kind: str) -> Table:
-    bag, left = _Bag(), MAX_VALUES
+    streams, names, left = dict[tuple[Any, ...], _Stream](), dict[Any, list[str]](), MAX_VALUES
+    passed, long = set[str](), dict[str, int]()
     for topic, logged, body, written in messages:
         if body is None:
-            bag.passed.add(written)
+            passed.add(written)
             continue
-        left -= bag.add(topic, logged, body)
+        fields, joints = dict(_fields(body)), _names_in(body)
+        version = fields.get("names_version")
+        if version is not None and joints:
+            # Names may be said once, before the values or after them.
+            names[version] = joints
+            continue
+        stream = streams.setdefault((topic, version, *sorted(joints)), _Stream(topic, version))
+        for name, value in _numbers(topic, body, 0, joints, None if version is not None else long):
+            stream.cells.setdefault(name, {})[len(stream.logged)] = value
+            left -= 1
         if left < 0:
             raise InputError(
-                f"{path}: more than {MAX_VALUES} numbers; cut the bag to the topics needed",
-                code="too_large",
+                f"{path}: more than {MAX_VALUES} numbers; cut the bag to the topics needed", code="too_large"
             )
-    for (_, version, *_), stream in bag.streams.items():
-        # Names may be said once, before the values or after them.
-        stream.name_entries(bag.names.get(version, []))
-    streams = list(bag.streams.values())
-    columns, clocks, aliases = _columns(streams)
-    if not clocks:
-        other = f" (messages in {', '.join(sorted(bag.passed))} are not read)" if bag.passed else ""
+        stream.logged.append(logged)
+        stream.stamps.append(_stamp(fields))
+        stream.orders[tuple(joints)] = None
+    found = _columns(list(streams.values()), names)
+    if not found.clocks:
+        other = f" (messages in {', '.join(sorted(passed))} are not read)" if passed else ""
         raise InputError(
             f"{path}: holds no topic with numbers in at least two messages{other}", code="no_data"
         )
-    reasons = [kind]
-    reasons += [f"joints of {s.topic}: {', '.join(s.orders[0])}" for s in streams if any(s.orders)]
-    reasons += [f"messages in {e} are not read" for e in sorted(bag.passed)]
-    reasons += [f"{n!r} is a list of {k} numbers without names: not read" for n, k in bag.long.items()]
-    return Table(
-        str(path), columns, line_word="message", units=dict.fromkeys(clocks.values(), "s"), clocks=clocks,
-        aliases=aliases, reasons=tuple(reasons),
-    )  # fmt: skip
+    ordered = [s for s in streams.values() if any(s.orders)]
+    reasons = [kind, *(f"joints of {s.topic}: {', '.join(next(iter(s.orders)))}" for s in ordered)]
+    reasons += [f"messages in {e} are not read" for e in sorted(passed)]
+    reasons += [f"{n!r} is a list of {k} numbers without names: not read" for n, k in long.items()]
+    return found.table(path, line_word="message", reasons=tuple(reasons))
 
 
-def _columns(streams: Sequence[_Stream]) -> tuple[dict[str, Float64], dict[str, str], dict[str, str]]:
+def _columns(streams: Sequence[_Stream], names: Mapping[Any, Sequence[str]]) -> Columns:
     """Columns, the clock of each, and names by place of what has a name, where its place is always one."""
+    found = Columns()
     full = [s for s in streams if len(s.logged) > 1 and s.cells]
     logged = min((s.logged[0] for s in full), default=0)
     set_ = [t for s in full for t in s.stamps if t]
     # Stamps of a simulated clock are no dates: they count from their own first.
     near = bool(set_) and abs(set_[0] - logged) < _DAY
     stamped = logged if near or not set_ else min(set_)
-    columns: dict[str, Float64] = {}
-    clocks: dict[str, str] = {}
-    aliases: dict[str, str] = {}
     for stream in sorted(full, key=lambda s: (s.topic, -len(s.logged))):
+        joints = next(iter(stream.orders))
         clock = f"time of {stream.topic}"
-        if clock in columns:
-            clock = f"time of {stream.topic} ({', '.join(stream.orders[0][:3])})"
-        columns[clock] = frozen_float(stream.instants(stamped if any(stream.stamps) else logged))
-        own = {key: f"{stream.topic}{key}" for key in stream.cells}
-        own = {k: n if n not in columns else f"{n} of {clock}" for k, n in own.items()}
-        columns |= {name: stream.column(key) for key, name in own.items()}
-        clocks |= dict.fromkeys(own.values(), clock)
-        one_topic = [s for s in full if s.topic == stream.topic]
-        if len(one_topic) == len(stream.orders) == 1:
-            for place, joint in enumerate(stream.orders[0]):
-                aliases |= {
-                    n.replace(f"[{joint}]", f"[{place}]"): n for n in own.values() if f"[{joint}]" in n
-                }
-    return columns, clocks, aliases
+        clock += f" ({', '.join(joints[:3])})" if clock in found.values else ""
+        found.add(clock, stream.instants(stamped if any(stream.stamps) else logged), "s")
+        alone = len(stream.orders) == [s.topic for s in full].count(stream.topic) == 1
+        for name, values in stream.columns(names.get(stream.version, ())).items():
+            own = name if name not in found.values else f"{name} of {clock}"
+            found.add(own, values, "", clock)
+            for place, joint in enumerate(joints if alone else ()):
+                if f"[{joint}]" in own:
+                    found.aliases[own.replace(f"[{joint}]", f"[{place}]")] = own
+    return found
+
+
+def _numbers(
+    name: str, value: Any, depth: int, names: Sequence[str], long: dict[str, int] | None
+) -> Iterator[tuple[str, float]]:
+    """Names and numbers of everything in a message; ``names`` of the entries of its lists.
+
+    Lists without names that are too long go into ``long``, where there is one.
+    """
+    if isinstance(value, bool | int | float):
+        yield name, float(value)
+    elif isinstance(value, list | tuple | np.ndarray):
+        keys = names if len(names) == len(value) else range(len(value))
+        if long is not None and len(value) > MAX_WIDTH and keys is not names:
+            long[name] = len(value)
+            return
+        value = value.tolist() if isinstance(value, np.ndarray) else value
+        for key, entry in zip(keys, value, strict=True):
+            yield from _numbers(f"{name}[{key}]", entry, depth + 1, (), long)
+    elif depth <= _DEPTH and not isinstance(value, str | bytes):
+        own = _names_in(value) or names
+        for field_name, entry in _fields(value):
+            if not (depth == 0 and field_name == "header"):
+                yield from _numbers(f"{name}.{field_name}", entry, depth + 1, own, long)
 
 
 def _names_in(value: Any) -> list[str]:

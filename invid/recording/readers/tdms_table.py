@@ -10,9 +10,8 @@ from typing import Any
 import nptdms.log
 import numpy as np
 
-from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.import_map import Source
-from invid.recording.readers.arrays import table_of
+from invid.recording.readers.arrays import Columns
 from invid.recording.readers.kinds import limit_numbers
 from invid.recording.tables import BrokenRow, Table
 
@@ -25,41 +24,25 @@ def read_tdms(path: Path, source: Source, *, beside: Path | None = None) -> Tabl
     with nptdms.TdmsFile.open(path) as file:
         channels = [c for group in file.groups() for c in group.channels()]
         limit_numbers({f"{c.group_name}/{c.name}": len(c) for c in channels}, path)
-        table = _table(path, channels)
+        table = _columns(channels).table(path, reasons=("the file is TDMS",))
         if not file.file_status.incomplete_final_segment:
             return table
     last = max(c.size for c in table.columns.values())
     return replace(table, broken=(BrokenRow(path.name, last, "the file ends within its last segment"),))
 
 
-def _table(path: Path, channels: list[Any]) -> Table:
-    columns: dict[str, Float64] = {}
-    units: dict[str, str] = {}
-    clocks: dict[str, str] = {}
-    stamped: set[str] = set()
-    known: dict[tuple[float, float, int], str] = {}
+def _columns(channels: list[Any]) -> Columns:
+    found, known = Columns(), dict[tuple[float, float, int], str]()
     names = [c.name for c in channels]
     for channel in channels:
-        values = np.asarray(channel[:])
-        if values.ndim != 1 or values.size < 2 or values.dtype.kind not in "iufbM":
-            continue  # text, complex numbers, single values
+        stated, values = channel.properties, np.asarray(channel[:])
         name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
-        if values.dtype.kind == "M":
-            stamped.add(name)
-            values = (values - np.datetime64(0, "s")) / np.timedelta64(1, "s")
-        columns[name] = frozen_float(values)
-        unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
-        units |= {name: "s"} if name in stamped else {name: str(unit)} if unit else {}
-        step = float(channel.properties.get("wf_increment", 0.0))
-        if step > 0:
-            start = float(channel.properties.get("wf_start_offset", 0.0))
+        unit = stated.get("unit_string") or stated.get("NI_UnitDescription") or ""
+        step, start = (float(stated.get(f"wf_{n}", 0.0)) for n in ("increment", "start_offset"))
+        if values.ndim == 1 and found.add(name, values, str(unit)) and step > 0:
             clock = "time" if not known else f"time of {name}"
-            clock = known.setdefault(
-                (start, step, values.size), f"waveform {clock}" if clock in names else clock
-            )
-            columns.setdefault(clock, frozen_float(start + step * np.arange(values.size)))
-            units[clock] = "s"
-            clocks[name] = clock
-    return replace(
-        table_of(path, columns, units, frozenset(stamped)), clocks=clocks, reasons=("the file is TDMS",)
-    )
+            clock = f"waveform {clock}" if clock in names else clock
+            clock = known.setdefault((start, step, values.size), clock)
+            found.add(clock, start + step * np.arange(values.size), "s")
+            found.clocks[name] = clock
+    return found

@@ -15,7 +15,7 @@ from invid.errors import InputError
 from invid.numerics.arrays import Float64
 from invid.recording.clock import best_clock, is_count
 from invid.recording.import_map import Source
-from invid.recording.units import BY_MACHINE, FACTORS, normal_unit
+from invid.recording.units import BY_CONSTANT, FACTORS, normal_unit
 
 DELIMITERS = [";", "\t", ",", "|", " "]
 SELDOM = 0.01
@@ -226,7 +226,7 @@ def numbered_twice(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _all_units(cells: Sequence[str]) -> bool:
-    known = {u for table in FACTORS.values() for u in table} | {*BY_MACHINE, "-", ""}
+    known = {u for table in FACTORS.values() for u in table} | {*BY_CONSTANT, "-", ""}
     return all(normal_unit(c.strip("[]()")) in known for c in cells)
 
 
@@ -277,10 +277,10 @@ def _doubtful(column: Sequence[str], sign: str) -> str | None:
     as_decimals = np.array([float(c.replace(sign, ".")) for c in numerals])
     as_thousands = np.array([float(c.replace(sign, "")) for c in numerals])
     # Where all have the sign the one is a thousand times the other, and as smooth.
-    return having[0] if _roughness(as_decimals) > SMOOTHER * _roughness(as_thousands) else None
+    return having[0] if roughness(as_decimals) > SMOOTHER * roughness(as_thousands) else None
 
 
-def _roughness(values: Float64) -> float:
+def roughness(values: Float64) -> float:
     """Mean square of a step over the variance."""
     spread = float(np.var(values))
-    return float(np.mean(np.diff(values) ** 2)) / spread if spread > 0 else 0.0
+    return float(np.mean(np.diff(values) ** 2)) / spread if spread > 0 and values.size > 2 else 0.0

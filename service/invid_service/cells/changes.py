@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from invid.comparison.changes import Change, Comparison
-from invid.wording.statement import LANGUAGES
+from invid.wording.sentence import joined
 
 
 def changes_view(c: Comparison, sides: tuple[list[str], list[str]]) -> dict[str, Any]:
@@ -14,10 +14,9 @@ def changes_view(c: Comparison, sides: tuple[list[str], list[str]]) -> dict[str,
     ``sides``: the models that the old and the new side are the mean of.
     """
     return {
-        "sentence": " ".join(c.sentences),
+        "sentence": joined(c.sentences, " "),
         "sentences": list(c.sentences),
-        "headlines": c.headlines,
-        "lines": {language: list(c.sentences_in(language)) for language in LANGUAGES},
+        "headline": c.headline,
         "parameters": [_entry(p) for p in c.parameters],
         "effects": [_entry(p) for p in c.effects],
         "causes": [_entry(x) for x in c.causes],
@@ -34,5 +33,5 @@ def _entry(c: Change) -> dict[str, Any]:
     document = c.to_json()
     document["from"], document["to"] = document.pop("old"), document.pop("new")
     document["difference_std"] = document.pop("std")
-    document["reason"] = c.reason or None
+    document["reason"] = c.why or None
     return document if c.is_cause else {**document, "rivals": list(c.rivals)}

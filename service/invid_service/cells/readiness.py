@@ -10,17 +10,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from invid.config import CellConfig
 from invid.errors import InvidError
 from invid.planning.build import axes_left_out
+from invid.wording.fields import Text
+from invid.wording.sentence import joined, sentence
 from invid_drivers.cia402.standing.holding import Reason as CellReason
 from invid_drivers.cia402.stated.scales import MUCH_OF_RATED
 from invid_drivers.connect import is_virtual
 from invid_service.jobs.live import LiveRun
 from invid_service.problems import Problem
-from invid_service.web.texts import said, told
+from invid_service.spoken import Spoken
+from invid_service.words import NOTES, REASONS, told
 
 _KEPT_S = 4.0
 """An answer is asked for again after so long."""
@@ -42,10 +45,8 @@ ReasonCode = Literal[
 
 
 class _Said(BaseModel):
-    text: str
-    fix: str
-    values: dict[str, str] = {}
-    """What stands in the text, for whoever says it in another language."""
+    text: Text
+    fix: Text
     seen: datetime | None = None
     """As of when that is known, where it is remembered and nobody was asked since; ``null``: now."""
 
@@ -66,18 +67,18 @@ class Note(_Said):
     code: Literal["axis_energised", "limit_beyond_drive", "drives_not_asked"]
 
 
-class Readiness(BaseModel):
+class Readiness(Spoken):
     """Answer whether a cell can start, with all reasons against it."""
 
     can_start: bool
     reasons: list[Reason]
-    notes: list[Note] = []
+    notes: list[Note] = Field(default_factory=list)
     simulated: bool = False
 
     def problem(self) -> Problem:
         """Return why no run can start, as a refusal."""
         members: dict[str, Any] = {"reasons": [r.model_dump(mode="json") for r in self.reasons]}
-        detail = " ".join(r.text for r in self.reasons)
+        detail = joined([r.text for r in self.reasons], " ")
         return Problem("not-ready", detail, simulated=self.simulated, **members)
 
     @property
@@ -89,7 +90,7 @@ class Readiness(BaseModel):
 class Checked(Readiness):
     """Answer of the drives, which were asked, whether a measurement can start."""
 
-    warnings: list[str]
+    warnings: list[Text]
     """What is to be known beside: of drives, bus, limits and adapter."""
 
 
@@ -167,22 +168,25 @@ def readiness(s: Situation) -> Readiness:
     drives = s.drives if hardware else ()
     found += [_of_drive(d) for d in drives if not d.taken_over]
     if s.refusal is not None:
-        text, fix = s.refusal.reason or str(s.refusal), s.refusal.way_out or said("reason.check_refused.fix")
-        found.append(Reason(code="check_refused", text=text, fix=fix, values={"text": str(s.refusal)}))
+        text, fix = (
+            s.refusal.reason or str(s.refusal),
+            s.refusal.way_out or sentence(REASONS["check_refused"][1]),
+        )
+        found.append(Reason(code="check_refused", text=text, fix=fix))
     hardware = hardware and not is_virtual(s.config)
     if hardware and s.answer is not None and s.answer.text:
         text, fix, at = s.answer.text, s.answer.fix, s.answer.at
-        found.append(Reason(code="check_refused", text=text, fix=fix, values={"text": text}, seen=at))
+        found.append(Reason(code="check_refused", text=text, fix=fix, seen=at))
     found.append(_if(bool(left_out), "axes_left_out", axes=", ".join(left_out)))
     reasons = [r for r in found if r is not None]
     notes = [_taken_over(d) for d in drives if d.taken_over] + _limits_beyond_drives(s.config)
     if hardware and s.answer is None and not reasons:
-        notes.append(Note(code="drives_not_asked", **told("note.drives_not_asked")))
+        notes.append(Note(code="drives_not_asked", **told(NOTES["drives_not_asked"])))
     return Readiness(can_start=not reasons, reasons=reasons, notes=notes, simulated=s.config.simulated)
 
 
 def _reason(code: ReasonCode, **values: str) -> Reason:
-    return Reason(code=code, **told(f"reason.{code}", **values))
+    return Reason(code=code, **told(REASONS[code], **values))
 
 
 def _if(holds: bool, code: ReasonCode, **values: str) -> Reason | None:
@@ -190,9 +194,8 @@ def _if(holds: bool, code: ReasonCode, **values: str) -> Reason | None:
 
 
 def _of_drive(found: CellReason) -> Reason:
-    values = {"axis": found.axis, "node": str(found.node_id)}
     seen = None if found.at is None else datetime.fromtimestamp(found.at, UTC)
-    return Reason(code=found.code, text=found.text, fix=found.fix, values=values, seen=seen)
+    return Reason(code=found.code, text=found.text, fix=found.fix, seen=seen)
 
 
 def _taken_over(found: CellReason) -> Note:
@@ -206,6 +209,6 @@ def _limits_beyond_drives(config: CellConfig) -> list[Note]:
         rated, limit = a.rated_torque, a.limits.torque
         if rated is not None and limit > MUCH_OF_RATED * rated:
             sizes = {"limit": f"{limit:g}", "rated": f"{rated:g}", "times": f"{limit / rated:.3g}"}
-            words = told("note.limit_beyond_drive", axis=a.name, unit=unit, **sizes)
+            words = told(NOTES["limit_beyond_drive"], axis=a.name, unit=unit, **sizes)
             notes.append(Note(code="limit_beyond_drive", **words))
     return notes

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
 
 from invid.errors import InputError
+from invid.model.document import parse_json
+from invid.wording.sentence import with_wording
 from invid_drivers.simulated import truth
 from invid_service.cells.changes import changes_view
 from invid_service.cells.readiness import Checked, Readiness
@@ -196,7 +197,9 @@ async def get_accepted_model(service: Context, _caller: Reader, cell: CellInPath
 
 
 def _document(cell: Cell, model: StoredModel) -> JSONResponse:
-    return JSONResponse({**json.loads(model.document), "id": model.id, "simulated": cell.simulated})
+    return JSONResponse(
+        with_wording({**parse_json(model.document), "id": model.id, "simulated": cell.simulated})
+    )
 
 
 @router.get("/cells/{cell}/models", response_model=ModelList)
@@ -302,13 +305,8 @@ async def get_changes(
     result, sides = await asyncio.to_thread(
         service.results.changes, cell.id, before, after, averaged=averaged
     )
-    return {
-        "cell": cell.id,
-        "simulated": cell.simulated,
-        "from": before.id,
-        "to": after.id,
-        **changes_view(result, sides),
-    }
+    found = {"cell": cell.id, "simulated": cell.simulated, "from": before.id, "to": after.id}
+    return with_wording({**found, **changes_view(result, sides)})
 
 
 @router.get("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))

@@ -7,8 +7,10 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from invid.wording.fields import Text
 from invid_service.jobs.schema import Identification, PersonName
 from invid_service.jobs.states import State
+from invid_service.spoken import Spoken
 
 
 class Drive(BaseModel):
@@ -49,7 +51,7 @@ class LastRun(BaseModel):
     state: State
     ended: datetime | None
     verdict: str | None
-    headline: str | None
+    headline: Text | None
     grade: str | None
 
 
@@ -60,14 +62,14 @@ class Overview(BaseModel):
     """Of the run in progress, or ``awaiting_accept``; else ``ready``, ``not_ready`` (see readiness), or
     ``unknown`` while nobody has asked the drives."""
     last_run: LastRun | None
-    changed: str | None
+    changed: Text | None
     """What the last result says of changes against the model in force; ``null`` where nothing changed, or
     nothing was there to compare with."""
-    news: dict[str, str] | None
-    """The first of what changed, by language; empty where nothing did, ``null`` without a comparison."""
+    news: Text | None
+    """The first of what changed; empty where nothing did, ``null`` without a comparison."""
 
 
-class CellView(BaseModel):
+class CellView(Spoken):
     """A robot cell."""
 
     id: str

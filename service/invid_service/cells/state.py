@@ -10,12 +10,12 @@ import hashlib
 from collections.abc import Sequence
 from datetime import datetime
 from textwrap import shorten
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
 
-from invid.wording.statement import LANGUAGES
+from invid.wording.fields import Text
 from invid_drivers.protocol import RunProgress
 from invid_service.cells.readiness import Readiness
 from invid_service.cells.registry import Cell
@@ -26,6 +26,7 @@ from invid_service.jobs.schema import polling_headers
 from invid_service.jobs.states import ENDED, IDLE, OCCUPYING, State
 from invid_service.problems import EVERYWHERE, RETRY_AFTER
 from invid_service.service import Service
+from invid_service.spoken import Spoken
 from invid_service.store.store import RunRecord
 
 router = APIRouter(tags=["cells"], responses=EVERYWHERE)
@@ -44,7 +45,7 @@ class CellNow(BaseModel):
     run: str | None = None
     since: datetime | None = None
     """When it came into this state."""
-    phase: str = Field(default="", max_length=_PHASE)
+    phase: Annotated[Text, Field(max_length=_PHASE)] = ""
     progress: float = Field(default=0.0, ge=0, le=1)
     eta_s: float | None = None
     """As of the run [s]."""
@@ -68,7 +69,7 @@ class CellState(CellNow, RunProgress):
     """A run has its drives enabled."""
 
 
-class CellStates(BaseModel):
+class CellStates(Spoken):
     """States of all cells."""
 
     cells: list[CellState]
@@ -119,6 +120,8 @@ def state_of(service: Service, cell: Cell) -> CellState:
 
 def _short(phase: str) -> str:
     """Return a phase cut at a word, within one where it has no other."""
+    if len(phase) <= _PHASE:
+        return phase
     cut = shorten(phase, _PHASE, placeholder="…")
     return phase[:_PHASE] if cut == "…" else cut
 
@@ -157,7 +160,7 @@ def overview(runs: Sequence[RunRecord], occupied_by: LiveRun | None, ready: Read
     return Overview(
         state=state,
         last_run=None if last is None else _last_run(last),
-        changed=str(changes["sentence"]) if changes and _has_news(changes) else None,
+        changed=changes["sentence"] if changes and _has_news(changes) else None,
         news=None if changes is None else _news(changes),
     )
 
@@ -181,8 +184,6 @@ def _has_news(changes: dict[str, Any] | None) -> bool:
     return any(entry.get("status") in _NEWS for entry in found) or bool(changes.get("structure"))
 
 
-def _news(changes: dict[str, Any]) -> dict[str, str]:
-    """Return the first of what changed by language; a run of an earlier release tells none."""
-    if not _has_news(changes):
-        return dict.fromkeys(LANGUAGES, "")
-    return {language: lines[0] for language, lines in changes.get("lines", {}).items() if lines}
+def _news(changes: dict[str, Any]) -> str:
+    """Return the first of what changed."""
+    return next(iter(changes.get("sentences", ())), "") if _has_news(changes) else ""

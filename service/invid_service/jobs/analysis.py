@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -25,10 +24,10 @@ from invid.simulators.open import masses_of
 from invid.tuning.axis_loop import prediction_from_json
 from invid.tuning.page import verification_picture, verification_to_json
 from invid.tuning.verification import Verdict, verify
-from invid.wording.statement import ENGLISH
+from invid.wording.sentence import joined, mapped
 from invid_drivers.protocol import Line, Read
 from invid_service.jobs.progress import AnalysisProgress
-from invid_service.jobs.protocol import Job
+from invid_service.jobs.protocol import Job, without_folder
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
 
@@ -85,7 +84,6 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
     return {
         "verdict": str(diagnosis.verdict),
         "headline": diagnosis.headline,
-        "headlines": dict(diagnosis.headlines),
         "grade": None if diagnosis.grade is None else str(diagnosis.grade),
         "findings": [summary_of(f) for f in diagnosis.findings],
         "sentences": list(diagnosis.sentences),
@@ -107,15 +105,13 @@ def _verified(
     document = verification_to_json(found)
     save_text(job.folder / "verification.json", dump_json({**document, "simulated": job.simulated}))
     save_text(job.folder / "verification.svg", verification_picture(found))
-    headlines = {language: " ".join(said) for language, said in document["sentences"].items()}
     grades = {Verdict.WORSE: Grade.ACT, Verdict.OTHER: Grade.WATCH, Verdict.CANNOT_TELL: Grade.WATCH}
     return {
         "verdict": str(found.verdict),
-        "headline": headlines[ENGLISH],
-        "headlines": headlines,
+        "headline": joined(document["sentences"], " "),
         "grade": str(grades.get(found.verdict, Grade.AS_EXPECTED)),
         "findings": [],
-        "sentences": document["sentences"][ENGLISH],
+        "sentences": document["sentences"],
         "explained_fraction": None,
         "trustworthy": found.verdict is not Verdict.CANNOT_TELL,
         "distrust": [],
@@ -149,7 +145,7 @@ def _diagnose_anew(
 
 def _with_copy(diagnosis: Diagnosis, job: Job, suffix: str) -> Diagnosis:
     """Name the corrected copy as the store does; where files lie here is nobody's business."""
-    said = json.loads(json.dumps(diagnosis.against).replace(f"{job.folder}/", ""))
+    said = mapped(diagnosis.against, lambda v: without_folder(v, job.folder) if isinstance(v, str) else v)
     copy = job.folder / f"corrected{suffix}"
     if copy.is_file():
         copy.replace(job.folder / KINDS["corrected"][0])
@@ -166,7 +162,7 @@ def separating(diagnosis: Diagnosis, job: Job) -> dict[str, Any] | None:
         found = to_separate(diagnosis_to_json(diagnosis), CellConfig.model_validate(job.config))
     except InputError:
         return None
-    return {"finding": found.finding, "text": " ".join(found.sentences)}
+    return {"finding": found.finding, "text": joined(found.sentences, " ")}
 
 
 def _require_axes(axes: tuple[str, ...], job: Job) -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from invid.clauses import doubt_sentence
 from invid.model.doubts import Doubt, DoubtCode, by_weight, doubts_of
-from invid.wording.clauses import doubt_statement
-from invid.wording.statement import ENGLISH, LANGUAGES, say
 
 Reason = dict[str, Any]
-"""``code``, ``values``, ``text`` (the long sentence, English) and ``texts`` by language."""
+"""``code``, ``values``, ``text`` (the long sentence) and ``short``, what it comes to."""
 
 
 def doubts_against(mode: str, summary: Mapping[str, Any]) -> tuple[Doubt, ...]:
@@ -25,9 +24,8 @@ def doubts_against(mode: str, summary: Mapping[str, Any]) -> tuple[Doubt, ...]:
 
 def doubt_view(doubt: Doubt) -> Reason:
     """Return a reason as the interface shows it."""
-    said = doubt_statement(doubt)
-    texts = {language: say(said, language) for language in LANGUAGES}
-    return {**doubt.to_json(), "text": doubt.text or texts[ENGLISH], "texts": texts}
+    short = doubt_sentence(doubt)
+    return {**doubt.to_json(), "text": doubt.text or short, "short": short}
 
 
 def why_untrusted(mode: str, summary: Mapping[str, Any] | None) -> str | None:
@@ -39,4 +37,4 @@ def why_untrusted(mode: str, summary: Mapping[str, Any] | None) -> str | None:
     known = summary.get("doubts")
     if known is None:  # a run of an earlier release
         known = [doubt_view(d) for d in doubts_against(mode, summary)]
-    return str(known[0]["texts"][ENGLISH]) if known else None
+    return known[0].get("short", known[0]["text"]) if known else None

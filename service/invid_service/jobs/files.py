@@ -16,11 +16,11 @@ from invid.comparison.numbers import name_of
 from invid.errors import InvidError
 from invid.model.diagnosis_document import Diagnosis, load_diagnosis, load_model
 from invid.report.branch_drawing import branch_drawing
+from invid.wording.sentence import Figure, sentence
 from invid_service.dependencies import Context, FoundRun, Reader, RunInPath
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.service import Service
 from invid_service.store.blobs import KINDS, Blob
-from invid_service.web.texts import catalogue, drawing_words
 
 router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
 
@@ -149,22 +149,21 @@ def _drawn(model: Path, diagnosis: Path | None, changes: Mapping[str, Any] | Non
     if diagnosis is not None:
         with contextlib.suppress(InvidError):  # the model is drawn all the same
             found = load_diagnosis(diagnosis)
-    texts = catalogue(lang)
     return branch_drawing(
         load_model(model),
         () if found is None else found.findings,
         None if found is None else found.unexplained,
-        changed=changed_parameters(changes, texts["number.point"]),
-        news={} if found is None else _news(found, changes, texts),
-        words=drawing_words(lang),
+        changed=changed_parameters(changes),
+        news={} if found is None else _news(found, changes),
+        language=lang,
     )
 
 
-def changed_parameters(changes: Mapping[str, Any] | None, point: str = ".") -> dict[str, str]:
+def changed_parameters(changes: Mapping[str, Any] | None) -> dict[str, str]:
     """Return the change ("+12 %") of each changed parameter by name, from the body of ``GET
     /cells/{cell}/changes``.
     """
-    found = {}
+    found = dict[str, str]()
     for p in (changes or {}).get("parameters", []):
         old = (p.get("from") or {}).get("value")
         if p.get("status") != "changed" or p.get("difference") is None:
@@ -172,13 +171,15 @@ def changed_parameters(changes: Mapping[str, Any] | None, point: str = ".") -> d
         share = p["difference"] / abs(old) if old else math.nan
         sign = "+" if p["difference"] > 0 else "−"
         size = f"{sign}{abs(100 * share):.2g} %" if math.isfinite(share) and abs(share) < 10 else sign
-        found[p["parameter"]] = size.replace(".", point)
+        found[p["parameter"]] = Figure(size)
     return found
 
 
-def _news(found: Diagnosis, changes: Mapping[str, Any] | None, texts: Mapping[str, str]) -> dict[int, str]:
+_NEWS = {"appeared": sentence("new"), "grew": sentence("grown"), "shrank": sentence("smaller")}
+
+
+def _news(found: Diagnosis, changes: Mapping[str, Any] | None) -> dict[int, str]:
     """Return a word for each finding that came, grew or shrank since the model in force."""
     status = {c.get("name"): c.get("status") for c in (changes or {}).get("causes", [])}
-    words = {s: texts[f"drawing.{s}"] for s in ("appeared", "grew", "shrank")}
-    said = {n: words.get(str(status.get(name_of(f.effect)))) for n, f in enumerate(found.findings, 1)}
+    said = {n: _NEWS.get(str(status.get(name_of(f.effect)))) for n, f in enumerate(found.findings, 1)}
     return {n: word for n, word in said.items() if word is not None}

@@ -15,13 +15,15 @@ from pathlib import Path
 from typing import IO, Any
 
 from invid.errors import RecordingError
+from invid.model.document import parse_json
 from invid.recording.spool import SUFFIX, has_rows, is_spool
 from invid.recording.writer import put_in_place
+from invid.wording.sentence import joined, sentence, with_wording
 from invid_drivers.protocol import AxisStates, LastSeen
 from invid_service.jobs.states import State
 from invid_service.store.blobs import KINDS
 from invid_service.store.store import RunRecord
-from invid_service.web.texts import error_of, said
+from invid_service.words import LOOK, UNSEEN, error_of
 
 log = logging.getLogger(__name__)
 _LOCK, _WORDS = "runner.pid", "last-words.json"
@@ -82,15 +84,15 @@ class LastWords:
         """Leave them in the folder of the run; a disk that takes no more keeps nobody from stopping."""
         part = folder / f"{_WORDS}.part"
         with contextlib.suppress(OSError):
-            part.write_text(json.dumps(asdict(self)), encoding="utf-8")
+            part.write_text(json.dumps(with_wording(asdict(self))), encoding="utf-8")
             os.replace(part, folder / _WORDS)
 
     @classmethod
     def read(cls, folder: Path) -> LastWords:
         """Those that were left in a folder; none where there are none."""
         try:
-            found = json.loads((folder / _WORDS).read_text(encoding="utf-8"))
-            return cls(AxisStates(tuple(LastSeen(**a) for a in found["axes"]["axes"])), str(found["end"]))
+            found = parse_json((folder / _WORDS).read_text(encoding="utf-8"))
+            return cls(AxisStates(tuple(LastSeen(**a) for a in found["axes"]["axes"])), found["end"])
         except (OSError, ValueError, TypeError, KeyError):
             return cls()
 
@@ -100,9 +102,9 @@ def unseen(
 ) -> dict[str, Any]:
     """Return the error of a run whose axes nobody has seen at rest, with what is known of them."""
     axes = states.of(names)
-    more = (f"{sentence}." for sentence in (*(a.sentence for a in axes), *known))
-    text = " ".join((error["text"], said("error.unseen"), *more))
-    look = {"text": text, "fix": said("error.unseen.fix")}
+    more = [sentence("{text}.", text=text) for text in (*(a.sentence for a in axes), *known)]
+    what = joined([error["text"], sentence(UNSEEN)], " ")
+    look = {"text": joined([what, *more], " "), "what": what, "fix": sentence(LOOK)}
     return {**error, **look, "axes": [asdict(a) for a in axes], "known": list(known)}
 
 
@@ -110,8 +112,8 @@ def interruption(run: RunRecord, words: LastWords) -> dict[str, Any]:
     """Return the error of a run that the end of its service cut off, by what its runner left."""
     error = error_of("interrupted", state=str(run.state))
     if run.state is State.RUNNING and words.end:
-        end = f"Its motion was ended: {words.end}"
-        return {**error, "text": f"{error['text']} {end}", "known": [end]}
+        end = sentence("Its motion was ended: {end}", end=words.end)
+        return {**error, "text": joined([error["text"], end], " "), "known": [end]}
     if run.state is State.RUNNING and not run.simulated:
         return unseen(error, words.axes, run.axes)
     return error

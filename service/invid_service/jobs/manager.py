@@ -18,6 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from invid import disk
 from invid.config import CellConfig
+from invid.wording.sentence import joined, sentence
 from invid_drivers.protocol import (
     Arm,
     AxisStates,
@@ -42,7 +43,7 @@ from invid_service.logs import tell_began, tell_ended
 from invid_service.settings import Settings
 from invid_service.store.database import is_full
 from invid_service.store.store import RunRecord, Store, StoredEvent
-from invid_service.web.texts import error_of, said
+from invid_service.words import UNSEEN, error_of
 
 log = logging.getLogger(__name__)
 _RETRY_S = 1.0
@@ -428,7 +429,7 @@ class JobManager:
             known = await asyncio.to_thread(known_after_death, config, self._settings.stop_grace_s)
         grace = f"{self._settings.stop_grace_s:.0f}"
         died, deaf = error_of("runner-died", status=str(status)), error_of("not-stopped", seconds=grace)
-        reason = f"the process that moved it was lost. {said('error.unseen')}"
+        reason = joined([sentence("the process that moved it was lost"), sentence(UNSEEN)], ". ")
         return State.FAILED, {
             "stopped": without_trace(run.progress.phase, run.progress.axis, reason),
             "error": unseen(deaf if run.killed else died, run.axes, run.record.axes, known),

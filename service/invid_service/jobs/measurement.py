@@ -10,6 +10,7 @@ from invid.errors import ConfigError
 from invid.model.document import model_from_json
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
+from invid.wording.sentence import sentence
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.goal import Reached, judge_of
 from invid_drivers.measurement import measure_to_file
@@ -30,7 +31,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     accepted = None if job.model is None else model_from_json(job.model, source="accepted model")
     if accepted is not None and accepted.axes != tuple(a.name for a in config.axes):
         accepted = None
-    model = None if accepted is None else from_model(accepted, config, source="the accepted model")
+    model = None if accepted is None else from_model(accepted, config, source=sentence("the accepted model"))
     short = _short_plan(config, model, job.amplitude_scale) if job.mode == "screen" else None
     wish = Wish(job.axes, job.amplitude_scale, model, short)
     found = ask(config, wish).require()

@@ -125,7 +125,7 @@ class MotionProgress(_Told):
         left = self.count_down(pace * float(p.eta_s) - (self.elapsed_s - self._heard))
         return RunProgress(
             progress=float(p.fraction) * BEGINS,
-            phase=str(p.phase),
+            phase=p.phase,
             axis=p.axis,
             frequency=p.frequency,
             eta_s=None if self._after is None or left is None else left + self._after,

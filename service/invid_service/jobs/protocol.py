@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from invid.tuning.motor_scale import MotorScale
+from invid.wording.sentence import Sentence, as_sentences, with_wording
 from invid_drivers.protocol import (
     AxisStates,
     Done,
@@ -78,5 +79,13 @@ class TuningTask:
 
 
 def plain(document: Mapping[str, Any]) -> Any:
-    """Return the document as JSON has it."""
-    return json.loads(json.dumps(document, default=float))
+    """Return the document as JSON has it, its sentences kept."""
+    return as_sentences(json.loads(json.dumps(with_wording(document), default=float)))
+
+
+def without_folder(text: str, folder: Path) -> str:
+    """Return a text or sentence that does not say where a file lies."""
+    if isinstance(text, Sentence):
+        values = {name: without_folder(value, folder) for name, value in text.values.items()}
+        return Sentence(text.template, values, text.form)
+    return text.replace(f"{folder}/", "").replace(f" in {folder}", "") if str(folder) in text else text

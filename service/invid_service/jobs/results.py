@@ -4,7 +4,6 @@ force.
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +18,7 @@ from invid.comparison.compare import compare
 from invid.diagnosis.headline import Beside, with_headline
 from invid.errors import InvidError
 from invid.model.diagnosis_document import Diagnosis, diagnosis_to_json, load_diagnosis
-from invid.model.document import Model, dump_json, model_from_json, save_text
+from invid.model.document import Model, dump_json, model_from_json, parse_json, save_text
 from invid.model.doubts import Doubt, DoubtCode
 from invid.model.expectation import Agreement, Answer
 from invid_service.cells.changes import changes_view
@@ -133,8 +132,7 @@ class Results:
             summary["answer"] = None if answer is None else str(answer.agreement)
             diagnosis = self._diagnosis(run)
             if diagnosis is None:
-                said = {} if found is None else found[1]["headlines"]
-                return {**summary, **({"headline": said["en"], "headlines": said} if said else {})}
+                return {**summary, **({} if found is None else {"headline": found[1]["headline"]})}
             test = next((d for d in doubts if d.code is DoubtCode.TEST), None)
             beside = Beside(test, answer)
             if run.mode == "screen" and found is not None:
@@ -150,7 +148,7 @@ class Results:
             log.error("run %s: no comparison with the accepted model: %s", run.id, error)
             return summary
         grade = None if told.grade is None else str(told.grade)
-        return {**summary, "headline": told.headline, "headlines": dict(told.headlines), "grade": grade}
+        return {**summary, "headline": told.headline, "grade": grade}
 
     def _against_accepted(self, run: RunRecord) -> tuple[Comparison, dict[str, Any], Model] | None:
         """Return what changed since the model in force, how the interface shows it, and that model; ``None``
@@ -223,4 +221,4 @@ def _answer(run: RunRecord, found: Comparison | None, doubts: Sequence[Doubt]) -
 
 def load(stored: StoredModel) -> Model:
     """Return a stored model; ModelError where the text is damaged."""
-    return model_from_json(json.loads(stored.document), source=f"model {stored.id}")
+    return model_from_json(parse_json(stored.document), source=f"model {stored.id}")

@@ -12,6 +12,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from fastapi.sse import format_sse_event
 
+from invid.wording.sentence import with_wording
 from invid_service.dependencies import (
     CellInPath,
     Context,
@@ -146,7 +147,7 @@ def _offer_part(name: str, operation: str, text: str) -> None:
         found = PARTS[name](run.record.facts)
         if found is None:
             raise run.problem("artefact-not-found", f" and has no {name}")
-        return {**found, "simulated": run.record.simulated}
+        return with_wording({**found, "simulated": run.record.simulated})
 
     path = f"/identifications/{{identification}}/{name}"
     router.add_api_route(path, get, name=operation, description=text, response_model=dict[str, Any])

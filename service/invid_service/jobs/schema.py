@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from invid.wording.fields import Text
 from invid_drivers.protocol import ErrorInfo, RunProgress
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, progress_of
@@ -15,6 +16,7 @@ from invid_service.jobs.stated_change import StatedChange
 from invid_service.jobs.states import ENDED, State
 from invid_service.jobs.stops import EMPTY
 from invid_service.links import address
+from invid_service.spoken import Spoken
 from invid_service.store.store import RunRecord
 from invid_service.tuning.tunings import TUNING_KINDS
 
@@ -86,14 +88,14 @@ class Separating(BaseModel):
 
     finding: int
     """Number of the finding in the diagnosis, from 0; the first of those that are not told apart."""
-    text: str
+    text: Text
 
 
 class NextAction(BaseModel):
     """The one action that follows a stop."""
 
     code: str
-    text: str
+    text: Text
     where: str
     """``page``, ``machine``, ``drive``, ``computer``, or a field of the cell's config."""
 
@@ -116,14 +118,16 @@ class StoppedView(BaseModel):
 
     code: str = ""
     """What stopped it, as a stable word (``position_window``, …); empty where there is none."""
-    phase: str
+    what: Text = ""
+    """The same in general; empty where there is none."""
+    phase: Text
     axis: str | None
-    reason: str
+    reason: Text
     action: NextAction
     trace: Trace
 
 
-class Identification(RunProgress):
+class Identification(Spoken, RunProgress):
     """A run: what it is, how far, and its results."""
 
     id: str
@@ -164,7 +168,7 @@ class Identification(RunProgress):
     summary: dict[str, Any] | None
     """verdict, sentences, warnings and ``changes`` against the accepted model: those that there are; every
     parameter at their link."""
-    untrusted: str | None
+    untrusted: Text | None
     """Why the result is accepted only with an ``override``; ``null`` where it needs none."""
     separating: Separating | None
     """What a start with ``separate`` would do; ``null`` where there is nothing to separate."""

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from invid.errors import BusError, DriveError, InvidError
-from invid_service.web.texts import said
+from invid.wording.sentence import sentence
+from invid_service.words import ACTIONS, HALTS
 
 EMPTY: dict[str, Any] = {"time_s": [], "position": {}, "torque": {}}
 
@@ -57,9 +58,9 @@ _ACTIONS: dict[str, tuple[tuple[str, str], ...]] = {
     "asked": (("start_again", "page"),),
 }
 """What stopped a motion -> code of the action, and where; the second of two after a run that had less than
-the planned torque. Their words are ``action.<code>`` of the catalogue."""
+the planned torque. Their words are ``ACTIONS``."""
 STOPS = tuple(_ACTIONS)
-"""Codes of what stops a motion; the page has words for each."""
+"""Codes of what stops a motion; ``HALTS`` has words for each."""
 _OF_AXIS = {"rated_torque": ("rated_torque_Nm", "rated_force_N"), "hold.mode": ("hold.mode", "hold.mode")}
 """Fields of an axis in the cell's config, of a rotary one and a linear one."""
 
@@ -73,6 +74,7 @@ def stopped_by(error: InvidError, run: Run) -> dict[str, Any] | None:
     code = error.code or _kind(error)
     return {
         "code": code,
+        "what": sentence(HALTS[code]) if code in HALTS else "",
         "phase": moment["phase"],
         "axis": axis,
         "reason": error.reason or str(error),
@@ -84,7 +86,15 @@ def stopped_by(error: InvidError, run: Run) -> dict[str, Any] | None:
 def without_trace(phase: str, axis: str | None, reason: str) -> dict[str, Any]:
     """Return the facts of a run whose process could not tell: somebody has to look."""
     action = action_for("", Run("", "", linear=False, axis=axis))
-    return {"code": "", "phase": phase, "axis": axis, "reason": reason, "action": action, "trace": EMPTY}
+    return {
+        "code": "",
+        "what": "",
+        "phase": phase,
+        "axis": axis,
+        "reason": reason,
+        "action": action,
+        "trace": EMPTY,
+    }
 
 
 def action_for(code: str, run: Run) -> dict[str, str]:
@@ -92,7 +102,7 @@ def action_for(code: str, run: Run) -> dict[str, str]:
     action, where = _ACTIONS.get(code, (("look", "machine"),))[-1 if run.lowered else 0]
     if where in _OF_AXIS:
         where = f"axes[{run.axis or ''}].{_OF_AXIS[where][run.linear]}"
-    return {"code": action, "text": said(f"action.{action}"), "where": where}
+    return {"code": action, "text": sentence(ACTIONS[action]), "where": where}
 
 
 def _kind(error: InvidError) -> str:

@@ -17,13 +17,13 @@ from typing import Any
 
 from invid.disk import is_full, not_written
 from invid.errors import DiskFullError, InvidError, SafetyStop
-from invid.wording.statement import ENGLISH
+from invid.wording.sentence import sentence
 from invid_drivers.protocol import Done, EndedEarly, ErrorInfo, Line, Stopped, line_of_process
 from invid_service.jobs.folder import LastWords, hold
-from invid_service.jobs.protocol import Job, plain
+from invid_service.jobs.protocol import Job, plain, without_folder
 from invid_service.jobs.stops import Run, stopped_by
 from invid_service.precedence import as_everyone
-from invid_service.web.texts import catalogue, error_of, said
+from invid_service.words import ERRORS, SEE_MANUAL, error_of
 
 STOPPED = ErrorInfo(**error_of("stopped"))
 
@@ -38,9 +38,9 @@ def error_info(error: BaseException) -> ErrorInfo:
         own = error_of("internal-error")
         return ErrorInfo(code=own["code"], text=f"{type(error).__name__}: {error}", fix=own["fix"])
     codes = [_code_of(kind) for kind in type(error).__mro__]
-    fixes = (f"error.{code}.fix" for code in codes if f"error.{code}.fix" in catalogue(ENGLISH))
+    what, fix = next((ERRORS[code] for code in codes if code in ERRORS), ("", SEE_MANUAL))
     text = error.reason if isinstance(error, DiskFullError) else str(error)
-    return ErrorInfo(code=codes[0], text=text, fix=said(next(fixes, "error.any.fix")))
+    return ErrorInfo(code=codes[0], text=text, what="" if "{" in what else sentence(what), fix=sentence(fix))
 
 
 def _code_of(kind: type) -> str:
@@ -73,7 +73,7 @@ def run(line: Line) -> int:
         told = error_info(error)
         stopped = _stopped_by(error, job) if isinstance(error, InvidError) else None
         # Where the file lies in the service's own folders is nobody's business.
-        text = told.text.replace(f"{job.folder}/", "").replace(f" in {job.folder}", "")
+        text = without_folder(told.text, job.folder)
         told = told.model_copy(update={"text": text})
         LastWords(end=text).write(job.folder)
         line.tell(EndedEarly(type="failed", error=told, stopped=stopped))

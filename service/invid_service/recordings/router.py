@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
+from invid.model.document import parse_json
 from invid_service.cells.registry import Cell
 from invid_service.dependencies import Context, RunInPath, Runner
 from invid_service.jobs.files import stored_file
@@ -226,7 +226,7 @@ async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell |
         simulated=False,
         config=None if cell is None else cell.config.model_dump(mode="json"),
         acceptable=False,
-        model=None if accepted is None else json.loads(accepted.document),
+        model=None if accepted is None else parse_json(accepted.document),
         simulator=record.facts.get("simulator"),
         memory_bytes=service.settings.worker_memory_bytes,
         stop_grace_s=service.settings.stop_grace_s,

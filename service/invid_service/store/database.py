@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sqlite3
 from contextlib import closing
@@ -19,9 +20,16 @@ from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from invid.disk import room
 from invid.errors import ConfigError
+from invid.model.document import parse_json
 from invid.recording.spool import sync_folder
+from invid.wording.sentence import with_wording
 
 log = logging.getLogger(__name__)
+_AS_JSON: dict[str, Any] = {
+    "json_serializer": lambda value: json.dumps(with_wording(value) if isinstance(value, dict) else value),
+    "json_deserializer": parse_json,
+}
+"""Facts and events keep their sentences, so that a run of the store is said in any language."""
 _POSTGRESQL_DISK_FULL = "53100"
 BUSY_S = 2.0
 """A locked SQLite answers "busy" after this; a person waits that long for a page, not longer."""
@@ -47,10 +55,12 @@ def open_engine(url: str) -> Engine:
         parsed = parsed.set(drivername="postgresql+psycopg")
     try:
         if parsed.get_backend_name() == "sqlite":
-            engine = create_engine(parsed, connect_args={"timeout": BUSY_S, "check_same_thread": False})
+            engine = create_engine(
+                parsed, connect_args={"timeout": BUSY_S, "check_same_thread": False}, **_AS_JSON
+            )
             event.listen(engine, "connect", _configure_sqlite)
         else:
-            engine = create_engine(parsed, pool_pre_ping=True, pool_timeout=5)
+            engine = create_engine(parsed, pool_pre_ping=True, pool_timeout=5, **_AS_JSON)
     except ImportError as error:
         extra = "pip install 'invid[postgres]'" if parsed.get_backend_name() == "postgresql" else "install it"
         raise ConfigError(

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from invid.errors import InputError, InvidError
 from invid.tuning.axis_loop import loops_from_json
 from invid.tuning.motor_scale import MotorScale
+from invid.wording.fields import Text
 from invid_drivers.values.applying import Proposal, apply, propose, undo, written_entries
 from invid_service.cells.registry import Cell
 from invid_service.dependencies import Accepter, Context, Reader, RunInPath, Runner, find_run
@@ -22,6 +23,7 @@ from invid_service.jobs.schema import RETRY_AFTER_S, PersonName, following
 from invid_service.jobs.start import tuning_of
 from invid_service.openapi import ACCEPTED
 from invid_service.problems import EVERYWHERE, RETRY_AFTER, Problem, problem_responses
+from invid_service.spoken import Spoken
 from invid_service.store.blobs import KINDS
 
 router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
@@ -78,12 +80,12 @@ class ObjectChange(BaseModel):
     new: float
 
 
-class Applied(BaseModel):
+class Applied(Spoken):
     """What would be written, or was."""
 
     robot: str
     changes: list[ObjectChange]
-    said: list[str]
+    said: list[Text]
     """What the drives cannot hold, or what was left as it is and why."""
     token: str | None
     """Stands for this list; ``null`` once it is written."""

@@ -14,7 +14,7 @@ from invid.model.diagnosis_document import load_document
 from invid.model.document import dump_json, load_json, save_text
 from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.forms import write_tuning
-from invid.wording.statement import Statement
+from invid.wording.sentence import sentence
 from invid_drivers.protocol import Done, Failed, line_of_process
 from invid_drivers.values.present import known_loops, present_values
 from invid_service.jobs.protocol import TuningTask
@@ -27,7 +27,7 @@ def carry_out(task: TuningTask) -> None:
     source = load_document(task.source)
     before, why = _present(task, arguments.a_model(source).axes)
     tuned = tune(source, before=before, cycle=task.cycle_s, notches=task.notches, draws=task.draws)
-    tuned = replace(tuned, statements=(*tuned.statements, *why))
+    tuned = replace(tuned, remarks=(*tuned.remarks, *why))
     written = write_tuning(tuned, task.folder, drive=task.drive, motors=dict(task.motors))
     path = task.folder / KINDS["tuning"][0]
     save_text(path, dump_json({**load_json(path), "simulated": task.simulated}))
@@ -36,9 +36,7 @@ def carry_out(task: TuningTask) -> None:
             archive.write(task.folder / name, name)
 
 
-def _present(
-    task: TuningTask, axes: Sequence[str]
-) -> tuple[dict[str, AxisLoop] | None, tuple[Statement, ...]]:
+def _present(task: TuningTask, axes: Sequence[str]) -> tuple[dict[str, AxisLoop] | None, tuple[str, ...]]:
     """What the drives hold now, and why it is not known."""
     if task.config is None:
         return None, ()
@@ -46,7 +44,7 @@ def _present(
         found = known_loops(present_values(CellConfig.model_validate(task.config), task.motors))
         return {name: loop for name, loop in found.items() if name in axes}, ()
     except InvidError as error:
-        return None, (Statement("tune.present_unknown", {"why": str(error.reason or error)}),)
+        return None, (sentence("what the drives hold now is not known: {why}", why=error.reason or error),)
 
 
 def main() -> None:

@@ -13,7 +13,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from invid import __version__
-from invid_service.web.texts import LANGUAGES, catalogue, sayings
+from invid.wording.sentence import LANGUAGES, catalogue
+from invid_service.web.texts import texts_of
 
 _HERE = Path(__file__).parent
 _TEMPLATES = Environment(
@@ -33,17 +34,17 @@ async def page(request: Request) -> HTMLResponse:
     service = request.app.state.service
     simulated = all(cell.simulated for cell in service.cells.values())
     language = wanted(request)
-    texts = catalogue(language)
+    texts = texts_of(language)
     html = _TEMPLATES.get_template("page.html").render(
         version=__version__,
         simulated=simulated,
         root=service.settings.root_path,
         language=language,
-        languages={name: catalogue(name)["language.name"] for name in LANGUAGES},
+        languages={name: texts_of(name)["language.name"] for name in LANGUAGES},
         t=texts.__getitem__,
         # Within the page, so that its stop button never waits for a second file. No "<" ends a script early.
         texts=_embedded(texts),
-        said=_embedded(sayings(language)),
+        wording=_embedded(catalogue(language)),
     )
     headers = {
         "Content-Security-Policy": _POLICY,

@@ -41,7 +41,7 @@ LATE = re.compile(r"computer was late", re.I)
 
 def sentences(line: str) -> list[str]:
     """What stands between full stops."""
-    return [s.strip() for s in re.split(r"(?<=[a-z)\]])\.(?:\s|$)", line) if s.strip()]
+    return [s.strip() for s in re.split(r"(?<=[a-z)\]`])\.(?:\s|$)", line) if s.strip()]
 
 
 def claims(words: str, document: dict[str, Any], axes: list[str]) -> dict[str, dict[str, str]]:

@@ -232,7 +232,7 @@ def modes_at_rest_enable_input_opened_between(d: Draft) -> None:
 @kind(ONCE, (0, 1, 2), healthy=True)
 def mode_shown_early(d: Draft) -> None:
     """0x6061 shows a mode before it acts, or −1 until then."""
-    how, seconds = d.rng.choice([("early", 0.03), ("early", 0.1), ("blank", 0.5), ("blank", 3.0)])
+    how, seconds = d.rng.choice([("early", 0.03), ("early", 0.1), ("blank", 0.5), ("blank", 4.0)])
     for a in d.victims:
         a.habit("ModeShown", how=how, seconds=seconds)
 

@@ -13,6 +13,7 @@ from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.compare import ALPHA, TOLERANCE, compare
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model
+from invid.wording.sentence import say
 
 AXES = ("A1", "A2", "A3")
 TORQUE, GAP = 0.4, 3e-4
@@ -101,11 +102,11 @@ def test_a_cause_that_was_nothing_and_is_large_has_appeared_and_the_other_way_ro
     assert any(s.startswith(said) for s in came.sentences)
     went = compare(model(*usual(), play()), model(*usual()))
     assert of(went, "A2.backlash.spring 1").status is Status.GONE
-    assert came.headlines["en"] == (
+    assert came.headline == (
         "New: free play in the transmission on A2 at spring 1, 0.30 ± 0.01 mrad. "
         "Before accepting: check the gear's wear, keys and couplings."
     )
-    assert went.headlines["de"].startswith(
+    assert say(went.headline, "de").startswith(
         "Spiel im Getriebe an A2, Feder 1 verschwunden, zuvor 0,30 ± 0,01 mrad."
     )
 
@@ -122,4 +123,4 @@ def test_a_cause_that_was_nothing_and_is_large_has_appeared_and_the_other_way_ro
 def test_a_run_that_could_not_have_seen_a_cause_says_nothing_about_it(old: Model, why: str) -> None:
     found = of(compare(old, model(*usual(), play())), "A2.backlash.spring 1")
     assert found.status is Status.CANNOT_TELL
-    assert why in found.reason
+    assert why in found.why

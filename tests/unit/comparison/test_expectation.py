@@ -15,6 +15,7 @@ from invid.model.chains import case_study
 from invid.model.diagnosis_document import Verdict
 from invid.model.document import Model, parameter_vector
 from invid.model.expectation import Agreement, Answer, Expectation, Subject
+from invid.wording.sentence import say
 
 TOOL = Expectation(Subject.TOOL, "A2", 1.3)
 
@@ -65,7 +66,9 @@ def test_what_was_said_is_held_against_what_changed_in_the_plant(
 
 def said(given: Answer, language: str = "en", **parts: float) -> str:
     changes = compare(model(), model(**parts)).named if given.change is None else (given.change,)
-    return headline(Facts(("A1", "A2"), False, Verdict.CONSISTENT, changes=changes, answer=given), language)
+    return say(
+        headline(Facts(("A1", "A2"), False, Verdict.CONSISTENT, changes=changes, answer=given)), language
+    )
 
 
 def test_the_first_clause_of_the_headline_is_the_answer_in_both_languages() -> None:

@@ -21,6 +21,7 @@ from invid.model.diagnosis_document import (
 )
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.wording.sentence import say
 
 AXES = ("A1", "A2", "A3")
 CONFIG = """\
@@ -208,7 +209,7 @@ def test_torque_at_its_limit_is_the_loop_and_not_the_mechanics_and_comes_first()
     assert found.headline.startswith(
         "The loop, not the mechanics: the torque of A1 stands at its limit of 10 N·m"
     )
-    assert found.headlines["de"].startswith("Die Regelung, nicht die Mechanik: das Moment von A1")
+    assert say(found.headline, "de").startswith("Die Regelung, nicht die Mechanik: das Moment von A1")
     assert "Free play" in found.headline or "free play" in found.headline
 
 

@@ -19,7 +19,6 @@ from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
 from invid.model.diagnosis_document import Verdict
 from invid.recording import Experiment, Recording, Role, write_recording
-from invid.recording.check import COLUMNS
 from invid.signals.dropped_rows import find_dropped_rows
 
 QUICK = {"seed": 11, "motors": 1}
@@ -55,9 +54,7 @@ def held(recording: Recording, rows: int) -> Recording:
 
     def logged(e: Experiment) -> Experiment:
         rate = rows * e.sample_rate_hz
-        columns = {
-            n: np.repeat(v, rows, axis=0) for n in (*COLUMNS, "status") if (v := getattr(e, n)) is not None
-        }
+        columns = {n: np.repeat(v, rows, axis=0) for n, v in e.datasets().items() if n != "time"}
         time = e.time[0] + np.arange(rows * e.samples) / rate
         return replace(e, time=time, sample_rate_hz=rate, period_samples=rows * e.period_samples, **columns)
 

@@ -12,6 +12,7 @@ from invid.model.diagnosis_document import Alternative, Consequence, Finding, Gr
 from invid.model.document import EffectTerm, Estimate
 from invid.model.doubts import Doubt, DoubtCode
 from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
+from invid.wording.sentence import say
 
 UNIT = "kg·m²"
 LOAD = NamedChange(
@@ -79,7 +80,7 @@ def test_the_headline_says_what_changed_whether_it_matters_where_and_what_now(
 ) -> None:
     assert headline(facts(changes, doubt)) == capital(english)
     if german is not None:
-        assert headline(facts(changes, doubt), "de") == capital(german)
+        assert say(headline(facts(changes, doubt)), "de") == capital(german)
 
 
 def finding(cause: str, axis: str, grade: Grade) -> Finding:
@@ -98,7 +99,7 @@ def test_a_doubtful_cause_asks_for_the_experiment_that_makes_sure_and_for_no_rep
     doubtful = replace(sure, confidence=confidence, alternatives=rivals)
 
     def said(of: Finding, language: str = "en") -> str:
-        return headline(facts(None, verdict=Verdict.EXPLAINED, findings=(of,)), language)
+        return say(headline(facts(None, verdict=Verdict.EXPLAINED, findings=(of,))), language)
 
     assert said(sure).endswith("check gear, belt or coupling for preload and wear.")
     assert said(doubtful).endswith(

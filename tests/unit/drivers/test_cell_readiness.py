@@ -9,11 +9,12 @@ import pytest
 
 from invid.cli.app import run
 from invid.config import CellConfig, load_config
+from invid.errors import InvidError
 from invid_drivers.cia402.journal import journal_path
 from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.standing.holding import energised_reason
 from invid_drivers.cia402.states import DriveState
-from invid_drivers.readiness import not_ready
+from invid_drivers.readiness import ask, not_ready
 from invid_service.cells.readiness import Situation, readiness
 
 CONFIG = Path(__file__).parents[3] / "configs" / "case-study-unix.yaml"
@@ -56,7 +57,6 @@ def test_an_axis_that_was_left_held_is_said_and_taken_over_by_the_service_as_by_
     assert "axis A2 (node 2) is energised" in note.text
     assert "takes it over without letting go" in note.text
     assert "support its load" in note.fix
-    assert note.values == {"axis": "A2", "node": "2"}
     assert readiness(situation(cell, "simulate")).notes == []
     memory.keep("drive of A2", Seen(2, loaded=True, holds=True, resumes=True))
     assert [n.code for n in readiness(situation(cell)).notes] == ["drives_not_asked"]
@@ -73,6 +73,13 @@ def test_a_held_axis_whose_drive_does_not_go_back_to_operation_keeps_the_cell_fr
     assert reason.code == "axis_energised"
     assert "does not go back to operation" in reason.text
     assert found.notes == []
+
+
+def test_who_is_refused_for_another_reason_hears_of_what_is_under_power(cell: CellConfig) -> None:
+    memory = HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel))
+    memory.keep("drive of A2", Seen(2, loaded=True, holds=True, resumes=True, left_held=True))
+    with pytest.raises(InvidError, match=r"axis A2 \(node 2\) is energised: .*To have it off, support"):
+        ask(cell).require()
 
 
 @pytest.mark.parametrize("state", [DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE])

@@ -17,7 +17,7 @@ from invid.recording import read_recording
 from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.feedforward import NONE
 from invid.tuning.motor_scale import MotorScale
-from invid.tuning.page import sentence
+from invid.tuning.page import axis_sentence
 from invid.tuning.servo_loop import DriveTiming, Gains, Notch
 from invid.tuning.verification import Verdict, Verification, verify
 from invid_drivers.connect import connect
@@ -206,7 +206,7 @@ def test_a_model_that_is_wrong_asks_for_the_undo_and_says_what_the_move_would_mi
     (axis,) = found.axes
     assert found.verdict.asks_for_undo
     assert axis.following.measured > 2.0 * axis.following.high
-    assert "write the old values back" in sentence(axis)
+    assert "write the old values back" in axis_sentence(axis)
 
 
 def test_an_axis_that_its_loop_does_not_hold_is_worse_whatever_its_margins_are(tmp_path: Path) -> None:
@@ -216,4 +216,4 @@ def test_an_axis_that_its_loop_does_not_hold_is_worse_whatever_its_margins_are(t
     (axis,) = verified(config, tmp_path, model(), weak).axes
     assert axis.sensitivity.measured == pytest.approx(axis.sensitivity.predicted, rel=0.05)
     assert axis.verdict is Verdict.WORSE
-    assert "it is not held" in sentence(axis)
+    assert "it is not held" in axis_sentence(axis)

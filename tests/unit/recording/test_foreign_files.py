@@ -13,7 +13,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-import yaml
+from foreign_records import written_map
 
 from invid.cli.app import run
 from invid.recording.hdf5 import read_recording
@@ -65,12 +65,8 @@ CSV_MAP = {
 
 def taken(folder: Path, source: Path, chart: dict, capsys, status: int = 0):
     """The one experiment of an import and what was said; for a refusal the message alone."""
-    path = folder / "map.yaml"
-    path.write_text(yaml.safe_dump(chart), encoding="utf-8")
     capsys.readouterr()
-    assert run(["import", str(source), "--map", str(path), "-o", str(folder / "r.h5")]) == status, (
-        capsys.readouterr().err
-    )
+    assert run(["import", str(source), *written_map(folder, chart)]) == status, capsys.readouterr().err
     said = capsys.readouterr().err
     if status:
         assert len(said.strip().splitlines()) == 1, said
@@ -407,7 +403,3 @@ def test_a_sign_lost_on_the_way_is_told_with_the_key_that_gives_it_back(tmp_path
     e, said = taken(tmp_path, path, chart, capsys)
     assert "rated torque" not in said
     whole(e)
-
-
-# --- maps
-# -----------------------------------------------------------------------------------------------------

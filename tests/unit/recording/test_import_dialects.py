@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import re
 import struct
 import zipfile
 from datetime import datetime, timedelta
@@ -14,9 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from foreign_records import imported, suggested
 
 from invid.cli.app import run
-from invid.recording import read_recording
+from invid.recording import Experiment
+from invid.recording.import_map import load_map
 
 COUNT = 60
 TIME = np.arange(COUNT) * 0.004
@@ -35,17 +37,13 @@ CHART = {
 }
 
 
-def taken(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def taken(source: Path, capsys: pytest.CaptureFixture[str]) -> Experiment:
     """The suggested map, unedited, gives back what the file holds."""
-    capsys.readouterr()
-    assert run(["import", str(source), "--suggest"]) == 0
-    chart, record = source.parent / "suggested.yaml", source.parent / "record.h5"
-    chart.write_text(capsys.readouterr().out, encoding="utf-8")
-    assert run(["import", str(source), "--map", str(chart), "-o", str(record)]) == 0
-    found = read_recording(record).experiments[0]
+    found = imported(source.parent, source, suggested(capsys, source)["map"]).experiments[0]
     assert found.time - found.time[0] == pytest.approx(TIME, abs=1e-6)
     assert found.position[:, 0] == pytest.approx(POSITION, abs=1e-6)
     assert found.torque[:, 0] == pytest.approx(TORQUE, abs=1e-6)
+    return found
 
 
 def written(folder: Path, times: list[str], *, sep: str = ",", comma: bool = False, quote: str = "") -> Path:
@@ -114,11 +112,8 @@ def test_an_offset_is_what_the_log_shows_at_zero(tmp_path):
         "position": {"column": "position", "unit": "rad", "offset": 2.0, "scale": 3.0, "sign": -1},
         "torque": {"column": "torque", "unit": "N·m"},
     }
-    chart = tmp_path / "map.yaml"
-    chart.write_text(yaml.safe_dump({**CHART, "axes": [axis]}), encoding="utf-8")
     log = written(tmp_path, [f"{t:.6f}" for t in TIME])
-    assert run(["import", str(log), "--map", str(chart), "-o", str(tmp_path / "r.h5")]) == 0
-    found = read_recording(tmp_path / "r.h5").experiments[0]
+    found = imported(tmp_path, log, {**CHART, "axes": [axis]}).experiments[0]
     assert found.position[:, 0] == pytest.approx(-3.0 * (POSITION - 2.0), abs=1e-8)
 
 
@@ -159,8 +154,7 @@ def test_columns_of_one_name_and_lists_in_cells_are_joints(tmp_path, capsys):
     for name, lines in (("twice.csv", twice), ("lists.csv", lists)):
         path = tmp_path / name
         path.write_text("\n".join(lines) + "\n")
-        taken(path, capsys)
-        found = read_recording(tmp_path / "record.h5").experiments[0]
+        found = taken(path, capsys)
         assert found.position[:, 1] == pytest.approx(2 * POSITION, abs=1e-6)
         assert found.torque[:, 1] == pytest.approx(3 * TORQUE, abs=1e-6)
 
@@ -169,8 +163,7 @@ def test_a_row_a_joint_is_refused(tmp_path, capsys):
     path = tmp_path / "long.csv"
     rows = [f"{t:.3f},{j},{q:.6f},{q:.6f}" for t, q in zip(TIME, POSITION, strict=True) for j in ("a", "b")]
     path.write_text("\n".join(["time,name,position,effort", *rows]))
-    assert run(["import", str(path), "--suggest"]) == 2
-    assert "pivot" in capsys.readouterr().err
+    assert "pivot" in suggested(capsys, path, status=2)["refused"]["way_out"]
 
 
 @pytest.mark.parametrize("shape", ["lists", "struct"])
@@ -225,27 +218,23 @@ def test_a_row_of_units_with_a_name_of_its_own_and_a_zip_with_a_readme_are_read(
     with zipfile.ZipFile(tmp_path / "log.zip", "w") as archive:
         archive.writestr("log.csv", "\n".join(lines) + "\n")
         archive.writestr("README.txt", "Measured on Monday.")
-    assert run(["import", str(tmp_path / "log.zip"), "--suggest", "--json"]) == 0
-    (axis,) = json.loads(capsys.readouterr().out)["map"]["axes"]
+    (axis,) = suggested(capsys, tmp_path / "log.zip")["map"]["axes"]
     assert axis["position"] == {"column": "position", "unit": "mrad"}
 
 
 def test_a_log_of_can_fd_without_sync_gets_a_map_that_reads_it(tmp_path, capsys):
-    path, record = tmp_path / "fd.asc", tmp_path / "r.h5"
+    path = tmp_path / "fd.asc"
     counts, permille = np.rint(1e6 * POSITION).astype(int), np.rint(1e3 * TORQUE).astype(int)
     with can.Logger(str(path)) as log:
         for t, q, u in zip(TIME.tolist(), counts.tolist(), permille.tolist(), strict=True):
             data = struct.pack("<Hhi8x", 0x1237, u, q)
             log(can.Message(t, 0x183, is_extended_id=False, is_fd=True, data=data, channel=0))
-    assert run(["import", str(path), "--suggest", "--json"]) == 0
-    chart = json.loads(capsys.readouterr().out)["map"]
+    chart = suggested(capsys, path)["map"]
     position = {"column": "x183_byte4", "unit": "counts", "per_count": 1e-6}
     torque = {"column": "x183_byte2", "unit": "permille"}
     chart["motion"] = "rotary"
     chart["axes"] = [{"name": "A1", "rated_torque": 1.0, "position": position, "torque": torque}]
-    (tmp_path / "map.json").write_text(json.dumps(chart))
-    assert run(["import", str(path), "--map", str(tmp_path / "map.json"), "-o", str(record)]) == 0
-    found = read_recording(record).experiments[0]
+    found = imported(tmp_path, path, chart).experiments[0]
     assert found.position[:, 0] == pytest.approx(POSITION, abs=1e-6)
     assert found.torque[:, 0] == pytest.approx(TORQUE, abs=1e-3)
 
@@ -260,3 +249,43 @@ def test_signs_of_units_alone_and_printed_minus_signs_are_read_and_outer_torque_
     taken(path, capsys)
     path.write_text("\n".join(["time [µs],angle [°],tau_ext,tau", *lines]).replace("-", "−") + "\n", "utf-8")
     taken(path, capsys)
+
+
+def test_more_than_one_per_cent_of_broken_rows_is_refused_and_nothing_written(tmp_path, capsys):
+    chart, source, out = (tmp_path / name for name in ("m.yaml", "log.csv", "out.h5"))
+    # Semicolons, decimal commas, lines of prose above the names, a line of units below them.
+    lines = ["Messung vom 3. Mai; Prüfstand 2", "Regler: aus", "", "Zeit;Winkel;Moment", "s;°;mNm"]
+    for i, t in enumerate(np.arange(400) / 200.0):
+        angle = "---" if 100 <= i < 105 else f"{10 * np.sin(19 * t):.9f}"
+        lines.append(f"{t:.6f};{angle};{np.cos(19 * t):.6f}".replace(".", ","))
+    source.write_text("\r\n".join(lines) + "\r\n", encoding="latin-1")
+    chart.write_text(
+        "format: invid-import-map\ntime: {column: Zeit, unit: s}\naxes:\n  - name: A\n    position: {column: "
+        "Winkel, unit: deg}\n    torque: {column: Moment, unit: 'mN·m', sign: -1}\n",
+        encoding="utf-8",
+    )
+    assert run(["import", str(source), "--map", str(chart), "-o", str(out)]) == 2
+    message = capsys.readouterr().err
+    assert "5 of 400 rows" in message
+    assert "line 106" in message
+    assert not out.exists()
+
+
+def test_a_log_without_sync_or_pdos_is_refused_with_the_identifiers_it_has(tmp_path, capsys):
+    log, lines = tmp_path / "c.log", []
+    for k in range(50):
+        data = (10 * k).to_bytes(4, "little") + (k % 900).to_bytes(2, "little") + b"\x37\x06"
+        lines.append(f"({1.7e9 + 0.01 * k + 1e-3:.6f}) can0 185#{data.hex().upper()}\n")
+        lines.append(f"({1.7e9 + 0.01 * k + 2e-3:.6f}) can0 205#0F000A00\n")
+    for pattern, status, said in (("$^", 0, "no SYNC"), (r" [0-9A-F]{3}#", 2, "0x705")):
+        log.write_text(re.sub(pattern, " 705#", "".join(lines)), encoding="utf-8")
+        assert run(["import", "--suggest", str(log)]) == status
+        assert said in "".join(capsys.readouterr())
+
+
+SHIPPED = sorted((Path(__file__).resolve().parents[3] / "configs" / "import").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def test_every_shipped_map_is_valid(path):
+    assert load_map(path).axes

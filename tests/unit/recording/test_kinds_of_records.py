@@ -11,8 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import yaml
-from foreign_records import imported, json_bag, suggested, table
+from foreign_records import imported, json_bag, refused, suggested, table
 
 from invid.cli.app import run
 from invid.errors import InputError
@@ -452,25 +451,9 @@ def test_files_are_joined_by_time_each_with_its_own_clock(tmp_path, capsys, pair
         np.testing.assert_allclose(e.torque[:, 0], TORQUE[rows], atol=2e-3)
         assert e.samples == N - 9
     sources[1]["shift_s"] = 0.0
-    (tmp_path / "map.yaml").write_text(yaml.safe_dump({"format": "invid-import-map", **chart}))
-    capsys.readouterr()
-    assert (
-        run(
-            [
-                "import",
-                *map(str, files),
-                "--map",
-                str(tmp_path / "map.yaml"),
-                "-o",
-                str(tmp_path / "x.h5"),
-                "--json",
-            ]
-        )
-        == 2
-    )
-    refused = json.loads(capsys.readouterr().out)["refused"]
-    assert refused["code"] == "no_common_time"
-    assert refused["values"]["drive:time"][0] == pytest.approx(100 + TIME[3] + 0.0007)
+    found = refused(capsys, tmp_path, files, chart)
+    assert found["code"] == "no_common_time"
+    assert found["values"]["drive:time"][0] == pytest.approx(100 + TIME[3] + 0.0007)
 
 
 # --- what a record cannot tell ------------------------------------------------------------------------------

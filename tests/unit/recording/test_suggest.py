@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
-from foreign_records import suggested, table
-
-from invid.cli.app import run
-from invid.recording.hdf5 import read_recording
+from foreign_records import imported, suggested, table
 
 ROW = np.arange(1500)
 TIME = ROW * 1e-3
@@ -96,9 +91,6 @@ def test_columns_of_words_are_left_beside_the_numbers(tmp_path, capsys, header, 
     path.write_text("\n".join([header, *rows]), encoding="utf-8")
     found = suggested(capsys, path)
     assert found["fill_in"] == {}
-    chart = tmp_path / "map.yaml"
-    chart.write_text(json.dumps(found["map"]))
-    assert run(["import", str(path), "--map", str(chart), "-o", str(tmp_path / "r.h5")]) == 0
-    e = read_recording(tmp_path / "r.h5").experiments[0]
+    e = imported(tmp_path, path, found["map"]).experiments[0]
     np.testing.assert_allclose(e.position[:, 0], ANGLE, atol=1e-6)
     np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from service_doubles import Director, running, start, wait_for
 
+from invid.wording.sentence import as_sentences, say
+
 PLANNED = "A1: velocity could be 2.63 rad/s without its model; limits.velocity ends the run"
 UNSEEN = {"code": "unseen", "text": "A1.damper.1: not seen by these data", "values": {}}
 MISSED = {"code": "missed_torque", "text": "The model cannot be trusted: …", "values": {"share": 0.79}}
@@ -25,7 +27,8 @@ def test_the_weightiest_doubt_is_the_reason_and_stays_it_in_a_test_run(tmp_path:
             body = wait_for(client, location, "awaiting_accept")
             doubts = body["summary"]["doubts"]
             assert [d["code"] for d in doubts] == codes
-            assert doubts[0]["texts"]["de"] == "dem Modell fehlen 79 % des Moments"
+            short = as_sentences(body)["summary"]["doubts"][0]["short"]
+            assert say(short, "de") == "dem Modell fehlen 79 % des Moments"
             assert body["untrusted"] == "the model misses 79 % of the torque"
             refused = client.post(f"{location}/actions", json={"type": "accept"})
             assert refused.status_code == 409

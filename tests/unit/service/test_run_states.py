@@ -478,7 +478,7 @@ def test_a_motion_of_which_nothing_is_heard_is_stopped(tmp_path: Path) -> None:
         ended = wait_for(client, location, "cancelled", timeout=5.0)
         assert director.workers[0].said[-1] == Stop()
         assert not director.workers[0].killed.is_set() or ended["error"]["code"] == "timeout"
-        assert ended["error"]["values"]["state"] == "running"
+        assert "running" in ended["error"]["text"]
 
 
 def test_the_grace_of_a_stop_is_longer_than_the_way_out_and_hardware_gets_no_shorter_one(

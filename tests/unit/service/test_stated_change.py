@@ -12,6 +12,7 @@ import service_doubles
 from fastapi.testclient import TestClient
 from service_doubles import START, Director, model_document, start, wait_for
 
+from invid.wording.sentence import as_sentences, say
 from invid_service.keys import add_key
 
 TOOL = {"what": "tool", "axis": "A2", "mass_kg": 1.3, "arm_m": 1.0}
@@ -69,7 +70,7 @@ def test_a_tool_change_is_answered_by_what_was_said_of_it(
     assert body["summary"]["answer"] == answer
     assert body["summary"]["headline"].startswith(first)
     assert diagnosis["headline"] == body["summary"]["headline"]
-    assert body["summary"]["headlines"]["de"] != body["summary"]["headline"]
+    assert say(as_sentences(body)["summary"]["headline"], "de") != body["summary"]["headline"]
 
 
 @pytest.mark.parametrize(

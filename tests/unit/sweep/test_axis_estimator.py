@@ -114,6 +114,15 @@ def test_noise_that_was_seen_at_rest_is_no_fall_and_what_falls_in_it_is_seen() -
     assert 59_000 < falls[0] < 59_200
 
 
+def test_noise_of_several_counts_that_nobody_has_learnt_yet_is_judged_without_an_error() -> None:
+    random = np.random.default_rng(62)
+    for _ in range(40):
+        axis = AxisEstimator(AxisLimits("A1", 2 * RATED, WINDOW, 5.0, COUNT, RATED, "rad", "N·m"), CYCLE)
+        steps = 16 * COUNT * np.round(random.normal(0.0, 0.5, 400))
+        for k, position in enumerate(np.concatenate([np.zeros(40), steps])):
+            axis.take(k * CYCLE, float(position), 0.0)
+
+
 @pytest.mark.parametrize(("acceleration", "falls"), [(0.0, False), (3.0, True)])
 def test_what_falls_while_its_drive_is_only_asked_every_few_cycles_is_seen(
     acceleration: float, falls: bool

@@ -7,7 +7,7 @@ import pytest
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
-from invid.sweep.shortfall import Shortfall
+from invid.sweep.shortfall import HeldTorque, Shortfall
 
 CYCLE, RATED, TURNS = 0.002, 10.0, 3.0
 
@@ -54,3 +54,21 @@ def test_less_than_asked_ends_a_run_under_a_load_and_none_without_one() -> None:
     assert code == "no_torque"
     assert when < TURNS + 0.02
     assert ended_at(asked, shown, set()) == (np.inf, "")
+
+
+@pytest.mark.parametrize(
+    ("grip", "shown", "found"),
+    [(None, 0.7, True), (0.1, 0.7, True), (2.6, 0.7, False), (np.inf, 0.7, False), (np.inf, 4.4, False)],
+)
+def test_a_standing_load_is_not_carried_unless_friction_could_hold_it(
+    grip: float | None, shown: float, found: bool
+) -> None:
+    """It took 4.4 to hold it; a worm gear lets that fall to anything."""
+    watch = HeldTorque([50.0], [1e-4], CYCLE)
+    watch.grips |= {} if grip is None else {0: grip}
+    seen = []
+    for k in range(2000):
+        torque = 4.4 if k < 1000 else shown
+        seen += watch.missing(Sample(k, k * CYCLE, [0.0], [torque], [0x37], [True]), {0: 4.4}, {0})
+        assert k >= 1000 or not seen
+    assert bool(seen) is found

@@ -7,10 +7,11 @@ import pytest
 from test_sweep import CYCLE, RigidCell, run
 
 from invid.errors import SafetyStop
-from invid.numerics.arrays import Bool
+from invid.numerics.arrays import Bool, Float64
 from invid.signals.excitation import doublet
 from invid.sweep import Progress, Sample
-from invid.sweep.trials import DECISIVE, Response, judge, response
+from invid.sweep.inertia import rigid_branch
+from invid.sweep.trials import DECISIVE, Response, judge, response, sign_score
 
 COUNT = 1e-6
 
@@ -62,6 +63,23 @@ def test_answers_that_come_late_never_make_an_encoder_run_backwards(seed: int, s
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_wrong_sign_is_found_on_a_busy_computer_too(seed: int) -> None:
     assert "backwards" in verdict(BusyCell(seed, 0.05, sign=-1.0))
+
+
+@pytest.mark.parametrize(("mobility", "drift"), [(1.0, 0.0), (-1.0, 0.0), (-0.02, 0.05)])
+def test_a_whole_path_tells_the_sign_that_the_steps_of_a_coarse_encoder_leave_open(
+    mobility: float, drift: float
+) -> None:
+    """With 16 bits the four edges of a doublet of 2 % of rated torque say 4 deviations. A path that something
+    else made says nothing."""
+    count = 2 * np.pi / 2**16
+    demand: Float64 = np.concatenate([np.zeros(20), doublet(320), np.zeros(20)])
+    time: Float64 = (CYCLE * np.arange(demand.size)).astype(np.float64)
+    came = np.ones(demand.size, dtype=bool)
+    path = np.cumsum(np.cumsum(demand)) * CYCLE**2
+    position = (np.floor((mobility * path + drift * time) / count) * count).astype(np.float64)
+    found = response(time, demand, demand, position, count=count, rated=50.0)
+    assert abs(sign_score([found])) < DECISIVE
+    assert rigid_branch(time, demand, position, came, count=count).is_opposed is (mobility == -1.0)
 
 
 def test_a_computer_that_is_always_late_is_told_so_and_no_drive_is_blamed() -> None:

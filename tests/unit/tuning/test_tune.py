@@ -16,6 +16,7 @@ from invid.tuning.margins import worst_margins
 from invid.tuning.plant_draws import drawn_models
 from invid.tuning.simulated_loops import move_figures, run_loops
 from invid.tuning.tune import TuneSettings, tune_model
+from invid.wording.sentence import say
 
 
 def test_margins_hold_in_machines_drawn_anew():
@@ -73,7 +74,7 @@ def test_coarse_encoders_bound_the_gains_and_the_torque_they_make_is_the_one_for
         assert axis.after.gains.velocity_gain < 0.8 * tuned().axes[i].after.gains.velocity_gain
     assert not any("not bounded" in r for r in tuning.remarks)
     assert any("not bounded" in r for r in tuned().remarks)
-    said = tuning_to_json(tuned())["said"]["de"]
+    said = [say(text, "de") for text in tuning_to_json(tuned())["remarks"]]
     assert any("nicht begrenzt" in r for r in said)
     assert not any(" the " in r for r in said)
 

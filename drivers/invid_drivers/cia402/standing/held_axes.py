@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from invid.errors import BusError, SafetyStop
 from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.ports import Sample
+from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
@@ -134,8 +135,12 @@ class HeldAxes:
             shown, unit = off.get(i, 0.0), abs(report.scaling.torque(1))
             if h.loaded and abs(shown) > DEAD_PERMILLE * unit and sample.torque[i] == shown:
                 raise SafetyStop(
-                    f"axis {h.config.name}: 0x6077 showed {shown / unit:.0f} ‰ of rated torque before the "
-                    "drive was switched on and shows it while it holds a load: it is not its torque",
+                    sentence(
+                        "axis {axis}: 0x6077 showed {shown:.0f} ‰ of rated torque before the drive was "
+                        "switched on and shows it while it holds a load: it is not its torque",
+                        axis=h.config.name,
+                        shown=shown / unit,
+                    ),
                     axis=h.config.name,
                 )
 

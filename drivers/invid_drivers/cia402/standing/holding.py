@@ -13,6 +13,7 @@ from typing import Any, Literal
 from invid.config import AxisConfig, CellConfig
 from invid.errors import DriveError
 from invid.sweep.axis_estimator import STAND_S
+from invid.wording.sentence import marked, sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.axis import Drive, DriveReport
@@ -90,17 +91,13 @@ class AxisHolding:
     @property
     def stays(self) -> bool:
         """Whether the drive must go on holding it when the master lets go."""
-        if self.taken_over:
-            return True
-        if self.loaded is False:
-            return False
-        return self.config.brake != "drive" or self.brake_in_time is False
+        by_drive = self.config.brake != "drive" or self.brake_in_time is False
+        return self.taken_over or (self.loaded is not False and by_drive)
 
     @property
     def first_option(self) -> int:
         """0x605A before the axis is weighed: its drive may have to hold it, also where a brake did once."""
-        sure = self.loaded is False
-        return SWITCH_OFF if sure or not self.can_stay else STAY
+        return SWITCH_OFF if self.loaded is False or not self.can_stay else STAY
 
     @property
     def needs_brake_test(self) -> bool:
@@ -203,6 +200,9 @@ def found_holding(drive: Drive, state: DriveState, memory: HoldMemory, report: D
     )
 
 
+_UNLOADED = sentence("where it does not fall without torque, set gravity_loaded: false")
+
+
 def require_holdable(drive: Access, holding: AxisHolding) -> None:
     """DriveError where nothing would hold an axis that is or may be loaded."""
     h = holding
@@ -210,33 +210,56 @@ def require_holdable(drive: Access, holding: AxisHolding) -> None:
         return
     if not h.has_position_mode:
         raise DriveError(
-            f"{drive.who}: {_load(h)}, and the drive has no cyclic synchronous position (0x6502): it would "
-            "begin without torque and fall, brake or not. Use a drive that can hold its place by itself, or "
-            "unload the axis"
-            + ("" if h.loaded else "; where it does not fall without torque, set gravity_loaded: false")
+            sentence(
+                "{who}: {load}, and the drive has no cyclic synchronous position (0x6502): it "
+                "would begin without torque and fall, brake or not. Use a drive that can hold its "
+                "place by itself, or unload the axis{otherwise}",
+                who=drive.who,
+                load=_load(h),
+                otherwise="" if h.loaded else sentence("; {unloaded}", unloaded=_UNLOADED),
+            )
         )
     if h.seen.weight is not None and h.seen.weight > h.limit:
         raise DriveError(
-            f"{drive.who}: it took {h.seen.weight} ‰ of rated torque to hold its load, and the limit is "
-            f"{h.limit} ‰ now: it would fall. Compare 0x6076 with the motor's plate, or raise the limit",
+            sentence(
+                "{who}: it took {weight} ‰ of rated torque to hold its load, and the limit is "
+                "{limit} ‰ now: it would fall. Compare 0x6076 with the motor's plate, or raise the "
+                "limit",
+                who=drive.who,
+                weight=h.seen.weight,
+                limit=h.limit,
+            ),
             axis=drive.name,
         )
     if h.can_stay or (h.config.brake == "drive" and h.brake_in_time is not False):
         return
-    why = "it has no 0x605A" if h.option is None else f"its 0x605A is {h.option} and cannot be written"
-    late = "; its brake was seen to close too late" if h.brake_in_time is False else ""
-    way_out = "use a drive that can, give the axis a brake that its drive closes (brake: drive), or unload it"
+    why = (
+        sentence("it has no 0x605A")
+        if h.option is None
+        else sentence("its 0x605A is {option} and cannot be written", option=h.option)
+    )
+    late = sentence("; its brake was seen to close too late") if h.brake_in_time is False else ""
+    way_out = sentence(
+        "use a drive that can, give the axis a brake that its drive closes (brake: drive), or unload it"
+    )
     if not h.loaded:
-        way_out = f"where it does not fall without torque, set gravity_loaded: false; else {way_out}"
+        way_out = sentence("{unloaded}; else {way_out}", unloaded=_UNLOADED, way_out=way_out)
     raise DriveError(
-        f"{drive.who}: {_load(h)}, and it is not known that its drive holds it after a quick stop or without "
-        f"its master: {why}{late}. It would fall; {way_out}",
+        sentence(
+            "{who}: {load}, and it is not known that its drive holds it after a quick stop or "
+            "without its master: {why}{late}. It would fall; {way_out}",
+            who=drive.who,
+            load=_load(h),
+            why=why,
+            late=late,
+            way_out=way_out,
+        ),
         axis=drive.name,
     )
 
 
 def _load(holding: AxisHolding) -> str:
-    return "loaded" if holding.loaded else "perhaps loaded (gravity_loaded is not stated)"
+    return sentence("loaded") if holding.loaded else sentence("perhaps loaded (gravity_loaded is not stated)")
 
 
 @dataclass(frozen=True)
@@ -253,29 +276,50 @@ class Reason:
     at: float | None = None
     """When that was seen [s since 1970]; ``None``: now."""
 
+    @property
+    def sentences(self) -> tuple[str, str]:
+        """What is the matter, and what to do."""
+        return self.text, self.fix[0].upper() + self.fix[1:]
+
 
 def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool | None) -> Reason:
     """The reason of an axis that is under power before anybody asked for it."""
     if state is DriveState.QUICK_STOP_ACTIVE:
-        then = (
-            "its drive does not go back to operation from there (transition 16)"
-            if resumes is False
-            else "the next measurement takes it over without letting go"
+        stuck = marked(
+            "axis {axis} (node {node}) is energised: its drive holds it in {words}; its drive "
+            "does not go back "
+            "to operation from there (transition 16)"
+        )
+        taken = marked(
+            "axis {axis} (node {node}) is energised: its drive holds it in {words}; the next "
+            "measurement takes "
+            "it over without letting go"
         )
         return Reason(
             "axis_energised",
-            f"axis {name} (node {node_id}) is energised: its drive holds it in {state.words}; {then}",
-            "to have it off, support its load or set its brake, then take the drive's enable or supply away "
-            "and run `invid check`",
+            sentence(stuck if resumes is False else taken, axis=name, node=node_id, words=state.words),
+            sentence(
+                "to have it off, support its load or set its brake, then take the drive's "
+                "enable or supply away "
+                "and run `invid check`"
+            ),
             name,
             node_id,
             taken_over=resumes is not False,
         )
     return Reason(
         "axis_energised",
-        f"axis {name} (node {node_id}) is energised: its drive is in {state.words}, and not by this program",
-        "end the program that drives it; or support its load, take the drive's enable or supply away, and "
-        "run `invid check`",
+        sentence(
+            "axis {axis} (node {node}) is energised: its drive is in {words}, and not by this program",
+            axis=name,
+            node=node_id,
+            words=state.words,
+        ),
+        sentence(
+            "end the program that drives it; or support its load, take the drive's enable or "
+            "supply away, and "
+            "run `invid check`"
+        ),
         name,
         node_id,
     )
@@ -285,9 +329,15 @@ def suspect_reason(name: str, node_id: int, why: str) -> Reason:
     """The reason of an axis at which the last run ended beside a load."""
     return Reason(
         "axis_suspect",
-        f"the last run ended at axis {name} (node {node_id}), beside a load or under one ({why}): what was "
-        "wrong may still be, and enabling it may drop the load",
-        f"find the cause; then `invid check --cleared {name}`",
+        sentence(
+            "the last run ended at axis {axis} (node {node}), beside a load or under one "
+            "({why}): what was wrong "
+            "may still be, and enabling it may drop the load",
+            axis=name,
+            node=node_id,
+            why=why,
+        ),
+        sentence("find the cause; then `invid check --cleared {axis}`", axis=name),
         name,
         node_id,
     )
@@ -297,9 +347,14 @@ def unended_reason(name: str, node_id: int) -> Reason:
     """The reason of an axis whose run was killed: nobody has looked at its drive since."""
     return Reason(
         "axis_energised",
-        f"axis {name} (node {node_id}) may be energised: a run that commanded it did not end in order, and "
-        "its drive was not asked since",
-        "make sure of it; `invid check` asks its drive, and the next measurement does",
+        sentence(
+            "axis {axis} (node {node}) may be energised: a run that commanded it did not end in "
+            "order, and its "
+            "drive was not asked since",
+            axis=name,
+            node=node_id,
+        ),
+        sentence("make sure of it; `invid check` asks its drive, and the next measurement does"),
         name,
         node_id,
         taken_over=True,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from invid.errors import DriveError
+from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, ModeSet
 from invid_drivers.cia402.standing.hold_memory import HoldMemory
@@ -45,7 +46,9 @@ def find_powered(drives: Sequence[Drive], memory: HoldMemory) -> tuple[dict[str,
     return powered, silent
 
 
-WAY_OUT = "With its load supported, take its enable or supply away, run `invid check`, and start again"
+WAY_OUT = sentence(
+    "With its load supported, take its enable or supply away, run `invid check`, and start again"
+)
 
 
 def require_mode(drive: Drive, mode: OperationMode) -> ModeSet:
@@ -54,8 +57,14 @@ def require_mode(drive: Drive, mode: OperationMode) -> ModeSet:
     if shown == int(mode):
         return ModeSet.SHOWN
     raise DriveError(
-        f"{drive.who}: it is held in quick stop active in mode {shown} (0x6061) and takes no other there "
-        f"(0x6060): it would go back to operation in that mode, perhaps without torque. {WAY_OUT}",
+        sentence(
+            "{who}: it is held in quick stop active in mode {shown} (0x6061) and takes no "
+            "other there (0x6060): it would go back to operation in that mode, perhaps without "
+            "torque. {way_out}",
+            who=drive.who,
+            shown=shown,
+            way_out=WAY_OUT,
+        ),
         axis=drive.name,
     )
 
@@ -63,17 +72,28 @@ def require_mode(drive: Drive, mode: OperationMode) -> ModeSet:
 def require_ours(drive: Drive, holding: AxisHolding) -> None:
     """DriveError unless a drive under power is held as this program leaves it, and can be taken over."""
     state = holding.state
-    way_out = f"{WAY_OUT}; nothing was sent to it"
+    way_out = sentence("{way_out}; nothing was sent to it", way_out=WAY_OUT)
     if state is not DriveState.QUICK_STOP_ACTIVE:
         raise DriveError(
-            f"{drive.who}: it is energised, in {state.words}, and not by this program: end the program that "
-            f"drives it. Or: {way_out}",
+            sentence(
+                "{who}: it is energised, in {words}, and not by this program: end the program that "
+                "drives it. Or: {way_out}",
+                who=drive.who,
+                words=state.words,
+                way_out=way_out,
+            ),
             axis=drive.name,
         )
     if holding.seen.resumes is False:
         raise DriveError(
-            f"{drive.who}: it is held in {state.words}, and does not go back to operation from there "
-            f"(transition 16, seen in a stop test): it cannot be taken over without letting go. {way_out}",
+            sentence(
+                "{who}: it is held in {words}, and does not go back to operation from there "
+                "(transition 16, seen in a stop test): it cannot be taken over without letting go. "
+                "{way_out}",
+                who=drive.who,
+                words=state.words,
+                way_out=way_out,
+            ),
             axis=drive.name,
         )
     require_mapped(drive)
@@ -83,8 +103,12 @@ def require_mapped(drive: Drive) -> None:
     """DriveError where an axis of a node that holds a load is not mapped as this program leaves it."""
     if not _is_mapped(drive):
         raise DriveError(
-            f"{drive.who}: its node holds a load, and its PDOs are not those of this program: they "
-            f"cannot be changed under power. {WAY_OUT}; nothing was sent to it",
+            sentence(
+                "{who}: its node holds a load, and its PDOs are not those of this program: they "
+                "cannot be changed under power. {way_out}; nothing was sent to it",
+                who=drive.who,
+                way_out=WAY_OUT,
+            ),
             axis=drive.name,
         )
 

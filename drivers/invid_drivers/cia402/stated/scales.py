@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from invid.config import AxisConfig
 from invid.errors import DriveError
+from invid.wording.sentence import listed, sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.objects import Object
@@ -60,10 +61,17 @@ def agreed(axis: AxisConfig, scale: Statement, *, drives: bool) -> tuple[float |
         return (found if stated is None else stated), ""
     if abs(stated - found) <= AGREEMENT * found:
         return (found if drives else stated), ""
-    names = " and ".join(scale.objects)
-    both = (
-        f"{_who(axis)}: {scale.key} is {stated:.6g} {scale.unit}, but {names} of the drive "
-        f"{'say' if len(scale.objects) > 1 else 'says'} {found:.6g} ({stated / found:.3g} times)"
+    names = listed(scale.objects)
+    both = sentence(
+        "{who}: {key} is {stated:.6g} {unit}, but {names} of the drive {say} {found:.6g} ({times:.3g} times)",
+        who=_who(axis),
+        key=scale.key,
+        stated=stated,
+        unit=scale.unit,
+        names=names,
+        say="say" if len(scale.objects) > 1 else "says",
+        found=found,
+        times=stated / found,
     )
     reasons = [f"{name}: {axis.overrides[name]}" for name in scale.objects if name in axis.overrides]
     if reasons:
@@ -72,16 +80,21 @@ def agreed(axis: AxisConfig, scale: Statement, *, drives: bool) -> tuple[float |
             f"{both}; the config's {scale.what} is used, as its overrides say ({'; '.join(reasons)})",
         )
     raise DriveError(
-        f"{both}; nothing moves before they agree. Correct {scale.key} (or leave it out: the drive's is "
-        f"used), or {scale.objects[0]} in the drive; where the config is right, say why: "
-        f'overrides: {{"{scale.objects[0]}": "reason"}}',
+        sentence(
+            "{both}; nothing moves before they agree. Correct {key} (or leave it out: the "
+            "drive's is used), or {objects} in the drive; where the config is right, say why: "
+            'overrides: {{"{objects}": "reason"}}',
+            both=both,
+            key=scale.key,
+            objects=scale.objects[0],
+        ),
         axis=axis.name,
         code="scales_contradict",
     )
 
 
 def _who(axis: AxisConfig) -> str:
-    return f"axis {axis.name} (node {axis.node_id})"
+    return sentence("axis {axis} (node {node})", axis=axis.name, node=axis.node_id)
 
 
 Read = Callable[[Object], int | None]

@@ -1,4 +1,6 @@
 // Calls to the service, each with a time-out. The key, where one is needed, stays in this tab and never goes into an address.
+import { learn } from "./said.js";
+
 const BASE = new URL("../api/v1", import.meta.url).pathname; // a reverse proxy may show the service under a path
 const KEY = "invid-key", PATIENCE_MS = 20000, LONG_MS = 900000;
 
@@ -21,13 +23,14 @@ export async function call(method, path, body, extra = {}, patience = PATIENCE_M
     body: body === undefined ? undefined : raw ? body : JSON.stringify(body),
   });
   if (response.ok) return response;
-  const problem = new Problem(response.status, await response.json().catch(() => ({ detail: `${response.status} ${response.statusText}` })));
+  const problem = new Problem(response.status, await read(response).catch(() => ({ detail: `${response.status} ${response.statusText}` })));
   if (problem.status === 401) keyRefused(problem);
   throw problem;
 }
 
-export const get = async (path, patience) => (await call("GET", path, undefined, {}, patience)).json();
-export const post = async (path, body, extra, patience) => (await call("POST", path, body, extra, patience)).json();
+export const read = async (response) => JSON.parse(await response.text(), learn);
+export const get = async (path, patience) => read(await call("GET", path, undefined, {}, patience));
+export const post = async (path, body, extra, patience) => read(await call("POST", path, body, extra, patience));
 
 export async function download(path, name) {
   const blob = await (await call("GET", path, undefined, {}, LONG_MS)).blob();

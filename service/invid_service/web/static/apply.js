@@ -3,7 +3,7 @@ import { get, post } from "./api.js";
 import { ask } from "./ask.js";
 import { $, button, el, fill, fmt, table } from "./dom.js";
 import { spoken } from "./spoken.js";
-import { english, t } from "./texts.js";
+import { t } from "./texts.js";
 import { who } from "./who.js";
 
 const LONG_MS = 120000; // slow drives take their time
@@ -33,9 +33,8 @@ async function list(run, place) {
   const value = (v) => fmt(v, 4);
   table(made, ["axis", "object", "old", "new"].map((h) => t(`apply.${h}`)), found.changes.map((c) => ({ cells: [el("b", {}, c.axis), el("span", { lang: "en" }, `${c.object} ${c.name}`), value(c.old), `${value(c.new)} ${c.unit}`] })));
   const said = found.said.map((s) => spoken("li", s));
-  const note = english || !said.length ? null : el("li", { class: "quiet" }, t("page.untranslated"));
   $("apply-found")?.remove();
-  place.after(el("div", { id: "apply-found" }, [found.changes.length ? el("div", { class: "scroll", role: "region", "aria-label": t("apply.title") }, [made]) : el("p", {}, t("apply.nothing")), said.length ? el("ul", { class: "reasons" }, [note, ...said]) : null]));
+  place.after(el("div", { id: "apply-found" }, [found.changes.length ? el("div", { class: "scroll", role: "region", "aria-label": t("apply.title") }, [made]) : el("p", {}, t("apply.nothing")), said.length ? el("ul", { class: "reasons" }, said) : null]));
   if (!found.changes.length) return;
   const name = await ask($("apply-found"), { title: t("apply.ask"), text: t("apply.ask.text", { robot: found.robot, n: found.changes.length }), label: t("apply.name"), yes: t("apply.write"), least: 1 });
   if (name === null) return;

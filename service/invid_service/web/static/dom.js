@@ -38,7 +38,7 @@ export function table(target, head, rows) {
   const top = el("tr", {}, head.map((h) => (h ? el("th", { scope: "col" }, h) : el("td"))));
   fill(target, [el("thead", {}, [top]), el("tbody", {}, body)]);
 }
-const pointed = (text) => text.replace(".", t("number.point"));
+export const pointed = (text) => text.replaceAll(".", t("number.point"));
 export function fmt(value, digits = 4) {
   if (value == null || !Number.isFinite(value)) return "?";
   const size = Math.abs(value);

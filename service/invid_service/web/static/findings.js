@@ -1,10 +1,9 @@
 // What was found, in words of the page's language: headline, what changed, groups by grade.
-import { $, el, estimate, fill, fmt, sentence } from "./dom.js";
-import { said } from "./said.js";
+import { $, el, fill, sentence } from "./dom.js";
+import { say } from "./said.js";
 import { spoken } from "./spoken.js";
-import { LANGUAGE, english, has, named, t } from "./texts.js";
+import { named, t } from "./texts.js";
 
-const SURE = 0.9; // confidence from which a cause is named without reserve
 const GRADES = ["act", "watch", "as_expected", "none"];
 const SHAPES = { act: "▲", watch: "◆", as_expected: "●", none: "■" };
 const gradeOf = (finding) => finding.consequence?.grade ?? "none";
@@ -25,30 +24,15 @@ export function place(finding, sizes) {
   return String(sizes.get(finding.axis)) === n ? t("place.load") : t("place.mass", { n });
 }
 
-// "0.2 % of rated torque" of what the service measured; its own words where one of them has none here.
-export function size(finding, linear) {
-  const c = finding.consequence, measures = Object.entries(c?.measures ?? {});
-  if (!c || english || !measures.length || !measures.every(([name]) => has(`measure.${name}`))) return c?.text ?? "";
-  return measures.map(([name, v]) => t(`measure.${name}`, {
-    percent: `${fmt(100 * v, 2)} %`, signed: `${v > 0 ? "+" : "−"}${fmt(Math.abs(100 * v), 2)} %`,
-    angle: linear ? `${fmt(1e3 * v, 2)} mm` : `${fmt(1e3 * v, 2)} mrad`, ms: `${fmt(1e3 * v, 2)} ms`,
-  })).join(", ");
-}
-export const linearOf = (model) => model?.units?.mass === "kg";
 
-// Sentences are the service's, in the page's language; of a run of an earlier release, in English.
-export const headline = (summary) => summary.headlines?.[LANGUAGE] ?? summary.headline ?? "";
-export const spokenHeadline = (summary) => (summary.headlines?.[LANGUAGE] ? null : "en");
+export const headline = (summary) => say(summary.headline);
 
 // Why a result is not to be trusted: its weightiest reason.
 /** @param {Run} run */
-export function why(run) {
-  const said = run.untrusted && (run.summary?.doubts?.[0]?.texts[LANGUAGE] ?? run.untrusted);
-  return said ? `${sentence(said)}.` : "";
-}
+export const why = (run) => (run.untrusted ? `${sentence(say(run.untrusted))}.` : "");
 
 // What changed against another model, in full.
-export const changeLines = (changes) => (changes ? changes.lines?.[LANGUAGE] ?? changes.sentences ?? [] : []);
+export const changeLines = (changes) => (changes?.sentences ?? []).map(say);
 
 // "A1.spring.2" as a person says it.
 export function parameterLabel(name, sizes) {
@@ -61,26 +45,11 @@ export function parameterLabel(name, sizes) {
   return name.replaceAll("_", " ");
 }
 
-// A finding in full, from its numbers; in English, and where the numbers are gone, as the service put it.
-function told(text, findings, full, sizes, linear) {
-  const n = english ? -1 : findings.findIndex((f) => f.sentence === text), f = full[n];
-  if (!f) return spoken("li", text);
-  const numbers = Object.entries(f.parameters).filter(([, e]) => typeof e.value === "number").map(([name, e]) => `${named("effect", name)} ${estimate(e.value, e.std)}${e.unit && e.unit !== "1" ? ` ${e.unit}` : ""}`);
-  const others = [...new Set((f.alternatives ?? []).map((a) => named("cause", a.cause)))].filter((a) => a !== named("cause", f.cause));
-  const doubtful = others.length || f.confidence < SURE, experiment = f.separating_experiment && (f.separating_experiment.kind === "constant_velocity" ? "speeds" : "amplitudes");
-  const parts = [
-    t("finding.full", { axis: f.axis, cause: named("cause", f.cause), place: place(f, sizes) && ` ${place(f, sizes)}`, numbers: numbers.join(", "), share: fmt(100 * f.gain.fraction, 2), confidence: fmt(f.confidence, 3) }),
-    others.length && `${sentence(t("finding.or", { cause: others.join(t("word.or")) }))}.`,
-    size(f, linear) && `${sentence(size(f, linear))}: ${t(`grade.${gradeOf(f)}`)}.`,
-    doubtful ? experiment && `${t("finding.sure", { experiment: t(`experiment.${experiment}`) })}.` : gradeOf(f) !== "as_expected" && has(`check.${f.cause}`) && t(`check.${f.cause}`)];
-  return el("li", {}, parts.filter(Boolean).join(" "));
-}
-
 /** @param {Run} run
  * @param {Model | null} model */
 export function showFindings(run, diagnosis, model) {
   const findings = run.summary.findings ?? [], full = diagnosis?.findings ?? [];
-  const sizes = sizesOf(model), linear = linearOf(model), groups = [];
+  const sizes = sizesOf(model), groups = [], size = (f) => say(f.consequence?.text);
   findings.forEach((f, i) => { f.number = i + 1; });
   for (const grade of GRADES) {
     const list = findings.filter((f) => gradeOf(f) === grade);
@@ -88,7 +57,7 @@ export function showFindings(run, diagnosis, model) {
     groups.push(el("h3", {}, [gradeBadge(grade), ` ${t(`grade.${grade}.todo`)}`]), el("ul", { class: "findings" }, list.map((f) => {
       const others = [...new Set((full[f.number - 1]?.alternatives ?? []).map((a) => named("cause", a.cause)))].filter((a) => a !== named("cause", f.cause));
       return el("li", {}, [el("span", { class: `number ${grade}` }, String(f.number)), el("span", {}, [
-        el("b", {}, `${f.axis}: ${named("cause", f.cause)}`), place(f, sizes) ? ` ${place(f, sizes)}` : "", size(f, linear) ? `, ${size(f, linear)}` : "",
+        el("b", {}, `${f.axis}: ${named("cause", f.cause)}`), place(f, sizes) ? ` ${place(f, sizes)}` : "", size(f) ? `, ${size(f)}` : "",
         others.length ? el("small", {}, t("finding.or", { cause: others.join(t("word.or")) })) : null])]);
     })));
   }
@@ -102,8 +71,8 @@ export function showFindings(run, diagnosis, model) {
   const sentences = run.summary.sentences ?? [];
   if (sentences.length) {
     groups.push(el("details", { id: "sentences-box" }, [el("summary", {}, t("result.details")),
-      el("ul", { id: "sentences", class: "reasons" }, [...sentences.map((s) => told(s, findings, full, sizes, linear)),
-        ...[...new Set(findings.map((f) => f.consequence?.source).filter((s) => s && s !== "config"))].map((source) => el("li", { class: "quiet" }, t("finding.source", { source: said(source).text })))])]));
+      el("ul", { id: "sentences", class: "reasons" }, [...sentences.map((s) => spoken("li", s)),
+        ...[...new Set(findings.map((f) => f.consequence?.source).filter((s) => s && s !== "config"))].map((source) => el("li", { class: "quiet" }, t("finding.source", { source: say(source) })))])]));
   }
   fill($("findings"), groups.length ? [el("h3", { class: "over" }, t("result.findings")), ...groups] : []);
 }

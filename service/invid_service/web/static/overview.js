@@ -5,6 +5,7 @@ import { ask } from "./ask.js";
 import { gradeBadge, headline } from "./findings.js";
 import { $, ago, button, clear, el, fill, sentence, when } from "./dom.js";
 import { left } from "./progress.js";
+import { say } from "./said.js";
 import { ended } from "./spoken.js";
 import { blind, busy, known, troubled } from "./store.js";
 import { stop } from "./stop.js";
@@ -53,7 +54,7 @@ const ORDERS = {
   cell: (a, b) => a.name.localeCompare(b.name, LANGUAGE, { numeric: true }),
   state: (a, b) => RANKS.indexOf(rank(a)) - RANKS.indexOf(rank(b)) || ORDERS.grade(a, b) || ORDERS.age(a, b),
   grade: (a, b) => GRADES.indexOf(gradeOf(a)) - GRADES.indexOf(gradeOf(b)),
-  change: (a, b) => Number(Boolean(news(b)?.[LANGUAGE])) - Number(Boolean(news(a)?.[LANGUAGE])),
+  change: (a, b) => Number(Boolean(news(b))) - Number(Boolean(news(a))),
   age: (a, b) => Date.parse(since(a) ?? 0) - Date.parse(since(b) ?? 0),
 };
 
@@ -117,7 +118,7 @@ function told({ last_identification: run, overview: { last_run: last, news } }) 
   if (!last) return "–";
   if (run?.id === last.id && run.error) return ended(run)[0];
   const serious = ["act", "watch"].includes(last.grade) && run?.id === last.id && run.summary ? headline(run.summary) : "";
-  return news?.[LANGUAGE] || serious || t(news ? "overview.unchanged" : "overview.first");
+  return say(news) || serious || t(news == null ? "overview.first" : "overview.unchanged");
 }
 
 // The one thing to do with a cell: words, work, looks. What has to be seen first is looked at, not done from here.

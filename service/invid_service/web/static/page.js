@@ -151,8 +151,8 @@ function tellReady(ready) {
   const unasked = ready.notes.some((n) => n.code === "drives_not_asked");
   title.textContent = !ready.can_start ? t("ready.no") : unasked ? t("ready.unasked") : t("ready.yes");
   title.className = !ready.can_start ? "bad" : unasked ? "" : "good";
-  fill($("reasons"), ready.reasons.map((r) => reasonItem(r)));
-  fill($("ready-notes"), (ready.notes ?? []).map((r) => reasonItem(r, `note.${r.code}`)));
+  fill($("reasons"), ready.reasons.map(reasonItem));
+  fill($("ready-notes"), (ready.notes ?? []).map(reasonItem));
   $("check").hidden = !unasked && ![...ready.reasons, ...ready.notes].some((r) => r.seen); // remembered: the drives may say otherwise
   $("ready-card").hidden = $("start-card").hidden = false;
   buttons();

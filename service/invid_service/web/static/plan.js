@@ -17,13 +17,10 @@ export function showPlan(run, cell) {
     return { cells: [el("b", {}, f.axis), `±${fmt(f.peak_torque, 3)} ${f.unit}`, travel, speed] };
   }));
   $("plan-facts").textContent = `${t("plan.facts", { time: seconds(plan.duration_s), n: plan.experiments?.length ?? "?" })}${run.simulated ? "" : ` ${t("plan.people")}`}`;
-  // What the page says in its own words above is not said again.
-  const unforeseen = (plan.forecast ?? []).some((f) => f.basis === "limits");
-  const notes = (plan.warnings ?? []).filter((w) => !(unforeseen && w.startsWith("no model of this cell:")));
+  const notes = plan.warnings ?? [];
   fill($("plan-warnings"), notes.map((w) => spoken("li", w)));
   $("plan-notes").hidden = !notes.length; // unfolded: what is said before arming is read before arming
   $("plan-notes-title").textContent = t("plan.notes", { n: notes.length });
-  $("plan-basis").hidden = !unforeseen;
   $("support").hidden = !plan.support || run.state !== "awaiting_arm";
   $("support-text").textContent = supporting(plan.support);
   const beside = [run.separates && t("plan.separates"), run.amplitude === "gentler" && t("plan.gentler")].filter(Boolean);

@@ -1,7 +1,8 @@
 // How far a run is: what is done or weighed now, what is left, and that it still looks.
 import { $, fmt, seconds } from "./dom.js";
 import { age, blind } from "./store.js";
-import { and, named, phase, t } from "./texts.js";
+import { phase } from "./said.js";
+import { and, named, t } from "./texts.js";
 
 const SOON_S = 300;
 // No more exact than it is known.

@@ -2,9 +2,10 @@
 import { call, get } from "./api.js";
 import { verified } from "./apply.js";
 import { saidBefore } from "./changed.js";
-import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesOf, spokenHeadline, place, why } from "./findings.js";
+import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesOf, place, why } from "./findings.js";
 import { cloud, curves, redraw } from "./plots.js";
 import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
+import { said, say } from "./said.js";
 import { spoken } from "./spoken.js";
 import { offerTuning } from "./tuning.js";
 import { LANGUAGE, english, has, named, t } from "./texts.js";
@@ -50,7 +51,7 @@ export async function showResult(run) {
   $("run-facts").textContent = t("run.facts", { kind: named("mode", run.mode), time: time(run.started ?? run.created), by: run.requested_by }) + (run.simulated ? ` ${t("run.simulated")}` : "") + (run.changed ? `. ${saidBefore(run)}` : "");
   fill($("grade"), [gradeBadge(summary.grade ?? "none")]);
   $("sentence").textContent = headline(summary);
-  $("sentence").lang = spokenHeadline(summary) ?? LANGUAGE;
+  $("sentence").lang = said(summary.headline ?? "").lang;
   $("sentence").focus({ preventScroll: true });
   window.scrollTo(0, 0);
   const lines = changeLines(summary.changes);
@@ -164,7 +165,7 @@ function parameters(model, changes) {
     if (p.status === "changed") return t("status.changed", { by: `${p.difference > 0 ? "+" : "−"}${estimate(Math.abs(p.difference), p.difference_std)}` });
     const seen = p.detectable_percent > 0 ? t("status.seen", { n: fmt(p.detectable_percent, 2) }) : "";
     if (p.status === "unchanged") return t("status.unchanged", { n: fmt(p.within_percent, 2) }) + seen;
-    return `${t("status.cannot_tell")}${p.reason && english ? `: ${p.reason}` : ""}`;
+    return `${t("status.cannot_tell")}${p.reason ? `: ${say(p.reason)}` : ""}`;
   };
   const head = [t("param.name"), t("param.value"), t("param.unit"), ...(known.size ? [t("param.change")] : [])];
   table(head, lines, known, change);

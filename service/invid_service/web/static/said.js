@@ -1,33 +1,36 @@
-// What the service says in English, in the page's language: whole sentences with gaps, whose values are said in turn.
-import { LANGUAGE, english, has, t } from "./texts.js";
+// What the service says in English, in the page's language: its template and values come beside it, as `wording`.
+import { pointed, sentence } from "./dom.js";
+import { LANGUAGE, english, gaps, has, t } from "./texts.js";
 
-const escaped = (text) => text.replace(/[.*+?^$()|[\]\\]/g, "\\$&");
-// The longer ones first: they say more of a sentence.
-const SENTENCES = Object.entries(JSON.parse(document.getElementById("said").textContent)).sort(([a], [b]) => b.length - a.length).map(([pattern, words]) => {
-  const met = new Set(), gap = (all, n) => { const back = met.has(n); met.add(n); return back ? `\\k<v${n}>` : `(?<v${n}>.*?)`; };
-  return { words, pattern: new RegExp(`^${escaped(pattern).replace(/\{(\d+)\}/g, gap)}$`) };
-});
+/** @typedef {{ template: string, values: Record<string, any>, form?: "capital" | "clause" }} Told */
+/** @type {Record<string, string>} */
+const WORDS = JSON.parse(document.getElementById("wording").textContent);
+/** @type {Map<string, Told>} */
+const told = new Map();
+const FORMS = { capital: sentence, clause: (text) => text.split(";")[0].replace(/\.$/, "") };
 
-function whole(text) {
-  for (const { words, pattern } of SENTENCES) {
-    const found = pattern.exec(text);
-    if (found) return words.replace(/\{(\d+)\}/g, (all, n) => value(found.groups[`v${n}`]));
-  }
-  return null;
+// A reviver of JSON: every body is read through it, and what it says is known from then on.
+export function learn(key, value) {
+  if (key === "wording" && value) for (const [text, of] of Object.entries(value)) told.set(text, of);
+  return value;
 }
-const parts = (text, between, join) => {
-  const said = text.split(between).map(whole);
-  return said.length > 1 && !said.includes(null) ? said.join(join) : null;
-};
-// "coulomb friction on A1", as warnings name what was found.
-function cause(text) {
-  const [, name, axes] = /^(.+) on (\S+)$/.exec(text) ?? [], key = `cause.${name?.replaceAll(" ", "_")}`;
-  return has(key) ? t("progress.found_on", { cause: t(key), axes }) : null;
+const isKnown = (v) => Boolean(v?.template) && (v.template in WORDS || Object.values(v.values).some(isKnown));
+function word(v) {
+  if (v.figure) return pointed(v.figure);
+  if (!v.template) return v;
+  const text = gaps(WORDS[v.template] ?? v.template, (name) => word(v.values[name] ?? ""));
+  return FORMS[v.form]?.(text) ?? text;
 }
-const value = (text) => whole(text) ?? parts(text, ", ", ", ") ?? parts(text, "; ", "; ") ?? cause(text) ?? text.replace(/(\d)\.(?=\d)/g, `$1${t("number.point")}`);
 
 // In the page's language, with the language that it is: where there are no words for it, as it came.
 export function said(text) {
-  const words = english ? text : whole(text) ?? parts(text, "; ", "; ") ?? parts(text, /(?<=[.?]) /, " ");
-  return words == null ? { text, lang: "en" } : { text: words, lang: LANGUAGE };
+  const of = told.get(text);
+  return english || !of || !isKnown(of) ? { text, lang: "en" } : { text: word(of), lang: LANGUAGE };
+}
+export const say = (text) => said(text ?? "").text;
+// What a run does now, as the page has it: "identifying, A2 spring 1".
+export function phase(text) {
+  const { stage, where } = told.get(text)?.values ?? {};
+  if (stage) return `${phase(stage)}, ${where}`;
+  return has(`phase.${text}`) ? t(`phase.${text}`) : say(text);
 }

@@ -1,7 +1,8 @@
 // A run that stopped: where and why, the one thing to do and where, the last seconds.
 import { traceChart } from "./charts.js";
 import { $, el, fill, sentence, MOTION } from "./dom.js";
-import { english, has, phase, t } from "./texts.js";
+import { phase, said } from "./said.js";
+import { has, t } from "./texts.js";
 
 const HERE = { gentler: "stopped.gentler", as_planned: "stopped.as_planned", start_again: "stopped.start_again" };
 
@@ -12,9 +13,9 @@ export function showStopped(run, cell, again) {
   $("stopped").hidden = !s;
   if (!s) return;
   $("stopped-where").textContent = t("stopped.where", { phase: phase(s.phase), axis: s.axis ? t("stopped.axis", { axis: s.axis }) : "" });
-  const { code, text, where } = s.action, known = has(`action.${code}`);
-  $("stopped-action").textContent = english || !known ? text : t(`action.${code}`);
-  $("stopped-action").lang = english || !known ? "en" : document.documentElement.lang;
+  const { code, text, where } = s.action, action = said(text);
+  $("stopped-action").textContent = action.text;
+  $("stopped-action").lang = action.lang;
   const label = HERE[code], do_ = $("stopped-do");
   $("stopped-place").textContent = t("stopped.place", { where: has(`where.${where}`) ? t(`where.${where}`) : t("where.config", { field: where }) });
   $("stopped-place").hidden = Boolean(label);

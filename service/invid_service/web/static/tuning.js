@@ -1,9 +1,10 @@
 // Values for the drives from a run's model: a button, then what they bring, a picture, files.
-import { Problem, call } from "./api.js";
+import { Problem, call, read } from "./api.js";
 import { offerApply } from "./apply.js";
 import { $, el, fill, fmt, table } from "./dom.js";
+import { say } from "./said.js";
 import { refused, spoken } from "./spoken.js";
-import { LANGUAGE, english, named, t } from "./texts.js";
+import { named, t } from "./texts.js";
 
 const AGAIN_MS = 2000, SAVED = { "tuning-files": "tuning.zip", "tuning-page": "tuning.html" };
 /** @type {Run} */
@@ -40,7 +41,7 @@ function going() {
 async function look() {
   const run = of;
   try {
-    const answer = await call("GET", run.links.tuning), body = await answer.json();
+    const answer = await call("GET", run.links.tuning), body = await read(answer);
     if (of !== run) return;
     if (answer.status === 202) { going(); setTimeout(look, AGAIN_MS); return; }
     await show(run, body);
@@ -70,13 +71,13 @@ async function show(run, tuning) {
   };
   table(gains, [t("tune.values"), ...tuning.axes.map((a) => a.axis)], Object.entries(rows).map(([name, of_]) => ({ cells: [t(`tune.${name}`, { unit, torque, angle }), ...tuning.axes.map(of_)] })));
   const picture = el("div", { class: "scroll", role: "region", "aria-label": t("tune.picture") });
-  const repairs = tuning.repairs.map((r) => repair(r, unit)).filter(Boolean), own = tuning.said?.[LANGUAGE], remarks = own ? own.map((r) => el("li", {}, r)) : tuning.remarks.map((r) => spoken("li", r));
+  const repairs = tuning.repairs.map((r) => repair(r, unit)).filter(Boolean), remarks = tuning.remarks.map((r) => spoken("li", r));
   fill($("tuned"), [
     el("div", { class: "scroll", role: "region", "aria-label": t("tune.title") }, [made]),
-    el("div", { class: "scroll", role: "region", "aria-label": t("tune.values") }, [gains]), el("p", { class: "quiet" }, `${t("tune.before")} ${t(tuning.before.startsWith("read from") ? "tune.before_read" : "tune.before_timid")}`),
+    el("div", { class: "scroll", role: "region", "aria-label": t("tune.values") }, [gains]), el("p", { class: "quiet" }, `${t("tune.before")} ${t("tune.before_is", { source: say(tuning.before) })}`),
     el("figure", {}, [el("figcaption", {}, t("tune.picture")), picture]),
     repairs.length ? el("section", {}, [el("h4", {}, t("tune.repairs")), el("ul", { class: "reasons" }, repairs.map((r) => el("li", {}, r)))]) : null,
-    remarks.length ? el("ul", { class: "reasons" }, [english || own ? null : el("li", { class: "quiet" }, t("page.untranslated")), ...remarks].filter(Boolean)) : null,
+    remarks.length ? el("ul", { class: "reasons" }, remarks) : null,
     run.cell ? offerApply(run.id) : null,
     el("p", { class: "links" }, Object.entries(SAVED).map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, t(name === "tuning-page" ? "tune.page" : "tune.files")))),
   ].filter(Boolean));
