@@ -145,7 +145,7 @@ def _grade_finding(finding: Finding, machine: Machine) -> Finding:
     return replace(
         finding,
         consequence=consequence,
-        sentence=_graded_sentence(finding, consequence),
+        sentence=graded_sentence(finding, consequence),
     )
 
 
@@ -162,7 +162,7 @@ _HOW = {
 }
 
 
-def _graded_sentence(finding: Finding, consequence: Consequence) -> str:
+def graded_sentence(finding: Finding, consequence: Consequence) -> str:
     """The finding's sentence with what to check, where its cause is sure and not as expected, and with its
     consequence."""
     effect, parts = effect_of(finding.effect.cause), [finding.sentence]

@@ -114,7 +114,7 @@ def _causes(a: Analysis, found: list[search.Cause], explained: float) -> list[Ca
 
 def _rivals(a: Analysis, cause: search.Cause, bare: Fit) -> list[tuple[float, Alternative]]:
     """Other causes in the place of one: by how much −2 ln L is higher, and what they leave."""
-    if cause.name == NAMELESS or budget.is_left_out("rivals of the causes"):
+    if cause.name == NAMELESS or budget.is_left_out(sentence("rivals of the causes")):
         return []
     axis, laws = cause.terms[0].axis, {t.label for t in (*cause.terms, *a.final.terms)}
     alike = {*BY_CAUSE[cause.name].looks_like}

@@ -38,6 +38,7 @@ from invid.likelihood.unknown_forces.timing import Timing
 from invid.likelihood.unknown_forces.value import Numbers
 from invid.model.plant import Plant, Structure
 from invid.numerics import budget
+from invid.wording.sentence import sentence
 
 Benches = tuple[Bench, Bench | None]
 """Records fitted and kept out."""
@@ -104,7 +105,8 @@ SPRING_LAWS = (CubicStiffnessLaw(), BacklashLaw())
 TAKEN_UP = 0.85
 """Unknown force in a spring that its own law leaves (empirical, nineteen cells of another hand: at most 0.70
 with play and 0.01 with hardening, at least 0.89 where a chain lacks a mode or is astray)."""
-FURTHER_MASSES = "further masses"
+FURTHER_STARTS = sentence("further starts")
+FURTHER_MASSES = sentence("further masses")
 """What a spent budget leaves out without which the number of masses is open, in the words of the warning."""
 
 
@@ -128,7 +130,7 @@ def lowest_fit(bench: Bench, structure: Structure, kept: Bench | None, known: Kn
         least = found.total
         # Of the right plant friction's form is all that is left.
         lowest = found.refit() if is_home(found) else reshape(scan_friction(found))
-        if is_home(lowest) or budget.is_left_out("further starts"):
+        if is_home(lowest) or budget.is_left_out(FURTHER_STARTS):
             break
     if lowest is None:
         splits = random_plants(bench.stacks, structure, RANDOM, np.random.default_rng(1))
@@ -187,7 +189,7 @@ def _beside_springs(now: Supposed) -> Supposed:
     stacks = (*now.bench.stacks, *(now.kept.stacks if now.kept else ()))
     best: Supposed | None = None
     for plant in fraction_plants(stacks, hypothesis.structure, TIED):
-        if budget.is_left_out("further starts"):
+        if budget.is_left_out(FURTHER_STARTS):
             break
         found = _fit_from(benches, hypothesis, plant, FAR, np.inf if best is None else best.total)
         best = found if found is not None and (best is None or found.total < best.total) else best
@@ -202,7 +204,7 @@ def _with_splits(now: Supposed, bent: Axes) -> Supposed:
         before = now
         for axis in astray(now):
             worst = astray(now).get(axis)
-            if worst is None or axis in bent or budget.is_left_out("further starts"):
+            if worst is None or axis in bent or budget.is_left_out(FURTHER_STARTS):
                 continue
             now = _split_anew(now, (axis, _masses_before(now.hypothesis.structure, axis, worst)), rng)
         if before.total - now.total < price(NUMBERS) or not astray(now):
@@ -253,7 +255,7 @@ def bent_axes(now: Supposed) -> Axes:
     for axis, spot in worst.items():
         for law in SPRING_LAWS:
             shapes = law.shapes(now.motions.flat(spot))
-            if budget.is_left_out("further starts") or not shapes:
+            if budget.is_left_out(FURTHER_STARTS) or not shapes:
                 break
             found = with_law(now, PlacedLaw(law, spot, shapes[len(shapes) // 2]))
             if {s: rms for rms, s in found.strength}[spot] < TAKEN_UP * before[spot]:
@@ -348,7 +350,7 @@ def contest(pool: Sequence[Supposed], axis: int | None = None) -> Supposed | Non
         if best is None or found.total < best.total:
             best = found
         away = astray(best)
-        if (not away if axis is None else axis not in away) or budget.is_left_out("further starts"):
+        if (not away if axis is None else axis not in away) or budget.is_left_out(FURTHER_STARTS):
             break
     return best
 

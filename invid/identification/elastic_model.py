@@ -87,7 +87,7 @@ def model_of_fit(begun: Begun, end: Supposed, worths: Sequence[Worth]) -> Model:
 
 def _with_late_drives(now: Supposed) -> Supposed:
     """With the delay or lag of every drive that is late, the better of the two for each."""
-    while not budget.is_left_out("drives that are late"):
+    while not budget.is_left_out(sentence("drives that are late")):
         late = [d for d in late_drives(now) if pays(*role_falls(d.without, d.found), price())]
         if not late:
             break

@@ -149,6 +149,10 @@ def check() -> None:
         raise BudgetSpent
 
 
+FURTHER_CAUSES = sentence("further causes")
+"""What a spent budget leaves out without which nothing is certain."""
+
+
 def leave_out(what: str) -> None:
     """Note what was not looked at, for the result's warnings."""
     budget = _IN_FORCE.get()

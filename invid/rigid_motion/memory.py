@@ -18,6 +18,7 @@ from invid.rigid_motion.fit import Fit, chance_of_gain, falls, fit_terms, settle
 from invid.rigid_motion.rows import Rows, colour_of
 from invid.rigid_motion.search import BY_WAY, MOST_CHANCE, reshaped, without_idle
 from invid.rigid_motion.terms import HELD, PRESLIDING, RISE, Term
+from invid.wording.sentence import sentence
 
 YIELDS, LARGEST = 16, 0.1
 """Travels at which an element slides that are looked at, and the largest over the axis's travel: what gives
@@ -37,7 +38,7 @@ def with_memory(rows: Rows, final: Fit, candidates: Sequence[Term]) -> tuple[Row
     current = plain = settled(whole, final.terms)
     found = False
     for axis in range(rows.axes):
-        if budget.is_left_out("friction with a memory"):
+        if budget.is_left_out(sentence("friction with a memory")):
             break
         better = _on_axis(whole, current, axis)
         if better is not None:

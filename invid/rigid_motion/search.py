@@ -94,7 +94,7 @@ def search(rows: Rows, base: list[Term], candidates: Sequence[Term]) -> tuple[Fi
         current = without_idle(rows, current, candidates)
         labels = frozenset(t.label for t in current.terms)
         if cut or labels in seen:
-            return current, cut or budget.is_left_out(sentence("further causes"))
+            return current, cut or budget.is_left_out(budget.FURTHER_CAUSES)
         seen.add(labels)
 
 

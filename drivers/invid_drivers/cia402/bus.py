@@ -178,7 +178,8 @@ class Cia402Cell:
     def _refuse_owned(self, drive: Drive) -> None:
         """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
         watched = drive.find(od.CONSUMER_HEARTBEAT) or 0
-        if watched & 0xFFFF and any(f.node == watched >> 16 & 0x7F for f in self._link.others.values()):
+        producer = watched >> 16 & 0x7F
+        if watched & 0xFFFF and any(f.node == producer for f in self._link.others.values()):
             raise BusError(
                 sentence(
                     "axis {axis} (node {node_id}): it watches the heartbeat of node {producer} "
@@ -186,7 +187,7 @@ class Cia402Cell:
                     "clear 0x1016 if it is none",
                     axis=drive.name,
                     node_id=drive.node_id,
-                    producer=watched >> 16 & 0x7F,
+                    producer=producer,
                 ),
                 axis=drive.name,
             )
@@ -209,7 +210,7 @@ class Cia402Cell:
             self.check()
         self._link.cancelled = lambda: self.cancelled()
         if any(reason.code == "axis_suspect" for reason in self.not_ready):
-            raise DriveError(". ".join(s for r in self.not_ready for s in r.sentences))
+            raise DriveError(joined([s for r in self.not_ready for s in r.sentences], ". "))
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)

@@ -52,7 +52,7 @@ from invid.wording.sentence import sentence
 
 SURE = normal_isf(0.05)
 """Standard deviations by which the root of a fall has to pass its threshold (statistical: 95 of 100)."""
-WHAT = "what was ruled out"
+WHAT = sentence("what was ruled out")
 """What a spent budget leaves out, in the words of the warning."""
 UNSEEN = 1e-4
 """Share of a law's torque that the fit has to leave for it to be told from the model's own numbers

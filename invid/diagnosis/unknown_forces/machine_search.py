@@ -27,8 +27,6 @@ from invid.wording.sentence import sentence
 TIME_TO_PURSUE, TIME_TO_WEIGH = 0.6, 0.5
 """Shares of the time that is left for the causes, and for what each is worth (empirical: what is done of them
 without a budget)."""
-CAUSES = "further causes"
-"""What a spent budget leaves out without which nothing is certain, in the words of the warning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +60,7 @@ def search_elastic(begun: Begun) -> ElasticSearch:
     with budget.use_share(TIME_TO_PURSUE, 0.3, 0.75):
         laws = supposed_laws(linear=recording.linear)
         pursued = pursue(begun.first, laws, tell=tell, growing=begun.declared is None)
-    is_cut_short = CAUSES in budget.left_out()
+    is_cut_short = budget.FURTHER_CAUSES in budget.left_out()
     with budget.use_share(TIME_TO_WEIGH, 0.75, 0.85):
         budget.tell("weighing each cause", 0.0)
         found, named = prune(without_loose_springs(with_masses_seen(pursued.end)), deletions_of)

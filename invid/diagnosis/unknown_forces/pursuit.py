@@ -32,7 +32,6 @@ from invid.likelihood.unknown_forces.supposition import Supposed, excess
 from invid.likelihood.unknown_forces.worth import role_falls
 from invid.model.plant import Kind
 from invid.numerics import budget
-from invid.wording.sentence import sentence
 
 PROMISING = 0.3
 """Share of the best fall from which a structure is fitted to its end (empirical)."""
@@ -206,7 +205,7 @@ def stand_again(now: Supposed) -> tuple[Supposed, tuple[tuple[Trial, Trial], ...
     """
     rivals: list[tuple[Trial, Trial]] = []
     for own in additions_of(now.hypothesis.structure):
-        if budget.is_left_out(sentence("further causes")):
+        if budget.is_left_out(budget.FURTHER_CAUSES):
             break
         less = without(now, own)
         taken = Trial(own.cause, own.spot(less.hypothesis.structure), now, less, addition=own)
@@ -263,7 +262,7 @@ def pursue(
     now = settle(reshape(scan_friction(now)))
     for number in range(rounds):
         tell(now, number / rounds)
-        if budget.is_left_out(sentence("further causes")):
+        if budget.is_left_out(budget.FURTHER_CAUSES):
             break
         renewed = now.renewed()
         # Across a law motion may come to rest elsewhere; without one it is only smoothed.
@@ -280,7 +279,7 @@ def pursue(
             placed = looked[int(k)]
             if falls[k] < LEAST_FALL or len(tried) >= REFINED:
                 break
-            if placed.key in tried or budget.is_left_out(sentence("further causes")):
+            if placed.key in tried or budget.is_left_out(budget.FURTHER_CAUSES):
                 continue
             tried.add(placed.key)
             found = with_law(now, placed)
@@ -288,7 +287,7 @@ def pursue(
                 base = still if placed.needs_fit else now
                 trials.append(Trial(placed.law.cause, placed.spot, found, base, placed))
         best = max((t.fall for t in trials), default=0.0)
-        if best < MOST * excess(now) and not budget.is_left_out(sentence("further causes")):
+        if best < MOST * excess(now) and not budget.is_left_out(budget.FURTHER_CAUSES):
             trials += try_structures(now, best, growing=growing)
         trials += try_channels(now)
         trials = finish(trials)

@@ -32,12 +32,13 @@ from invid.likelihood.unknown_forces.worth import FRICTION, Worth, role_falls
 from invid.model.diagnosis_document import Alternative
 from invid.numerics import budget
 from invid.recording.model import Recording
+from invid.wording.sentence import sentence
 
 REACH = 0.7
 """Share of a cause's worth that a rival must promise by its score to be fitted in its place (empirical)."""
 TRIED = 3
 """Most rivals of a cause that are fitted."""
-WHAT = "rivals of the causes"
+WHAT = sentence("rivals of the causes")
 """What a spent budget leaves out, in the words of the warning."""
 
 

@@ -18,7 +18,6 @@ from invid.model.place import Place
 from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
-from invid.wording.sentence import sentence
 
 
 def spots_of(law: SupposedLaw, structure: Structure) -> list[Spot]:
@@ -61,7 +60,7 @@ def score(now: Supposed, laws: Sequence[PlacedLaw]) -> Float64:
     background = Background.of(now)
     out = []
     for placed in laws:
-        if budget.is_left_out(sentence("further causes")):
+        if budget.is_left_out(budget.FURTHER_CAUSES):
             out.append(0.0)
             continue
         own, pull = background.beside(law_rows(now, placed))

@@ -26,6 +26,8 @@ GAP = 0.3
 """Newton's decrement [−2 ln L] below which a fit is finished: a hundredth of the smallest price."""
 TO_THE_END = 100
 """Most iterations of a fit that is to be finished."""
+TO_END = sentence("fits to their end")
+"""What a spent budget leaves out, in the words of the warning."""
 LEAST_CURVATURE = 1e-3
 """Least curvature of numbers scaled to unit information (numerical): no saddle is stepped to."""
 LEAST_FALL = 1e-2
@@ -112,7 +114,7 @@ def fit(problem: Problem, start: Numbers, iterations: int = TO_THE_END, target: 
             break
         if _is_behind(totals, iterations - number, target):
             return Fit(problem, here.value, here.around, Ended.BEHIND, gap)
-        if budget.is_left_out(sentence("fits to their end")):
+        if budget.is_left_out(TO_END):
             return Fit(problem, here.value, here.around, Ended.CUT, gap)
         found, damping = here.lower(problem, damping)
         if not found.total < here.value.total - LEAST_FALL:

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from invid.effects.supposed.law import Shape
+from invid.likelihood.unknown_forces.descent import TO_END
 from invid.likelihood.unknown_forces.motions import PlacedLaw, vector_of
 from invid.likelihood.unknown_forces.motor_laws import FrictionShape, Part
 from invid.likelihood.unknown_forces.slope import number_rows, whitened_rows
@@ -18,7 +19,6 @@ from invid.likelihood.unknown_forces.value import along, evaluate
 from invid.model.plant import Structure
 from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64, Int64
-from invid.wording.sentence import sentence
 
 SMOOTHED = 2
 """Times that a law's motion is smoothed beside its shape before it is compared."""
@@ -172,7 +172,7 @@ def scan_friction(now: Supposed) -> Supposed:
     speed = _speeds(now)
     best, hypothesis = now.total, now.hypothesis
     for motor in range(len(hypothesis.friction)):
-        if budget.is_left_out(sentence("fits to their end")):
+        if budget.is_left_out(TO_END):
             break
         first = hypothesis.friction[motor]
         low, high = (b * speed[motor] for b in WIDTH_BOUNDS)

@@ -16,8 +16,9 @@ from invid.likelihood.unknown_forces.shapes import reshape
 from invid.likelihood.unknown_forces.supposition import Channel, Supposed
 from invid.model.plant import Kind
 from invid.numerics import budget
+from invid.wording.sentence import sentence
 
-WEIGHING = "what each cause is worth"
+WEIGHING = sentence("what each cause is worth")
 """What a spent budget leaves out, in the words of the warning."""
 LOOSE = 4.0
 """Deviations from which on a spring between two loads is weighed by itself."""

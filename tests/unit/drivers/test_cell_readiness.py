@@ -10,6 +10,7 @@ import pytest
 from invid.cli.app import run
 from invid.config import CellConfig, load_config
 from invid.errors import InvidError
+from invid.wording.sentence import Sentence
 from invid_drivers.cia402.journal import journal_path
 from invid_drivers.cia402.standing.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.standing.holding import energised_reason
@@ -57,6 +58,8 @@ def test_an_axis_that_was_left_held_is_said_and_taken_over_by_the_service_as_by_
     assert "axis A2 (node 2) is energised" in note.text
     assert "takes it over without letting go" in note.text
     assert "support its load" in note.fix
+    assert isinstance(note.text, Sentence)
+    assert (note.text.values["axis"], note.text.values["node"]) == ("A2", "2")
     assert readiness(situation(cell, "simulate")).notes == []
     memory.keep("drive of A2", Seen(2, loaded=True, holds=True, resumes=True))
     assert [n.code for n in readiness(situation(cell)).notes] == ["drives_not_asked"]

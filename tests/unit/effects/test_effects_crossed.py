@@ -16,7 +16,7 @@ from large_motion import recording as recording_of
 from test_extended_model import SIZES
 
 from invid.clauses import cause_name
-from invid.diagnosis.consequence import consequence_of
+from invid.diagnosis.consequence import consequence_of, graded_sentence
 from invid.diagnosis.sentences import finding_sentence
 from invid.effects.catalogue.base_compliance import BaseCompliance
 from invid.effects.effect_files import check_effect
@@ -25,7 +25,7 @@ from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effec
 from invid.effects.sizes import Machine
 from invid.effects.units import unit_of
 from invid.model.chains import CoupledChains
-from invid.model.diagnosis_document import load_model
+from invid.model.diagnosis_document import Consequence, Finding, Grade, load_model
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.model.law_table import LawTable
 from invid.recording.model import Recording
@@ -118,7 +118,8 @@ def test_it_is_said_in_a_sentence_with_size_place_and_check(effect, excited) -> 
     sizes = chains.masses_per_branch
     text = finding_sentence(one, 0.9, 0.99, (), sizes, chains.axes)
     assert text.startswith(f"Axis {chains.axes[0]}: {effect.title}")
-    assert effect.check.endswith(".")
+    found = Finding(one, 0.99, 0.4, 0.05, 0.9, sentence=text)
+    assert graded_sentence(found, Consequence(Grade.WATCH, "", "")).endswith(f" {effect.check}")
     assert "±" in text
     assert cause_name(effect.cause) in effect.title
     doubtful = finding_sentence(one, 0.9, 0.5, (), sizes, chains.axes)

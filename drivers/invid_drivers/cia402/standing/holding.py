@@ -13,7 +13,7 @@ from typing import Any, Literal
 from invid.config import AxisConfig, CellConfig
 from invid.errors import DriveError
 from invid.sweep.axis_estimator import STAND_S
-from invid.wording.sentence import marked, sentence
+from invid.wording.sentence import capital, marked, sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.axis import Drive, DriveReport
@@ -279,7 +279,7 @@ class Reason:
     @property
     def sentences(self) -> tuple[str, str]:
         """What is the matter, and what to do."""
-        return self.text, self.fix[0].upper() + self.fix[1:]
+        return self.text, capital(self.fix)
 
 
 def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool | None) -> Reason:
