@@ -390,8 +390,8 @@ def tune(
         A model, or a diagnosis: causes that it leaves open then count, and the loops are designed for the
         worse.
     before
-        An ``invid-tuning`` file with the values in the drives now, for the comparison, or loops by axis as
-        they were read from the drives; an axis without: timid gains.
+        An ``invid-tuning`` file with the values in the drives now, for the comparison, or loops by axis; an
+        axis without: timid gains.
     cycle
         Of the drives' loops [s].
     notches
@@ -417,20 +417,20 @@ def tune(
     from invid.numerics.immutable import immutable
     from invid.tuning.axis_loop import loops_from_json
     from invid.tuning.servo_loop import DriveTiming
-    from invid.tuning.tune import READ, TuneSettings, tune_model
+    from invid.tuning.tune import TuneSettings, tune_model
 
     arguments.a_number(cycle, "cycle", "give the cycle of the drives' loops in seconds", above=0.0)
     arguments.a_number(ripple, "ripple", "give a share of rated torque, as 0.01", above=0.0)
-    model, old, said = arguments.a_model(source), None, READ
+    model, old = arguments.a_model(source), None
     if isinstance(before, Mapping):
         old = before
     elif before is not None:
         path = arguments.a_path(before, "before")
-        old, said = loops_from_json(load_json(path), str(path)), "as given"
+        old = loops_from_json(load_json(path), str(path))
     if strange := set(old or ()) - set(model.axes):
         raise InputError(f"before: {min(strange)!r} is no axis of the model; it has {list(model.axes)}")
     settings = TuneSettings(DriveTiming(cycle), notches, draws, ripple=ripple)
-    return immutable(tune_model(source, settings, old, said))
+    return immutable(tune_model(source, settings, old))
 
 
 def write_tuning(

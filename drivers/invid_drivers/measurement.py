@@ -226,7 +226,6 @@ def _header(config: CellConfig, cell: Cia402Cell) -> Recording:
     masses = [a.masses for a in config.axes]
     known = [m for m in masses if m is not None]
     document = config.model_dump(mode="json", exclude_none=True)
-    document.get("simulation", {}).pop("memory", None)  # where files lie is nobody's business
     return Recording(
         robot=config.robot,
         axes=cell.axes,

@@ -57,7 +57,6 @@ length. Empirical (benchmarks/drivers/bench_closed_loop.py): loops that hold 0.6
 SPREAD_DRAWS = 6
 """Machines of the covariance in which the reference move is made as well."""
 STAND_IN = sentence("timid gains without feedforward (the drive's own values were not given)")
-READ = sentence("read from the drives")
 
 
 @dataclass(frozen=True)
@@ -169,12 +168,8 @@ def tune_model(
     source: Model | Diagnosis,
     settings: TuneSettings,
     before: Mapping[str, AxisLoop] | None = None,
-    before_source: str = sentence("as given"),
 ) -> Tuning:
-    """Gains, notches, feedforward and shaper for every axis; see ``invid.tune``.
-
-    ``before_source`` says where ``before`` comes from.
-    """
+    """Gains, notches, feedforward and shaper for every axis; see ``invid.tune``."""
     found = candidates(source)
     lost = [left for left in linear_plant(found.models[0]).nonlinear if left.reason]
     known = tuple(_without(m, [left.term for left in lost]) for m in found.models)
@@ -223,7 +218,7 @@ def tune_model(
             )
         )
     unknown = [name for name in model.axes if name not in (before or {})]
-    said = before_source
+    said = sentence("as given")
     if unknown:
         said = sentence("{source}; {axes}: {rest}", source=said, axes=joined(unknown), rest=STAND_IN)
     return Tuning(

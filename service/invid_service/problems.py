@@ -44,7 +44,6 @@ STATUSES: dict[str, int] = {
     "override-needed": 409,
     "nothing-to-separate": 409,
     "not-simulated": 409,
-    "not-applied": 409,
     "not-tunable": 409,
     "no-comparison": 409,
     "artefact-expired": 410,

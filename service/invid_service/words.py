@@ -244,7 +244,6 @@ PROBLEMS = {
     "internal-error": marked("An error of the service"),
     "store-unavailable": marked("The store does not answer"),
     "disk-full": marked("There is no room to store this"),
-    "not-applied": marked("Nothing was written to the drives"),
 }
 """Titles of problem documents."""
 

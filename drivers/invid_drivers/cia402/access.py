@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from invid.config import AxisConfig
@@ -51,8 +50,6 @@ class Access:
         self.link, self.journal, self.linear = link, journal, linear
         self.serial = 0
         """0x1018:4, from ``check`` on."""
-        self.objects: Mapping[tuple[int, int], Object] = od.KNOWN
-        """Those that have a name here."""
         row = vendor(config.vendor)
         if row is None:
             raise DriveError(
@@ -69,17 +66,10 @@ class Access:
         self.declared, self.eds_warnings = declared_of(self.name, config.eds, config.node_id)
         link.add_peer(self.node_id, self.name)
 
-    def through(self, journal: Journal, objects: Iterable[Object]) -> Access:
-        """The same drive, with another journal for what is written, and its objects."""
-        other = Access(self.link, self.config, journal, linear=self.linear)
-        other.serial, other.declared = self.serial, self.declared
-        other.objects = {(o.index, o.sub): o for o in objects}
-        return other
-
     def object_of(self, entry: Entry) -> Object:
         """The object of a journal's entry at its own index; by the size of what stood
         there where its name is not known."""
-        known = self.objects.get((of_first_axis(entry.index)[0], entry.sub))
+        known = od.KNOWN.get((of_first_axis(entry.index)[0], entry.sub))
         if known is not None:
             return replace(known, index=entry.index)
         code = {1: "B", 2: "H"}.get(len(entry.before) // 2, "I")

@@ -1,7 +1,4 @@
-"""``invid tune``: gains, notches, feedforward and shaper from a model, in files; never to a drive.
-
-``--from-drive`` reads the present values; writing is ``invid apply``.
-"""
+"""``invid tune``: gains, notches, feedforward and shaper from a model, in files; never to a drive."""
 
 from __future__ import annotations
 
@@ -12,27 +9,10 @@ import typer
 
 from invid.api import tune, write_tuning
 from invid.cli.output import EXIT_OK, emit, note
-from invid.config import load_config
-from invid.errors import InputError
 from invid.model.diagnosis_document import load_document
 from invid.model.document import load_json
 from invid.tuning.document import repair_sentence
-from invid.tuning.forms import read_motors
 from invid.tuning.page import headline
-from invid_drivers.values.present import Present, known_loops, present_values
-
-
-def present_line(found: Present) -> str:
-    """What a drive holds, in a line: with what was not understood."""
-    held = [f"{row.at.name} {value:.5g} {row.unit}".rstrip() for row, value in found.values.items()]
-    name = "a drive without rows" if found.drive is None else found.drive.name
-    return (
-        f"{found.axis} ({name}) holds {', '.join(held) or 'nothing that is known'}; {'; '.join(found.others)}"
-    )
-
-
-def _present(config: Path, motors: Path | None) -> tuple[Present, ...]:
-    return present_values(load_config(config), {} if motors is None else read_motors(motors))
 
 
 def register(app: typer.Typer) -> None:
@@ -56,10 +36,6 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option("--before", metavar="TUNING.json", help="The values in the drives now."),
         ] = None,
-        from_drive: Annotated[
-            Path | None,
-            typer.Option("--from-drive", metavar="CONFIG", help="Read the values that the drives hold now."),
-        ] = None,
         cycle: Annotated[float, typer.Option(help="Cycle of the drives' loops in seconds.")] = 0.001,
         notches: Annotated[int, typer.Option(min=0, max=8, help="At most this many an axis.")] = 2,
         draws: Annotated[int, typer.Option(min=50, max=5000, help="Machines that must keep margins.")] = 200,
@@ -70,19 +46,14 @@ def register(app: typer.Typer) -> None:
     ) -> int:
         """Tune a drive's loops on a model and its uncertainty; writes files, never to a drive."""
         source = load_document(model)
-        if before is not None and from_drive is not None:
-            raise InputError("--before and --from-drive: the present values come from one of them")
-        found = () if from_drive is None else _present(from_drive, motors)
         tuned = tune(
             source,
-            before=known_loops(found) if found else before,
+            before=before,
             cycle=cycle,
             notches=notches,
             draws=draws,
             ripple=ripple / 100.0,
         )
-        for p in found:
-            note(present_line(p))
         written = write_tuning(tuned, output, drive=drive, motors=motors)
         for text in tuned.remarks:
             note(f"note: {text}")

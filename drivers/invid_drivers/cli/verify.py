@@ -24,7 +24,7 @@ def register(app: typer.Typer) -> None:
 
     @app.command("verify")
     def _verify(
-        tuning: Annotated[Path, typer.Argument(metavar="TUNING.json", help="What was applied.")],
+        tuning: Annotated[Path, typer.Argument(metavar="TUNING.json", help="What the drives were given.")],
         config: Annotated[Path, typer.Argument(metavar="CONFIG", help="The cell.")],
         output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="Where the files go.")],
         amplitude: Annotated[
@@ -48,6 +48,6 @@ def register(app: typer.Typer) -> None:
         save_text(output / "verification.svg", verification_picture(found))
         lines = [*document["sentences"], f"verification.json, .svg and .h5 in {output}"]
         if found.verdict.asks_for_undo:
-            lines.append(f"the old values come back with: invid apply --undo {config}")
+            lines.append("write the old values back with the drives' own tool")
         emit(document, "\n".join(lines), as_json=as_json)
         return EXIT_NOT_TRUSTWORTHY if found.verdict.asks_for_undo else EXIT_OK

@@ -10,7 +10,6 @@ import heapq
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +25,9 @@ from invid_drivers.simulated.drive import Drive, Scales
 from invid_drivers.simulated.eds import apply_eds
 from invid_drivers.simulated.faults import FaultConfig, disturb
 from invid_drivers.simulated.injection import FaultInjector
-from invid_drivers.simulated.loops import LoopMemory, LoopValues, add_loop_objects
+from invid_drivers.simulated.loops import SAMPLED_S, LoopValues, put_into
 from invid_drivers.simulated.node import Handler, Node
-from invid_drivers.simulated.object_dictionary import RATED_MA, Nameplate, drive_dictionary
+from invid_drivers.simulated.object_dictionary import Nameplate, drive_dictionary
 from invid_drivers.simulated.plant import Plant
 from invid_drivers.simulated.structure import build_structure
 from invid_drivers.simulated.vendors import PROFILES
@@ -103,14 +102,8 @@ class SimulatedCell:
         for fault in self.simulation.faults:
             self._injector.plan(fault)
         self._load(axes)
-        memory = self.simulation.memory
-        self._memory = LoopMemory(None if memory is None else Path(memory))
-        for axis, drive in zip(config.axes, self.drives, strict=True):
-            self._memory.recall(axis.name, drive.node.od)
+        for drive in self.drives:
             drive.node.power_on(0)
-            drive.kept = lambda: self._memory.keep(
-                {a.name: d.node.od for a, d in zip(config.axes, self.drives, strict=True)}
-            )
         self.schedule(_TICK_NS, self._watchdog)
 
     def _build_drive(self, row: int, axis: AxisConfig, settings: AxisSimulation, motor: float) -> Drive:
@@ -131,11 +124,7 @@ class SimulatedCell:
             max(1, round(a * counts_per_unit / ramp_counts)) for a in (2.0, settings.quick_stop_deceleration)
         ]
         plate = Nameplate("invid drive", axis.node_id, rated, settings.encoder_counts, linear)
-        # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
-        bandwidth = 2.0 * math.pi * settings.position_loop_Hz
-        loops = LoopValues(1.4 * motor * bandwidth, bandwidth / 1.4, torque_constant=1e3 * rated / RATED_MA)
-        add_loops = partial(add_loop_objects, values=loops, epos4=objects.profile == "epos4")
-        od = drive_dictionary(axis.node_id, plate, profile, (ramps[0], ramps[1]), add_loops)
+        od = drive_dictionary(axis.node_id, plate, profile, (ramps[0], ramps[1]))
         if objects.eds is not None:
             apply_eds(od, Path(objects.eds), axis.node_id)
         for name in objects.not_mappable:
@@ -172,7 +161,6 @@ class SimulatedCell:
                 axis.direction,
                 linear,
                 known.velocity_in_rpm,
-                loops=loops,
                 cycle_s=self.config.bus.cycle_s,
                 ramp_counts=ramp_counts,
                 own_ramp=ramps[1],
@@ -186,6 +174,11 @@ class SimulatedCell:
         command[kernel.COUNTS_PER_UNIT] = counts_per_unit
         command[kernel.TORQUE_STEPS] = settings.torque_steps_permille
         command[kernel.LAG] = _lag(self.plant.h, settings.current_loop_s)
+        # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
+        bandwidth = 2.0 * math.pi * settings.position_loop_Hz
+        own = LoopValues(velocity_gain=1.4 * motor * bandwidth, position_gain=bandwidth / 1.4)
+        stated = settings.loops
+        put_into(command, stated or own, settings.loop_cycle_s or (SAMPLED_S if stated else 0.0))
         return drive
 
     def _load(self, axes: list[AxisSimulation]) -> None:

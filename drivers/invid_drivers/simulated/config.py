@@ -17,6 +17,7 @@ from invid.errors import ConfigError, ModelError
 from invid.model.chains import CoupledChains, case_study
 from invid.numerics.arrays import frozen_float
 from invid_drivers.simulated.faults import FaultConfig
+from invid_drivers.simulated.loops import LoopValues
 from invid_drivers.simulated.vendors import PROFILES
 
 
@@ -150,12 +151,13 @@ class AxisSimulation(Strict):
     """Time constant of the current loop; 0x6077 shows it."""
     friction: FrictionConfig = FrictionConfig()
     position_loop_Hz: float = Field(default=25.0, gt=0, le=300)
-    """Bandwidth of the drive's own position loop on the motor mass alone, as it comes; objects of the drive
-    hold its values (``loops``)."""
+    """Bandwidth of the drive's own position loop on the motor mass alone, as it comes."""
+    loops: LoopValues | None = None
+    """Values of its loops in place of those that it comes with."""
     loop_cycle_s: float = Field(default=0.0, ge=0, le=0.02)
     """Cycle of the drive's loops: the speed is then the difference of two readings, and torque acts one cycle
-    late, as `invid tune` has it. 0: as they come they run in each sub-step on the speed itself; values that
-    somebody writes run once in a millisecond."""
+    late, as `invid tune` has it. 0: as they come they run in each sub-step on the speed itself, those of
+    ``loops`` once in a millisecond."""
     brake: bool = True
     brake_torque: float | None = Field(
         default=None, gt=0, validation_alias=AliasChoices("brake_torque", "brake_torque_Nm", "brake_force_N")
@@ -217,8 +219,6 @@ class SimulationConfig(Strict):
     tx_queue_frames: int = Field(default=256, ge=1)
     """Frames that the master may have waiting on the virtual bus."""
     boot_s: float = Field(default=0.002, ge=0, le=60)
-    memory: str | None = None
-    """File in which the drives keep the values of their loops, so that the next process finds them."""
 
     def axis(self, name: str) -> AxisSimulation:
         """The settings of one axis: its own over ``defaults``."""

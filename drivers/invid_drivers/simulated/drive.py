@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from invid.errors import ConfigError
@@ -15,7 +14,6 @@ from invid_drivers.simulated import kernel
 from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation
 from invid_drivers.simulated.limits import Limits
-from invid_drivers.simulated.loops import LoopValues, loop_cycle, loop_values, put_into
 from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 from invid_drivers.simulated.plant import Plant
@@ -47,8 +45,6 @@ class Scales:
     """1, or −1 where it counts against the plant."""
     linear: bool
     velocity_in_rpm: bool
-    loops: LoopValues
-    """Of its position and velocity loops, as it comes."""
     cycle_s: float
     """Of the bus: it interpolates targets over so long [s]."""
     ramp_counts: float
@@ -84,9 +80,6 @@ class Drive:
         self._delay: deque[float] = deque([0.0] * settings.command_delay_cycles)
         self._lag: deque[int] = deque([0] * settings.actual_torque_lag_cycles)
         self._command = plant.command[row]
-        self._loops: LoopValues | None = None
-        self.kept: Callable[[], None] = lambda: None
-        """Called when the values of its loops have changed."""
         self.state = State.SWITCH_ON_DISABLED
         self.measured = [0, 0, 0, 0]
         """Counts, counts/s, thousandths of rated torque; counts in the plant's sign."""
@@ -440,12 +433,7 @@ class Drive:
 
     # --- supervision -----------------------------------------------------------------------------
     def configured(self) -> None:
-        """Take over limits and values of loops that may have been written."""
-        loops = loop_values(self.node.od, self._scales.loops)
-        if loops != self._loops:
-            self._loops = loops
-            put_into(self._command, loops, loop_cycle(loops, self._scales.loops, self._settings.loop_cycle_s))
-            self.kept()
+        """Take over limits that may have been written."""
         self._limits = Limits.of(self.node.od, self._counts_per_rev, rpm=self._scales.velocity_in_rpm)
 
     def _supervise(self, now_ns: int) -> None:

@@ -176,21 +176,16 @@ class Nameplate:
     linear: bool = False
 
 
-RATED_MA = 3000
-"""Rated current [mA]."""
-
-
 def drive_dictionary(
     node_id: int,
     plate: Nameplate,
     profile: Profile,
     ramps: tuple[int, int] | None = None,
-    add_loops: Callable[[ObjectDictionary], None] = lambda od: None,
 ) -> ObjectDictionary:
     """The object dictionary of the generic drive with one vendor's departures applied.
 
     Velocities are in counts per second. ``ramps``: 0x6084 and 0x6085 as the drive counts them; default 2 and
-    10 rad/s² (m/s²) in counts. ``add_loops`` adds the objects of its loops.
+    10 rad/s² (m/s²) in counts.
     """
     od = ObjectDictionary()
     add = od.add
@@ -221,8 +216,6 @@ def drive_dictionary(
     _add_drive_profile(od, plate.rated_torque, plate.encoder_counts, plate.linear)
     for index, ramp in zip((0x6084, 0x6085), ramps or (), strict=False):
         od.entry(index).value = od.entry(index).default = ramp
-    od.preset(profile.values)  # the loops count in some of them
-    add_loops(od)
     for index in profile.lacks:
         od.remove(index)
     od.preset(profile.values)
@@ -274,7 +267,7 @@ def _add_drive_profile(
     add(0x6072, 0, "H", "rw", 3000, "rw")
     add(0x6073, 0, "H", "rw", 3000)
     add(0x6074, 0, "h", "ro", 0, "r")
-    add(0x6075, 0, "I", "rw", RATED_MA)  # as the vendor's area says below
+    add(0x6075, 0, "I", "rw", 3000)  # as the vendor's area says below
     add(0x6076, 0, "I", "rw", rated)
     add(0x6077, 0, "h", "ro", 0, "r")
     add(0x6078, 0, "h", "ro", 0, "r")

@@ -1,1 +1,1 @@
-"""Values of the loops of drives: read, written by a person's act and undone, and as files."""
+"""Values of the loops of drives: as files, and measured while they are closed."""

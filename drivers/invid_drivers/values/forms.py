@@ -1,6 +1,6 @@
 """Tuned values as files for drives: a DCF an axis with what changes, and a list of it.
 
-Whoever loads a DCF decides, nothing here writes to a drive (``applying`` does, by a person's act).
+Whoever loads a DCF decides: nothing here writes to a drive.
 """
 
 from __future__ import annotations

@@ -1,21 +1,16 @@
 """Values of loops in the objects of drives: rows of a table, each with its source.
 
-Only objects whose number and unit were read in a public source are here. A row is written into a drive only
-where its range is known too, here or from the drive's EDS.
+Only objects whose number and unit were read in a public source are here.
 """
 
 from __future__ import annotations
 
-import math
-import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from invid.errors import InputError
 from invid.tuning.axis_loop import AxisLoop
-from invid.tuning.feedforward import Feedforward
 from invid.tuning.motor_scale import MotorScale
-from invid.tuning.servo_loop import Gains, Notch
 from invid_drivers.cia402.objects import Object
 
 _EPOS4 = (
@@ -23,22 +18,19 @@ _EPOS4 = (
     'include/epos4/configs/Configs.hpp (0x30AE:20 to :23, "same units as VelocityControlConfigs")'
 )
 _AX8000 = "infosys.beckhoff.com/content/1033/"
-_OWN = "drivers/invid_drivers/simulated/loops.py"
 
 
 @dataclass(frozen=True)
 class DriveValue:
     """One object: what it takes of an axis at its motor, and the unit of one count of it.
 
-    ``value`` (loop, motor) in ``unit``; ``source`` where number and unit were read; ``most`` the largest that
-    it takes, the least is 0; ``None``: not known.
+    ``value`` (loop, motor) in ``unit``; ``source`` where number and unit were read.
     """
 
     at: Object
     unit: str
     value: Callable[[AxisLoop, MotorScale], float]
     source: str
-    most: float | None = None
 
     def count(self, value: float) -> float | int:
         """The number that the object takes; InputError where it does not fit."""
@@ -52,38 +44,19 @@ class DriveValue:
             )
         return whole
 
-    def pack(self, value: float) -> bytes:
-        """Bytes of ``count`` of a value."""
-        return struct.pack("<" + self.at.code, self.count(value))
-
-    def unpack(self, data: bytes) -> float:
-        """The value that bytes of the object say."""
-        return float(struct.unpack("<" + self.at.code, data.ljust(self.at.size, b"\0")[: self.at.size])[0])
-
 
 @dataclass(frozen=True)
 class DriveValues:
-    """The objects of one drive, whether they count in amperes, and what they cannot hold, in sentences.
-
-    ``at_axis``: they count at the axis, so that no gear is asked for. ``identity``: 0x1018:1 and :2 of a
-    drive that is known by them. ``loop`` reads the values back; ``None`` where the objects do not say all of
-    it.
-    """
+    """The objects of one drive, whether they count in amperes, and what they cannot hold, in sentences."""
 
     name: str
     rows: tuple[DriveValue, ...]
     in_amperes: bool
     losses: tuple[str, ...]
-    at_axis: bool = False
-    identity: tuple[int, int] | None = None
-    loop: Callable[[Mapping[str, float], MotorScale], AxisLoop] | None = None
-    """From values by the name of their row."""
 
     def motor(self, axis: str, motors: Mapping[str, MotorScale]) -> MotorScale:
         """How an axis hangs at its motor; InputError where the objects need what is not stated."""
         found = motors.get(axis)
-        if self.at_axis:
-            return found or MotorScale()
         if found is None or (self.in_amperes and found.torque_constant_Nm_per_A is None):
             needed = "gear and torque_constant_Nm_per_A" if self.in_amperes else "gear"
             raise InputError(
@@ -102,78 +75,7 @@ def _microamps(torque: float, motor: MotorScale) -> float:
     return 1e6 * _shaft(torque, motor) / (motor.torque_constant_Nm_per_A or 1.0)
 
 
-NOTCHES = 2
-"""Filters of the simulated drive."""
-LARGEST = 1e9
-
-
-def _notch(number: int, name: str) -> Callable[[AxisLoop, MotorScale], float]:
-    def value(loop: AxisLoop, motor: MotorScale) -> float:
-        notches = loop.gains.notches
-        return float(getattr(notches[number], name)) if number < len(notches) else 0.0
-
-    return value
-
-
-def _integral_time(loop: AxisLoop) -> float:
-    """0 where nothing is integrated."""
-    return loop.gains.integral_time if math.isfinite(loop.gains.integral_time) else 0.0
-
-
-def _own(index: int, sub: int, name: str, unit: str, value: Callable[[AxisLoop], float]) -> DriveValue:
-    return DriveValue(Object(index, sub, "f", name), unit, lambda a, m: value(a), _OWN, LARGEST)
-
-
-_FILTER = (("frequency", "Hz"), ("zero_damping", ""), ("pole_damping", ""))
-
-
-def _own_loop(values: Mapping[str, float], motor: MotorScale) -> AxisLoop:
-    found = [
-        [values[f"notch {k} {name.replace('_', ' ')}"] for name, _ in _FILTER] for k in range(1, NOTCHES + 1)
-    ]
-    gains = Gains(
-        values["velocity gain"],
-        values["integral time"] or math.inf,
-        values["position gain"],
-        tuple(Notch(*n) for n in found if n[0]),
-    )
-    return AxisLoop(gains, Feedforward(values["inertia feedforward"], None, values["viscous feedforward"]))
-
-
-def _ax8000_loop(values: Mapping[str, float], motor: MotorScale) -> AxisLoop:
-    """Without the inertia that its acceleration feedforward acts on, which is not read."""
-    gains = Gains(
-        values["velocity control proportional gain"] * motor.gear**2,
-        values["velocity control integral action time"] or math.inf,
-        values["position control proportional gain"],
-    )
-    return AxisLoop(gains, Feedforward(0.0, None))
-
-
 DRIVES = {
-    "invid": DriveValues(
-        "invid's simulated drive",
-        (
-            _own(0x2500, 1, "velocity gain", "N·m·s/rad", lambda a: a.gains.velocity_gain),
-            _own(0x2500, 2, "integral time", "s", _integral_time),
-            _own(0x2500, 3, "position gain", "1/s", lambda a: a.gains.position_gain),
-            _own(0x2500, 4, "inertia feedforward", "kg·m²", lambda a: a.feedforward.inertia),
-            _own(0x2500, 5, "viscous feedforward", "N·m·s/rad", lambda a: a.feedforward.viscous),
-            *(
-                DriveValue(
-                    Object(0x2501 + k, sub, "f", f"notch {k + 1} {name.replace('_', ' ')}"), unit,
-                    _notch(k, name), _OWN, LARGEST,
-                )
-                for k in range(NOTCHES)
-                for sub, (name, unit) in enumerate(_FILTER, 1)
-            ),
-        ),
-        False,
-        ("dry friction, weight and shaper have no object here",),
-        at_axis=True,
-        identity=(0, 0x402),
-        loop=_own_loop,
-    ),
     "epos4": DriveValues(
         "maxon EPOS4",
         (
@@ -235,6 +137,5 @@ DRIVES = {
             "not written: the motor's own (0x32C0:0B) is the drive's to know",
             "TwinCAT takes a startup list; the DCF holds the same objects and values",
         ),
-        loop=_ax8000_loop,
     ),
 }  # fmt: skip

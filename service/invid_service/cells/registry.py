@@ -24,7 +24,6 @@ class Cell:
     def __init__(self, identity: str, config: CellConfig, folder: Path) -> None:
         self.id, self._config = identity, config
         self._override = folder / "simulation" / f"{identity}.json"
-        self._memory = folder / "drives" / f"{identity}.json"
         self._simulation = config.simulation
         if config.simulated and self._override.exists():
             try:
@@ -41,11 +40,10 @@ class Cell:
 
     @property
     def config(self) -> CellConfig:
-        """Return the config with the simulation as it is now, whose drives keep what they are given."""
+        """Return the config with the simulation as it is now."""
         if self._simulation is None:
             return self._config
-        kept = {"memory": str(self._memory), **self._simulation}
-        return self._config.model_copy(update={"simulation": kept})
+        return self._config.model_copy(update={"simulation": self._simulation})
 
     @property
     def axes(self) -> tuple[str, ...]:

@@ -345,11 +345,8 @@ async def change_simulation(
 def _refuse_files(patch: Any) -> None:
     """InputError where a body names a file of this machine: only the config's author may."""
     if isinstance(patch, dict):
-        for name in ("eds", "memory"):
-            if patch.get(name) is not None:
-                raise InputError(
-                    f"patch: {name} names a file of the service's machine; only the cell's config may"
-                )
+        if patch.get("eds") is not None:
+            raise InputError("patch: eds names a file of the service's machine; only the cell's config may")
         for value in patch.values():
             _refuse_files(value)
 

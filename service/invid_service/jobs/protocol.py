@@ -74,8 +74,6 @@ class TuningTask:
     draws: int
     drive: str | None
     motors: Mapping[str, MotorScale]
-    config: dict[str, Any] | None
-    """Of the cell whose drives say what they hold now; ``None``: they are not asked."""
 
 
 def plain(document: Mapping[str, Any]) -> Any:

@@ -50,7 +50,7 @@ async def begin_identification(
                 return earlier
         await _refuse_if_not_ready(service, cell, body)
         separation = None if body.separate is None else await _separation(service, cell, body)
-        tuning = None if body.tuned is None else await tuning_of(service, body.tuned, cell)
+        tuning = None if body.tuned is None else await _tuning_of(service, body.tuned, cell)
         record = service.new_run(cell, body.mode, list(body.axes or cell.axes), caller)
         asked = body.model_dump(include={"amplitude", "changed"})
         record = replace(record, facts={**asked, "separates": body.separate, "verifies": body.tuned})
@@ -82,16 +82,16 @@ def _wrong_with(body: StartBody, cell: Cell) -> str | None:
         return "mode: a screening shakes all axes by a plan of its own; leave 'axes' and 'separate' out"
     if (body.tuned is None) == (body.mode == "verify") or (body.mode == "verify" and body.axes):
         return (
-            "mode: 'verify' measures the loops of all axes, and 'tuned' names the run whose tuning was "
-            "applied; nothing else takes 'tuned'"
+            "mode: 'verify' measures the loops of all axes, and 'tuned' names the run whose tuning the "
+            "drives were given; nothing else takes 'tuned'"
         )
     return None if body.changed is None else body.changed.refusal(cell.axes, linear=cell.config.linear)
 
 
-async def tuning_of(service: Service, identity: str, cell: Cell | None = None) -> dict[str, Any]:
+async def _tuning_of(service: Service, identity: str, cell: Cell) -> dict[str, Any]:
     """Return the tuning of a run (of ``cell``); Problem where there is none."""
     record, _ = await service.run(identity)
-    if cell is not None and record.cell != cell.id:
+    if record.cell != cell.id:
         raise Problem("invalid-request", f"tuned: identification {identity} is not of cell {cell.id}")
     text = await asyncio.to_thread(_text_of, service, identity, "tuning")
     if text is None:

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Sequence
-from dataclasses import replace
 
-from invid import arguments
 from invid.api import tune
-from invid.config import CellConfig
 from invid.errors import InvidError
 from invid.model.diagnosis_document import load_document
 from invid.model.document import dump_json, load_json, save_text
-from invid.tuning.axis_loop import AxisLoop
 from invid.tuning.forms import write_tuning
-from invid.wording.sentence import sentence
 from invid_drivers.protocol import Done, Failed, line_of_process
-from invid_drivers.values.present import known_loops, present_values
 from invid_service.jobs.protocol import TuningTask
 from invid_service.precedence import behind_parent
 from invid_service.store.blobs import KINDS
@@ -25,26 +18,13 @@ from invid_service.store.blobs import KINDS
 def carry_out(task: TuningTask) -> None:
     """Tune and leave the files of the store's kinds in the folder, all of them once more in one archive."""
     source = load_document(task.source)
-    before, why = _present(task, arguments.a_model(source).axes)
-    tuned = tune(source, before=before, cycle=task.cycle_s, notches=task.notches, draws=task.draws)
-    tuned = replace(tuned, remarks=(*tuned.remarks, *why))
+    tuned = tune(source, cycle=task.cycle_s, notches=task.notches, draws=task.draws)
     written = write_tuning(tuned, task.folder, drive=task.drive, motors=dict(task.motors))
     path = task.folder / KINDS["tuning"][0]
     save_text(path, dump_json({**load_json(path), "simulated": task.simulated}))
     with zipfile.ZipFile(task.folder / KINDS["tuning-files"][0], "w", zipfile.ZIP_DEFLATED) as archive:
         for name in written.files:
             archive.write(task.folder / name, name)
-
-
-def _present(task: TuningTask, axes: Sequence[str]) -> tuple[dict[str, AxisLoop] | None, tuple[str, ...]]:
-    """What the drives hold now, and why it is not known."""
-    if task.config is None:
-        return None, ()
-    try:
-        found = known_loops(present_values(CellConfig.model_validate(task.config), task.motors))
-        return {name: loop for name, loop in found.items() if name in axes}, ()
-    except InvidError as error:
-        return None, (sentence("what the drives hold now is not known: {why}", why=error.reason or error),)
 
 
 def main() -> None:

@@ -41,7 +41,6 @@ CONTRACT = {
     ("get", "/api/v1/cells/{cell}/changes"),
     ("get", "/api/v1/cells/{cell}/series"),
     ("post", "/api/v1/models/tune"),
-    ("post", "/api/v1/models/tune/{model}/apply"),
     ("get", "/api/v1/health/live"),
     ("get", "/api/v1/health/ready"),
     ("get", "/api/v1/metrics"),

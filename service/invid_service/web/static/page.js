@@ -1,6 +1,6 @@
 // The technician's page: one cell, one button, what will move, progress, stop, then the result.
 import { Problem, call, download, get, onKeyRefused, post, useKey } from "./api.js";
-import { onApply } from "./apply.js";
+import { onVerify } from "./verify.js";
 import { ask } from "./ask.js";
 import { changed, forgetChanged, offerChanged } from "./changed.js";
 import { why } from "./findings.js";
@@ -179,7 +179,7 @@ $("start-card").addEventListener("submit", guarded(async (event) => {
   forgetChanged();
 }));
 $("screen").addEventListener("click", guarded(async () => { await begin({ mode: "screen", ...changed() }, $("screen")); forgetChanged(); }));
-onApply({ guarded, verify: (tuned, pressed) => begin({ mode: "verify", tuned }, pressed) });
+onVerify({ guarded, verify: (tuned, pressed) => begin({ mode: "verify", tuned }, pressed) });
 $("separate").addEventListener("click", guarded(() => begin({ mode: state.run.mode === "simulate" ? "simulate" : "full", separate: state.run.id }, $("separate"))));
 $("analyse").addEventListener("click", guarded(() => pressing($("analyse"), async () => opens(await post(state.run.links.analysis, undefined, unique())))));
 const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.changed ? { changed: state.run.changed } : {}), ...(state.run.verifies ? { tuned: state.run.verifies } : state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));

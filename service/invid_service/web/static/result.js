@@ -1,6 +1,6 @@
 // The result: grade and headline, where it is, the decision; what was found; the numbers unfold below.
 import { call, get } from "./api.js";
-import { verified } from "./apply.js";
+import { verified } from "./verify.js";
 import { saidBefore } from "./changed.js";
 import { changeLines, gradeBadge, headline, parameterLabel, showFindings, sizesOf, place, why } from "./findings.js";
 import { cloud, curves, redraw } from "./plots.js";

@@ -1,10 +1,10 @@
 // Values for the drives from a run's model: a button, then what they bring, a picture, files.
 import { Problem, call, read } from "./api.js";
-import { offerApply } from "./apply.js";
 import { $, el, fill, fmt, table } from "./dom.js";
 import { say } from "./said.js";
 import { refused, spoken } from "./spoken.js";
 import { named, t } from "./texts.js";
+import { offerVerify } from "./verify.js";
 
 const AGAIN_MS = 2000, SAVED = { "tuning-files": "tuning.zip", "tuning-page": "tuning.html" };
 /** @type {Run} */
@@ -29,7 +29,7 @@ function offered() {
 $("tune").addEventListener("click", async () => {
   const run = of;
   going();
-  try { await call("POST", run.links.tuning, { from_drives: Boolean(run.cell) }); } catch (error) { if (of === run) failed(error); return; }
+  try { await call("POST", run.links.tuning, {}); } catch (error) { if (of === run) failed(error); return; }
   setTimeout(look, AGAIN_MS);
 });
 
@@ -78,7 +78,7 @@ async function show(run, tuning) {
     el("figure", {}, [el("figcaption", {}, t("tune.picture")), picture]),
     repairs.length ? el("section", {}, [el("h4", {}, t("tune.repairs")), el("ul", { class: "reasons" }, repairs.map((r) => el("li", {}, r)))]) : null,
     remarks.length ? el("ul", { class: "reasons" }, remarks) : null,
-    run.cell ? offerApply(run.id) : null,
+    run.cell ? offerVerify(run.id) : null,
     el("p", { class: "links" }, Object.entries(SAVED).map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, t(name === "tuning-page" ? "tune.page" : "tune.files")))),
   ].filter(Boolean));
   const text = await (await call("GET", run.links["tuning-picture"])).text();
