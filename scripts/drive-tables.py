@@ -17,7 +17,7 @@ from invid_drivers.simulated.object_dictionary import Entry, Nameplate, ObjectDi
 from invid_drivers.simulated.vendors import PROFILES, Profile
 
 FILES = Path(__file__).parents[1] / "drivers" / "eds"
-_RATED, _COUNTS = 100.0, 524288
+_RATED, _COUNTS, _RAMPS = 100.0, 524288, (166886, 834430)  # ramps: 2 and 10 rad/s² in counts
 _DUMMIES = range(0x1, 0x8)
 UNKNOWN = Answer.UNKNOWN.value
 
@@ -25,7 +25,7 @@ UNKNOWN = Answer.UNKNOWN.value
 def profile_dictionary(profile: Profile, node_id: int) -> ObjectDictionary:
     """The object dictionary of a vendor's row with a motor of 100 N·m and 2¹⁹ counts."""
     plate = Nameplate("invid drive", serial=0, rated_torque=_RATED, encoder_counts=_COUNTS)
-    return drive_dictionary(node_id, plate, profile)
+    return drive_dictionary(node_id, plate, profile, _RAMPS)
 
 
 def eds_text(name: str) -> str:
@@ -44,7 +44,7 @@ def eds_text(name: str) -> str:
         "RevisionNumber=1", "BaudRate_500=1", "BaudRate_1000=1", "SimpleBootUpSlave=1",
         f"NrOfRXPDO={profile.rpdos}", f"NrOfTXPDO={profile.tpdos}", "LSS_Supported=0", "",
         "[DummyUsage]",
-        *[f"Dummy{i:04X}={int(profile.dummy_mapping)}" for i in _DUMMIES], "",
+        *[f"Dummy{i:04X}={int(2 not in profile.lacks)}" for i in _DUMMIES], "",
     ]  # fmt: skip
     real = sorted(i for i in by_index if i >= 0x1000)
     mandatory = [i for i in (0x1000, 0x1001, 0x1018) if i in by_index]

@@ -20,11 +20,11 @@ from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.standing.hold_memory import HoldMemory
 from invid_drivers.cia402.standing.holding import remembered, to_support
+from invid_drivers.cia402.states import DriveState
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 from invid_drivers.simulated.faults import FaultConfig
-from invid_drivers.simulated.state_machine import State
 
-ENERGISED = {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
+ENERGISED = {DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE}
 FALLS = 0.02
 
 
@@ -40,10 +40,10 @@ class Bench:
         self._wire = self._port.wire
         self.cell = self._wire.cell
         self.drive = self.cell.drives[0]
-        self.states: list[State] = []
+        self.states: list[DriveState] = []
         enter = self.drive._enter
 
-        def entered(state: State) -> None:
+        def entered(state: DriveState) -> None:
             self.states.append(state)
             enter(state)
 
@@ -93,7 +93,7 @@ def test_a_drive_is_seen_to_hold_its_load_once_and_remembered_by_its_serial_numb
     before = bench.place
     assert secure(master, [True, False])
     assert abs(bench.place - before) < 0.001
-    assert State.QUICK_STOP_ACTIVE in bench.states
+    assert DriveState.QUICK_STOP_ACTIVE in bench.states
     assert not secure(master, [True, False])
     said = master.close()
     assert any("A1 is energised" in line and "support" in line for line in said)
@@ -139,7 +139,7 @@ def test_check_leaves_a_held_axis_as_it_is_and_does_not_call_the_cell_ready(tmp_
     assert bench.states == []
     assert commands == []
     assert settings(bench) == entries
-    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert bench.drive.state is DriveState.QUICK_STOP_ACTIVE
 
 
 def test_the_next_run_takes_a_held_axis_over_without_a_gap_in_its_torque(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_the_next_run_takes_a_held_axis_over_without_a_gap_in_its_torque(tmp_pat
     before = bench.place
     bench.states.clear()
     master = enabled(bench)
-    assert bench.drive.state is State.OPERATION_ENABLED
+    assert bench.drive.state is DriveState.OPERATION_ENABLED
     assert secure(master, [True, False])  # what was seen once is seen again
     assert not secure(master, [True, False])
     master.close()
@@ -161,8 +161,8 @@ def test_a_drive_without_transition_16_is_remembered_and_not_taken_over(tmp_path
     bench = Bench(tmp_path)
     enter = bench.drive._enter
 
-    def no_way_back(state: State) -> None:
-        if bench.drive.state is not State.QUICK_STOP_ACTIVE or state is not State.OPERATION_ENABLED:
+    def no_way_back(state: DriveState) -> None:
+        if bench.drive.state is not DriveState.QUICK_STOP_ACTIVE or state is not DriveState.OPERATION_ENABLED:
             enter(state)
 
     bench.drive._enter = no_way_back
@@ -170,13 +170,13 @@ def test_a_drive_without_transition_16_is_remembered_and_not_taken_over(tmp_path
     with pytest.raises(SafetyStop, match="transition 16"):
         secure(master, [True, False])
     master.close()
-    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert bench.drive.state is DriveState.QUICK_STOP_ACTIVE
     again = bench.connect()
     again.check()
     with pytest.raises(DriveError, match=r"A1 .*cannot be taken over without letting go.*load supported"):
         energise(again, held(again))
     again.close()
-    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert bench.drive.state is DriveState.QUICK_STOP_ACTIVE
     assert abs(bench.place) < FALLS
 
 
@@ -213,7 +213,7 @@ def test_a_drive_that_does_not_notice_that_its_master_is_gone_fails_the_stop_tes
     with pytest.raises(SafetyStop, match=r"A1.*without its master.*operation enabled"):
         secure(master, [True, False])
     master.close()
-    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert bench.drive.state is DriveState.QUICK_STOP_ACTIVE
     assert abs(bench.place) < FALLS
     seen = bench.memory.of_axis(1)
     assert seen is not None
@@ -232,7 +232,7 @@ def test_what_held_a_load_and_starts_anew_is_not_said_to_hold_it_and_is_not_enab
     tick, stood = master.tick, []
 
     def failing(wish: Any) -> Any:
-        stood.append(bench.drive.state is State.QUICK_STOP_ACTIVE)
+        stood.append(bench.drive.state is DriveState.QUICK_STOP_ACTIVE)
         if sum(stood) == 500:
             bench.states.clear()
             node.power_on(bench.cell.now_ns)
@@ -242,7 +242,7 @@ def test_what_held_a_load_and_starts_anew_is_not_said_to_hold_it_and_is_not_enab
     with pytest.raises(InvidError, match="A1"):
         secure(master, [True, False])
     said = " ".join(master.close())
-    assert State.OPERATION_ENABLED not in bench.states
+    assert DriveState.OPERATION_ENABLED not in bench.states
     assert master.not_held == ("A1",)
     assert "is held by its drive" not in said
     assert "Support it before anybody goes near" in said
@@ -270,7 +270,7 @@ def test_of_a_load_whose_drive_falls_silent_nothing_is_said_that_nobody_has_seen
 
     def heard(timeout: float) -> Any:
         message = get(timeout)
-        silent.append(bench.drive.state is State.SWITCHED_ON or any(silent[-1:]))
+        silent.append(bench.drive.state is DriveState.SWITCHED_ON or any(silent[-1:]))
         return None if message is not None and silent[-1] and message.arbitration_id & 0x7F == 1 else message
 
     master._link.get = heard  # type: ignore[method-assign]
@@ -291,7 +291,7 @@ def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
     assert master.holdings[0].held_by == by
     before = bench.place
     master.close()
-    assert (bench.drive.state is State.QUICK_STOP_ACTIVE) == (by == "drive")
+    assert (bench.drive.state is DriveState.QUICK_STOP_ACTIVE) == (by == "drive")
     bench.cell.plant.advance_to(bench.cell.now_ns)
     assert abs(bench.place - before) < FALLS
     seen = bench.memory.of_axis(1)
@@ -325,7 +325,7 @@ def test_a_stop_before_the_load_is_known_leaves_an_axis_of_unknown_gravity_held(
     master.stop()
     assert master.held_at_end == ("A1",)
     master.close()
-    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert bench.drive.state is DriveState.QUICK_STOP_ACTIVE
     assert abs(bench.place) < FALLS
 
 
@@ -334,7 +334,7 @@ def test_a_load_that_the_config_denies_is_held_after_the_stop(tmp_path: Path) ->
     master = enabled(bench)
     assert secure(master, [True, False])
     master.close()
-    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert bench.drive.state is DriveState.QUICK_STOP_ACTIVE
     assert abs(bench.place) < FALLS
 
 
@@ -356,7 +356,7 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     cleared.clear(["A1"])
     cleared.check()
     energise(cleared, [Mode.HOLD, Mode.HOLD])
-    assert bench.drive.state is State.OPERATION_ENABLED
+    assert bench.drive.state is DriveState.OPERATION_ENABLED
     cleared.close()
     assert abs(bench.place) < FALLS
 
@@ -463,5 +463,5 @@ def test_the_master_stays_until_an_axis_that_its_drive_holds_stands(tmp_path: Pa
     master.stop()
     bench.cell.plant.advance_to(bench.cell.now_ns)
     assert abs(bench.cell.plant.velocities[0]) < 0.01
-    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert bench.drive.state is DriveState.QUICK_STOP_ACTIVE
     master.close()

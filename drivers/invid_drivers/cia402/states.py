@@ -7,16 +7,16 @@ from typing import assert_never
 
 
 class DriveState(IntEnum):
-    """States of IEC 61800-7-201, numbered in the order of its figure."""
+    """States of IEC 61800-7-201; the value is the statusword's state bits (mask 0x006F)."""
 
-    NOT_READY_TO_SWITCH_ON = 0
-    SWITCH_ON_DISABLED = 1
-    READY_TO_SWITCH_ON = 2
-    SWITCHED_ON = 3
-    OPERATION_ENABLED = 4
-    QUICK_STOP_ACTIVE = 5
-    FAULT_REACTION_ACTIVE = 6
-    FAULT = 7
+    NOT_READY_TO_SWITCH_ON = 0x00
+    SWITCH_ON_DISABLED = 0x40
+    READY_TO_SWITCH_ON = 0x21
+    SWITCHED_ON = 0x23
+    OPERATION_ENABLED = 0x27
+    QUICK_STOP_ACTIVE = 0x07
+    FAULT_REACTION_ACTIVE = 0x0F
+    FAULT = 0x08
 
     @property
     def words(self) -> str:
@@ -45,28 +45,16 @@ QUICK_STOP = 0x0002
 FAULT_RESET = 0x0080
 
 
+_BY_BITS = {int(state): state for state in DriveState}
+
+
 def state_of(statusword: int) -> DriveState:
     """The state in a statusword (bits 0–3, 5, 6).
 
     Bit 5 (quick stop) is "don't care" in the states in which the standard leaves it open.
     """
-    low = statusword & 0x4F
-    if low == 0x00:
-        return DriveState.NOT_READY_TO_SWITCH_ON
-    if low & 0x4F == 0x40:
-        return DriveState.SWITCH_ON_DISABLED
-    if low == 0x0F:
-        return DriveState.FAULT_REACTION_ACTIVE
-    if low == 0x08:
-        return DriveState.FAULT
-    quick_stop_off = bool(statusword & 0x20)
-    if low == 0x07:
-        return DriveState.OPERATION_ENABLED if quick_stop_off else DriveState.QUICK_STOP_ACTIVE
-    if quick_stop_off and low == 0x03:
-        return DriveState.SWITCHED_ON
-    if quick_stop_off and low == 0x01:
-        return DriveState.READY_TO_SWITCH_ON
-    return DriveState.NOT_READY_TO_SWITCH_ON
+    loosely = _BY_BITS.get(statusword & 0x4F, DriveState.NOT_READY_TO_SWITCH_ON)
+    return _BY_BITS.get(statusword & 0x6F, loosely)
 
 
 def towards_enabled(state: DriveState) -> int:

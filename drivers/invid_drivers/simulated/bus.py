@@ -26,6 +26,9 @@ _NS = 1_000_000_000
 _SILENCE_NS = 60 * _NS
 """How long ``recv(None)`` listens to a silent bus; a heartbeat or a TPDO is never so rare."""
 
+MOST_WAITING = 256
+"""Frames that the master may have waiting."""
+
 
 def frame_bits(data_bytes: int) -> int:
     """Worst-case length on the wire of a frame with an 11-bit identifier.
@@ -67,7 +70,6 @@ class VirtualWire:
         self._busy_until = 0
         self.inboxes: list[deque[tuple[int, int, bytes]] | None] = []
         self.sole_inbox: deque[tuple[int, int, bytes]] | None = None
-        self.limit = cell.simulation.tx_queue_frames
         self.frames = 0
         cell.transmit = self._from_node
         cell.loops_back = True
@@ -81,9 +83,9 @@ class VirtualWire:
         """Queue a frame of the master; its queue is first in, first out, as a controller's is."""
         if self.cell.master_off:
             raise can.CanOperationError("the controller is bus-off: too many errors on the wire", 100)
-        if len(self._host) >= self.limit:
+        if len(self._host) >= MOST_WAITING:
             raise can.CanOperationError(
-                f"send queue full: {self.limit} frames wait for the wire; the bus is overloaded", 105
+                f"send queue full: {MOST_WAITING} frames wait for the wire; the bus is overloaded", 105
             )
         self._host.append((can_id, sender, data))
 

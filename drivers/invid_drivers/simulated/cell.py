@@ -114,7 +114,6 @@ class SimulatedCell:
             known,
             lacks=known.lacks | {int(name, 0) for name in objects.lacks},
             values={**known.values, **{_address(k): v for k, v in objects.values.items()}},
-            dummy_mapping=known.dummy_mapping if objects.dummy_mapping is None else objects.dummy_mapping,
         )
         rated = settings.rated_torque or axis.rated_torque or 100.0
         counts_per_unit = settings.encoder_counts / (1.0 if linear else 2.0 * math.pi)
@@ -123,14 +122,10 @@ class SimulatedCell:
         ramps = [
             max(1, round(a * counts_per_unit / ramp_counts)) for a in (2.0, settings.quick_stop_deceleration)
         ]
-        plate = Nameplate("invid drive", axis.node_id, rated, settings.encoder_counts, linear)
+        plate = Nameplate("invid drive", axis.node_id, rated, settings.encoder_counts)
         od = drive_dictionary(axis.node_id, plate, profile, (ramps[0], ramps[1]))
         if objects.eds is not None:
             apply_eds(od, Path(objects.eds), axis.node_id)
-        for name in objects.not_mappable:
-            entry = od.find(*_address(name))
-            if entry is not None:
-                entry.mappable = ""
         for name in objects.read_only:
             entry = od.find(*_address(name))
             if entry is not None:
@@ -209,8 +204,7 @@ class SimulatedCell:
                     if delay < 0.0:
                         raise ConfigError(
                             f"simulation.effects: torque_delay on {self.config.axes[i].name} is {delay}; a "
-                            "torque cannot act before its command; let the record lag with "
-                            "actual_torque_lag_cycles"
+                            "torque cannot act before its command"
                         )
                     command[kernel.TORQUE_GAIN] *= gain
                     if delay:

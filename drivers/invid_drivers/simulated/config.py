@@ -101,10 +101,8 @@ class ObjectsConfig(Strict):
     """Objects that do not exist, as "0x6072"."""
     values: dict[str, int | str] = Field(default_factory=dict)
     """Start values, as "0x605A": 6 or "0x608F:1": 4096."""
-    not_mappable: list[str] = Field(default_factory=list)
     read_only: list[str] = Field(default_factory=list)
     """Objects that cannot be written though they usually can."""
-    dummy_mapping: bool | None = None
     eds: str | None = None
     """An EDS file: its objects and no others, with its values."""
 
@@ -115,7 +113,7 @@ class ObjectsConfig(Strict):
             raise ValueError(f"unknown profile; known are {list(PROFILES)}")
         return value
 
-    @field_validator("lacks", "values", "not_mappable", "read_only")
+    @field_validator("lacks", "values", "read_only")
     @classmethod
     def _addresses(cls, value: Any) -> Any:
         for name in value:
@@ -145,8 +143,6 @@ class AxisSimulation(Strict):
     position_noise_counts: float = Field(default=0.0, ge=0)
     command_delay_cycles: int = Field(default=0, ge=0, le=20)
     """Whole SYNC cycles from the SYNC that makes a target torque valid to the torque acting."""
-    actual_torque_lag_cycles: int = Field(default=0, ge=0, le=20)
-    """Whole SYNC cycles by which 0x6077 lags the torque that acts."""
     current_loop_s: float = Field(default=0.0, ge=0)
     """Time constant of the current loop; 0x6077 shows it."""
     friction: FrictionConfig = FrictionConfig()
@@ -182,8 +178,6 @@ class AxisSimulation(Strict):
     """Unit of 0x6084 and 0x6085."""
     enable_s: float = Field(default=0.0, ge=0, le=2)
     """From the command to enable to operation enabled; there is no torque before."""
-    sync_timeout_s: float = Field(default=0.0, ge=0, le=10)
-    """Longest gap between SYNCs in a cyclic mode before the drive's error 0x8700; 0: any."""
     sdo_response_s: float = Field(default=0.0002, ge=0, le=1)
     mode_change_s: float = Field(default=0.0, ge=0, le=10)
     """From 0x6060 to the mode acting; the old one acts meanwhile."""
@@ -216,8 +210,6 @@ class SimulationConfig(Strict):
     axes: dict[str, AxisSimulation] = Field(default_factory=dict)
     effects: list[EffectConfig] = Field(default_factory=list)
     faults: list[FaultConfig] = Field(default_factory=list)
-    tx_queue_frames: int = Field(default=256, ge=1)
-    """Frames that the master may have waiting on the virtual bus."""
     boot_s: float = Field(default=0.002, ge=0, le=60)
 
     def axis(self, name: str) -> AxisSimulation:

@@ -10,6 +10,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from invid.errors import ConfigError
+from invid_drivers.cia402.states import DriveState, OperationMode, is_energised
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation
@@ -17,12 +18,10 @@ from invid_drivers.simulated.limits import Limits
 from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 from invid_drivers.simulated.plant import Plant
-from invid_drivers.simulated.state_machine import Command, State, command_of, transition
+from invid_drivers.simulated.state_machine import TRANSITIONS, Command, command_of
 
-PROFILE_TORQUE, CYCLIC_POSITION, CYCLIC_TORQUE = 4, 8, 10
-_MODE_BITS = {PROFILE_TORQUE: 1 << 3, CYCLIC_POSITION: 1 << 7, CYCLIC_TORQUE: 1 << 9}
-_ENERGISED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
-_MODE_STATES = (*_ENERGISED, State.SWITCHED_ON)
+PROFILE_TORQUE, CYCLIC_POSITION, CYCLIC_TORQUE = OperationMode
+_MODE_BITS = {int(mode): mode.supported_bit for mode in OperationMode}
 
 _NS = 1_000_000_000
 _UNLIMITED = 0xFFFF
@@ -30,7 +29,6 @@ _UNLIMITED = 0xFFFF
 
 # EMCY codes of CiA 402
 FOLLOWING_ERROR, REFERENCE_LIMIT, OVERSPEED, HEARTBEAT = 0x8611, 0x8612, 0x8480, 0x8130
-SYNC_LOST = 0x8700
 
 
 @dataclass(frozen=True)
@@ -71,16 +69,12 @@ class Drive:
         self.rated_torque, self.counts_per_unit = scales.rated_torque, scales.counts_per_unit
         self.direction, self.brake = scales.direction, brake
         self._scales, self._settings = scales, settings
-        self._enable_ns, self._sync_timeout_ns = (
-            round(settings.enable_s * _NS),
-            round(settings.sync_timeout_s * _NS),
-        )
+        self._enable_ns = round(settings.enable_s * _NS)
         self._limits_in_torque_mode = settings.limits_in_torque_mode
         self._counts_per_rev = 0.0 if scales.linear else 2.0 * math.pi * scales.counts_per_unit
         self._delay: deque[float] = deque([0.0] * settings.command_delay_cycles)
-        self._lag: deque[int] = deque([0] * settings.actual_torque_lag_cycles)
         self._command = plant.command[row]
-        self.state = State.SWITCH_ON_DISABLED
+        self.state = DriveState.SWITCH_ON_DISABLED
         self.measured = [0, 0, 0, 0]
         """Counts, counts/s, thousandths of rated torque; counts in the plant's sign."""
         self.synchronous = False
@@ -118,13 +112,12 @@ class Drive:
         self._controlword = 0
         self.mode = self._wanted_mode = self._shown_mode = 0
         self._mode_due_ns = self._shown_due_ns = 0
-        self._after_stop: State | None = None
+        self._after_stop: DriveState | None = None
         self._steady = False
         self._shown_nmt = Nmt.INITIALISING
         self._stop_deadline_ns = 0
         self._demand = 0.0
         self._enable_due_ns: int | None = None
-        self._sync_ns = 0
         self._sent: float | None = None
         """Torque in the plant's table, in thousandths; None while it follows something else."""
         self._target_counts: int | None = None
@@ -137,12 +130,14 @@ class Drive:
     def reset(self, now_ns: int) -> None:
         """Return to power-on: nothing energised, no command remembered."""
         self._forget()
-        self._enter(State.SWITCH_ON_DISABLED)
+        self._enter(DriveState.SWITCH_ON_DISABLED)
 
     def _check_mode(self, value: int) -> None:
         if value and not self._modes & _MODE_BITS.get(value, 0):
             raise SdoAbort(SdoAbort.RANGE)
-        if self._settings.mode_from_switched_on and self.state not in _MODE_STATES:
+        if self._settings.mode_from_switched_on and not (
+            is_energised(self.state) or self.state is DriveState.SWITCHED_ON
+        ):
             raise SdoAbort(SdoAbort.STATE)
 
     @property
@@ -150,10 +145,10 @@ class Drive:
         """Bits of 0x6502; a drive that lacks it has its modes all the same."""
         return self.node.od.number(0x6502, missing=sum(_MODE_BITS.values()))
 
-    def _enter(self, state: State) -> None:
+    def _enter(self, state: DriveState) -> None:
         self._steady = False
-        energised = state in _ENERGISED
-        if energised and self.state not in _ENERGISED:
+        energised = is_energised(state)
+        if energised and not is_energised(self.state):
             self._target_counts = None
             self._demand = 0.0
         self.state = state
@@ -173,13 +168,10 @@ class Drive:
     # --- one step --------------------------------------------------------------------------------
     def tick(self, now_ns: int) -> None:
         """Act on time gone by: feedback, commands, modes, supervision, statusword."""
-        self._e_position.value, self._e_velocity.value, permille, _ = self.measured
-        shown = self._lagged(permille) if self._lag else permille
+        self._e_position.value, self._e_velocity.value, shown, _ = self.measured
         if self.torque_gain != 1.0:
             shown = max(-32768, min(32767, round(shown * self.torque_gain)))
         self._e_torque.value = shown if self.torque_lie is None else self.torque_lie
-        if self.synchronous:
-            self._sync_ns = now_ns
         word: int = self._e_controlword.value  # type: ignore[assignment]
         if (
             self._steady
@@ -202,35 +194,34 @@ class Drive:
         if word != self._controlword:
             self._control(word, now_ns)
         if self._enable_due_ns is not None and now_ns >= self._enable_due_ns:
-            self._enter(State.OPERATION_ENABLED)
+            self._enter(DriveState.OPERATION_ENABLED)
         self._select_mode(now_ns)
         if self._after_stop is not None:
             self._continue_stop(now_ns)
-        elif self.state is State.OPERATION_ENABLED:
+        elif self.state is DriveState.OPERATION_ENABLED:
             self._operate(now_ns)
-        if self.state is State.OPERATION_ENABLED:
+        if self.state is DriveState.OPERATION_ENABLED:
             self._supervise(now_ns)
         self._show()
         # a ramp changes bit 10 of the statusword by itself, so profile torque is never steady
         self._steady = (
-            self.state is State.OPERATION_ENABLED and self._after_stop is None and self.mode != PROFILE_TORQUE
+            self.state is DriveState.OPERATION_ENABLED
+            and self._after_stop is None
+            and self.mode != PROFILE_TORQUE
         )
-
-    def _lagged(self, permille: int) -> int:
-        """0x6077 as it was some cycles ago."""
-        if not self.synchronous:
-            return self._lag[0]
-        self._lag.append(permille)
-        return self._lag.popleft()
 
     def _control(self, word: int, now_ns: int) -> None:
         previous, self._controlword = self._controlword, word
         if self.ignore_controlword:
             return
         command = command_of(word, previous)
-        if command is Command.QUICK_STOP and self.ignore_quick_stop and self.state is State.OPERATION_ENABLED:
+        if (
+            command is Command.QUICK_STOP
+            and self.ignore_quick_stop
+            and self.state is DriveState.OPERATION_ENABLED
+        ):
             return
-        found = transition(self.state, command)
+        found = TRANSITIONS.get((self.state, command))
         if found is None:
             return
         number, target = found
@@ -258,7 +249,7 @@ class Drive:
             self._steady = False
             self._enable_due_ns = now_ns + self._enable_ns
         else:
-            self._enter(State.OPERATION_ENABLED)
+            self._enter(DriveState.OPERATION_ENABLED)
 
     def _select_mode(self, now_ns: int) -> None:
         wanted = int(self._e_mode.value)
@@ -361,13 +352,13 @@ class Drive:
         self._e_following.value = max(-0x80000000, min(0x7FFFFFFF, error))
 
     # --- stopping --------------------------------------------------------------------------------
-    def _begin_stop(self, target: State, deceleration_counts: int, now_ns: int) -> None:
+    def _begin_stop(self, target: DriveState, deceleration_counts: int, now_ns: int) -> None:
         """Decelerate under position control; enter ``target`` at standstill."""
         speed = self.direction * self.measured[1] / self.counts_per_unit
         deceleration = deceleration_counts * self._scales.ramp_counts / self.counts_per_unit
         if deceleration <= 0.0:
             self._enter(target)
-            if target in _ENERGISED:
+            if is_energised(target):
                 self._hold_here()  # no ramp: it is held where it is
             return
         self._hold_here(speed, deceleration)
@@ -394,27 +385,27 @@ class Drive:
         od = self.node.od
         option = od.number(0x605A, missing=2)
         if option == 0:
-            self._enter(State.SWITCH_ON_DISABLED)
+            self._enter(DriveState.SWITCH_ON_DISABLED)
             return
-        self._enter(State.QUICK_STOP_ACTIVE)
+        self._enter(DriveState.QUICK_STOP_ACTIVE)
         stay = option in (5, 6, 7, 8)
-        target = State.QUICK_STOP_ACTIVE if stay else State.SWITCH_ON_DISABLED
+        target = DriveState.QUICK_STOP_ACTIVE if stay else DriveState.SWITCH_ON_DISABLED
         ramp = self._ramp(0x6084 if option in (1, 5) else 0x6085)
         self._begin_stop(target, ramp, now_ns)
 
     def fail(self, code: int, register: int, now_ns: int) -> None:
         """Do transition 13: fault reaction by 0x605E, then fault."""
-        if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if self.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             return
         od = self.node.od
         od.put(0x603F, 0, code)
         self.node.emergency(code, register | 0x01)
         option = od.number(0x605E, missing=0)
-        if self.state not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE) or option == 0:
-            self._enter(State.FAULT)
+        if self.state not in (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE) or option == 0:
+            self._enter(DriveState.FAULT)
         else:
-            self._enter(State.FAULT_REACTION_ACTIVE)
-            self._begin_stop(State.FAULT, self._ramp(0x6084 if option == 1 else 0x6085), now_ns)
+            self._enter(DriveState.FAULT_REACTION_ACTIVE)
+            self._begin_stop(DriveState.FAULT, self._ramp(0x6084 if option == 1 else 0x6085), now_ns)
         self._show()
 
     def connection_lost(self, now_ns: int) -> None:
@@ -422,13 +413,13 @@ class Drive:
         option = self.node.od.number(0x6007, missing=0)
         if option == 1:
             self.fail(HEARTBEAT, 0x10, now_ns)
-        elif option == 2 and self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
-            self._enter(State.SWITCH_ON_DISABLED)
-        elif option == 3 and self.state is State.OPERATION_ENABLED:
+        elif option == 2 and self.state not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+            self._enter(DriveState.SWITCH_ON_DISABLED)
+        elif option == 3 and self.state is DriveState.OPERATION_ENABLED:
             if not self.ignore_quick_stop:
                 self._quick_stop(now_ns)
-        elif option == 3 and self.state in (State.READY_TO_SWITCH_ON, State.SWITCHED_ON):
-            self._enter(State.SWITCH_ON_DISABLED)
+        elif option == 3 and self.state in (DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON):
+            self._enter(DriveState.SWITCH_ON_DISABLED)
         self._show()
 
     # --- supervision -----------------------------------------------------------------------------
@@ -437,13 +428,6 @@ class Drive:
         self._limits = Limits.of(self.node.od, self._counts_per_rev, rpm=self._scales.velocity_in_rpm)
 
     def _supervise(self, now_ns: int) -> None:
-        if (
-            self._sync_timeout_ns
-            and self.mode in (CYCLIC_POSITION, CYCLIC_TORQUE)
-            and now_ns - self._sync_ns > self._sync_timeout_ns
-        ):
-            self.fail(SYNC_LOST, 0x10, now_ns)
-            return
         if self.mode != CYCLIC_POSITION and not self._limits_in_torque_mode:
             self._following = False
             return
@@ -477,7 +461,7 @@ class Drive:
             word |= 0x200
         if self._internal_limit:
             word |= 0x800
-        if state is State.OPERATION_ENABLED and self._after_stop is None:
+        if state is DriveState.OPERATION_ENABLED and self._after_stop is None:
             if self.mode in (CYCLIC_POSITION, CYCLIC_TORQUE):
                 word |= 0 if self.ignore_target else 0x1000
                 if self._following:
@@ -485,6 +469,6 @@ class Drive:
             elif self.mode == PROFILE_TORQUE and self._demand == self._e_target_torque.value:
                 word |= 0x400
         self._e_statusword.value = word if self.statusword_lie is None else self.statusword_lie
-        blank = self._settings.mode_shown_enabled and state not in _ENERGISED
+        blank = self._settings.mode_shown_enabled and not is_energised(state)
         shown = 0 if blank else self._shown_mode
         self._e_display.value = shown if self.mode_lie is None else self.mode_lie

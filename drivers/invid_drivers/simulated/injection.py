@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from invid_drivers.cia402.states import DriveState
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.drive import Drive
 from invid_drivers.simulated.faults import FRAME_FAULTS, FaultConfig, FrameFault
-from invid_drivers.simulated.state_machine import State
 
 if TYPE_CHECKING:
     from invid_drivers.simulated.cell import SimulatedCell
@@ -31,7 +31,7 @@ class FaultInjector:
         if fault.at_s is not None:
             cell.schedule(round(fault.at_s * _NS), lambda now_ns: self.begin(fault, now_ns))
             return
-        wanted = State[(fault.at_state or "").upper()]
+        wanted = DriveState[(fault.at_state or "").upper()]
         drive = cell.drive(fault.axis)
 
         def wait(now_ns: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -103,12 +102,6 @@ class ObjectDictionary:
         self._entries.setdefault(index, {})[sub] = entry
         return entry
 
-    def add_record(self, index: int, *subs: tuple[str, str, int]) -> None:
-        """Add sub 0 with the highest subindex, then one entry per (code, access, value)."""
-        self.add(index, 0, "B", "const", len(subs))
-        for number, (code, access, value) in enumerate(subs, start=1):
-            self.add(index, number, code, access, value)
-
     def entry(self, index: int, sub: int = 0) -> Entry:
         """The entry, or the abort code that tells which of the two does not exist."""
         subs = self._entries.get(index)
@@ -173,123 +166,140 @@ class Nameplate:
     """[N·m or N]; goes into 0x6076 in thousandths."""
     encoder_counts: float
     """Per revolution or metre; goes into 0x608F."""
-    linear: bool = False
+
+
+Row = tuple[int, int, str, str, int | str, str]
+"""Index, subindex, type, access, value, and in which PDOs it may be mapped."""
+
+
+def _record(index: int, *subs: tuple[str, str, int]) -> list[Row]:
+    """Sub 0 with the highest subindex, then one row per (type, access, value)."""
+    numbered = [(index, n, code, access, value, "") for n, (code, access, value) in enumerate(subs, 1)]
+    return [(index, 0, "B", "const", len(subs), ""), *numbered]
+
+
+_ROWS: tuple[Row, ...] = (
+    (0x1000, 0, "I", "ro", 0x00020192, ""),  # servo drive, CiA 402
+    (0x1001, 0, "B", "ro", 0, "r"),
+    (0x1003, 0, "B", "rw", 0, ""),
+    *((0x1003, sub, "I", "ro", 0, "") for sub in range(1, 9)),
+    (0x1005, 0, "I", "rw", 0x80, ""),
+    (0x1006, 0, "I", "rw", 0, ""),
+    (0x1007, 0, "I", "rw", 0, ""),
+    (0x1008, 0, "s", "const", "", ""),
+    (0x1009, 0, "s", "const", "1.0", ""),
+    (0x100A, 0, "s", "const", "invid simulated drive", ""),
+    *_record(0x1010, ("I", "rw", 1)),
+    *_record(0x1011, ("I", "rw", 1)),
+    (0x1014, 0, "I", "rw", 0, ""),
+    (0x1015, 0, "H", "rw", 0, ""),
+    *_record(0x1016, *[("I", "rw", 0)] * 3),
+    (0x1017, 0, "H", "rw", 0, ""),
+    *_record(0x1018, *[("I", "ro", v) for v in (0, 0x402, 1, 0)]),
+    *_record(0x1029, ("B", "rw", 0)),
+    *_record(0x1200, ("I", "ro", 0), ("I", "ro", 0)),
+    # CiA 301: dummies to fill a receive PDO
+    *((index, 0, code, "wo", 0, "w") for index, code in enumerate("bhiBHI", 2)),
+    *_record(0x3001, ("I", "ro", 3000), ("I", "rw", 5000)),  # a vendor's area: current limits in mA
+    (0x6007, 0, "h", "rw", 1, ""),
+    (0x603F, 0, "H", "ro", 0, "r"),
+    (0x6040, 0, "H", "rw", 0, "rw"),
+    (0x6041, 0, "H", "ro", 0, "r"),
+    (0x605A, 0, "h", "rw", 2, ""),
+    (0x605B, 0, "h", "rw", 0, ""),
+    (0x605C, 0, "h", "rw", 1, ""),
+    (0x605D, 0, "h", "rw", 1, ""),
+    (0x605E, 0, "h", "rw", 2, ""),
+    (0x6060, 0, "b", "rw", 0, "rw"),
+    (0x6061, 0, "b", "ro", 0, "r"),
+    (0x6062, 0, "i", "ro", 0, "r"),
+    (0x6064, 0, "i", "ro", 0, "r"),
+    (0x6065, 0, "I", "rw", 0xFFFFFFFF, ""),
+    (0x6066, 0, "H", "rw", 0, ""),
+    (0x606C, 0, "i", "ro", 0, "r"),
+    (0x6071, 0, "h", "rw", 0, "rw"),
+    (0x6072, 0, "H", "rw", 3000, "rw"),
+    (0x6073, 0, "H", "rw", 3000, ""),
+    (0x6074, 0, "h", "ro", 0, "r"),
+    (0x6075, 0, "I", "rw", 3000, ""),  # as the vendor's area says
+    (0x6076, 0, "I", "rw", 0, ""),
+    (0x6077, 0, "h", "ro", 0, "r"),
+    (0x6078, 0, "h", "ro", 0, "r"),
+    (0x607A, 0, "i", "rw", 0, "rw"),
+    (0x607C, 0, "i", "rw", 0, ""),
+    *_record(0x607D, ("i", "rw", -(1 << 31)), ("i", "rw", (1 << 31) - 1)),
+    (0x607F, 0, "I", "rw", 0xFFFFFFFF, ""),
+    (0x6080, 0, "I", "rw", 0xFFFFFFFF, ""),
+    (0x6084, 0, "I", "rw", 0, ""),
+    (0x6085, 0, "I", "rw", 0, ""),
+    (0x6087, 0, "I", "rw", 1000, ""),
+    *_record(0x608F, ("I", "rw", 1), ("I", "rw", 1)),
+    *_record(0x6091, ("I", "rw", 1), ("I", "rw", 1)),
+    *_record(0x6092, ("I", "rw", 1), ("I", "rw", 1)),
+    (0x60B2, 0, "h", "rw", 0, "rw"),
+    *_record(0x60C2, ("B", "rw", 1), ("b", "rw", -3)),
+    (0x60F4, 0, "i", "ro", 0, "r"),
+    (0x60FD, 0, "I", "ro", 0, "r"),
+    (0x60FF, 0, "i", "rw", 0, "rw"),
+    # torque profile, cyclic synchronous position, cyclic synchronous torque
+    (0x6502, 0, "I", "ro", (1 << 3) | (1 << 7) | (1 << 9), ""),
+)
+"""The generic drive; what is its own stands in ``_own_values``. Velocities are in counts per second."""
+_RECEIVED = {1: [0x60400010], 2: [0x60400010, 0x60600008], 3: [0x60400010, 0x60710010], 4: [0x607A0020]}
+_SENT = {1: [0x60410010], 2: [0x60410010, 0x60610008], 3: [0x60410010, 0x60640020], 4: [0x606C0020]}
+"""What the first PDOs map: index, subindex, bits."""
 
 
 def drive_dictionary(
-    node_id: int,
-    plate: Nameplate,
-    profile: Profile,
-    ramps: tuple[int, int] | None = None,
+    node_id: int, plate: Nameplate, profile: Profile, ramps: tuple[int, int]
 ) -> ObjectDictionary:
     """The object dictionary of the generic drive with one vendor's departures applied.
 
-    Velocities are in counts per second. ``ramps``: 0x6084 and 0x6085 as the drive counts them; default 2 and
-    10 rad/s² (m/s²) in counts.
+    ``ramps``: 0x6084 and 0x6085 as the drive counts them.
     """
     od = ObjectDictionary()
-    add = od.add
-    add(0x1000, 0, "I", "ro", 0x00020192)  # servo drive, CiA 402
-    add(0x1001, 0, "B", "ro", 0, "r")
-    add(0x1003, 0, "B", "rw", 0)
-    for sub in range(1, 9):
-        add(0x1003, sub, "I", "ro", 0)
-    add(0x1005, 0, "I", "rw", 0x80)
-    add(0x1006, 0, "I", "rw", 0)
-    add(0x1007, 0, "I", "rw", 0)
-    add(0x1008, 0, "s", "const", plate.name)
-    add(0x1009, 0, "s", "const", "1.0")
-    add(0x100A, 0, "s", "const", "invid simulated drive")
-    for index in (0x1010, 0x1011):
-        od.add_record(index, ("I", "rw", 1))
-    add(0x1014, 0, "I", "rw", 0x80 + node_id)
-    add(0x1015, 0, "H", "rw", 0)
-    od.add_record(0x1016, *[("I", "rw", 0)] * 3)
-    add(0x1017, 0, "H", "rw", 0)
-    od.add_record(0x1018, *[("I", "ro", v) for v in (0x00000000, 0x402, 1, plate.serial)])
-    od.add_record(0x1029, ("B", "rw", 0))
-    od.add_record(0x1200, ("I", "ro", 0x600 + node_id), ("I", "ro", 0x580 + node_id))
-    for code, index in (("b", 2), ("h", 3), ("i", 4), ("B", 5), ("H", 6), ("I", 7)):
-        if profile.dummy_mapping:  # CiA 301: dummies to fill a receive PDO
-            add(index, 0, code, "wo", 0, "w")
-    _add_pdos(od, node_id, profile)
-    _add_drive_profile(od, plate.rated_torque, plate.encoder_counts, plate.linear)
-    for index, ramp in zip((0x6084, 0x6085), ramps or (), strict=False):
-        od.entry(index).value = od.entry(index).default = ramp
+    received = _pdo_rows(node_id, 0x1400, 0x200, profile.rpdos, _RECEIVED)
+    sent = _pdo_rows(node_id, 0x1800, 0x180, profile.tpdos, _SENT)
+    for row in (*_ROWS, *received, *sent):
+        od.add(*row)
+    od.preset(_own_values(node_id, plate, ramps))
     for index in profile.lacks:
         od.remove(index)
     od.preset(profile.values)
     return od
 
 
-_RECEIVED = {1: [0x60400010], 2: [0x60400010, 0x60600008], 3: [0x60400010, 0x60710010], 4: [0x607A0020]}
-_SENT = {1: [0x60410010], 2: [0x60410010, 0x60610008], 3: [0x60410010, 0x60640020], 4: [0x606C0020]}
-"""What the first PDOs map: index, subindex, bits."""
+def _own_values(node_id: int, plate: Nameplate, ramps: tuple[int, int]) -> dict[tuple[int, int], int | str]:
+    counts = max(1, round(plate.encoder_counts))
+    return {
+        (0x1008, 0): plate.name,
+        (0x1014, 0): 0x80 + node_id,
+        (0x1018, 4): plate.serial,
+        (0x1200, 1): 0x600 + node_id,
+        (0x1200, 2): 0x580 + node_id,
+        (0x6076, 0): max(1, round(plate.rated_torque * 1000.0)),
+        (0x6084, 0): ramps[0],
+        (0x6085, 0): ramps[1],
+        (0x608F, 1): counts,
+        (0x6092, 1): counts,
+    }
 
 
-def _add_pdos(od: ObjectDictionary, node_id: int, profile: Profile) -> None:
-    for first, mapping, can_id, count, maps in (
-        (0x1400, 0x1600, 0x200, profile.rpdos, _RECEIVED),
-        (0x1800, 0x1A00, 0x180, profile.tpdos, _SENT),
-    ):
-        for n in range(count):
-            cob = can_id + 0x100 * n + node_id if n < 4 else 0x80000000
-            od.add(first + n, 0, "B", "const", 5)
-            od.add(first + n, 1, "I", "rw", cob | (0x80000000 if n else 0))
-            od.add(first + n, 2, "B", "rw", 255)
-            od.add(first + n, 3, "H", "rw", 0)
-            od.add(first + n, 5, "H", "rw", 0)
-            mapped = maps.get(n + 1, [])
-            od.add(mapping + n, 0, "B", "rw", len(mapped))
-            for sub in range(1, 9):
-                od.add(mapping + n, sub, "I", "rw", mapped[sub - 1] if sub <= len(mapped) else 0)
+def _pdo_rows(
+    node_id: int, first: int, can_id: int, count: int, maps: Mapping[int, list[int]]
+) -> Iterator[Row]:
+    """Communication and mapping objects of so many PDOs of a kind; the first four have identifiers, the first
+    alone is valid."""
+    for n in range(count):
+        cob = can_id + 0x100 * n + node_id if n < 4 else 0x80000000
+        yield (first + n, 0, "B", "const", 5, "")
+        yield (first + n, 1, "I", "rw", cob | (0x80000000 if n else 0), "")
+        yield from ((first + n, sub, code, "rw", value, "") for sub, code, value in _PDO_TIMES)
+        mapped = maps.get(n + 1, [])
+        mapping = first + 0x200 + n
+        yield (mapping, 0, "B", "rw", len(mapped), "")
+        yield from ((mapping, k + 1, "I", "rw", v, "") for k, v in enumerate((mapped + 8 * [0])[:8]))
 
 
-def _add_drive_profile(
-    od: ObjectDictionary, rated_torque: float, encoder_counts: float, linear: bool
-) -> None:
-    add = od.add
-    rated = max(1, round(rated_torque * 1000.0))
-    add(0x6007, 0, "h", "rw", 1)
-    add(0x603F, 0, "H", "ro", 0, "r")
-    add(0x6040, 0, "H", "rw", 0, "rw")
-    add(0x6041, 0, "H", "ro", 0, "r")
-    for index, value in ((0x605A, 2), (0x605B, 0), (0x605C, 1), (0x605D, 1), (0x605E, 2)):
-        add(index, 0, "h", "rw", value)
-    add(0x6060, 0, "b", "rw", 0, "rw")
-    add(0x6061, 0, "b", "ro", 0, "r")
-    add(0x6062, 0, "i", "ro", 0, "r")
-    add(0x6064, 0, "i", "ro", 0, "r")
-    add(0x6065, 0, "I", "rw", 0xFFFFFFFF)
-    add(0x6066, 0, "H", "rw", 0)
-    add(0x606C, 0, "i", "ro", 0, "r")
-    add(0x6071, 0, "h", "rw", 0, "rw")
-    add(0x6072, 0, "H", "rw", 3000, "rw")
-    add(0x6073, 0, "H", "rw", 3000)
-    add(0x6074, 0, "h", "ro", 0, "r")
-    add(0x6075, 0, "I", "rw", 3000)  # as the vendor's area says below
-    add(0x6076, 0, "I", "rw", rated)
-    add(0x6077, 0, "h", "ro", 0, "r")
-    add(0x6078, 0, "h", "ro", 0, "r")
-    add(0x607A, 0, "i", "rw", 0, "rw")
-    add(0x607C, 0, "i", "rw", 0)
-    od.add_record(0x607D, ("i", "rw", -(1 << 31)), ("i", "rw", (1 << 31) - 1))
-    add(0x607F, 0, "I", "rw", 0xFFFFFFFF)
-    add(0x6080, 0, "I", "rw", 0xFFFFFFFF)
-    # ramps that stop from 1 rad/s (1 m/s) in 0.1 s and 0.5 s
-    per_unit = encoder_counts if linear else encoder_counts / (2.0 * math.pi)
-    add(0x6084, 0, "I", "rw", max(1, round(2.0 * per_unit)))
-    add(0x6085, 0, "I", "rw", max(1, round(10.0 * per_unit)))
-    add(0x6087, 0, "I", "rw", 1000)
-    counts = max(1, round(encoder_counts))
-    od.add_record(0x608F, ("I", "rw", counts), ("I", "rw", 1))
-    od.add_record(0x6091, ("I", "rw", 1), ("I", "rw", 1))
-    od.add_record(0x6092, ("I", "rw", counts), ("I", "rw", 1))
-    add(0x60B2, 0, "h", "rw", 0, "rw")
-    od.add_record(0x60C2, ("B", "rw", 1), ("b", "rw", -3))
-    add(0x60F4, 0, "i", "ro", 0, "r")
-    add(0x60FD, 0, "I", "ro", 0, "r")
-    add(0x60FF, 0, "i", "rw", 0, "rw")
-    # torque profile, cyclic synchronous position, cyclic synchronous torque
-    add(0x6502, 0, "I", "ro", (1 << 3) | (1 << 7) | (1 << 9))
-    od.add_record(0x3001, ("I", "ro", 3000), ("I", "rw", 5000))  # a vendor's area: current limits in mA
+_PDO_TIMES = ((2, "B", 255), (3, "H", 0), (5, "H", 0))
+"""Transmission type, inhibit time and event timer of a communication object."""

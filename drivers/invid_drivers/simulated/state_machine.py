@@ -9,18 +9,7 @@ from __future__ import annotations
 from enum import IntEnum
 from types import MappingProxyType
 
-
-class State(IntEnum):
-    """States; the value is the statusword's state bits (mask 0x006F)."""
-
-    NOT_READY_TO_SWITCH_ON = 0x00
-    SWITCH_ON_DISABLED = 0x40
-    READY_TO_SWITCH_ON = 0x21
-    SWITCHED_ON = 0x23
-    OPERATION_ENABLED = 0x27
-    QUICK_STOP_ACTIVE = 0x07
-    FAULT_REACTION_ACTIVE = 0x0F
-    FAULT = 0x08
+from invid_drivers.cia402.states import DriveState
 
 
 class Command(IntEnum):
@@ -48,9 +37,9 @@ def command_of(controlword: int, previous: int) -> Command:
     return Command.ENABLE_OPERATION if controlword & 0x08 else Command.SWITCH_ON
 
 
-_S, _C = State, Command
+_S, _C = DriveState, Command
 
-TRANSITIONS: MappingProxyType[tuple[State, Command], tuple[int, State]] = MappingProxyType(
+TRANSITIONS: MappingProxyType[tuple[DriveState, Command], tuple[int, DriveState]] = MappingProxyType(
     {
         (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): (2, _S.READY_TO_SWITCH_ON),
         (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): (3, _S.SWITCHED_ON),
@@ -71,8 +60,4 @@ TRANSITIONS: MappingProxyType[tuple[State, Command], tuple[int, State]] = Mappin
         (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): (16, _S.OPERATION_ENABLED),
     }
 )
-
-
-def transition(state: State, command: Command) -> tuple[int, State] | None:
-    """Number and target of the transition that ``command`` causes in ``state``; None: no change."""
-    return TRANSITIONS.get((state, command))
+"""Number and target of the transition that a command causes in a state; none: no change."""

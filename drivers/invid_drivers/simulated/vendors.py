@@ -17,20 +17,19 @@ class Profile:
     values: dict[tuple[int, int], int | str] = field(default_factory=dict)
     rpdos: int = 4
     tpdos: int = 4
-    dummy_mapping: bool = True
     velocity_in_rpm: bool = False
     """0x607F is in rpm, not in counts per second."""
 
 
 _NO_TORQUE = frozenset({0x6071, 0x6072, 0x6076, 0x605A, 0x6007, 0x6087})
 _NO_GEAR = frozenset({0x608F, 0x6091, 0x6092})
+_DUMMIES = frozenset(range(2, 8))
 
 PROFILES: dict[str, Profile] = {
     "generic": Profile(),
     "epos4": Profile(
-        lacks=_NO_GEAR | {0x6072},
+        lacks=_NO_GEAR | _DUMMIES | {0x6072},
         values={(0x6076, 0): 0, (0x605A, 0): 6, (0x6007, 0): 3, (0x1008, 0): "EPOS4 (simulated)"},
-        dummy_mapping=False,
         velocity_in_rpm=True,
     ),
     "elmo_gold": Profile(
