@@ -108,7 +108,7 @@ def table(folder: Path) -> str:
         cells = []
         for index, sub in _COLUMNS.values():
             entry = declared.find(index, sub)
-            word = "–" if entry is None else f"{entry.access}{', PDO' if entry.mappable else ''}"
+            word = "–" if entry is None else f"{entry.access_type}{', PDO' if entry.pdo_mappable else ''}"
             if entry is not None and index in (0x6072, 0x6076, 0x605A, 0x6007):
                 word += f", {entry.default}"
             cells.append(word)

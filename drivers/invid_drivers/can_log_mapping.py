@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 
 from invid.errors import InputError
 from invid.recording.import_map import Pdo, Signal
-from invid_drivers.eds import load_dictionary
+from invid_drivers.eds import load_dictionary, stated
 
 _COUNT = 512
 _PREDEFINED = 4
@@ -63,14 +62,8 @@ def pdos_of_eds(path: Path, nodes: list[int]) -> tuple[list[Pdo], tuple[str, ...
 
 
 def _value(dictionary: ObjectDictionary, index: int, sub: int) -> int | None:
-    """ParameterValue of a DCF, else DefaultValue."""
-    try:
-        variable: Any = dictionary[index]
-        variable = variable[sub]
-    except (KeyError, TypeError):
-        return None
-    value = variable.default if variable.value is None else variable.value
-    return int(value) if isinstance(value, int) else None
+    value = stated(dictionary.get_variable(index, sub))
+    return value if isinstance(value, int) else None
 
 
 def _signals(dictionary: ObjectDictionary, index: int, node: int, remarks: list[str]) -> Iterator[Signal]:
@@ -80,7 +73,7 @@ def _signals(dictionary: ObjectDictionary, index: int, node: int, remarks: list[
             continue
         target, part, bits = entry >> 16, (entry >> 8) & 0xFF, entry & 0xFF
         name = f"n{node}_{target:04X}" + (f"_{part}" if part else "")
-        variable = _object(dictionary, target, part)
+        variable = dictionary.get_variable(target, part)
         kind = None if variable is None else _kind(variable, bits)
         if kind is None:
             yield Signal(name=name, type="skip", bits=bits)
@@ -91,15 +84,6 @@ def _signals(dictionary: ObjectDictionary, index: int, node: int, remarks: list[
                 f"file has {len(variable)}; the mapping's {bits} were read, as the drive sends them"
             )
         yield Signal.model_validate({"name": name, "type": kind})
-
-
-def _object(dictionary: ObjectDictionary, target: int, part: int) -> ODVariable | None:
-    try:
-        found: Any = dictionary[target]
-        found = found if isinstance(found, ODVariable) else found[part]
-    except KeyError:
-        return None
-    return found if isinstance(found, ODVariable) else None
 
 
 def _kind(variable: ODVariable, bits: int) -> str | None:

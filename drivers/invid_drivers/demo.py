@@ -27,6 +27,7 @@ from invid.model.document import (
 )
 from invid.recording import read_recording
 from invid.report import render_report
+from invid_drivers.cli.measure import ProgressLine
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.simulated import CASE_STUDY, truth
 
@@ -104,7 +105,7 @@ def run_demo(out: Path) -> tuple[dict[str, Any], str, int]:
         "report": out / "report.html",
     }
     note(f"invid demo: {config.robot}; simulated drives on the virtual CAN bus, nothing moves")
-    measured = measure_to_file(config, paths["recording"], progress=_ProgressLine())
+    measured = measure_to_file(config, paths["recording"], progress=ProgressLine())
     note(f"measured {measured.duration_s:.0f} s of robot time in {time.monotonic() - started:.1f} s")
     recording = read_recording(paths["recording"])
     model = identify(recording)
@@ -143,16 +144,3 @@ def run_demo(out: Path) -> tuple[dict[str, Any], str, int]:
     )
     untrusted = any(not np.isfinite(r.std) for r in rows)
     return document, text, EXIT_NOT_TRUSTWORTHY if untrusted else EXIT_OK
-
-
-class _ProgressLine:
-    """Prints a line of progress on stderr at every tenth of the way."""
-
-    def __init__(self) -> None:
-        self._shown = -1
-
-    def __call__(self, progress: Any) -> None:
-        tenth = int(progress.fraction * 10)
-        if tenth > self._shown:
-            self._shown = tenth
-            note(f"  measuring {progress.fraction:4.0%}  {progress.phase}")

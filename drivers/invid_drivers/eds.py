@@ -10,28 +10,16 @@ import configparser
 import io
 import logging
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import canopen
 from canopen.objectdictionary import ObjectDictionary, ODVariable, import_od
 
 from invid.errors import InputError
 from invid.recording.text_encoding import decode_text
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One entry of an EDS: its type, access, default and limits."""
-
-    index: int
-    sub: int
-    data_type: int
-    access: str
-    mappable: bool
-    default: int | str | None
-    high: int | None
-    """HighLimit, where the file gives one."""
 
 
 @dataclass(frozen=True)
@@ -43,20 +31,23 @@ class Declared:
     product_code: int | None
     revision: int | None
     """[DeviceInfo] RevisionNumber."""
-    variables: tuple[Variable, ...]
+    variables: Mapping[tuple[int, int], ODVariable]
+    """By index and subindex."""
     rpdos: int
     tpdos: int
     dummies: bool
     """Whether gaps of a receive PDO may be filled with dummies."""
 
-    @property
-    def objects(self) -> frozenset[tuple[int, int]]:
-        """(index, subindex) of every entry."""
-        return frozenset((v.index, v.sub) for v in self.variables)
-
-    def find(self, index: int, sub: int) -> Variable | None:
+    def find(self, index: int, sub: int) -> ODVariable | None:
         """The entry of an object; ``None`` where the device lacks it."""
-        return next((v for v in self.variables if (v.index, v.sub) == (index, sub)), None)
+        return self.variables.get((index, sub))
+
+
+def stated(variable: ODVariable | None) -> Any:
+    """ParameterValue of a DCF, else DefaultValue; ``None`` where a file states neither."""
+    if variable is None:
+        return None
+    return variable.default if variable.value is None else variable.value
 
 
 def parse_eds(path: Path, node_id: int) -> Declared:
@@ -71,9 +62,8 @@ def parse_eds(path: Path, node_id: int) -> Declared:
     """
     text = _text(path)
     od = load_dictionary(path, node_id)
-    variables = [v for o in od.values() for v in ([o] if isinstance(o, ODVariable) else o.values())]
-    entries = tuple(_variable(v) for v in variables)
-    objects = {(e.index, e.sub) for e in entries}
+    found = [v for o in od.values() for v in ([o] if isinstance(o, ODVariable) else o.values())]
+    objects = {(v.index, v.subindex): v for v in found}
     if not any(index >= 0x1000 for index, _ in objects):
         raise ValueError("does not parse (it lists no objects)")
     return Declared(
@@ -81,7 +71,7 @@ def parse_eds(path: Path, node_id: int) -> Declared:
         vendor_id=od.device_information.vendor_number,
         product_code=od.device_information.product_number,
         revision=od.device_information.revision_number,
-        variables=entries,
+        variables=objects,
         rpdos=sum((0x1400 + n, 1) in objects for n in range(512)),
         tpdos=sum((0x1800 + n, 1) in objects for n in range(512)),
         dummies="Dummy0005=1" in text.replace(" ", ""),
@@ -192,15 +182,3 @@ def _text(path: Path) -> str:
         return decode_text(path.read_bytes(), None, str(path))[0]
     except InputError:
         raise ValueError("does not parse (it is no text in a usual encoding)") from None
-
-
-def _variable(v: ODVariable) -> Variable:
-    return Variable(
-        index=v.index,
-        sub=v.subindex,
-        data_type=int(v.data_type or 0),
-        access=str(v.access_type),
-        mappable=bool(v.pdo_mappable),
-        default=value if isinstance(value := v.default if v.value is None else v.value, int | str) else None,
-        high=v.max if isinstance(v.max, int) else None,
-    )

@@ -37,7 +37,6 @@ from invid.recording import Outcome, Recording
 from invid.sweep import Sample
 from invid_drivers.connect import connect
 from invid_drivers.measurement import run_measurement
-from invid_drivers.memory import lock_memory
 from invid_drivers.protocol import (
     Ask,
     AxisStates,
@@ -52,6 +51,7 @@ from invid_drivers.protocol import (
     line_of_process,
 )
 from invid_drivers.relay import KEEP_ALIVE_S, CycleTask
+from invid_drivers.scheduling import lock_memory
 from invid_drivers.stop_flag import StopFlag
 
 PRIORITY = 50

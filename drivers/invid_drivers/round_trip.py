@@ -16,7 +16,7 @@ from invid.planning.budget import SHARE, RoundTrip, bound, judge
 from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link
-from invid_drivers.timing import priority
+from invid_drivers.scheduling import priority
 
 COUNT = 2000
 """Rounds: 99 % are then bounded by the 13th largest, which a few pauses of the computer do not move."""

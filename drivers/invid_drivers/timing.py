@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
-import threading
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +12,10 @@ from invid.wording.sentence import sentence
 from invid_drivers.cia402.cycle import CLOSEST_CYCLES
 from invid_drivers.cia402.link import RealClock
 from invid_drivers.connect import is_virtual
+from invid_drivers.scheduling import priority
 
 PROBE_S = 0.3
 PHASE_RAD = 0.05
-PROBE_PRIORITY = 45
-"""SCHED_FIFO priority of the probe: as the cycle's, but below one that may be running beside it."""
 
 
 @dataclass(frozen=True)
@@ -89,22 +84,6 @@ def timing_of(config: CellConfig) -> Timing:
     with priority() as realtime:
         jitter, skipped = wake_jitter(cycle)
     return Timing(cycle, jitter, skipped, realtime)
-
-
-@contextlib.contextmanager
-def priority() -> Iterator[bool]:
-    """Give this thread SCHED_FIFO meanwhile, where the system allows it: the cycle has it too."""
-    thread = threading.get_native_id()
-    try:
-        before, given = os.sched_getscheduler(thread), os.sched_getparam(thread)
-        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(PROBE_PRIORITY))
-    except (OSError, AttributeError):
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        os.sched_setscheduler(thread, before, given)
 
 
 def wake_jitter(cycle_s: float) -> tuple[float, float]:

@@ -78,7 +78,7 @@ GAPS = {
 def test_each_file_has_exactly_its_vendors_gaps(name: str) -> None:
     missing, zero, rpdos, tpdos, dummies = GAPS[name]
     declared = parse_eds(file(name), 5)
-    assert {i for i in missing if any(v.index == i for v in declared.variables)} == set()
+    assert {i for i in missing if any(index == i for index, _ in declared.variables)} == set()
     for index in zero:
         entry = declared.find(index, 0)
         assert entry is not None

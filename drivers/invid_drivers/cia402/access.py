@@ -159,7 +159,7 @@ class Access:
         """
         own = self.of_node.at(what)
         declared = None if self.declared is None else self.declared.find(own.index, own.sub)
-        if declared is not None and declared.access in ("ro", "const"):
+        if declared is not None and declared.access_type in ("ro", "const"):
             return False
         try:
             self.download(what, what.pack(value))

@@ -26,6 +26,7 @@ from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.standing.stopping import SWITCHES_OFF, Stop, stop_of, stopping_facts
 from invid_drivers.cia402.stated.scales import require_nominal_current
 from invid_drivers.cia402.stated.units import Scaling
+from invid_drivers.eds import stated
 
 DRIVE_MARGIN = 1.25
 """The drive's own windows are a quarter wider than the master's: the master, who sees all axes and can
@@ -113,9 +114,9 @@ class Protection:
                     Limit(present / whole * rated, f"{vendors.address} of the drive: {present} of {whole} mA")
                 )
         highest = None if drive.declared is None else drive.declared.find(od.MAX_TORQUE.index, 0)
-        if highest is not None and highest.high is not None and highest.high > 0:
+        if highest is not None and isinstance(highest.max, int) and highest.max > 0:
             found.append(
-                Limit(highest.high * rated / 1000, f"HighLimit of 0x6072 in the EDS: {highest.high} ‰")
+                Limit(highest.max * rated / 1000, f"HighLimit of 0x6072 in the EDS: {highest.max} ‰")
             )
         return found
 
@@ -123,9 +124,7 @@ class Protection:
         """Raise a limit of 0 only where nobody commissioned it and the config says so; else DriveError."""
         drive = self._drive
         declared = None if drive.declared is None else drive.declared.find(what.index, what.sub)
-        shipped = what.address in drive.vendor.zero_as_shipped or (
-            declared is not None and declared.default == 0
-        )
+        shipped = what.address in drive.vendor.zero_as_shipped or (stated(declared) == 0)
         reason = drive.config.overrides.get(what.address)
         if shipped and reason is not None:
             warnings.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from invid.errors import ConfigError
-from invid_drivers.eds import parse_eds
+from invid_drivers.eds import parse_eds, stated
 from invid_drivers.simulated.object_dictionary import ObjectDictionary
 
 TYPES = {"b": 0x2, "h": 0x3, "i": 0x4, "B": 0x5, "H": 0x6, "I": 0x7, "s": 0x9}
@@ -29,16 +29,14 @@ def apply_eds(od: ObjectDictionary, path: Path, node_id: int) -> None:
         raise ConfigError(f"simulation: EDS {path}: {error}") from None
     for entry in list(od):
         dummy = entry.index in _DUMMIES
-        if (entry.index, entry.sub) not in declared.objects and not (dummy and declared.dummies):
+        if (entry.index, entry.sub) not in declared.variables and not (dummy and declared.dummies):
             od.remove_entry(entry.index, entry.sub)
-    for variable in declared.variables:
-        code = _CODES.get(variable.data_type)
+    for (index, sub), variable in declared.variables.items():
+        code, value = _CODES.get(variable.data_type or 0), stated(variable)
         if code is None:
             continue
-        known = od.find(variable.index, variable.sub)
-        if known is None:
-            known = od.add(variable.index, variable.sub, code, variable.access, 0)
-        if not variable.mappable:
+        known = od.find(index, sub) or od.add(index, sub, code, variable.access_type, 0)
+        if not variable.pdo_mappable:
             known.mappable = ""
-        if isinstance(variable.default, (str, int)) and (code == "s") == isinstance(variable.default, str):
-            known.value = known.default = variable.default
+        if isinstance(value, (str, int)) and (code == "s") == isinstance(value, str):
+            known.value = known.default = value

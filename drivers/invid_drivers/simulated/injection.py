@@ -16,6 +16,17 @@ if TYPE_CHECKING:
 _NS = 1_000_000_000
 _LOOK_NS = 1_000_000  # how often an awaited state is looked for: the drives' own control period
 
+_SWITCHES: dict[str, tuple[str, Callable[[FaultConfig], float | bool]]] = {
+    "ignore_quick_stop": ("ignore_quick_stop", lambda fault: True),
+    "ignore_controlword": ("ignore_controlword", lambda fault: True),
+    "ignore_target": ("ignore_target", lambda fault: True),
+    "statusword": ("statusword_lie", lambda fault: fault.value & 0xFFFF),
+    "mode_display": ("mode_lie", lambda fault: fault.value),
+    "torque_display": ("torque_lie", lambda fault: fault.value),
+    "torque_scale": ("torque_gain", lambda fault: fault.gain),
+}
+"""What a fault sets of the drive, and to what."""
+
 
 class FaultInjector:
     """Begins and ends the faults of one cell."""
@@ -71,18 +82,11 @@ class FaultInjector:
             node.emergency(fault.code, 0x01, length=fault.length)
         elif kind == "drive_fault":
             drive.fail(fault.code, 0x01, now_ns)
-        elif kind in ("ignore_quick_stop", "ignore_controlword", "ignore_target"):
-            return self._set(drive, kind, True)
         elif kind == "brake_stuck":
             return self._set(drive.brake, "stuck", True)
-        elif kind == "statusword":
-            return self._set(drive, "statusword_lie", fault.value & 0xFFFF)
-        elif kind == "torque_display":
-            return self._set(drive, "torque_lie", fault.value)
-        elif kind == "torque_scale":
-            return self._set(drive, "torque_gain", fault.gain)
-        elif kind == "mode_display":
-            return self._set(drive, "mode_lie", fault.value)
+        elif kind in _SWITCHES:
+            name, value = _SWITCHES[kind]
+            return self._set(drive, name, value(fault))
         else:
             return self._disturb_motor(fault, drive, now_ns)
         return None

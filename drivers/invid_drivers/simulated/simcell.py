@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
-import os
 import threading
 import time
 from dataclasses import asdict, dataclass, field
@@ -14,12 +14,14 @@ from can import BusABC, Message
 
 from invid.config.schema import CellConfig
 from invid.errors import BusError, ConfigError
-from invid_drivers.memory import lock_memory
+from invid_drivers.scheduling import lock_memory, priority
 from invid_drivers.simulated.cell import SimulatedCell
 from invid_drivers.simulated.node import Nmt
 from invid_drivers.simulated.unix_bus import UnixHub
 
 _NS = 1_000_000_000
+PRIORITY = 5
+"""SCHED_FIFO below any master's priority: the loop sleeps in ``recv`` and starves nobody."""
 _LONGEST_WAIT_NS = 20_000_000
 """How long the loop may sleep before it looks at the stop event: 20 ms is not felt at a Ctrl-C."""
 _OLDEST_NS = _NS
@@ -95,7 +97,6 @@ def run_simcell(
     cell = SimulatedCell(config)
     wire = open_cell_bus(config) if bus is None else bus
     collecting = gc.isenabled()
-    granted = False
     try:
         # compile or load the kernel before the first frame is due
         cell.plant.advance_to(0)
@@ -103,28 +104,18 @@ def run_simcell(
         loop.warm_up()
         if own:  # the process is the cell's own: no pauses for collection
             gc.disable()
-        granted = realtime and _take_priority()
-        loop.run(stop_event, ready)
+        with priority(PRIORITY) if realtime else contextlib.nullcontext(False) as granted:
+            if granted:
+                lock_memory()
+            loop.run(stop_event, ready)
         statistics = loop.statistics()
         statistics.realtime = granted
         return statistics
     finally:
-        if granted:
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         if collecting:
             gc.enable()
         if own:
             wire.shutdown()
-
-
-def _take_priority() -> bool:
-    """Ask for SCHED_FIFO below any master's priority: the loop sleeps in ``recv`` and starves nobody."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
-    except (OSError, AttributeError):
-        return False
-    lock_memory()
-    return True
 
 
 class _Loop:

@@ -136,16 +136,11 @@ class UnixBus(BusABC):
         if self._lost:
             raise self._peer_lost()
         try:
-            packet = self._socket.recv(_FRAME.size + 1)
-        except BlockingIOError:
             if not select.select([self._socket], [], [], timeout)[0]:
                 return None, False
-            try:
-                packet = self._socket.recv(_FRAME.size + 1)
-            except ConnectionError:
-                raise self._peer_lost() from None
+            packet = self._socket.recv(_FRAME.size + 1)
         except ConnectionError:
-            raise self._peer_lost() from None
+            packet = b""
         except OSError as error:
             raise can.CanOperationError(f"{self.channel_info}: {error}", error.errno) from None
         if not packet:

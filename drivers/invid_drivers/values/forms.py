@@ -6,6 +6,7 @@ Whoever loads a DCF decides: nothing here writes to a drive.
 from __future__ import annotations
 
 import io
+from functools import partial
 from typing import Any
 
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
@@ -18,16 +19,6 @@ from invid.tuning.tune import Tuning
 from invid_drivers.values.rows import DRIVES, DriveValue, DriveValues
 
 _TYPES = {"H": datatypes.UNSIGNED16, "I": datatypes.UNSIGNED32, "f": datatypes.REAL32}
-
-
-def epos4_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
-    """``drive_values_form`` of the EPOS4."""
-    return drive_values_form("epos4", tuning, motors)
-
-
-def ax8000_form(tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
-    """``drive_values_form`` of the AX8000."""
-    return drive_values_form("beckhoff_ax8000", tuning, motors)
 
 
 def drive_values_form(name: str, tuning: Tuning, motors: dict[str, MotorScale]) -> Form:
@@ -49,6 +40,11 @@ def drive_values_form(name: str, tuning: Tuning, motors: dict[str, MotorScale]) 
     files[f"{name}-changes.csv"] = csv_text(head, rows)
     losses = (*drive.losses, f"before is {tuning.before_source}")
     return Form(files, losses)
+
+
+epos4_form = partial(drive_values_form, "epos4")
+ax8000_form = partial(drive_values_form, "beckhoff_ax8000")
+"""By name for the entry points."""
 
 
 def dcf(drive: DriveValues, values: dict[DriveValue, float], node_id: int) -> str:

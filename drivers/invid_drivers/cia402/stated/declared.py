@@ -8,7 +8,7 @@ from invid.errors import ConfigError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.objects import OFFSET_MAP, RPDO_MAP, TPDO_MAP
 from invid_drivers.cia402.states import OperationMode
-from invid_drivers.eds import Declared, parse_eds
+from invid_drivers.eds import Declared, parse_eds, stated
 
 
 def declared_of(axis: str, file: str | None, node_id: int) -> tuple[Declared | None, tuple[str, ...]]:
@@ -40,7 +40,7 @@ def refusal(declared: Declared, *, by_offset: bool = False) -> str | None:
             entry = declared.find(what.index, what.sub)
             if entry is None:
                 return f"has no {what.address} ({what.name}), which therefore {what_is_lost}"
-            if not entry.mappable:
+            if not entry.pdo_mappable:
                 return (
                     f"does not let {what.address} ({what.name}) into a PDO, which therefore "
                     f"{what_is_lost} in every cycle"
@@ -53,8 +53,8 @@ def refusal(declared: Declared, *, by_offset: bool = False) -> str | None:
 
 def _has_offset_alone(declared: Declared) -> bool:
     """Cyclic synchronous position and a torque offset, but no target torque."""
-    modes = declared.find(od.SUPPORTED_MODES.index, 0)
-    found = 0 if modes is None or not isinstance(modes.default, int) else modes.default
+    modes = stated(declared.find(od.SUPPORTED_MODES.index, 0))
+    found = modes if isinstance(modes, int) else 0
     torque = OperationMode.CYCLIC_TORQUE.supported_bit | OperationMode.PROFILE_TORQUE.supported_bit
     follows = bool(found & OperationMode.CYCLIC_POSITION.supported_bit) and not found & torque
     offset = all(declared.find(o.index, o.sub) is not None for o in (od.TORQUE_OFFSET, od.TORQUE))
