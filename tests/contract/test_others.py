@@ -36,7 +36,7 @@ def repeat(bus: VirtualTimeBus, cob: int, data: bytes, *, begin_s: float, every_
     cell = bus.cell
 
     def send(now_ns: int) -> None:
-        bus.wire._from_node(cob, data, 0)
+        bus.wire._from_node(cob, data)
         cell.schedule(now_ns + round(every_s * 1e9), send)
 
     cell.schedule(round(begin_s * 1e9), send)

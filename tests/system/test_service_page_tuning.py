@@ -9,8 +9,10 @@ import pytest
 from page_browser import Page, browser, needs_browser
 from service_process import STIFF_CELL, serving
 
-SAMPLED_CELL = STIFF_CELL.replace("of_rated: 0.002}", "of_rated: 0.002, loop_cycle_s: 0.001}")
-"""Its drives' loops run as `invid tune` takes drives to be."""
+SAMPLED_CELL = STIFF_CELL.replace(
+    "of_rated: 0.002}", "of_rated: 0.002, loop_cycle_s: 0.001, position_loop_Hz: 8}"
+)
+"""Its drives' loops run as `invid tune` takes drives to be, and are so soft that added torque moves them."""
 pytestmark = [pytest.mark.browser, pytest.mark.service]
 
 

@@ -18,6 +18,7 @@ import can
 from can import BusABC, Message
 
 from invid.config import load_config
+from invid.config.frames import frame_bits
 from invid.config.schema import CellConfig
 from invid.errors import InvidError
 from invid_drivers.simulated.cell import NEVER, SimulatedCell
@@ -28,15 +29,6 @@ _SILENCE_NS = 60 * _NS
 
 MOST_WAITING = 256
 """Frames that the master may have waiting."""
-
-
-def frame_bits(data_bytes: int) -> int:
-    """Worst-case length on the wire of a frame with an 11-bit identifier.
-
-    47 bits of frame and inter-frame space, 8 per byte, and one stuff bit for every four of the
-    34 + 8n bits that are stuffed.
-    """
-    return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
 
 
 class VirtualClock:
@@ -64,15 +56,12 @@ class VirtualWire:
         # frames: identifier, the port that sent it (nodes: a negative running number), data
         self._host: deque[tuple[int, int, bytes]] = deque()
         self._nodes: list[tuple[int, int, bytes]] = []
-        self._late: list[tuple[int, int, int, bytes]] = []
         self._count = 0
         self._busy: tuple[int, int, bytes] | None = None
         self._busy_until = 0
         self.inboxes: list[deque[tuple[int, int, bytes]] | None] = []
-        self.sole_inbox: deque[tuple[int, int, bytes]] | None = None
         self.frames = 0
         cell.transmit = self._from_node
-        cell.loops_back = True
 
     @property
     def waiting(self) -> int:
@@ -89,16 +78,13 @@ class VirtualWire:
             )
         self._host.append((can_id, sender, data))
 
-    def _from_node(self, can_id: int, data: bytes, delay_ns: int) -> None:
+    def _from_node(self, can_id: int, data: bytes) -> None:
         self._count += 1
-        if delay_ns:
-            heappush(self._late, (self.now_ns + delay_ns, self._count, can_id, data))
-        else:
-            heappush(self._nodes, (can_id, self._count - NEVER, data))
+        heappush(self._nodes, (can_id, self._count - NEVER, data))
 
     def run(self, limit_ns: int, inbox: deque[tuple[int, int, bytes]] | None) -> None:
         """Let time pass to ``limit_ns``, or until ``inbox`` has a frame."""
-        cell, late, frame_ns = self.cell, self._late, self._frame_ns
+        cell, frame_ns = self.cell, self._frame_ns
         busy, busy_until = self._busy, self._busy_until
         while True:
             if busy is None:
@@ -106,8 +92,6 @@ class VirtualWire:
                 if busy is not None:
                     busy_until = self.now_ns + frame_ns[len(busy[2])]
             due = cell.due_ns
-            if late and late[0][0] < due:
-                due = late[0][0]
             if busy is not None and busy_until <= due:
                 if busy_until > limit_ns:
                     break
@@ -123,11 +107,7 @@ class VirtualWire:
             else:
                 if due > self.now_ns:
                     self.now_ns = due
-                if cell.due_ns <= due:
-                    cell.run_timers(self.now_ns)
-                else:
-                    _, count, can_id, data = heappop(late)
-                    heappush(self._nodes, (can_id, count - NEVER, data))
+                cell.run_timers(self.now_ns)
         self._busy, self._busy_until = busy, busy_until
         if limit_ns > self.now_ns:
             self.now_ns = limit_ns
@@ -150,14 +130,9 @@ class VirtualWire:
         self.frames += 1
         if sender >= 0:
             self.cell.receive(can_id, data, now)
-            if self.sole_inbox is None:
-                self._spread(now, can_id, data, sender)
+            self._spread(now, can_id, data, sender)
         elif not self.cell.master_off:
-            sole = self.sole_inbox
-            if sole is not None:
-                sole.append((now, can_id, data))
-            else:
-                self._spread(now, can_id, data, -1)
+            self._spread(now, can_id, data, -1)
             self.cell.deliver(can_id, data, now)
 
     def _spread(self, now_ns: int, can_id: int, data: bytes, sender: int) -> None:
@@ -169,17 +144,7 @@ class VirtualWire:
         """A further port on the wire."""
         box: deque[tuple[int, int, bytes]] = deque()
         self.inboxes.append(box)
-        self._find_sole()
         return len(self.inboxes) - 1, box
-
-    def close_inbox(self, number: int) -> None:
-        """Port ``number`` listens no longer."""
-        self.inboxes[number] = None
-        self._find_sole()
-
-    def _find_sole(self) -> None:
-        open_boxes = [box for box in self.inboxes if box is not None]
-        self.sole_inbox = open_boxes[0] if len(open_boxes) == 1 else None
 
 
 _WIRES: dict[str, VirtualWire] = {}
@@ -278,7 +243,7 @@ class VirtualTimeBus(BusABC):
     def shutdown(self) -> None:
         """Close this port; the last one to close ends the cell's name."""
         if not self._is_shutdown:
-            self.wire.close_inbox(self._number)
+            self.wire.inboxes[self._number] = None
         super().shutdown()
         if any(box is not None for box in self.wire.inboxes):
             return

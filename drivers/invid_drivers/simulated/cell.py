@@ -39,7 +39,7 @@ _NOISE_ROWS = 4096
 _MOST_SUBSTEPS = 500
 """Sub-steps a cycle; at about a microsecond each, more would be slower than real time."""
 
-Emit = Callable[[int, bytes, int], None]
+Emit = Callable[[int, bytes], None]
 
 
 class SimulatedCell:
@@ -56,12 +56,10 @@ class SimulatedCell:
         self.simulation = simulation_of(config)
         self.now_ns = 0
         self.due_ns = NEVER
-        self.transmit: Emit = lambda can_id, data, delay_ns: None
-        """Set by the bus: (identifier, data, delay [ns])."""
+        self.transmit: Emit = lambda can_id, data: None
+        """Set by the bus: (identifier, data)."""
         self.master_off = False
         """True while the master's own port is bus-off."""
-        self.loops_back = False
-        """Set by a bus that hands what nodes send to the other nodes too."""
         self._timers: list[tuple[int, int, Callable[[int], None]]] = []
         self._count = 0
         self._dispatch: dict[int, list[Handler]] | None = None
@@ -225,17 +223,17 @@ class SimulatedCell:
         if node.silent:
             return
         self.frames_out += 1
-        if self.frame_faults:
+        if self.frame_faults or delay_ns:
             for late, changed in disturb(self.frame_faults, can_id, data, self._fault_random):
-                self.transmit(can_id, changed, delay_ns + round(late * _NS))
+                self._transmit_after(delay_ns + round(late * _NS), can_id, changed)
         else:
-            self.transmit(can_id, data, delay_ns)
+            self.transmit(can_id, data)
 
-    def hear(self, can_id: int, data: bytes) -> None:
-        """Take in a frame of somebody who is neither the master nor one of the cell's nodes."""
-        self.transmit(can_id, data, 0)
-        if not self.loops_back:
-            self.deliver(can_id, data, self.now_ns)
+    def _transmit_after(self, delay_ns: int, can_id: int, data: bytes) -> None:
+        if delay_ns:
+            self.schedule(self.now_ns + delay_ns, lambda _now: self.transmit(can_id, data))
+        else:
+            self.transmit(can_id, data)
 
     def schedule(self, due_ns: int, callback: Callable[[int], None]) -> None:
         """Call ``callback`` at ``due_ns`` or as soon as possible after."""
@@ -267,6 +265,7 @@ class SimulatedCell:
 
     def deliver(self, can_id: int, data: bytes, now_ns: int) -> None:
         """Hand a frame to every node that listens to it."""
+        self.now_ns = now_ns
         for handler in (self._dispatch or self._wire_up()).get(can_id, ()):
             handler(data, now_ns)
 

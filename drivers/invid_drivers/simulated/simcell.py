@@ -123,12 +123,11 @@ class _Loop:
 
     def __init__(self, cell: SimulatedCell, bus: BusABC) -> None:
         self._cell, self._bus = cell, bus
-        self._later: list[tuple[int, int, bytes]] = []
         self._not_sent = 0
         self._late_ns = 0
         self._start_ns = time.monotonic_ns()
         self._wall_ns = self._next_comparison_ns = 0
-        cell.transmit = self._transmit
+        cell.transmit = self._send
         cell.plant.exact_instants = False
 
     def warm_up(self) -> None:
@@ -139,12 +138,6 @@ class _Loop:
 
     def _now(self) -> int:
         return time.monotonic_ns() - self._start_ns
-
-    def _transmit(self, can_id: int, data: bytes, delay_ns: int) -> None:
-        if delay_ns:
-            self._cell.schedule(self._cell.now_ns + delay_ns, lambda _now: self._send(can_id, data))
-        else:
-            self._send(can_id, data)
 
     def _send(self, can_id: int, data: bytes) -> None:
         if self._cell.master_off:
