@@ -39,9 +39,9 @@ class Judge:
 
 
 class Judged:
-    """A recording that is being written, and who judges it."""
+    """A recording that is being written, and who judges it, if anybody does."""
 
-    def __init__(self, out: Path, header: Recording, judge: Judge) -> None:
+    def __init__(self, out: Path, header: Recording, judge: Judge | None) -> None:
         self._out, self._header, self._judge = out, header, judge
         self._writer: RecordingWriter | None = None
 
@@ -52,7 +52,9 @@ class Judged:
 
     def ask(self, number: int) -> bool:
         """Whether the next experiment is needed, by the rows of those that have ended."""
-        return self._writer is None or self._judge.needs_more(read_recording(self._writer.rows_file))
+        if self._writer is None or self._judge is None:
+            return True
+        return self._judge.needs_more(read_recording(self._writer.rows_file))
 
     def ask_later(self) -> Callable[[int], bool]:
         """The same with the answer to the question before, as where the next experiment goes on meanwhile."""
@@ -156,9 +158,6 @@ class Filing:
     def _open(self, header: Recording, cycle_s: float) -> None:
         count = len(header.axes)
         self._row_format = row_format(count)
-        if self._judge is None:
-            self._recorder = Recorder(lambda: RecordingWriter(self._out, header), cycle_s, count)
-            return
         self._judged = Judged(self._out, header, self._judge)
         self._recorder = Recorder(self._judged.open, cycle_s, count)
 

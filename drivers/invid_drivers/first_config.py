@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from invid.config.schema import BusConfig
 from invid.planning import bus_load
 from invid.planning.budget import shortest_cycle
 from invid_drivers.cia402.stated.scales import Count, agree, in_words
@@ -65,17 +66,8 @@ class FirstConfig:
     asked: dict[str, str]
 
 
-@dataclass(frozen=True)
-class Adapter:
-    """The CAN adapter and its bus, as python-can names them."""
-
-    interface: str
-    channel: str
-    bitrate: int
-
-
 def first_config(
-    adapter: Adapter,
+    bus: BusConfig,
     nodes: Sequence[Found],
     round_trip_s: float = 0.0,
     matches: Sequence[Match] = (),
@@ -93,7 +85,7 @@ def first_config(
         Folder of the config: files below it are named from there.
     """
     asked = {"robot": "what it is called in reports", "motion": "rotary or linear"}
-    cycle = _cycle(len(nodes), adapter.bitrate, round_trip_s)
+    cycle = _cycle(len(nodes), bus.bitrate_bit_per_s, round_trip_s)
     why = "of bus load" + (
         f" and the adapter's round trip, {round_trip_s * 1e3:.2g} ms (99 %)" * (round_trip_s > 0)
     )
@@ -104,9 +96,9 @@ def first_config(
         "robot: unnamed          # ASK: its name in reports",
         "motion: rotary          # ASK: rotary, or linear (m and N instead of rad and N·m)",
         "bus:",
-        f"  interface: {adapter.interface}",
-        f"  channel: {adapter.channel}",
-        f"  bitrate_bit_per_s: {adapter.bitrate}  # as given; a wrong one stops all traffic",
+        f"  interface: {bus.interface}",
+        f"  channel: {bus.channel}",
+        f"  bitrate_bit_per_s: {bus.bitrate_bit_per_s}  # as given; a wrong one stops all traffic",
         f"  cycle_s: {cycle:g}  # the shortest carried, because {why}",
         "axes:                   # in the order of node ids",
     ]

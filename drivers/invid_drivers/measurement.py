@@ -16,7 +16,7 @@ from invid.config import CellConfig
 from invid.errors import ConfigError, DriveError, InvidError, SafetyStop, left_by, note_left
 from invid.numerics.arrays import frozen_float
 from invid.planning import AxisForecast, Plan
-from invid.recording import Outcome, Recording, RecordingWriter
+from invid.recording import Outcome, Recording
 from invid.recording.writer import require_room
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
@@ -167,12 +167,11 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         if open_sink is not None:
             recorder, more = open_sink(header)
             notes += more
-        elif judge is not None:
+        else:
             judged = Judged(out, header, judge)
             recorder = Recorder(judged.open, plan.cycle_s, len(plan.axes))
-            asked = judged.ask if judge.is_awaited else judged.ask_later()
-        else:
-            recorder = Recorder(lambda: RecordingWriter(out, header), plan.cycle_s, len(plan.axes))
+            if judge is not None:
+                asked = judged.ask if judge.is_awaited else judged.ask_later()
         permit = measured_budgets(found.config, cell.reports, plan)
         sweep = Sweep(
             plan, found.config, cell, recorder, progress=progress, stop=stop, go_on=asked, permit=permit

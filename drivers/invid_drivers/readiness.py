@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from invid.config import CellConfig
 from invid.errors import DriveError, InvidError, note_left
-from invid.planning import Plan, make_plan
-from invid.planning.budget import RoundTrip, tolerable_share
+from invid.planning import make_plan
+from invid.planning.budget import tolerable_share
 from invid.planning.forecast import fit_to_limits
 from invid.planning.hold_laws import master_hold
 from invid.wording.sentence import sentence
@@ -20,21 +20,7 @@ from invid_drivers.cia402.standing.hold_memory import HoldMemory
 from invid_drivers.cia402.standing.holding import AxisHolding, Reason, remembered, to_support
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.round_trip import probe, require
-from invid_drivers.stopping_budgets import Budgets, Wish, plan_within
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """Plan, config and budgets of a measurement, with all that is known before a drive is enabled."""
-
-    plan: Plan
-    config: CellConfig
-    """With the tightest limits of config, drives and EDS, and the permitted speeds."""
-    budgets: Budgets
-    said: tuple[str, ...]
-    """What a person must know of it beside the plan's own warnings."""
-    round_trip: RoundTrip | None = None
-    """Of the adapter, where it was probed."""
+from invid_drivers.stopping_budgets import Budgeted, Wish, plan_within
 
 
 def prepare(
@@ -44,7 +30,7 @@ def prepare(
     *,
     probes: bool | None = None,
     cancelled: Callable[[], bool] = lambda: False,
-) -> Prepared:
+) -> Budgeted:
     """Ask the drives of a connected cell, plan within what they leave, and see that the adapter carries it.
 
     Parameters
@@ -68,7 +54,7 @@ def prepare(
         if not trip.carries and not config.simulated:
             cycles = sum(e.cycles for e in plan.experiments)
             cell.expect_answers(tolerable_share(cycles, config.safety.missed_tpdos), trip.shortest_cycle_s)
-    return Prepared(plan, found.config, found.budgets, said, trip)
+    return replace(found, plan=plan, said=said, round_trip=trip)
 
 
 def require_plan(config: CellConfig, wish: Wish) -> None:
@@ -79,7 +65,7 @@ def require_plan(config: CellConfig, wish: Wish) -> None:
         make_plan(config, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model)
 
 
-def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
+def foresee(config: CellConfig, wish: Wish = Wish()) -> Budgeted:
     """Do as ``prepare``, but touch no bus that hardware may be on: its drives are taken at their best.
 
     Raises
@@ -94,8 +80,7 @@ def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
             return prepare(cell, config, wish)
         finally:
             cell.close()
-    found = plan_within(config, None, wish)
-    return Prepared(found.plan, found.config, found.budgets, found.said)
+    return plan_within(config, None, wish)
 
 
 def loads_to_support(config: CellConfig) -> tuple[str, ...]:
@@ -134,7 +119,7 @@ class Asked:
     """The first thing that keeps a measurement from starting."""
     said: tuple[str, ...]
     """What is to be known beside: of drives, bus, limits and adapter."""
-    prepared: Prepared | None = None
+    prepared: Budgeted | None = None
     reports: tuple[DriveReport, ...] = ()
     holdings: tuple[AxisHolding, ...] = ()
 
@@ -147,7 +132,7 @@ class Asked:
         """Whether a measurement can start; an axis that it takes over without letting go does not matter."""
         return self.refusal is None and all(r.taken_over for r in self.reasons)
 
-    def require(self) -> Prepared:
+    def require(self) -> Budgeted:
         """Return what was prepared; else raise the refusal, or DriveError for an axis that is not ready."""
         if self.refusal is not None:
             raise self.refusal

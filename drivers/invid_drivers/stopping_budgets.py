@@ -14,6 +14,7 @@ from invid.errors import ConfigError, SafetyStop
 from invid.model.chains import CoupledChains
 from invid.planning import Plan, make_plan
 from invid.planning.belief import Belief
+from invid.planning.budget import RoundTrip
 from invid.planning.forecast import lower_torque
 from invid.planning.goal import shortest_runs
 from invid.planning.stopping_distance import (
@@ -48,7 +49,9 @@ class Budgeted:
     """With the tightest limits of config, drives and EDS, and the permitted speeds."""
     budgets: Budgets
     said: tuple[str, ...]
-    """Which limits are tighter than the config's and why, in words."""
+    """Which limits are tighter than the config's and why, and what else a person must know, in words."""
+    round_trip: RoundTrip | None = None
+    """Of the adapter, where it was probed."""
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ class Running:
 
     def _run(self, config: CellConfig, bus: can.BusABC | None) -> None:
         try:
-            self.result.append(run_simcell(config, self.stop, bus=bus, ready=self.ready))
+            self.result.append(run_simcell(config, self.stop, bus=bus, ready=self.ready.set))
         except BaseException as error:
             self.result.append(error)
 

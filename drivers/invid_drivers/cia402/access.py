@@ -11,7 +11,6 @@ from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.failures import (
     NoAnswer,
     ObjectError,
-    ProtocolError,
     ReadRefused,
     WriteRefused,
     abort_in_words,
@@ -183,4 +182,4 @@ class Access:
             )
             return NoAnswer.at(self.name, self.node_id, what, said)
         said = f"{what.address} {what.name}: {error}"
-        return ProtocolError.at(self.name, self.node_id, what, said)
+        return ObjectError.at(self.name, self.node_id, what, said)

@@ -15,7 +15,7 @@ from invid.wording.sentence import sentence
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.cycle_requests import BUSY_S, NOT_NOW
-from invid_drivers.cia402.failures import ReadRefused, WriteRefused, WrongMode
+from invid_drivers.cia402.failures import ObjectError, ReadRefused, WriteRefused
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
 from invid_drivers.cia402.link import Link, SdoError
@@ -489,7 +489,7 @@ class Drive(Access):
     def set_mode(self, mode: OperationMode, longest_s: float) -> ModeSet:
         """Write 0x6060 without power, wait until 0x6061 shows it, and return what came of it.
 
-        WrongMode where it shows another one.
+        ObjectError where it shows another one.
         """
         try:
             self.command(od.MODE, int(mode))
@@ -507,7 +507,7 @@ class Drive(Access):
                 return ModeSet.TAKEN
             if clock.now() >= began + (longest_s if shown > 0 else max(longest_s, BUSY_S)):
                 said = f"mode {mode.name.lower()} was asked for, the drive shows mode {shown} (0x6061)"
-                raise WrongMode.at(self.name, self.node_id, od.MODE_DISPLAY, said)
+                raise ObjectError.at(self.name, self.node_id, od.MODE_DISPLAY, said)
             self.link.wait(0.005)
 
     # --- on the way out ------------------------------------------------------------------------

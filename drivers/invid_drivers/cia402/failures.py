@@ -48,20 +48,12 @@ class NoAnswer(ObjectError):
     says_node = True
 
 
-class ProtocolError(ObjectError):
-    """The drive answers, but not as SDO has it."""
-
-
 class ReadRefused(ObjectError):
     """The drive does not show the object."""
 
 
 class WriteRefused(ObjectError):
     """The drive does not take the value."""
-
-
-class WrongMode(ObjectError):
-    """The drive shows another mode of operation than was asked for."""
 
 
 def abort_in_words(abort: int) -> str:

@@ -8,11 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from invid.config import CellConfig
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.objects import Object
+
+if TYPE_CHECKING:
+    from invid_drivers.cia402.axis import DriveReport
 
 STOPPING = {
     od.QUICK_STOP_OPTION: frozenset({1, 2, 3, 4, 5, 6, 7, 8}),
@@ -89,21 +92,7 @@ def counts_of_window(limit: float, margin: float, position_per_count: float) -> 
     return max(1, math.ceil(margin * limit / position_per_count))
 
 
-class Reported(Protocol):
-    """What a drive's report says of its axis."""
-
-    @property
-    def axis(self) -> str:
-        """Name of the axis."""
-        ...
-
-    @property
-    def limits(self) -> EffectiveLimits:
-        """The tightest limits of drive, config and EDS."""
-        ...
-
-
-def tighten(config: CellConfig, reports: Sequence[Reported]) -> CellConfig:
+def tighten(config: CellConfig, reports: Sequence[DriveReport]) -> CellConfig:
     """The config with the effective limits of its drives; the config itself where it has the tightest."""
     found = {r.axis: r.limits for r in reports}
     axes = []
@@ -118,7 +107,7 @@ def tighten(config: CellConfig, reports: Sequence[Reported]) -> CellConfig:
     return config if axes == config.axes else config.model_copy(update={"axes": axes})
 
 
-def tightened_limits(config: CellConfig, reports: Sequence[Reported]) -> tuple[str, ...]:
+def tightened_limits(config: CellConfig, reports: Sequence[DriveReport]) -> tuple[str, ...]:
     """Which limits are tighter than the config's, by whom, in words; of a torque that no drive gives, the way
     out."""
     found = {r.axis: r.limits for r in reports}

@@ -16,13 +16,14 @@ from invid_drivers.cia402.bus import STOPPED_S
 from invid_drivers.cia402.stated.scales import MUCH_OF_RATED
 from invid_drivers.cli.measure import budget_lines, plan_text
 from invid_drivers.connect import is_virtual
-from invid_drivers.readiness import Prepared, ask
+from invid_drivers.readiness import ask
+from invid_drivers.stopping_budgets import Budgeted
 from invid_drivers.timing import timing_of
 
 IN_TIME = "the way that the axis needs to come to rest"
 
 
-def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared, dict[str, Any]]:
+def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Budgeted, dict[str, Any]]:
     """Check config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
 
     ``cleared``: axes at which an earlier run ended and of which a person has found the cause.
@@ -77,7 +78,7 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared
     }
 
 
-def _text(config: CellConfig, within: Prepared, document: dict[str, Any]) -> str:
+def _text(config: CellConfig, within: Budgeted, document: dict[str, Any]) -> str:
     plan = within.plan
     bus = document["bus"]
     ready = "ready" if document["ready"] else "NOT READY"

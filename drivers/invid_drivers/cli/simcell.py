@@ -29,23 +29,21 @@ def register(app: typer.Typer) -> None:
         from invid_drivers.simulated.simcell import run_simcell
 
         cell = load_config(config)
-        stop, ready = StopFlag(), threading.Event()
+        stop, where = StopFlag(), f"{cell.bus.interface} {cell.bus.channel}"
 
         def leave(_number: int, _frame: FrameType | None) -> None:
             stop.set()
 
         before = {n: signal.signal(n, leave) for n in (signal.SIGINT, signal.SIGTERM)}
-        timers = [] if duration_s is None else [threading.Timer(duration_s, stop.set)]
-        timers.append(threading.Timer(0.0, _announce, (ready, stop, cell.bus.interface, cell.bus.channel)))
+        timer = threading.Timer(duration_s or 0.0, stop.set)
+        timer.daemon = True
         try:
-            for timer in timers:
-                timer.daemon = True
+            if duration_s is not None:
                 timer.start()
-            statistics = run_simcell(cell, stop, ready=ready, realtime=True)
+            said = f"simulated cell is ready on {where}; Ctrl-C ends it"
+            statistics = run_simcell(cell, stop, ready=lambda: note(said), realtime=True)
         finally:
-            stop.set()
-            for timer in timers:
-                timer.cancel()
+            timer.cancel()
             for number, handler in before.items():
                 signal.signal(number, handler)
         lines = [
@@ -54,10 +52,3 @@ def register(app: typer.Typer) -> None:
         ]
         lines += [f"  {d['axis']} (node {d['node_id']}): {d['state']}" for d in statistics.drives]
         emit(statistics.to_json(), "\n".join(lines), as_json=as_json)
-
-
-def _announce(ready: threading.Event, stop: threading.Event, interface: str, channel: str) -> None:
-    while not stop.is_set():
-        if ready.wait(0.05):
-            note(f"simulated cell is ready on {interface} {channel}; Ctrl-C ends it")
-            return

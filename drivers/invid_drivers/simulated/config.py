@@ -15,6 +15,7 @@ from invid.config.experiments import Strict
 from invid.config.schema import CellConfig
 from invid.errors import ConfigError, ModelError
 from invid.model.chains import CoupledChains, case_study
+from invid.model.document import describe_validation_error
 from invid.numerics.arrays import frozen_float
 from invid_drivers.simulated.faults import FaultConfig
 from invid_drivers.simulated.loops import LoopValues
@@ -229,10 +230,8 @@ def simulation_of(config: CellConfig) -> SimulationConfig:
     try:
         simulation = SimulationConfig.model_validate(config.simulation)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in ("simulation", *first["loc"]))
-        found = "" if isinstance(first["input"], dict | list) else f", found {first['input']!r}"
-        raise ConfigError(f"config of {config.robot!r}: {where}: {first['msg']}{found}") from None
+        where = f"config of {config.robot!r}: simulation"
+        raise ConfigError(describe_validation_error(error, where)) from None
     names = [axis.name for axis in config.axes]
     used: list[tuple[str, str | None]] = [("simulation.axes", name) for name in simulation.axes]
     used += [("simulation.effects", name) for e in simulation.effects for name in (e.axis, e.other_axis)]

@@ -193,21 +193,18 @@ class Node:
             first = producer not in self._heard
             self._heard[producer] = now_ns
             if first:
-                self._watch(producer, now_ns)
+                self._watch(producer)
 
         return heard
 
-    def _watch(self, producer: int, now_ns: int) -> None:
+    def _watch(self, producer: int) -> None:
         epoch = self._epoch
 
-        def check(at_ns: int) -> None:
-            timeout = self.heard_producers().get(producer)
-            last = self._heard.get(producer)
-            if epoch != self._epoch or timeout is None or last is None:
-                return
-            if at_ns < last + timeout:
-                self._host.schedule(last + timeout, check)
-                return
+        def due() -> int | None:
+            timeout, last = self.heard_producers().get(producer), self._heard.get(producer)
+            return None if epoch != self._epoch or timeout is None or last is None else last + timeout
+
+        def lost(at_ns: int) -> None:
             del self._heard[producer]  # watching resumes with the next heartbeat
             self.emergency(0x8130, 0x10, bytes([producer]))
             state = {0: Nmt.PRE_OPERATIONAL, 2: Nmt.STOPPED}.get(self.od.number(0x1029, 1))
@@ -216,9 +213,19 @@ class Node:
             else:
                 self.application.connection_lost(at_ns)
 
-        timeout = self.heard_producers().get(producer)
-        if timeout is not None:
-            self._host.schedule(now_ns + timeout, check)
+        self._await(due, lost)
+
+    def _await(self, due: Callable[[], int | None], missed: Callable[[int], None]) -> None:
+        """Call ``missed`` once the instant of ``due`` is over; it may move on, ``None`` ends the watch."""
+
+        def look(at_ns: int) -> None:
+            instant = due()
+            if instant is not None and at_ns >= instant:
+                missed(at_ns)
+            elif instant is not None:
+                self._host.schedule(instant, look)
+
+        look(-1)
 
     # --- emergency -----------------------------------------------------------------------------
     def emergency(self, code: int, register: int, vendor: bytes = b"", length: int = 8) -> None:
@@ -326,19 +333,13 @@ class Node:
         """Watch for the next receive PDO within CiA 301's time-out, from the first one on."""
         watched, received.due_ns = received.due_ns is not None, now_ns + received.event_ns
 
-        def look(at_ns: int) -> None:
-            due = received.due_ns
-            if due is None or received not in self._rpdos:
-                return
-            if at_ns < due:
-                self._host.schedule(due, look)
-                return
+        def lost(at_ns: int) -> None:
             received.due_ns = None
             self.emergency(0x8250, 0x10)
             self.application.connection_lost(at_ns)
 
         if not watched:
-            self._host.schedule(received.due_ns, look)
+            self._await(lambda: received.due_ns if received in self._rpdos else None, lost)
 
     def _transmit(self, made: pdo.TransmitPdo, data: bytes, now_ns: int) -> None:
         made.last, made.sent_ns, made.seen = data, now_ns, 0

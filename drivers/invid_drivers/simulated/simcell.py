@@ -6,6 +6,7 @@ import contextlib
 import gc
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -79,10 +80,12 @@ def run_simcell(
     stop_event: threading.Event,
     *,
     bus: BusABC | None = None,
-    ready: threading.Event | None = None,
+    ready: Callable[[], object] | None = None,
     realtime: bool = False,
 ) -> SimcellStatistics:
     """Run the drives until ``stop_event`` is set; ``bus`` as opened, else as the config names it.
+
+    ``ready`` is called once every drive has booted.
 
     ``realtime`` asks the kernel for SCHED_FIFO and says in the statistics whether it was granted.
 
@@ -147,8 +150,8 @@ class _Loop:
         except can.CanError:  # a full queue or no listener: a drive does not care
             self._not_sent += 1
 
-    def run(self, stop_event: threading.Event, ready: threading.Event | None) -> None:
-        """Run until stopped; ``ready`` is set once every drive has booted.
+    def run(self, stop_event: threading.Event, ready: Callable[[], object] | None) -> None:
+        """Run until stopped; ``ready`` is called once every drive has booted.
 
         Frames and timers take effect in the order and at the instants at which they were sent and due,
         even where this process woke late: a real drive samples when SYNC is on the wire. Only its answers
@@ -158,7 +161,7 @@ class _Loop:
         failures = 0
         while not stop_event.is_set():
             if ready is not None and all(d.node.state is not Nmt.INITIALISING for d in cell.drives):
-                ready.set()
+                ready()
                 ready = None
             now = self._now()
             wait = min(max(cell.due_ns - now, 0), _LONGEST_WAIT_NS)
