@@ -4,7 +4,7 @@
 
 Everything runs through the simulated cell: drives on the virtual CAN bus, the sweep with its trials,
 friction, encoder and torque quantisation, noise, hold controllers. Exit status 1 where a bar is missed: the
-default plan (60 s, six of six frictions named), --goal 1% (25 s) and --screen (12 s), none sure and wrong,
+default plan (60 s, six of six frictions named) and --screen (12 s), none sure and wrong,
 1 % on every mass, spring and coupling.
 """
 
@@ -28,12 +28,9 @@ from invid.identification.identify import identify
 from invid.identification.kept_out import all_records
 from invid.model.document import parameter_vector
 from invid.planning import make_plan
-from invid.planning.belief import guess
 from invid.planning.expected_covariance import is_in_goal, parameter_scale
-from invid.planning.goal import plan_for_goal
 from invid.recording import read_recording
 from invid_drivers.foretelling import sensor_noise
-from invid_drivers.goal import measure_to_goal
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.screening import screen_cell
 from invid_drivers.simulated import truth
@@ -98,15 +95,6 @@ def settled(config: CellConfig, path: Path) -> Run:
 def default(config: CellConfig, path: Path) -> Run:
     """The default plan."""
     return judged(config, path, measure_to_file(config, path).duration_s)
-
-
-def goal(config: CellConfig, path: Path) -> Run:
-    """``--goal 1%``, no model given."""
-    belief = guess(config)
-    if belief is None:
-        raise SystemExit("bench_plan: the config states no inertia to guess from")
-    design = plan_for_goal(config, belief, sensor_noise(config), GOAL)
-    return judged(config, path, measure_to_goal(config, design, path)[0].duration_s)
 
 
 def unchanged(config: CellConfig, path: Path) -> Run:
@@ -174,7 +162,6 @@ PLANS = {
     # name: measurement, longest robot time [s], frictions to be named, share of the seeds
     "settled periods": (settled, np.inf, 0, 0.1),
     "default": (default, 60.0, 6, 1.0),
-    "--goal 1%": (goal, 25.0, 0, 1.0),
     "--screen": (unchanged, 12.0, 0, 1.0),
     "--screen changed": (changed, 12.0, 0, 1.0),
     "stepped sine": (stepped, np.inf, 0, 0.05),

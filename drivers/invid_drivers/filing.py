@@ -5,7 +5,6 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +28,9 @@ def row_format(axes: int) -> np.dtype[Any]:
     return np.dtype([("slot", "<i8"), ("time", "<f8"), *((name, code, (axes,)) for name, code in per_axis)])
 
 
-@dataclass(frozen=True)
-class Judge:
-    """Who says after each experiment but the last whether a recording needs another one."""
-
-    needs_more: Callable[[Recording], bool]
-    is_awaited: bool = True
-    """Whether the axes are held until that is known; else the next experiment goes on meanwhile."""
+Judge = Callable[[Recording], bool]
+"""Says after each experiment but the last whether a recording needs another one; the next experiment goes on
+meanwhile."""
 
 
 class Judged:
@@ -50,18 +45,18 @@ class Judged:
         self._writer = RecordingWriter(self._out, self._header)
         return self._writer
 
-    def ask(self, number: int) -> bool:
+    def ask(self) -> bool:
         """Whether the next experiment is needed, by the rows of those that have ended."""
         if self._writer is None or self._judge is None:
             return True
-        return self._judge.needs_more(read_recording(self._writer.rows_file))
+        return self._judge(read_recording(self._writer.rows_file))
 
-    def ask_later(self) -> Callable[[int], bool]:
-        """The same with the answer to the question before, as where the next experiment goes on meanwhile."""
+    def ask_later(self) -> Callable[[], bool]:
+        """The same with the answer to the question before, for the next experiment goes on meanwhile."""
         answers = [True]
 
-        def ask(number: int) -> bool:
-            answers.append(answers[-1] and self.ask(number))
+        def ask() -> bool:
+            answers.append(answers[-1] and self.ask())
             return answers[-2]
 
         return ask
@@ -138,9 +133,9 @@ class Filing:
         match message:
             case Open(header=header, cycle_s=cycle_s):
                 self._open(header, cycle_s)
-            case Ask(experiment=number):
+            case Ask():
                 # here, because what it judges was written by now; in a thread, for the judge takes its time
-                threading.Thread(target=self._give_verdict, args=(number,), daemon=True).start()
+                threading.Thread(target=self._give_verdict, daemon=True).start()
             case Begin(experiment=experiment, hold_gain=gain, scale=scale) if recorder is not None:
                 recorder.begin(experiment, gain, scale)
             case Finish() if recorder is not None:
@@ -161,13 +156,13 @@ class Filing:
         self._judged = Judged(self._out, header, self._judge)
         self._recorder = Recorder(self._judged.open, cycle_s, count)
 
-    def _give_verdict(self, number: int) -> None:
+    def _give_verdict(self) -> None:
         """Ask the judge whether the next experiment is needed; a judge that fails ends nothing."""
         needed = True
         try:
-            needed = self._judged is None or self._judged.ask(number)
+            needed = self._judged is None or self._judged.ask()
         finally:
-            self._verdicts.put(Judgement(number, needed))
+            self._verdicts.put(Judgement(needed))
 
     def _end(self) -> None:
         if self._recorder is None:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,19 +15,15 @@ from invid.identification.kept_out import all_records
 from invid.model.document import Model, parameter_vector
 from invid.planning.detection import DetectionLimit, limits_at
 from invid.planning.expected_covariance import is_in_goal, parameter_scale
-from invid.planning.goal import UNCERTAINTY, GoalPlan
-from invid.recording import Recording, read_recording
-from invid.sweep import Progress
+from invid.planning.goal import UNCERTAINTY
+from invid.recording import Recording
 from invid_drivers.filing import Judge
-from invid_drivers.measurement import MeasurementResult, measure_to_file
-from invid_drivers.stopping_budgets import Wish
 
 
 @dataclass(frozen=True)
 class Reached:
     """How well the records so far tell the parameters, and causes of the sizes of interest."""
 
-    blocks: int
     worst: str
     relative: float
     """Relative standard deviation of the worst mass, spring or coupling; infinite where one is not seen."""
@@ -56,32 +49,19 @@ class Reached:
         """Whether they reach the goal, a relative standard deviation, and show every cause asked for."""
         return self.trustworthy and self.relative <= goal and self.shown == len(self.limits)
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "blocks": self.blocks,
-            "worst": {
-                "name": self.worst,
-                "relative_std": self.relative if np.isfinite(self.relative) else None,
-            },
-            "trustworthy": self.trustworthy,
-            "reason": self.reason or None,
-        }
-
 
 def reached(recording: Recording, masses: Masses = None, *, interests: CellConfig | None = None) -> Reached:
     """Identify the records so far; data that carry no model yet are a reason to go on, not an error.
 
     ``interests``: whose sizes of interest the records are asked for; ``None``: parameters alone.
     """
-    blocks = len(recording.experiments)
     try:
         model: Model = identify(recording, masses=masses)
     except (NotIdentifiableError, InputError) as error:
-        return Reached(blocks, "", float("inf"), False, str(error))
+        return Reached("", float("inf"), False, str(error))
     names, _ = parameter_vector(model.chains)
     if model.covariance is None:
-        return Reached(blocks, "", float("inf"), False, "; ".join(model.warnings[:2]))
+        return Reached("", float("inf"), False, "; ".join(model.warnings[:2]))
     place = {n: k for k, n in enumerate(model.parameter_names)}
     std = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))[[place[n] for n in names]]
     relative = np.where(is_in_goal(names), std / parameter_scale(model.chains), 0.0)
@@ -92,7 +72,7 @@ def reached(recording: Recording, masses: Masses = None, *, interests: CellConfi
     if interests is not None:
         bare = replace(model.chains, ground_dampers=np.zeros(model.chains.branches))
         limits = limits_at(interests, settled_about(bare, all_records(recording)), recording)
-    return Reached(blocks, names[at], float(relative[at]), trusted, reason, limits)
+    return Reached(names[at], float(relative[at]), trusted, reason, limits)
 
 
 def judge_of(config: CellConfig, tell: Callable[[Reached], None] | None = None) -> Judge | None:
@@ -105,33 +85,4 @@ def judge_of(config: CellConfig, tell: Callable[[Reached], None] | None = None) 
             tell(found)
         return not found.meets(UNCERTAINTY)
 
-    return None if config.experiments else Judge(needs_more, is_awaited=False)
-
-
-def measure_to_goal(
-    config: CellConfig,
-    design: GoalPlan,
-    out: Path,
-    *,
-    progress: Callable[[Progress], None] | None = None,
-    stop: threading.Event | None = None,
-    tell: Callable[[Reached], None] | None = None,
-) -> tuple[MeasurementResult, Reached]:
-    """Run the design's blocks and end as soon as the measured covariance reaches its goal.
-
-    The identification runs in this process, not in the cycle; the axes are held meanwhile.
-    """
-    seen: list[Reached] = []
-
-    def needs_more(recording: Recording) -> bool:
-        seen.append(reached(recording))
-        if tell is not None:
-            tell(seen[-1])
-        return not seen[-1].meets(design.goal)
-
-    result = measure_to_file(
-        config, out, Wish(plan=design.plan), progress=progress, stop=stop, judge=Judge(needs_more)
-    )
-    if not seen or not seen[-1].meets(design.goal):
-        needs_more(read_recording(out))
-    return result, seen[-1]
+    return None if config.experiments else needs_more

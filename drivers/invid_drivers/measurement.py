@@ -144,7 +144,7 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
     stop: threading.Event | None = None,
     open_sink: Callable[[Recording], tuple[ClosingSink, Sequence[str]]] | None = None,
     judge: Judge | None = None,
-    asked: Callable[[int], bool | None] | None = None,
+    asked: Callable[[], bool] | None = None,
 ) -> MeasurementResult:
     """The measurement on a connected cell, which is closed at the end.
 
@@ -170,8 +170,7 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         else:
             judged = Judged(out, header, judge)
             recorder = Recorder(judged.open, plan.cycle_s, len(plan.axes))
-            if judge is not None:
-                asked = judged.ask if judge.is_awaited else judged.ask_later()
+            asked = None if judge is None else judged.ask_later()
         permit = measured_budgets(found.config, cell.reports, plan)
         sweep = Sweep(
             plan, found.config, cell, recorder, progress=progress, stop=stop, go_on=asked, permit=permit

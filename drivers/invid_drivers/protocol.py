@@ -55,7 +55,6 @@ class Alive:
 class Judgement:
     """Answer to ``Ask``."""
 
-    experiment: int
     needs_more: bool
 
 
@@ -122,9 +121,7 @@ class Finish:
 
 @dataclass(frozen=True)
 class Ask:
-    """Whether the experiment after this one is needed."""
-
-    experiment: int
+    """Whether the recording so far needs another experiment."""
 
 
 # --- from a run ------------------------------------------------------------------------------------

@@ -163,16 +163,15 @@ def main() -> None:
     leave_by(line.stop)
     task: CycleTask = line.read_task()
     die_with_parent(task.parent)
-    answers: dict[int, bool | None] = {}
+    enough = threading.Event()
 
     def heard(message: Judgement) -> None:
-        answers[message.experiment] = message.needs_more
+        if not message.needs_more:
+            enough.set()
 
-    def ask(number: int) -> bool | None:
-        if number not in answers:
-            answers[number] = None
-            line.tell(Ask(number))
-        return answers[number] if task.awaits else False not in list(answers.values())
+    def ask() -> bool:
+        line.tell(Ask())
+        return not enough.is_set()
 
     line.listen(heard)
     config = task.config
@@ -196,7 +195,7 @@ def main() -> None:
             progress=line.tell,
             stop=line.stop,
             open_sink=open_sink,
-            asked=None if task.awaits is None else ask,
+            asked=ask if task.is_judged else None,
         )
         line.tell(Done(result))
     except SafetyStop as error:

@@ -48,8 +48,8 @@ class CycleTask:
     config: CellConfig
     out: Path
     wish: Wish
-    awaits: bool | None
-    """Whether the axes are held until the judge has answered; ``None``: there is none."""
+    is_judged: bool
+    """Whether somebody says how many experiments are needed."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ def measure_in_process(
 
     ``judge`` runs here, beside the relay.
     """
-    awaits = None if judge is None else judge.is_awaited
-    process = launch("invid_drivers.realtime", CycleTask(os.getpid(), config, out, wish, awaits))
+    task = CycleTask(os.getpid(), config, out, wish, judge is not None)
+    process = launch("invid_drivers.realtime", task)
     relay = Relay(Filing(out, judge), listeners)
     try:
         result = relay.run(process.connection)

@@ -133,23 +133,6 @@ def assumed_noise(config: CellConfig) -> Noise:
     )
 
 
-def recorded_noise(recording: Recording) -> Noise:
-    """White noise as an earlier recording of the same cell shows it (quantisation is part of it)."""
-    count = recording.axis_count
-    power: list[Float64] = []
-    for e in recording.experiments:
-        if e.kind is Kind.CONSTANT_VELOCITY:
-            continue
-        r = make_record(e, recording.encoder_resolution)
-        # a line of a span of n samples carries 4σ²/n
-        power.append(np.concatenate((r.position_noise, r.torque_noise)) * r.span / r.step / 4)
-    level = np.sqrt(np.median(power, axis=0)) if power else np.full(2 * count, np.nan)
-    zero = frozen_float(np.zeros(count))
-    return Noise(
-        frozen_float(level[:count]), zero, frozen_float(level[count:]), zero, f"from {recording.source}"
-    )
-
-
 def expected(
     config: CellConfig, plan: Plan | Sequence[PlannedExperiment], belief: Belief, noise: Noise
 ) -> Expected:

@@ -26,8 +26,6 @@ from invid.wording.sentence import sentence
 
 WORTH_SAYING = 0.9
 """A permitted speed that the measured inertia lowers by less than a tenth needs no words."""
-DECIDE_S, DECIDE_POLL_S = 60.0, 0.1
-"""The axes are held this long while whoever ordered the measurement judges what is there."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +70,8 @@ class Sweep:
     progress: Callable[[Progress], None] | None = None
     stop: threading.Event | None = None
     warnings: list[str] = field(default_factory=list)
-    go_on: Callable[[int], bool | None] | None = None
-    """Asked after each experiment but the last, with its number: True next one, False enough, ``None`` not
-    known yet (the axes are held, and it is asked again)."""
+    go_on: Callable[[], bool] | None = None
+    """Asked after each experiment but the last whether the next one is needed."""
     permit: Callable[[Sequence[float | None], Sequence[float | None], float], Permitted] | None = None
     """Speeds and torque by the inertia and the hold torque of each axis as the trials of the signs measured
     them, for a share of the torque that is played: less is permitted to an axis that takes longer to stop
@@ -144,14 +141,14 @@ class Sweep:
                     yield from self._rehearsal.try_amplitude(self.plan.trials[phase.number])
                     self._motion.forecast = self._rehearsal.forecast()
                     recorded = self.plan.trials[phase.number].recorded_share > 0
-                    if recorded and (yield from self._enough(-1 - phase.number)):
+                    if recorded and self._is_enough():
                         self._total_s = self._motion.done_s
                         break
                 case Step.EXPERIMENT:
                     self._lower_torque()
                     yield from self._experiment(phase)
                     more = phase.number + 1 < len(self.plan.experiments)
-                    if more and (yield from self._enough(phase.number)):
+                    if more and self._is_enough():
                         self._total_s = self._motion.done_s
                         break
                 case Step.RETURN:
@@ -163,27 +160,8 @@ class Sweep:
         """What was seen so far."""
         return self._motion.statistics
 
-    def _enough(self, number: int) -> Procedure[bool]:
-        """Return whether the measurement may end after this experiment; every axis is held until that
-        is known.
-        """
-        if self.go_on is None:
-            return False
-        self._motion.phase, self._motion.experiment = "judging what was measured", None
-        for _ in range(round(DECIDE_S / DECIDE_POLL_S)):
-            answer = self.go_on(number)
-            if answer is not None:
-                return not answer
-            yield from self._motion.play(None, max(1, round(DECIDE_POLL_S / self.plan.cycle_s)))
-        self.warnings.append(
-            sentence(
-                "nobody said within {decide_s:g} s whether to go on after experiment {experiment}: "
-                "ended there",
-                decide_s=DECIDE_S,
-                experiment=number + 1,
-            )
-        )
-        return True
+    def _is_enough(self) -> bool:
+        return self.go_on is not None and not self.go_on()
 
     def _permitted(self, played: float) -> Permitted:
         """Return the speeds and torque permitted by what was measured so far, for a share of the torque

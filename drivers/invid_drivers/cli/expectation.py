@@ -8,15 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from invid.config import CellConfig
-from invid.errors import InputError
 from invid.model.diagnosis_document import load_model
 from invid.model.document import units
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model, guess
 from invid.planning.detection import DetectionLimit, detection_limits
-from invid.planning.expected_covariance import Expected, Noise, expected, recorded_noise
-from invid.recording import read_recording
-from invid_drivers.foretelling import sensor_noise
+from invid.planning.expected_covariance import Expected, Noise, expected
 
 NOTHING = (
     "no expected uncertainty: neither --model nor an inertia (inertia_kgm2, mass_kg) for every axis in the "
@@ -29,22 +26,6 @@ def belief_of(config: CellConfig, model: Path | None) -> Belief | None:
     if model is None:
         return guess(config)
     return from_model(load_model(model), config, source=f"the model {model}")
-
-
-def noise_of(config: CellConfig, recording: Path | None) -> Noise:
-    """Noise of an earlier recording of the cell, or what the config says and leaves to assume."""
-    if recording is None:
-        return sensor_noise(config)
-    found = read_recording(recording)
-    if found.axes != tuple(a.name for a in config.axes):
-        raise InputError(
-            f"{recording}: its axes are {', '.join(found.axes)}, the config's "
-            f"{', '.join(a.name for a in config.axes)}; name a recording of this cell"
-        )
-    noise = recorded_noise(found)
-    if not np.isfinite(noise.torque).all():
-        raise InputError(f"{recording}: no experiment shakes an axis, so it shows no noise; leave it out")
-    return noise
 
 
 def expectation(config: CellConfig, plan: Plan, belief: Belief | None, noise: Noise) -> Expected | None:

@@ -20,7 +20,7 @@ from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid.planning.build import require_all_axes
 from invid.planning.expected_covariance import Noise
-from invid.planning.goal import GoalPlan, GoalWish, plan_for_goal
+from invid.planning.goal import GoalPlan
 from invid.planning.separating_experiments import to_separate
 from invid.planning.stopping_distance import StoppingBudget
 from invid.sweep import Progress
@@ -32,9 +32,9 @@ from invid_drivers.cli.expectation import (
     expected_text,
     limits_of,
     limits_text,
-    noise_of,
 )
-from invid_drivers.goal import Reached, judge_of, measure_to_goal
+from invid_drivers.foretelling import sensor_noise
+from invid_drivers.goal import judge_of
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 from invid_drivers.readiness import ask, foresee
 from invid_drivers.screening import screen_cell, screening_plan
@@ -43,8 +43,6 @@ from invid_drivers.stopping_budgets import Wish
 from invid_drivers.timing import timing_of
 
 STDERR = 2
-SHORTEST_S = 4.0
-"""Below that not even one block with its rest fits."""
 
 
 @contextlib.contextmanager
@@ -168,43 +166,9 @@ def _required(out: Path | None) -> Path:
     return out
 
 
-def design_for(
-    cell: CellConfig,
-    belief: Belief | None,
-    noise: Noise,
-    goal: str,
-    axes: list[str] | None,
-    amplitude: float,
-    max_duration_s: float,
-) -> GoalPlan:
-    """The plan for a goal as it stands on the command line."""
-    if belief is None:
-        raise InputError(
-            "--goal needs something to plan against: --model MODEL.json, or an inertia (inertia_kgm2, "
-            "mass_kg) for every axis in the config"
-        )
-    if not 0 < amplitude <= 1:
-        raise InputError(f"--amplitude is {amplitude:g}; it must lie above 0 and be at most 1")
-    if not max_duration_s >= SHORTEST_S:
-        raise InputError(f"--max-duration is {max_duration_s:g}; give at least {SHORTEST_S:g} seconds")
-    return plan_for_goal(cell, belief, noise, parse_goal(goal), GoalWish(axes, amplitude, max_duration_s))
-
-
-def parse_goal(text: str) -> float:
-    """0.01 from "1%", "1 %" or "0.01"."""
-    number = text.strip().removesuffix("%").strip()
-    try:
-        value = float(number) / (100.0 if text.strip().endswith("%") else 1.0)
-    except ValueError:
-        value = float("nan")
-    if not 0 < value < 1:
-        raise InputError(f"--goal is {text!r}; give a relative uncertainty such as 1% or 0.01")
-    return value
-
-
-def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, noise: Noise, *, as_json: bool) -> int:
+def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, *, as_json: bool) -> int:
     """Print the dry run of a plan, within what the drives that are there leave."""
-    why: tuple[str, ...] = ()
+    why, noise = tuple[str, ...](), sensor_noise(cell)
     try:
         within = ask(cell, wish).require()
     except (BusError, DriveError) as error:  # at a desk, say
@@ -238,7 +202,7 @@ def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, noise: Noise,
 
 
 def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
-    """Print the dry run of a goal; return 3 where it is not expected to be reached."""
+    """Print the dry run of a screening; return 3 where its goal is not expected to be reached."""
     timing = timing_of(cell)
     document = {
         "dry_run": True,
@@ -257,31 +221,6 @@ def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
     return EXIT_OK if design.reachable else EXIT_NOT_TRUSTWORTHY
 
 
-def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) -> int:
-    """Measure to the goal; return 3 where the measured covariance did not reach it."""
-    note(f"invid measure: {design.sentence}")
-
-    def tell(found: Reached) -> None:
-        note(f"  after {found.blocks} block{'s' * (found.blocks > 1)}: {found.sentence}")
-
-    with stop_on_signals() as stop:
-        result, found = measure_to_goal(cell, design, out, progress=ProgressLine(), stop=stop, tell=tell)
-    there = found.meets(design.goal)
-    sentence = (
-        f"goal of {design.goal:.2g} reached after {found.blocks} of {len(design.plan.recorded)} blocks: "
-        f"worst is {found.worst} at {found.relative:.2g}"
-        if there
-        else f"goal of {design.goal:.2g} not reached: "
-        + (found.reason or f"{found.worst} stands at {found.relative:.2g}; raise --max-duration or limits")
-    )
-    document = result.to_json()
-    if not there:
-        document["warnings"] = [*document["warnings"], sentence]
-    document["goal"] = {**design.to_json(), "reached": there, "measured": found.to_json(), "result": sentence}
-    emit(document, f"{result_text(result)}\n  {sentence}", as_json=as_json)
-    return EXIT_OK if there else EXIT_NOT_TRUSTWORTHY
-
-
 def run_screening(cell: CellConfig, model: Model, out: Path, noise: Noise, *, as_json: bool) -> int:
     """Screen; return 3 where nothing can be told."""
     with stop_on_signals() as stop:
@@ -294,10 +233,10 @@ def run_screening(cell: CellConfig, model: Model, out: Path, noise: Noise, *, as
     return EXIT_NOT_TRUSTWORTHY if untold else EXIT_OK
 
 
-def cell_to_separate(cell: CellConfig, path: Path, *, goal: str | None, screening: bool) -> CellConfig:
+def cell_to_separate(cell: CellConfig, path: Path, *, screening: bool) -> CellConfig:
     """The cell with the experiments that a diagnosis asks for, told in words."""
-    if goal is not None or screening:
-        raise InputError("--separate plans its own experiments: leave --goal and --screen")
+    if screening:
+        raise InputError("--separate plans its own experiments: leave --screen")
     document = load_json(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: no diagnosis: the document is no object")
@@ -326,18 +265,6 @@ def register(app: typer.Typer) -> None:
         model: Path | None = typer.Option(
             None, "--model", help="Last accepted model: foretells travel and uncertainty."
         ),
-        noise_from: Path | None = typer.Option(
-            None, "--noise-from", help="Earlier recording of this cell: its noise foretells uncertainty."
-        ),
-        goal: str | None = typer.Option(
-            None,
-            "--goal",
-            help="Relative uncertainty to reach, as 1%: plans the shortest experiment instead of the "
-            "config's and stops as soon as it is reached.",
-        ),
-        max_duration: float = typer.Option(
-            120.0, "--max-duration", help="With --goal: longest robot time of the blocks [s]."
-        ),
         screening: bool = typer.Option(
             False,
             "--screen",
@@ -359,7 +286,7 @@ def register(app: typer.Typer) -> None:
         """Shake the axes and record position and torque."""
         cell = load_config(config)
         if separate is not None:
-            cell = cell_to_separate(cell, separate, goal=goal, screening=screening)
+            cell = cell_to_separate(cell, separate, screening=screening)
         chosen = None if axes is None else [a.strip() for a in axes.split(",") if a.strip()]
         if separate is None:
             require_all_axes(cell, chosen)
@@ -368,11 +295,11 @@ def register(app: typer.Typer) -> None:
         if screening:
             if model is None:
                 raise InputError("--screen needs the accepted model to test against: --model MODEL.json")
-            if chosen is not None or amplitude != 1.0 or goal is not None:
+            if chosen is not None or amplitude != 1.0:
                 raise InputError(
-                    "--screen excites all axes at the amplitude it needs: leave --axes, --amplitude, --goal"
+                    "--screen excites all axes at the amplitude it needs: leave --axes and --amplitude"
                 )
-            noise, accepted = noise_of(cell, noise_from), load_model(model)
+            noise, accepted = sensor_noise(cell), load_model(model)
             if dry_run:
                 return tell_design(
                     cell, screening_plan(cell, from_model(accepted, cell), noise), as_json=as_json
@@ -380,18 +307,9 @@ def register(app: typer.Typer) -> None:
             out = _required(out)
             confirm(cell, confirmed=confirmed)
             return run_screening(cell, accepted, out, noise, as_json=as_json)
-        if goal is not None:
-            design = design_for(
-                cell, belief, noise_of(cell, noise_from), goal, chosen, amplitude, max_duration
-            )
-            if dry_run:
-                return tell_design(cell, design, as_json=as_json)
-            out = _required(out)
-            confirm(cell, confirmed=confirmed)
-            return run_design(cell, design, out, as_json=as_json)
         wish = Wish(chosen, amplitude, known)
         if dry_run:
-            return tell_plan(cell, wish, belief, noise_of(cell, noise_from), as_json=as_json)
+            return tell_plan(cell, wish, belief, as_json=as_json)
         out = _required(out)
         confirm(cell, confirmed=confirmed)
         with stop_on_signals() as stop:

@@ -7,15 +7,11 @@ import numpy as np
 import pytest
 
 from invid.config import CellConfig
-from invid.errors import InputError
 from invid.planning.belief import Belief
 from invid.planning.forecast import turning_back
 from invid.planning.goal import GoalPlan, GoalWish, plan_for_goal
 from invid.recording import Recording, read_recording
-from invid_drivers.cli.measure import parse_goal
-from invid_drivers.filing import Judge
 from invid_drivers.foretelling import sensor_noise
-from invid_drivers.goal import measure_to_goal
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.stopping_budgets import Wish
 
@@ -93,31 +89,8 @@ def test_creep_is_planned_where_friction_is_near_the_torque_and_the_config_allow
     assert any("creep_velocity" in w for w in plain.plan.warnings)
 
 
-@pytest.mark.parametrize("text", ["", "0", "-1%", "100%", "1 per cent", "nan", "inf"])
-def test_a_goal_that_is_none_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="such as 1%"):
-        parse_goal(text)
-
-
-@pytest.mark.campaign
-def test_the_measurement_stops_as_soon_as_the_measured_covariance_is_there(
-    cell: CellConfig, design: GoalPlan, tmp_path: Path
-) -> None:
-    path = tmp_path / "r.h5"
-    result, found = measure_to_goal(cell, design, path)
-    recording = read_recording(path)
-    assert found.meets(0.01)
-    assert found.blocks == len(recording.experiments) < len(design.plan.recorded)
-    assert str(recording.outcome) == "completed"
-    assert result.duration_s < design.plan.duration_s + 20
-
-
-# held until the judge has answered, or moved on meanwhile: then the answer counts one experiment later
-@pytest.mark.parametrize(
-    ("is_awaited", "recorded"), [(False, 3), pytest.param(True, 2, marks=pytest.mark.campaign)]
-)
 def test_whoever_judges_sees_every_finished_experiment_as_it_stands_in_the_file(
-    cell: CellConfig, design: GoalPlan, tmp_path: Path, is_awaited: bool, recorded: int
+    cell: CellConfig, design: GoalPlan, tmp_path: Path
 ) -> None:
     path, seen = tmp_path / "r.h5", []
 
@@ -127,10 +100,10 @@ def test_whoever_judges_sees_every_finished_experiment_as_it_stands_in_the_file(
 
     blocks = [replace(e, torque=0.5 * e.torque[:1500], record_to=1500) for e in design.plan.experiments]
     plan = replace(design.plan, experiments=tuple(blocks))
-    measure_to_file(cell, path, Wish(plan=plan), judge=Judge(go_on, is_awaited))
+    measure_to_file(cell, path, Wish(plan=plan), judge=go_on)
     written = read_recording(path)
     assert [len(r.experiments) for r in seen] == [1, 2]
-    assert len(written.experiments) == recorded
+    assert len(written.experiments) == 3, "the next one went on meanwhile"
     for a, b in zip(seen[-1].experiments, written.experiments, strict=False):
         assert a.key == b.key
         assert np.array_equal(a.position, b.position)
