@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -94,18 +93,6 @@ class GoalPlan:
             shaking_s=self.plan.shaking_s,
             names=", ".join(self.binding),
         )
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return {
-            "goal": self.goal,
-            "reachable": self.reachable,
-            "blocks_needed": self.needed,
-            "blocks_planned": len(self.plan.recorded),
-            "expected_s": self.expected_s,
-            "binding": list(self.binding),
-            "summary": self.sentence,
-        }
 
 
 @dataclass(frozen=True)

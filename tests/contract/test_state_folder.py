@@ -55,7 +55,7 @@ def test_a_link_planted_for_a_temporary_file_leads_nowhere(tmp_path: Path) -> No
     journal = Journal(tmp_path / "bus.journal")
     for node in (1, 2):
         journal.add(Entry(node, 0, 0x6072, 0, "0000"))
-    journal.forget(1)
+    journal.keep(1, ())
     HoldMemory(tmp_path / "bus.holds.json").keep("a drive", Seen(1, loaded=True))
     assert target.read_text(encoding="utf-8") == "precious"
     assert HoldMemory(tmp_path / "bus.holds.json").of("a drive", 1).loaded

@@ -95,10 +95,6 @@ class Journal:
         if self.reservation is not None:
             self.reservation.release()
 
-    def forget(self, node_id: int) -> None:
-        """Drop the entries of a node that is as it was."""
-        self.keep(node_id, ())
-
     def keep(self, node_id: int, entries: Collection[Entry]) -> None:
         """Drop the entries of a node but for these, which are not undone yet."""
         kept = set(map(id, entries))  # a value may be written twice: equal entries are two

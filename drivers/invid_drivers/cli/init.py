@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import can
 import typer
+from canopen.sdo.client import SdoClient
 
 from invid.cli.output import EXIT_OK, emit, note
 from invid.config import parse_config
@@ -25,6 +27,7 @@ from invid_drivers.round_trip import sample
 ANSWER_S = 0.05
 """A node answers an SDO request within a few milliseconds; 127 silent ids then take seven seconds."""
 
+NAME = Object(0x1008, 0, "B", "device name")
 MODES = {4: "profile torque", 8: "cyclic position", 10: "cyclic torque"}
 
 
@@ -51,29 +54,18 @@ def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
     for node_id in range(first, last + 1):
         client = link.sdo(node_id)
 
-        def read(what: Object, client: object = client) -> int | None:
+        def upload(what: Object, client: SdoClient = client) -> bytes | None:
+            """Bytes of an object, none where the node refuses it; ``None`` where it does not answer."""
             try:
-                return what.unpack(client.upload(what.index, what.sub))  # type: ignore[attr-defined]
+                return bytes(client.upload(what.index, what.sub))
             except SdoAbortedError:
-                return 0
+                return b""
             except SdoError:
                 return None
 
-        def has(what: Object, client: object = client) -> bool:
-            try:
-                client.upload(what.index, what.sub)  # type: ignore[attr-defined]
-            except SdoAbortedError:
-                return False
-            except SdoError:
-                return True  # no answer says nothing
-            return True
-
-        def name(client: object = client) -> str:
-            try:
-                said: bytes = client.upload(0x1008, 0)  # type: ignore[attr-defined]
-            except SdoError:
-                return ""
-            return said.decode("utf-8", "replace").strip("\0 ")
+        def read(what: Object, upload: Callable[[Object], bytes | None] = upload) -> int | None:
+            data = upload(what)
+            return None if data is None else what.unpack(data)
 
         device = read(od.DEVICE_TYPE)
         if device is None:
@@ -87,9 +79,9 @@ def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
                 (read(od.RATED_TORQUE) or 0) / 1000.0,
                 read(od.SUPPORTED_MODES) or 0,
                 revision=read(od.REVISION_NUMBER) or 0,
-                name=name(),
+                name=(upload(NAME) or b"").decode("utf-8", "replace").strip("\0 "),
                 counts=position_counts(read, linear=False),
-                watches=has(od.CONSUMER_HEARTBEAT),
+                watches=upload(od.CONSUMER_HEARTBEAT) != b"",
             )
         )
     return found

@@ -19,8 +19,6 @@ from invid.model.document import Model, load_json
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid.planning.build import require_all_axes
-from invid.planning.expected_covariance import Noise
-from invid.planning.goal import GoalPlan
 from invid.planning.separating_experiments import to_separate
 from invid.planning.stopping_distance import StoppingBudget
 from invid.sweep import Progress
@@ -201,29 +199,10 @@ def tell_plan(cell: CellConfig, wish: Wish, belief: Belief | None, *, as_json: b
     return EXIT_OK
 
 
-def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
-    """Print the dry run of a screening; return 3 where its goal is not expected to be reached."""
-    timing = timing_of(cell)
-    document = {
-        "dry_run": True,
-        "robot": cell.robot,
-        "simulated": cell.simulated,
-        **design.plan.to_json(),
-        "goal": design.to_json(),
-        "expected": design.expected.to_json(),
-        "timing": timing.to_json(),
-    }
-    document["warnings"] = [*document["warnings"], *timing.warnings(design.plan)]
-    if not design.reachable:
-        document["warnings"] = [*document["warnings"], design.sentence]
-    shown = [plan_text(design.plan, cell.robot), expected_text(design.expected, linear=cell.linear)]
-    emit(document, "\n".join([*shown, f"  {timing.text()}", f"  {design.sentence}"]), as_json=as_json)
-    return EXIT_OK if design.reachable else EXIT_NOT_TRUSTWORTHY
-
-
-def run_screening(cell: CellConfig, model: Model, out: Path, noise: Noise, *, as_json: bool) -> int:
+def run_screening(cell: CellConfig, model: Model, out: Path, *, as_json: bool) -> int:
     """Screen; return 3 where nothing can be told."""
     with stop_on_signals() as stop:
+        noise = sensor_noise(cell)
         found = screen_cell(cell, model, out, noise=noise, progress=ProgressLine(), stop=stop)
     document, said = found.to_json(), found.screening.sentence
     untold = found.screening.verdict == "cannot tell"
@@ -299,14 +278,14 @@ def register(app: typer.Typer) -> None:
                 raise InputError(
                     "--screen excites all axes at the amplitude it needs: leave --axes and --amplitude"
                 )
-            noise, accepted = sensor_noise(cell), load_model(model)
+            accepted = load_model(model)
             if dry_run:
-                return tell_design(
-                    cell, screening_plan(cell, from_model(accepted, cell), noise), as_json=as_json
-                )
+                believed = from_model(accepted, cell)
+                plan = screening_plan(cell, believed, sensor_noise(cell)).plan
+                return tell_plan(cell, Wish(plan=plan), believed, as_json=as_json)
             out = _required(out)
             confirm(cell, confirmed=confirmed)
-            return run_screening(cell, accepted, out, noise, as_json=as_json)
+            return run_screening(cell, accepted, out, as_json=as_json)
         wish = Wish(chosen, amplitude, known)
         if dry_run:
             return tell_plan(cell, wish, belief, as_json=as_json)

@@ -250,10 +250,6 @@ class VirtualTimeBus(BusABC):
         for name in [n for n, wire in _WIRES.items() if wire is self.wire]:
             del _WIRES[name]
 
-    @staticmethod
-    def _detect_available_configs() -> list[Any]:
-        return [{"interface": "invid-virtual", "channel": name} for name in _WIRES]
-
 
 def _find_wire(channel: str) -> VirtualWire:
     if channel in _WIRES:

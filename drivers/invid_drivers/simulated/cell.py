@@ -303,10 +303,7 @@ class SimulatedCell:
         noise: Float64 = self._noise[self._noise_row]
         self._noise_row += 1
         rows = self.plant.observe(now_ns, noise)
-        if self._drops:
-            kept = self._drop_random.random(len(rows)) >= self._drop_rate
-        else:
-            kept = None
+        kept = self._drop_random.random(len(rows)) >= self._drop_rate if self._drops else None
         for i, drive in enumerate(self.drives):
             if kept is None or kept[i]:
                 drive.measured = rows[i]

@@ -62,7 +62,7 @@ def test_the_journal_survives_a_power_cut_in_the_middle_of_a_line(tmp_path: Path
     again = Journal(path)
     assert again.entries == (first, second)
     assert again.of_node(1) == (second, first)
-    again.forget(1)
+    again.keep(1, ())
     assert not path.exists()
 
 
@@ -70,7 +70,7 @@ def test_the_journal_keeps_the_other_nodes_when_one_is_restored(tmp_path: Path) 
     journal = Journal(tmp_path / "bus.journal")
     for node in (1, 2):
         journal.add(Entry(node, 0, 0x6072, 0, "0000"))
-    journal.forget(1)
+    journal.keep(1, ())
     lines = (tmp_path / "bus.journal").read_text().splitlines()
     assert [json.loads(line)["node_id"] for line in lines] == [2]
 
