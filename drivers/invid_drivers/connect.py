@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import can
 
 from invid.config import CellConfig
@@ -43,26 +45,18 @@ def connect(config: CellConfig) -> Cia402Cell:
     ConfigError
         An axis that cannot be driven.
     """
-    journal = None
-    if not is_virtual(config):
-        path = journal_path(config.bus.interface, config.bus.channel)
-        reservation = Reservation(
-            config.bus.interface, config.bus.channel
-        )  # before the journal is read: the one before may still be writing it
-        try:
+    with contextlib.ExitStack() as refused:  # then the bus is free for the next who tries
+        journal = None
+        if not is_virtual(config):
+            path = journal_path(config.bus.interface, config.bus.channel)
+            # before the journal is read: the one before may still be writing it
+            reservation = Reservation(config.bus.interface, config.bus.channel)
+            refused.callback(reservation.release)
             refuse_left_by_others(path)
             journal = Journal(path)
-        except BaseException:
-            reservation.release()
-            raise
-        journal.reservation = reservation
-    bus = None
-    try:
+            journal.reservation = reservation
         bus = open_bus(config)
-        return Cia402Cell(bus, config, journal=journal)
-    except BaseException:  # an EDS or a vendor that is refused: the bus is free for the next who tries
-        if bus is not None:
-            bus.shutdown()
-        if journal is not None:
-            journal.release()
-        raise
+        refused.callback(bus.shutdown)
+        cell = Cia402Cell(bus, config, journal=journal)
+        refused.pop_all()
+    return cell

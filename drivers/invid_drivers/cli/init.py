@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -114,22 +115,18 @@ def register(app: typer.Typer) -> None:
             "position_window_rad: 1, velocity_rad_per_s: 1}}]\n",
             source="scan",
         )
-        reservation = Reservation(interface, channel)
-        try:
+        with contextlib.ExitStack() as after:
+            after.callback(Reservation(interface, channel).release)
             bus = open_bus(probe)
-            try:
-                link = quiet_link(bus)
-                nodes = ask_all(link)
-                drives = [n for n in nodes if n.is_drive and n.node_id <= 126]
-                round_trip = (
-                    bound(sample(link, [d.node_id for d in drives], every_s=CYCLES[0]), SHARE)
-                    if drives and not is_virtual(probe)
-                    else 0.0
-                )
-            finally:
-                bus.shutdown()
-        finally:
-            reservation.release()
+            after.callback(bus.shutdown)
+            link = quiet_link(bus)
+            nodes = ask_all(link)
+            drives = [n for n in nodes if n.is_drive and n.node_id <= 126]
+            round_trip = (
+                bound(sample(link, [d.node_id for d in drives], every_s=CYCLES[0]), SHARE)
+                if drives and not is_virtual(probe)
+                else 0.0
+            )
         if not drives:
             seen = (
                 f"{len(nodes)} nodes answered, none of them a CiA 402 drive" if nodes else "no node answered"

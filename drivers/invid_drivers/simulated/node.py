@@ -124,8 +124,8 @@ class Node:
                     od, communication=communication + n, mapping=mapping + n, way=way, changed=self._rebuild
                 )
         od.guard(0x1003, 0, self._clear_history)
-        od.guard(0x1005, 0, self._write_sync_id)
-        od.guard(0x1017, 0, self._write_producer)
+        od.guard(0x1005, 0, self._check_sync_id, self._host.rewire)
+        od.guard(0x1017, 0, None, self._start_heartbeat)
         od.guard(0x1010, 1, self._save)
         od.guard(0x1011, 1, self._load)
         for sub in range(1, od.number(0x1016) + 1):
@@ -147,18 +147,12 @@ class Node:
         for sub in range(1, 9):
             self.od.put(0x1003, sub, 0)
 
-    def _write_sync_id(self, value: int) -> None:
+    def _check_sync_id(self, value: int) -> None:
         if value & 0x60000000 or not value & 0x7FF:
             raise SdoAbort(SdoAbort.RANGE)
-        self.od.put(0x1005, 0, value)
-        self._host.rewire()
 
     # --- heartbeat -----------------------------------------------------------------------------
-    def _write_producer(self, value: int) -> None:
-        self.od.put(0x1017, 0, value)
-        self._start_heartbeat(None)
-
-    def _start_heartbeat(self, now_ns: int | None) -> None:
+    def _start_heartbeat(self, now_ns: int | None = None) -> None:
         token = self._heartbeat_token = object()
 
         def beat(at_ns: int) -> None:

@@ -39,6 +39,7 @@ class Entry:
 
     __slots__ = (
         "access", "code", "default", "high", "index", "low", "mappable", "on_write", "size", "sub", "value",
+        "written",
     )  # fmt: skip
 
     def __init__(
@@ -55,6 +56,8 @@ class Entry:
         self.high = (1 << (bits - 1)) - 1 if code.islower() else (1 << bits) - 1
         self.on_write: Callable[[int], None] | None = None
         """Called before a value is stored; raises SdoAbort to refuse."""
+        self.written: Callable[[], None] = lambda: None
+        """Called when a value has been stored."""
 
     def encode(self) -> bytes:
         """Bytes of the value as they go over the bus."""
@@ -86,6 +89,7 @@ class Entry:
         if self.on_write is not None:
             self.on_write(value)
         self.value = value
+        self.written()
 
 
 class ObjectDictionary:
@@ -134,11 +138,17 @@ class ObjectDictionary:
         if entry is not None:
             entry.value = value
 
-    def guard(self, index: int, sub: int, on_write: Callable[[int], None]) -> None:
-        """Set what a write does, where the drive has the object."""
+    def guard(
+        self,
+        index: int,
+        sub: int,
+        on_write: Callable[[int], None] | None,
+        written: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Set what a write does before and after the value is stored, where the drive has the object."""
         entry = self.find(index, sub)
         if entry is not None:
-            entry.on_write = on_write
+            entry.on_write, entry.written = on_write, written
 
     def remove(self, index: int) -> None:
         """Take an object away, as a vendor did."""

@@ -73,19 +73,17 @@ def guard_configuration(
 ) -> None:
     """Let writes follow CiA 301: invalidate, sub 0 to zero, map, count, validate.
 
-    ``changed`` is called after every accepted write. A drive that lacks the communication or the mapping has
-    no such PDO.
+    ``changed`` is called after every accepted write to the communication object. A drive that lacks it or the
+    mapping has no such PDO.
     """
     if od.find(communication, 1) is None or od.find(mapping) is None:
         return
-    guard = _ConfigurationGuard(od, communication, mapping, way, changed)
-    od.guard(communication, 1, guard.write_cob)
-    od.guard(communication, 2, guard.write_kind)
-    od.guard(communication, 3, guard.write_inhibit)
-    od.guard(communication, 5, guard.write_timer)
-    od.guard(mapping, 0, guard.write_count)
+    guard = _ConfigurationGuard(od, communication, mapping, way)
+    for sub, check in ((1, guard.check_cob), (2, guard.check_kind), (3, guard.check_inhibit), (5, None)):
+        od.guard(communication, sub, check, changed)
+    od.guard(mapping, 0, guard.check_count)
     for sub in range(1, 9):
-        od.guard(mapping, sub, guard.write_mapped)
+        od.guard(mapping, sub, guard.check_mapped)
 
 
 @dataclass(frozen=True)
@@ -96,12 +94,11 @@ class _ConfigurationGuard:
     communication: int
     mapping: int
     way: str
-    changed: Callable[[], None]
 
     def _is_valid(self) -> bool:
         return not int(self.od.entry(self.communication, 1).value) & INVALID
 
-    def write_cob(self, value: int) -> None:
+    def check_cob(self, value: int) -> None:
         cob = self.od.entry(self.communication, 1)
         if not value & INVALID:
             if self._is_valid() and (value ^ int(cob.value)) & 0x3FFFFFFF:
@@ -111,26 +108,16 @@ class _ConfigurationGuard:
             if value & 0x20000000 or not 0x80 < value & 0x7FF < 0x700:
                 raise SdoAbort(SdoAbort.RANGE)
             mapped_entries(self.od, self.mapping, self.way)
-        cob.value = value
-        self.changed()
 
-    def write_kind(self, value: int) -> None:
+    def check_kind(self, value: int) -> None:
         if 241 <= value <= 253:  # reserved; 252 and 253: remote requests, which are not answered
             raise SdoAbort(SdoAbort.RANGE)
-        self.od.entry(self.communication, 2).value = value
-        self.changed()
 
-    def write_inhibit(self, value: int) -> None:
+    def check_inhibit(self, value: int) -> None:
         if self._is_valid():
             raise SdoAbort(SdoAbort.STATE)
-        self.od.entry(self.communication, 3).value = value
-        self.changed()
 
-    def write_timer(self, value: int) -> None:
-        self.od.entry(self.communication, 5).value = value
-        self.changed()
-
-    def write_count(self, value: int) -> None:
+    def check_count(self, value: int) -> None:
         if self._is_valid():
             raise SdoAbort(SdoAbort.UNSUPPORTED)
         if value > 8:
@@ -141,7 +128,7 @@ class _ConfigurationGuard:
         if sum(e.size for e in entries) > 8:
             raise SdoAbort(SdoAbort.PDO_LENGTH)
 
-    def write_mapped(self, value: int) -> None:
+    def check_mapped(self, value: int) -> None:
         if self._is_valid() or int(self.od.entry(self.mapping, 0).value) != 0:
             raise SdoAbort(SdoAbort.UNSUPPORTED)
         if value:
