@@ -16,7 +16,6 @@ from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, S
 from invid_drivers.simulated.sdo import SdoServer
 
 _MS = 1_000_000
-SAVE, LOAD = 0x65766173, 0x64616F6C
 _PDOS = ((0x1400, 0x1600, "w"), (0x1800, 0x1A00, "r"))
 """First communication and mapping object of the received and of the sent PDOs, and which way they go."""
 Handler = Callable[[bytes, int], None]
@@ -71,7 +70,6 @@ class Node:
         self._sdo = SdoServer(od)
         self._sdo_ns, self._boot_ns = sdo_ns, boot_ns
         self._epoch = 0
-        self._stored: dict[tuple[int, int], int | str] = {}
         self._rpdos: list[pdo.ReceivePdo] = []
         self._tpdos: list[pdo.TransmitPdo] = []
         self._heard: dict[int, int] = {}
@@ -79,12 +77,12 @@ class Node:
 
     # --- start and reset ---------------------------------------------------------------------
     def power_on(self, now_ns: int) -> None:
-        """Boot: values from the store, then the boot-up message after the boot time."""
+        """Boot: values as they come, then the boot-up message after the boot time."""
         self._epoch += 1
         epoch = self._epoch
         self.state = Nmt.INITIALISING
         for entry in self.od:
-            entry.value = self._stored.get((entry.index, entry.sub), entry.default)
+            entry.value = entry.default
         self._clear_communication()
         self.application.reset(now_ns)
 
@@ -110,7 +108,7 @@ class Node:
     def _reset_communication(self, now_ns: int) -> None:
         for entry in self.od:
             if 0x1000 <= entry.index <= 0x1FFF:
-                entry.value = self._stored.get((entry.index, entry.sub), entry.default)
+                entry.value = entry.default
         self._epoch += 1
         self.state = Nmt.INITIALISING
         self._clear_communication()
@@ -126,20 +124,8 @@ class Node:
         od.guard(0x1003, 0, self._clear_history)
         od.guard(0x1005, 0, self._check_sync_id, self._host.rewire)
         od.guard(0x1017, 0, None, self._start_heartbeat)
-        od.guard(0x1010, 1, self._save)
-        od.guard(0x1011, 1, self._load)
         for sub in range(1, od.number(0x1016) + 1):
             od.guard(0x1016, sub, self._write_consumer)
-
-    def _save(self, value: int) -> None:
-        if value != SAVE:
-            raise SdoAbort(SdoAbort.NOT_STORED)
-        self._stored = {(e.index, e.sub): e.value for e in self.od if e.access == "rw" and e.index != 0x1010}
-
-    def _load(self, value: int) -> None:
-        if value != LOAD:
-            raise SdoAbort(SdoAbort.NOT_STORED)
-        self._stored = {}  # takes effect at the next reset, as CiA 301 has it
 
     def _clear_history(self, value: int) -> None:
         if value != 0:

@@ -30,7 +30,6 @@ class SdoAbort(SdoAbortedError):
     RANGE = 0x06090030
     TOO_HIGH = 0x06090031
     TOO_LOW = 0x06090032
-    NOT_STORED = 0x08000020
     STATE = 0x08000022
 
 
@@ -199,8 +198,6 @@ _ROWS: tuple[Row, ...] = (
     (0x1008, 0, "s", "const", "", ""),
     (0x1009, 0, "s", "const", "1.0", ""),
     (0x100A, 0, "s", "const", "invid simulated drive", ""),
-    *_record(0x1010, ("I", "rw", 1)),
-    *_record(0x1011, ("I", "rw", 1)),
     (0x1014, 0, "I", "rw", 0, ""),
     (0x1015, 0, "H", "rw", 0, ""),
     *_record(0x1016, *[("I", "rw", 0)] * 3),
