@@ -130,7 +130,8 @@ class VirtualWire:
         self.frames += 1
         if sender >= 0:
             self.cell.receive(can_id, data, now)
-            self._spread(now, can_id, data, sender)
+            if self.inboxes[sender] is not None:  # who has closed is heard of by the drives alone
+                self._spread(now, can_id, data, sender)
         elif not self.cell.master_off:
             self._spread(now, can_id, data, -1)
             self.cell.deliver(can_id, data, now)

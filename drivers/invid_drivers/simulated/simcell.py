@@ -7,7 +7,7 @@ import gc
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import can
@@ -111,9 +111,7 @@ def run_simcell(
             if granted:
                 lock_memory()
             loop.run(stop_event, ready)
-        statistics = loop.statistics()
-        statistics.realtime = granted
-        return statistics
+        return replace(loop.statistics(), realtime=granted)
     finally:
         if collecting:
             gc.enable()

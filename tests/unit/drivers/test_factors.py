@@ -130,7 +130,8 @@ def cell(*axes: dict[str, Any]) -> CellConfig:
 def test_check_refuses_a_drive_whose_position_factor_is_not_one() -> None:
     master = connect(cell({"name": "A1", "node_id": 1}))
     bus: Any = master.link.bus
-    bus.cell.drives[0].node.od.add_record(0x6093, ("I", "rw", 336), ("I", "rw", 10))
+    for sub, value in enumerate((336, 10), 1):
+        bus.cell.drives[0].node.od.add(0x6093, sub, "I", "rw", value)
     with pytest.raises(
         DriveError, match=r"contradicts itself.*0x6093 and 0x608F say.*Give position_rad_per_count"
     ):
