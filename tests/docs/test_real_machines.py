@@ -7,8 +7,8 @@ import re
 
 import pytest
 from pages import ROOT, run_page
+from rigid_figures import friction_models, simulation_error
 
-from benchmarks.diagnosis.rigid_figures import friction_models, simulation_error
 from invid import read_recording
 from invid.model.document import model_from_json
 from invid.recording import Recording
