@@ -66,10 +66,9 @@ def run(revision: str, results: Path | None, options: argparse.Namespace) -> Pat
         for stale in folder.glob("*/*.json"):
             stale.unlink()
     todo = [str(path) for path in made if not (folder / path.stem / "answer.json").exists()]
-    worker = Path(__file__).parent / "frozen" / "worker.py"
     paths = os.pathsep.join(str(tree / p) for p in (".", "drivers", "service"))
     subprocess.run(
-        [sys.executable, str(worker), str(tree), str(folder), str(options.timeout)],
+        [sys.executable, f"{ROOT}/benchmarks/frozen/worker.py", str(tree), str(folder), str(options.timeout)],
         input="\n".join(todo), text=True, cwd=tree, check=True,
         env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": paths},
     )  # fmt: skip

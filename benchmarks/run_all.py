@@ -37,9 +37,9 @@ SECTIONS = (
     Section(
         "Accuracy against the Cramér-Rao bound and beside other ways of fitting",
         "The bound is the smallest standard deviation that any unbiased estimator can have on these records. "
-        "`white` is the case study of the paper with three axes, without friction, simulated by code that "
-        "the identification does not use. z is error over stated deviation. In the table everybody gets the "
-        "same spectra, the torque when it acts, and the number of masses; errors are medians over records.",
+        "`white` is the paper's case study without friction, simulated by code that the identification does "
+        "not use; z is error over stated deviation. In the table everybody gets the same spectra and the "
+        "number of masses; errors are medians.",
         "identification/bench_identify.py",
         ("--draws", "100", "--peers", "5"),
         ("--draws", "10", "--peers", "2"),
@@ -54,10 +54,9 @@ SECTIONS = (
     ),
     Section(
         "Hidden causes: what was hidden, what was said",
-        "The generator hides one cause of the catalogue (or none, a pair, one outside the catalogue, a "
-        "wrong number of masses) in a plant of its own; the diagnosis gets the recording alone. Trial n has "
-        "the seed start + n; `make_case(seed)` in `tests/hidden` makes it again. Sizes are in decibels over "
-        "the noise; −10 dB is still significant, because there are hundreds of lines.",
+        "One cause of the catalogue (or none, a pair, one outside it, a wrong number of masses) is hidden in "
+        "a plant; the diagnosis gets the recording alone. `make_case(seed)` in `tests/hidden` makes a trial "
+        "again.",
         "bench_hidden.py",
         ("--trials", "300", "--start", "2500000", "--jobs", "1"),
         ("--trials", "60", "--start", "2500000", "--jobs", "1"),

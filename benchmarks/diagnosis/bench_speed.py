@@ -188,8 +188,11 @@ def run(case: str, task: str, cache: Path, seconds: float) -> bool:
     """One line of the table, of a task in a process of its own; whether its bar is held."""
     recording, model = cache / f"{case}.h5", cache / f"{case}.model.json"
     command = [sys.executable, __file__, "--task", task, str(recording), str(model)]
-    path = os.pathsep.join(str(ROOT / p) for p in (".", "drivers", "service"))
-    own = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": path}
+    own = {
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join(str(ROOT / p) for p in (".", "drivers", "service")),
+    }
     try:
         done = subprocess.run(
             command, env=os.environ | own, capture_output=True, text=True, timeout=seconds, check=True
