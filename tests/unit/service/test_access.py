@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
-from service_doubles import START, Director, running, start, wait_for
+from service_doubles import START, Director, bearer, kind, running, start, wait_for
 
 from invid.cli.app import run
 from invid.errors import ConfigError
@@ -18,14 +17,6 @@ from invid_service.settings import Settings
 
 CELLS = "/api/v1/cells"
 STOP = "/api/v1/cells/cell/stop"
-
-
-def kind(answer: Any) -> str:
-    return str(answer.json()["type"]).removeprefix("urn:invid:problem:")
-
-
-def bearer(key: str) -> dict[str, str]:
-    return {"Authorization": f"Bearer {key}"}
 
 
 # --- loopback and proxies --------------------------------------------------------------------------

@@ -33,8 +33,7 @@ def two_cells(folder: Path) -> list[Path]:
 
 
 def test_a_cell_is_told_from_ready_through_motion_to_its_end_with_when(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
+    director = Director(held_in="running")
     director.summary = {"grade": "watch"}
     with running(tmp_path, director) as (client, _):
         known(client)
@@ -56,9 +55,7 @@ def test_a_cell_is_told_from_ready_through_motion_to_its_end_with_when(tmp_path:
 
 
 def test_a_store_that_hangs_keeps_no_state_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path, Director(held_in="running")) as (client, _):
         wait_for(client, start(client), "running")
         store = client.app.state.service.store  # type: ignore[attr-defined]
         for name in ("run", "runs", "approvals", "model"):
@@ -69,9 +66,7 @@ def test_a_store_that_hangs_keeps_no_state_back(tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_stop_of_all_says_for_each_cell_whether_something_moved_until_nothing_does(tmp_path: Path) -> None:
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director, cells=two_cells(tmp_path)) as (client, _):
+    with running(tmp_path, Director(held_in="running"), cells=two_cells(tmp_path)) as (client, _):
         location = start(client, "two")
         wait_for(client, location, "running")
         first = {a["cell"]: a for a in client.post(STOP).json()["cells"]}

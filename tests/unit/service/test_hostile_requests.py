@@ -10,21 +10,12 @@ from pathlib import Path
 
 import h5py
 import pytest
-from service_doubles import START, Director, running, settings_in, wait_for
+from service_doubles import START, bearer, kind, running, settings_in, wait_for
 
 from invid.errors import ConfigError
 from invid_service.app import create_app
 from invid_service.keys import add_key
 from invid_service.recordings.declared import look
-
-
-def kind(answer: object) -> str:
-    assert answer.headers["content-type"] == "application/problem+json", answer.text  # type: ignore[attr-defined]
-    return str(answer.json()["type"]).removeprefix("urn:invid:problem:")  # type: ignore[attr-defined]
-
-
-def bearer(token: str) -> dict[str, str]:
-    return {"Authorization": f"Bearer {token}"}
 
 
 @pytest.fixture
@@ -45,8 +36,7 @@ def test_a_bind_beyond_loopback_without_a_key_is_refused(tmp_path: Path, host: s
 
 def test_keys_open_what_their_scopes_say_and_nothing_else(tmp_path: Path, keys: dict[str, str]) -> None:
     given = {"host": "0.0.0.0", "key_file": tmp_path / "keys.json"}
-    director = Director()
-    with running(tmp_path, director, **given) as (client, _):
+    with running(tmp_path, **given) as (client, _):
         assert kind(client.get("/api/v1/cells")) == "key-missing"
         assert client.get("/api/v1/health/live").status_code == 200
         assert client.get("/").status_code == 200

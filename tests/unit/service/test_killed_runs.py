@@ -129,9 +129,7 @@ def test_a_run_whose_end_a_full_disk_does_not_take_is_told_and_stored_when_there
     def full(*_: Any) -> None:
         raise OperationalError("INSERT", None, sqlite3.OperationalError("database or disk is full"))
 
-    director = Director()
-    director.go.clear()
-    with running(tmp_path, director) as (client, _):
+    with running(tmp_path, Director(held_in="running")) as (client, director):
         body = {"mode": "full", "arm": True}
         location = client.post("/api/v1/cells/cell/identifications", json=body).headers["Location"]
         wait_for(client, location, "running")

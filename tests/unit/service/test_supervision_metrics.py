@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from prometheus_client.parser import text_string_to_metric_families
-from service_doubles import Director, running, start, wait_for
+from service_doubles import Director, running, start, started
 
 """Words of the query language, and labels that it groups by."""
 
@@ -31,8 +31,7 @@ def test_supervision_sees_state_grade_age_and_build(tmp_path: Path) -> None:
         ((python, version),) = before["invid_build_info"]
         assert version == client.get("/version").json()["version"]
         assert python.startswith("3.")
-        location = start(client)
-        wait_for(client, location, "awaiting_accept")
+        started(client)
         now = samples(client.get("/metrics").text)
         states = {state for (_, state), value in now["invid_cell_state"].items() if value == 1}
         assert states == {"awaiting_accept"}
