@@ -251,6 +251,15 @@ def start(client: TestClient, cell: str = "cell", **body: Any) -> str:
     return location
 
 
+def until(holds: Callable[[], Any], seconds: float = 10.0) -> Any:
+    """Wait until something holds; what it is then."""
+    deadline = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return found
+
+
 def wait_for(client: TestClient, location: str, *states: str, timeout: float = 30.0) -> dict[str, Any]:
     """Poll until the run is in one of ``states``; fails with what it saw."""
     deadline = time.monotonic() + timeout

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from service_doubles import CELL, Director, running, start, started, wait_for
+from service_doubles import CELL, Director, running, start, started, until, wait_for
 
 from invid_drivers.protocol import RunProgress
 from invid_service.jobs.live import LiveRun
@@ -84,9 +84,7 @@ def test_a_stop_of_all_says_for_each_cell_whether_something_moved_until_nothing_
         assert (first["two"]["stopping"], first["two"]["moved"]) == (True, True)
         assert first["two"]["identification"] == location.rsplit("/", 1)[1]
         assert "not a safety function" in first["two"]["note"]
-        deadline = time.monotonic() + 10
-        while any(a["stopping"] for a in client.post(STOP).json()["cells"]):
-            assert time.monotonic() < deadline
+        until(lambda: not any(a["stopping"] for a in client.post(STOP).json()["cells"]))
         assert client.get(location).json()["state"] == "stopped"
         assert of(client, "two")["moves"] is False
 

@@ -20,6 +20,7 @@ from service_doubles import (
     settings_in,
     start,
     started,
+    until,
     wait_for,
 )
 from sqlalchemy.exc import OperationalError
@@ -272,10 +273,7 @@ def test_a_stop_reaches_the_runner_while_the_store_is_locked_and_the_disk_is_ful
         began = time.monotonic()
         assert client.post(STOP).status_code == 200
         assert time.monotonic() - began < 2.0
-        deadline = time.monotonic() + 2.0
-        while not director.workers[0].stopped.is_set() and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert director.workers[0].stopped.is_set()
+        until(director.workers[0].stopped.is_set, 2.0)
         monkeypatch.undo()
         wait_for(client, location, "stopped")
 
@@ -386,9 +384,8 @@ def test_every_request_that_can_move_the_robot_is_in_the_audit_log(tmp_path: Pat
         wait_for(client, location, "awaiting_accept")
         act(client, location, "accept")
         client.post(STOP)
-        deadline = time.monotonic() + 30.0
-        while len(lines := client.get("/api/v1/audit").json()) < 4 and time.monotonic() < deadline:
-            time.sleep(0.01)
+        until(lambda: len(client.get("/api/v1/audit").json()) >= 4, 30.0)
+        lines = client.get("/api/v1/audit").json()
     assert [line["action"] for line in lines] == ["start", "arm", "accept", "stop"]
     assert {line["caller"] for line in lines} == {"local"}
     assert lines[0]["mode"] == "full"

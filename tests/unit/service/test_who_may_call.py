@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import json
-import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import h5py
 import pytest
-from service_doubles import START, Director, bearer, kind, running, settings_in, start, wait_for
+from service_doubles import START, Director, bearer, kind, running, settings_in, start, until, wait_for
 
 from invid.cli.app import run
 from invid.errors import ConfigError
@@ -97,11 +96,9 @@ def test_a_stop_asks_for_no_key_and_a_web_site_of_others_cannot_ask_for_it(
             assert kind(foreign) == "foreign-origin"
         assert kind(client.get("/api/v1/state")) == "key-missing"
         audit = client.app.state.service.audit  # type: ignore[attr-defined]
-        deadline = time.monotonic() + 5
-        while len(lines := audit.tail(100)) < 2 and time.monotonic() < deadline:
-            time.sleep(0.01)
+        until(lambda: len(audit.tail(100)) >= 2)
         # Whoever has no key fills no disk with stops of what stands still.
-        assert {line["caller"] for line in lines} == {"read"}
+        assert {line["caller"] for line in audit.tail(100)} == {"read"}
 
 
 def test_behind_a_proxy_that_changes_the_host_our_page_stops_and_calls_and_others_still_do_not(
@@ -312,12 +309,7 @@ def test_a_key_added_or_revoked_counts_without_a_restart(tmp_path: Path) -> None
     with running(tmp_path, key_file=path) as (client, _):
 
         def becomes(status: int, key: str) -> bool:
-            deadline = time.monotonic() + 10
-            while time.monotonic() < deadline:
-                if client.get(CELLS, headers=bearer(key)).status_code == status:
-                    return True
-                time.sleep(0.05)
-            return False
+            return bool(until(lambda: client.get(CELLS, headers=bearer(key)).status_code == status))
 
         second = add_key(path, "second", ["read"])
         assert becomes(200, second)
